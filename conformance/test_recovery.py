@@ -1,0 +1,82 @@
+"""The recovery suite: one outage per trial, and how long it takes until the assistant can work again.
+
+Two ways back are measured and never mixed: the same session, which the assistant already has, and a fresh session with
+a process of its own. Times of recovery count from the moment at which the endpoint accepts connections.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from pytest_otmcp.task import Steps, Suite, Task
+from pytest_otmcp.trial import Repetition
+
+RECOVERY = Suite("recovery", warm_up=False)
+
+WINDOW_S = 5.0
+"""How long the same session is given to recover (requirement REC-001, the bound for level Silver)."""
+
+CONNECTION_FAULTS = ("connect_failed", "connection_lost", "timeout")
+
+
+def outage(protocol: str, operation: str, **inputs: Any) -> Steps:
+    """One trial: warm call, outage, failing call, restart, same session, fresh session."""
+
+    async def steps(run: Repetition) -> None:
+        at = run.at(protocol)
+        warm = await at.call(operation, **inputs)
+        run.succeeds(warm)
+        stop_ms = await at.stop_device()
+        failing = await at.call(operation, **inputs)
+        run.fails(failing, *CONNECTION_FAULTS)
+        restart_ms = await at.start_device()
+
+        attempts = await at.call_until_success(operation, window_s=WINDOW_S, **inputs)
+        same_session = attempts[-1]
+        run.succeeds(same_session)
+        accepting_ns = at.device.accepting_ns
+
+        fresh = await at.fresh_session()
+        first = await at.call(operation, **inputs)
+        run.succeeds(first)
+
+        run.phases = {
+            "warm_call": warm.latency_ms,
+            "stop": stop_ms,
+            "detect": failing.latency_ms,
+            "restart": restart_ms,
+            "same_session": milliseconds(accepting_ns, same_session.wire.received_ns) if same_session.success else None,
+            "same_session_attempts": len(attempts),
+            "same_session_ok": bool(same_session.success),
+            "fresh_session": milliseconds(fresh.spawned_ns, first.wire.received_ns) if first.success else None,
+            "fresh_session_ok": bool(first.success),
+        }
+
+    return steps
+
+
+def milliseconds(begin_ns: int, end_ns: int | None) -> float | None:
+    return None if end_ns is None else (end_ns - begin_ns) / 1e6
+
+
+def declare(protocol: str, family: str, title: str) -> Callable[[Steps], Task]:
+    return RECOVERY.task(
+        f"R-{protocol}", family, title, adapters=protocol, requirements="REC-001 REC-002 MCP-009"
+    )
+
+
+declare("modbus", "Modbus", "Recover from a restart of the Modbus device.")(
+    outage("modbus", "read_input", address=0, count=4)
+)
+declare("mqtt", "MQTT", "Recover from a restart of the MQTT broker.")(outage("mqtt", "info"))
+declare("opcua", "OPC UA", "Recover from a restart of the OPC UA server.")(
+    outage("opcua", "read", node="ns=2;s=Temperature")
+)
+
+
+@pytest.mark.parametrize("task", RECOVERY, ids=lambda task: task.id)
+def test_recovery(task: Task, otmcp_trial: Callable[[Task], None]) -> None:
+    otmcp_trial(task)

@@ -1,0 +1,245 @@
+"""The stress suite: concurrent calls, fifty calls in a row, and an endpoint that goes away in the middle.
+
+Twelve tasks, three adapters each in turn. The restart tasks have three phases and all three are asserted: the read
+before works, the read during the outage fails as an envelope within its deadline, the read after works.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+
+import pytest
+
+from pytest_otmcp.task import Suite, Task
+from pytest_otmcp.trial import Repetition
+from pytest_otmcp.witness import modbus_oracle as modbus
+from pytest_otmcp.witness import mqtt_oracle as mqtt
+from pytest_otmcp.witness import opcua_oracle as opcua
+
+STRESS = Suite("stress", warm_up=False)
+
+RAPID_CALLS = 50
+SETTLING_S = 1.0
+"""The paper's window: how long after the endpoint accepts connections again a call may still fail."""
+
+CONNECTION_FAULTS = ("connect_failed", "connection_lost", "timeout")
+SENSORS = ("Temperature", "Pressure", "FlowRate", "TankLevel")
+
+
+@STRESS.task(
+    "S1",
+    "Modbus",
+    "Four concurrent register reads.",
+    adapters="modbus",
+    requirements="CON-001",
+)
+async def concurrent_register_reads(run: Repetition) -> None:
+    values = [run.rng.randrange(0x10000) for _ in range(4)]
+    await run.modbus.poke(unit=1, table="input_registers", address=10, values=values)
+    replies = await run.together(*(run.modbus.call("read_input", address=10 + i, count=1) for i in range(4)))
+    for reply, value in zip(replies, values, strict=True):
+        run.succeeds(reply, values=[value])
+    run.witnessed(modbus.request_count(await run.modbus.journal(), function=4, count=4))
+
+
+@STRESS.task(
+    "S2",
+    "MQTT",
+    "Four concurrent reads of received messages.",
+    adapters="mqtt",
+    requirements="CON-001 MQT-004",
+)
+async def concurrent_message_reads(run: Repetition) -> None:
+    nonces = {f"stress/{i}": f"nonce-{run.rng.getrandbits(64):016x}" for i in range(4)}
+    for topic, nonce in nonces.items():
+        await run.mqtt.publish_from_kit(topic, nonce.encode())
+    await run.mqtt.wait_for(kind="PUBLISH", direction="out", topic="stress/3", timeout_s=1.0)
+    run.succeeds(await run.mqtt.call("info", role="control"))
+    replies = await run.together(*(run.mqtt.call("messages", filter=topic) for topic in nonces))
+    for reply, (topic, nonce) in zip(replies, nonces.items(), strict=True):
+        run.succeeds(reply, messages=[{"topic": topic, "payload": nonce}])
+
+
+@concurrent_message_reads.before
+async def the_adapter_listens(run: Repetition) -> None:
+    run.succeeds(await run.mqtt.call("subscribe", filter="stress/#", qos=0))
+
+
+@STRESS.task(
+    "S3",
+    "OPC UA",
+    "Four concurrent node reads.",
+    adapters="opcua",
+    requirements="CON-001",
+)
+async def concurrent_node_reads(run: Repetition) -> None:
+    values = {name: round(run.rng.uniform(0.0, 100.0), 6) for name in SENSORS}
+    for name, value in values.items():
+        await run.opcua.poke(node=name, value=value)
+    replies = await run.together(*(run.opcua.call("read", node=f"ns=2;s={name}") for name in values))
+    for reply, value in zip(replies, values.values(), strict=True):
+        run.succeeds(reply, value=value, status="Good")
+    journal = await run.opcua.journal()
+    run.witnessed(*(opcua.read_from_device(journal, f"ns=2;s={name}") for name in values))
+
+
+@STRESS.task(
+    "S4",
+    "Modbus",
+    "Concurrent register read and write.",
+    adapters="modbus",
+    requirements="CON-004 WR-003",
+)
+async def concurrent_register_read_and_write(run: Repetition) -> None:
+    old, new = run.rng.sample(range(0x10000), 2)
+    await run.modbus.poke(unit=1, table="holding_registers", address=20, values=[old])
+    read, written = await run.together(
+        run.modbus.call("read_holding", address=20, count=1),
+        run.modbus.call("write_holding", address=20, value=new),
+    )
+    run.succeeds(read)
+    run.one_of(read, "values", [old], [new])
+    run.succeeds(written, value=new)
+    run.witnessed(
+        modbus.exactly_one_write(await run.modbus.journal(), "holding_registers", address=20, values=[new]),
+        modbus.image_holds(await run.modbus.image(), "holding_registers", 20, [new]),
+    )
+
+
+@STRESS.task(
+    "S5",
+    "MQTT",
+    "Concurrent broker inspection and publish.",
+    adapters="mqtt",
+    requirements="CON-004 WR-003",
+)
+async def concurrent_info_and_publish(run: Repetition) -> None:
+    payload = json.dumps({"pump_speed": 50 + run.rep, "nonce": run.rng.getrandbits(32)})
+    info, message = await run.together(
+        run.mqtt.call("info"),
+        run.mqtt.call("publish", topic="control/pump", payload=payload, qos=0),
+    )
+    run.succeeds(info, connected=True)
+    run.succeeds(message, topic="control/pump")
+    await run.mqtt.wait_for(kind="PUBLISH", direction="in", topic="control/pump", timeout_s=1.0)
+    run.witnessed(mqtt.published_once(await run.mqtt.journal(), topic="control/pump", payload=payload.encode()))
+
+
+@STRESS.task(
+    "S6",
+    "OPC UA",
+    "Concurrent node read and write.",
+    adapters="opcua",
+    requirements="CON-004 WR-003",
+)
+async def concurrent_node_read_and_write(run: Repetition) -> None:
+    old, new = (round(run.rng.uniform(0.0, 100.0), 6) for _ in range(2))
+    speed = "ns=2;s=FanSpeed"
+    await run.opcua.poke(node="FanSpeed", value=old)
+    read, written = await run.together(
+        run.opcua.call("read", node=speed), run.opcua.call("write", node=speed, value=new)
+    )
+    run.succeeds(read, status="Good")
+    run.one_of(read, "value", old, new)
+    run.succeeds(written, value=new)
+    run.witnessed(
+        opcua.exactly_one_write(await run.opcua.journal(), speed, new),
+        opcua.image_holds(await run.opcua.image(), speed, new),
+    )
+
+
+@STRESS.task(
+    "S7",
+    "Modbus",
+    "Fifty register reads in a row.",
+    adapters="modbus",
+    requirements="CON-006",
+)
+async def rapid_register_reads(run: Repetition) -> None:
+    values = [run.rng.randrange(0x10000) for _ in range(RAPID_CALLS)]
+    await run.modbus.poke(unit=1, table="input_registers", address=0, values=values)
+    for address, value in enumerate(values):
+        run.succeeds(await run.modbus.call("read_input", address=address, count=1), values=[value])
+    run.witnessed(modbus.request_count(await run.modbus.journal(), function=4, count=RAPID_CALLS))
+
+
+@STRESS.task(
+    "S8",
+    "MQTT",
+    "Fifty broker inspections in a row.",
+    adapters="mqtt",
+    requirements="CON-006",
+)
+async def rapid_broker_inspections(run: Repetition) -> None:
+    for _ in range(RAPID_CALLS):
+        run.succeeds(await run.mqtt.call("info"), connected=True)
+    run.witnessed(mqtt.exchange(await run.mqtt.journal(), at_least=RAPID_CALLS))
+
+
+@STRESS.task(
+    "S9",
+    "OPC UA",
+    "Fifty node reads in a row.",
+    adapters="opcua",
+    requirements="CON-006",
+)
+async def rapid_node_reads(run: Repetition) -> None:
+    for index in range(RAPID_CALLS):
+        name = SENSORS[index % len(SENSORS)]
+        value = round(run.rng.uniform(0.0, 100.0), 6)
+        if index < len(SENSORS):
+            await run.opcua.poke(node=name, value=value)
+            run.notes[name] = value
+        run.succeeds(await run.opcua.call("read", node=f"ns=2;s={name}"), value=run.notes[name], status="Good")
+    run.witnessed(opcua.read_from_device(await run.opcua.journal(), None, at_least=RAPID_CALLS))
+
+
+async def survives_a_restart(run: Repetition, protocol: str, operation: str, **inputs: object) -> None:
+    at = run.at(protocol)
+    run.succeeds(await at.call(operation, **inputs))
+    await at.stop_device()
+    run.fails(await at.call(operation, **inputs), *CONNECTION_FAULTS)
+    await at.start_device()
+    run.succeeds((await at.call_until_success(operation, window_s=SETTLING_S, **inputs))[-1])
+
+
+@STRESS.task(
+    "S10",
+    "Modbus",
+    "Endpoint restart between register reads.",
+    adapters="modbus",
+    requirements="REC-001 REC-002 RD-004",
+)
+async def modbus_restart(run: Repetition) -> None:
+    await survives_a_restart(run, "modbus", "read_input", address=0, count=4)
+    run.witnessed(modbus.exactly_one_request(await run.modbus.journal(), function=4, address=0, quantity=4))
+
+
+@STRESS.task(
+    "S11",
+    "MQTT",
+    "Broker restart between broker inspections.",
+    adapters="mqtt",
+    requirements="REC-001 REC-002",
+)
+async def broker_restart(run: Repetition) -> None:
+    await survives_a_restart(run, "mqtt", "info")
+    run.witnessed(mqtt.exchange(await run.mqtt.journal()))
+
+
+@STRESS.task(
+    "S12",
+    "OPC UA",
+    "Server restart between node reads.",
+    adapters="opcua",
+    requirements="REC-001 REC-002 RD-004",
+)
+async def opcua_restart(run: Repetition) -> None:
+    await survives_a_restart(run, "opcua", "read", node="ns=2;s=Temperature")
+    run.witnessed(opcua.read_from_device(await run.opcua.journal(), "ns=2;s=Temperature"))
+
+
+@pytest.mark.parametrize("task", STRESS, ids=lambda task: task.id)
+def test_stress(task: Task, otmcp_trial: Callable[[Task], None]) -> None:
+    otmcp_trial(task)

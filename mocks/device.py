@@ -1,0 +1,94 @@
+"""What a protocol package implements: a :class:`Device`, a ``warm`` and a ``create`` function.
+
+A protocol package (``modbus``, ``mqtt``, ``opcua``) offers two functions. ``warm()`` runs once in the launcher, before
+any device process is forked: imports and everything else that is slow and bound to no loop. ``create()`` runs in the
+device process and returns a fresh device.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Any
+
+from .journal import Journal
+
+__all__ = ["Device", "Simulation"]
+
+
+class Device(ABC):
+    """A device that serves one protocol on one port and keeps a journal of what reached it."""
+
+    protocol: str
+
+    def __init__(self) -> None:
+        self.journal = Journal()
+
+    @abstractmethod
+    async def serve(self, listener: socket.socket) -> None:
+        """Accept connections on ``listener``, a bound socket; return when connections are accepted."""
+
+    @abstractmethod
+    async def aclose(self) -> None:
+        """Stop serving."""
+
+    @abstractmethod
+    def image(self) -> dict[str, Any]:
+        """A JSON-safe dump of what the device really holds."""
+
+    @abstractmethod
+    async def poke(self, params: Mapping[str, Any]) -> None:
+        """Set a value out of band, without a trace in the journal.
+
+        Raises:
+            ValueError: the parameters name nothing that exists; the message says what.
+        """
+
+    @abstractmethod
+    def fault(self, rules: list[dict[str, Any]]) -> list[int]:
+        """Replace the fault plan; return how often each rule of the old plan was applied.
+
+        Raises:
+            ValueError: a rule is not understood.
+        """
+
+    @abstractmethod
+    async def reset(self) -> None:
+        """Start-up values and no faults; connections and journal stay."""
+
+    @abstractmethod
+    async def tick(self) -> None:
+        """Advance the simulation by one second of plant time, deterministically."""
+
+
+class Simulation:
+    """Ticks a device once a second until paused."""
+
+    def __init__(self, device: Device) -> None:
+        self._device = device
+        self._task: asyncio.Task[None] | None = None
+
+    def resume(self) -> None:
+        """Run freely."""
+        if self._task is None:
+            self._task = asyncio.create_task(self._run(), name="simulation")
+
+    async def pause(self) -> None:
+        """Stand still; when this returns no tick is under way."""
+        task, self._task = self._task, None
+        if task is not None:
+            task.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await task
+
+    async def _run(self) -> None:
+        loop = asyncio.get_running_loop()
+        due = loop.time()
+        while True:
+            due += 1.0
+            await asyncio.sleep(max(0.0, due - loop.time()))
+            # Shielded: a pause must not cut a tick in half.
+            await asyncio.shield(self._device.tick())

@@ -1,0 +1,167 @@
+"""The Modbus TCP server (MODBUS Messaging on TCP/IP V1.0b) with journal and fault plan.
+
+Our own, because a ground truth may not lose pipelined requests, mix up transaction identifiers or serve cells that do
+not exist, and a journal needs the connection and the bytes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import struct
+from collections.abc import Mapping
+from typing import Any
+
+from ..device import Device
+from .faults import FaultPlan, Rule
+from .image import UnitImage, poke
+from .pdu import IllegalRequest, describe, execute
+
+__all__ = ["ModbusDevice"]
+
+GATEWAY_TARGET_FAILED_TO_RESPOND = 0x0B
+_MAX_LENGTH = 254
+"""Largest value of the MBAP length field: unit identifier and a PDU of 253 bytes."""
+
+
+class ModbusDevice(Device):
+    """Serves unit 1; a request to any other unit gets the gateway exception 0B and changes nothing."""
+
+    protocol = "modbus"
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.units = {1: UnitImage()}
+        self.faults = FaultPlan([])
+        self._server: asyncio.Server | None = None
+        self.connections = 0
+
+    async def serve(self, listener: socket.socket) -> None:
+        loop = asyncio.get_running_loop()
+        self._server = await loop.create_server(lambda: _Connection(self), sock=listener, backlog=128)
+
+    async def aclose(self) -> None:
+        if self._server is not None:
+            self._server.close()
+
+    def image(self) -> dict[str, Any]:
+        return {"units": {str(number): unit.dump() for number, unit in self.units.items()}}
+
+    async def poke(self, params: Mapping[str, Any]) -> None:
+        poke(self.units, params)
+
+    def fault(self, rules: list[dict[str, Any]]) -> list[int]:
+        plan = FaultPlan(rules)
+        hits, self.faults = self.faults.hits, plan
+        return hits
+
+    async def reset(self) -> None:
+        self.units = {1: UnitImage()}
+        self.faults = FaultPlan([])
+
+    async def tick(self) -> None:
+        for unit in self.units.values():
+            unit.tick()
+
+
+class _Connection(asyncio.Protocol):
+    """One client. Requests are answered in order, several may arrive in one segment or one in several."""
+
+    def __init__(self, device: ModbusDevice) -> None:
+        self._device = device
+        self._buffer = bytearray()
+        self._transport: asyncio.Transport
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        self._transport = transport
+        self._device.connections += 1
+        self._number = self._device.connections
+        self._record("in", "CONNECTED", peer=transport.get_extra_info("peername")[1])
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._record("in", "DISCONNECTED")
+
+    def _record(self, direction: str, kind: str, **fields: Any) -> None:
+        self._device.journal.append(connection=self._number, direction=direction, kind=kind, **fields)
+
+    def data_received(self, data: bytes) -> None:
+        self._buffer += data
+        while len(self._buffer) >= 6 and not self._transport.is_closing():
+            transaction, protocol, length = struct.unpack_from(">HHH", self._buffer)
+            if protocol != 0 or not 2 <= length <= _MAX_LENGTH:
+                # The stream cannot be trusted any more (Messaging guide, section 4.4.2.2).
+                self._record("in", "malformed", bytes=bytes(self._buffer[:64]).hex(), reason="MBAP header")
+                self._transport.abort()
+                return
+            if len(self._buffer) < 6 + length:
+                return
+            unit = self._buffer[6]
+            pdu = bytes(self._buffer[7 : 6 + length])
+            del self._buffer[: 6 + length]
+            self._request(transaction, unit, pdu)
+
+    def _request(self, transaction: int, unit: int, pdu: bytes) -> None:
+        fields = describe(pdu)
+        self._record("in", "request", unit=unit, transaction_id=transaction, **fields, pdu=pdu.hex())
+        rule = self._device.faults.match(unit, fields)
+        memory = self._device.units.get(unit)
+        try:
+            if memory is None:
+                raise IllegalRequest(GATEWAY_TARGET_FAILED_TO_RESPOND)
+            if rule is not None and rule.exception is not None:
+                raise IllegalRequest(rule.exception)
+            response = execute(memory, pdu, apply=rule is None or not rule.ack_only)
+        except IllegalRequest as refusal:
+            response = bytes([pdu[0] | 0x80, refusal.code])
+        if rule is None:
+            self._send(transaction, unit, response)
+        else:
+            self._misbehave(rule, transaction, unit, response)
+
+    def _send(self, transaction: int, unit: int, response: bytes, cut: int | None = None) -> None:
+        if self._transport.is_closing():
+            return
+        frame = struct.pack(">HHHB", transaction, 0, len(response) + 1, unit) + response
+        exception = response[1] if response[0] & 0x80 else None
+        self._record(
+            "out",
+            "response",
+            unit=unit,
+            transaction_id=transaction,
+            function=response[0] & 0x7F,
+            exception=exception,
+            pdu=response.hex(),
+        )
+        self._transport.write(frame[:cut])
+
+    def _misbehave(self, rule: Rule, transaction: int, unit: int, response: bytes) -> None:
+        if rule.drop:
+            return
+        if rule.close:
+            self._transport.close()
+            return
+        if rule.reset:
+            # With SO_LINGER 0 the kernel sends RST instead of FIN.
+            sock = self._transport.get_extra_info("socket")
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            self._transport.abort()
+            return
+        if rule.garbage:
+            self._record("out", "garbage")
+            self._transport.write(b"\xde\xad\xbe\xef\xff\xff\x00\x01")
+            return
+        if rule.answer_values is not None:
+            response = bytes([response[0], 2 * len(rule.answer_values)]) + struct.pack(
+                f">{len(rule.answer_values)}H", *rule.answer_values
+            )
+        answer = (
+            (transaction + rule.transaction_id) & 0xFFFF,
+            unit if rule.answer_unit is None else rule.answer_unit,
+            response,
+            rule.truncate,
+        )
+        if rule.delay_s:
+            asyncio.get_running_loop().call_later(rule.delay_s, self._send, *answer)
+        else:
+            self._send(*answer)

@@ -1,0 +1,183 @@
+"""The response envelope ``{success, data, error, meta}``: strict reading and the rules every result must keep. Pure.
+
+The schema is data (``envelope.schema.json``); the rules that a schema cannot say are below, each a finding with the id
+of its requirement.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+from functools import cache
+from importlib import resources
+from typing import Any
+
+from .findings import Finding
+from .taxonomy import registry
+
+__all__ = ["check_result", "parse_strict"]
+
+# What must never reach an assistant in a message: tracebacks, source paths, object representations.
+_LEAKS = re.compile(r"Traceback \(most recent|File \"[^\"]+\", line|<[\w.]+ object at 0x|(?:/[\w.-]+){3,}\.py\b")
+
+
+def parse_strict(text: bytes | str) -> Any:
+    """Read one JSON text as RFC 8259 and RFC 7493 have it.
+
+    Raises:
+        ValueError: with one reason: not UTF-8, not JSON, NaN or Infinity, a duplicate member name, a lone surrogate.
+    """
+
+    def refuse_constant(name: str) -> Any:
+        raise ValueError(f"{name} is no JSON number")
+
+    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        members = dict(pairs)
+        if len(members) != len(pairs):
+            names = [name for name, _ in pairs]
+            twice = next(name for name in names if names.count(name) > 1)
+            raise ValueError(f"the member {twice!r} occurs twice")
+        return members
+
+    if isinstance(text, bytes):
+        try:
+            text = text.decode("utf-8")
+        except UnicodeDecodeError as error:
+            raise ValueError(f"not UTF-8 at byte {error.start}") from None
+    try:
+        value = json.loads(text, parse_constant=refuse_constant, object_pairs_hook=unique)
+    except json.JSONDecodeError as error:
+        raise ValueError(f"{error.msg} at character {error.pos}") from None
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
+    if "\\ud" in text.lower():
+        _refuse_surrogates(value)
+    return value
+
+
+def _refuse_surrogates(value: Any) -> None:
+    if isinstance(value, str) and any("\ud800" <= character <= "\udfff" for character in value):
+        raise ValueError("a string holds a lone surrogate")
+    if isinstance(value, Mapping):
+        for name, member in value.items():
+            _refuse_surrogates(name)
+            _refuse_surrogates(member)
+    elif isinstance(value, list):
+        for member in value:
+            _refuse_surrogates(member)
+
+
+@cache
+def _validator() -> Any:
+    from jsonschema import Draft202012Validator
+
+    schema = json.loads((resources.files(__package__) / "envelope.schema.json").read_text(encoding="utf-8"))
+    return Draft202012Validator(schema)
+
+
+def check_result(result: Mapping[str, Any], *, measured_latency_ms: float | None = None) -> list[Finding]:
+    """Judge the ``result`` of a ``tools/call`` response, whatever its task expected.
+
+    Args:
+        result: as parsed from the wire.
+        measured_latency_ms: from request written to response read, as the kit measured it.
+    """
+    return list(_faults(result, measured_latency_ms))
+
+
+def _faults(result: Mapping[str, Any], measured_ms: float | None) -> Iterator[Finding]:
+    envelope = result.get("structuredContent")
+    if not isinstance(envelope, dict):
+        yield Finding(
+            code="no_envelope",
+            message="the result has no structuredContent object {success, data, error, meta}",
+            requirement="ENV-001",
+            evidence=json.dumps(result, ensure_ascii=False)[:400],
+        )
+        return
+    yield from _renderings(result, envelope)
+    schema_faults = sorted(_validator().iter_errors(envelope), key=lambda error: list(map(str, error.absolute_path)))
+    for fault in schema_faults[:3]:
+        where = "/".join(map(str, fault.absolute_path)) or "the envelope"
+        yield Finding(code="envelope_schema", message=f"{where}: {fault.message[:300]}", requirement="ENV-001")
+    success, error = envelope.get("success"), envelope.get("error")
+    if bool(result.get("isError", False)) == bool(success):
+        yield Finding(
+            code="is_error",
+            message=f"isError is {result.get('isError', False)} although success is {success}",
+            requirement="MCP-006",
+        )
+    if (success is True) != (error is None):
+        yield Finding(
+            code="success_and_error",
+            message=f"success is {success} while error is {'null' if error is None else 'given'}",
+            requirement="ENV-002",
+        )
+    if success is False and isinstance(data := envelope.get("data"), dict) and set(data) - {"partial"}:
+        yield Finding(code="data_on_failure", message="a failure carries data", requirement="ENV-002")
+    if isinstance(error, dict):
+        yield from _error_faults(error)
+    meta = envelope.get("meta")
+    if isinstance(meta, dict):
+        yield from _meta_faults(meta, measured_ms)
+
+
+def _renderings(result: Mapping[str, Any], envelope: Mapping[str, Any]) -> Iterator[Finding]:
+    texts = [block.get("text") for block in result.get("content") or [] if isinstance(block, dict) and "text" in block]
+    if not texts:
+        yield Finding(code="no_text", message="the result has no text block", requirement="MCP-006")
+        return
+    try:
+        text = parse_strict(str(texts[0]))
+    except ValueError as reason:
+        yield Finding(
+            code="text_not_json", message=f"the text block is not strict JSON: {reason}", requirement="ENV-003"
+        )
+        return
+    if text != envelope:
+        yield Finding(
+            code="renderings_differ",
+            message="the text block and structuredContent are different",
+            requirement="MCP-006",
+            evidence=str(texts[0])[:400],
+        )
+
+
+def _error_faults(error: Mapping[str, Any]) -> Iterator[Finding]:
+    code = error.get("code")
+    entry = registry().get(code) if isinstance(code, str) else None
+    if entry is None and not str(code).startswith("x_"):
+        yield Finding(code="unknown_code", message=f"error code {code!r} is not in the registry", requirement="ERR-001")
+    if code == "internal_error":
+        yield Finding(
+            code="internal_error", message=f"the adapter reports a bug of its own: {error.get('message')}",
+            requirement="ERR-001",
+        )
+    if entry is not None and error.get("class") not in entry.classes:
+        yield Finding(
+            code="wrong_class",
+            message=f"error class of {code} should be {' or '.join(entry.classes)}, it is {error.get('class')!r}",
+            requirement="ERR-001",
+        )
+    retryable = error.get("retryable")
+    if entry is not None and isinstance(retryable, bool) and not entry.allows_retryable(retryable):
+        yield Finding(code="wrong_retryable", message=f"retryable is {retryable} for {code}", requirement="ERR-001")
+    if leak := _LEAKS.search(str(error.get("message"))):
+        yield Finding(
+            code="leaky_message", message=f"the error message leaks internals: {leak.group()!r}", requirement="ENV-006"
+        )
+
+
+def _meta_faults(meta: Mapping[str, Any], measured_ms: float | None) -> Iterator[Finding]:
+    claimed = meta.get("latency_ms")
+    # The adapter's clock runs inside the kit's span; a tenth of a millisecond is left for rounding.
+    if measured_ms is not None and isinstance(claimed, int | float) and claimed > measured_ms + 0.1:
+        yield Finding(
+            code="latency_too_long",
+            message=f"meta.latency_ms says {claimed} ms, the whole call took {measured_ms:.3f} ms",
+            requirement="ENV-004",
+        )
+    endpoint = meta.get("endpoint")
+    if isinstance(endpoint, str) and "@" in endpoint:
+        yield Finding(code="credentials", message="meta.endpoint carries user information", requirement="ENV-006")

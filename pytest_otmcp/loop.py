@@ -1,0 +1,75 @@
+"""The kit's own event loop on a thread of its own.
+
+Conformance tests are plain functions; everything asynchronous runs here. A vendor's asyncio settings
+(``asyncio_mode``, loop scopes, policies) therefore never decide on which loop a session lives, and an anyio
+cancel scope is always left by the task that entered it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Coroutine
+from concurrent.futures import CancelledError
+from typing import Any, TypeVar
+
+__all__ = ["LoopThread"]
+
+T = TypeVar("T")
+
+
+class LoopThread:
+    """An event loop that runs until :meth:`close`."""
+
+    def __init__(self) -> None:
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._serve, name="otmcp-loop", daemon=True)
+        self._thread.start()
+
+    def _serve(self) -> None:
+        asyncio.set_event_loop(self._loop)
+        try:
+            self._loop.run_forever()
+        finally:
+            self._loop.run_until_complete(self._loop.shutdown_asyncgens())
+            asyncio.set_event_loop(None)
+            self._loop.close()
+
+    def run(self, work: Coroutine[Any, Any, T]) -> T:
+        """Run ``work`` on the loop and return its result.
+
+        When the waiting thread is interrupted (Ctrl-C), the work is cancelled and given the time to clean up
+        before the interrupt goes on.
+        """
+        future = asyncio.run_coroutine_threadsafe(work, self._loop)
+        try:
+            return future.result()
+        except KeyboardInterrupt:
+            future.cancel()
+            finished = threading.Event()
+            asyncio.run_coroutine_threadsafe(self._settle(finished), self._loop)
+            finished.wait(timeout=5.0)
+            raise
+        except CancelledError:
+            raise KeyboardInterrupt from None
+
+    @staticmethod
+    async def _settle(finished: threading.Event) -> None:
+        # One turn of the loop lets the cancelled task run its ``finally`` clauses up to their first wait.
+        await asyncio.sleep(0)
+        finished.set()
+
+    def close(self) -> None:
+        """Cancel what is left and end the thread."""
+        if self._loop.is_closed():
+            return
+        asyncio.run_coroutine_threadsafe(self._cancel_all(), self._loop).result(timeout=10.0)
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join(timeout=10.0)
+
+    @staticmethod
+    async def _cancel_all() -> None:
+        tasks = [task for task in asyncio.all_tasks() if task is not asyncio.current_task()]
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)

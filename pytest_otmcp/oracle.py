@@ -1,0 +1,129 @@
+"""Judges replies against what a task expects. The device's half of every judgement is in ``witness/``.
+
+Pure: functions from observations to findings, no state, no I/O; a stored history can be judged again.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from .findings import Finding
+from .observation import Reply
+
+__all__ = ["equal_json", "failed", "succeeded"]
+
+
+def equal_json(expected: Any, found: Any) -> bool:
+    """Equality as JSON has it: ``1 == 1.0``, but ``true`` is not ``1``."""
+    if isinstance(expected, bool) or isinstance(found, bool):
+        return expected is found
+    if isinstance(expected, Mapping) and isinstance(found, Mapping):
+        return expected.keys() == found.keys() and all(equal_json(expected[key], found[key]) for key in expected)
+    if isinstance(expected, list | tuple) and isinstance(found, list | tuple):
+        return len(expected) == len(found) and all(map(equal_json, expected, found))
+    return bool(expected == found)
+
+
+def succeeded(reply: Reply, **outputs: Any) -> list[Finding]:
+    """The call claims success and its outputs equal ``outputs``."""
+    if reply.success is not True:
+        return [
+            Finding(
+                code="not_successful",
+                message=f"{reply.label}: expected success, got {_outcome(reply)}",
+                evidence=_shown(reply.envelope),
+            )
+        ]
+    return [
+        Finding(
+            code="wrong_value",
+            message=f"{reply.label}: {name} should be {_shown(expected)}, the reply says {_shown(reply.outputs.get(name))}",
+            requirement="RD-001",
+            evidence=_shown(reply.envelope),
+        )
+        for name, expected in outputs.items()
+        if not equal_json(expected, reply.outputs.get(name))
+    ]
+
+
+def failed(
+    reply: Reply,
+    *codes: str,
+    outcome: str | Sequence[str] | None = None,
+    trace: Mapping[str, Any] | None = None,
+) -> list[Finding]:
+    """The call is refused in an envelope, with one of ``codes``.
+
+    Args:
+        codes: acceptable error codes.
+        outcome: what ``error.outcome`` must be (one of, when a sequence).
+        trace: members that ``meta.trace`` must have; a mapping is compared member by member.
+    """
+    if reply.success is not False:
+        claim = "it claims success" if reply.success else f"got {_outcome(reply)}"
+        return [
+            Finding(
+                code="not_refused",
+                message=f"{reply.label}: expected an error envelope with code {' or '.join(codes)}, {claim}",
+                requirement="ERR-001",
+                evidence=_shown(reply.envelope),
+            )
+        ]
+    findings = []
+    envelope = reply.envelope or {}
+    if reply.error_code not in codes:
+        findings.append(
+            Finding(
+                code="wrong_error_code",
+                message=f"{reply.label}: error code should be {' or '.join(codes)}, it is {reply.error_code!r}",
+                requirement="ERR-001",
+                evidence=_shown(envelope.get("error")),
+            )
+        )
+    allowed = [outcome] if isinstance(outcome, str) else list(outcome or [])
+    stated = (envelope.get("error") or {}).get("outcome")
+    if allowed and stated not in allowed:
+        findings.append(
+            Finding(
+                code="wrong_outcome",
+                message=f"{reply.label}: error outcome should be {' or '.join(allowed)}, it is {stated!r}",
+                requirement="ERR-006",
+                evidence=_shown(envelope.get("error")),
+            )
+        )
+    found_trace = (envelope.get("meta") or {}).get("trace") or {}
+    if trace is not None and not _contains(found_trace, trace):
+        findings.append(
+            Finding(
+                code="wrong_trace",
+                message=f"{reply.label}: meta.trace should hold {_shown(trace)}, it is {_shown(found_trace)}",
+                requirement="ENV-007",
+            )
+        )
+    return findings
+
+
+def _contains(found: Any, expected: Any) -> bool:
+    if isinstance(expected, Mapping):
+        return isinstance(found, Mapping) and all(
+            name in found and _contains(found[name], value) for name, value in expected.items()
+        )
+    return equal_json(expected, found)
+
+
+def _outcome(reply: Reply) -> str:
+    if reply.wire.response is None:
+        return "no reply"
+    if reply.envelope is None:
+        return "no envelope"
+    error = reply.envelope.get("error")
+    if isinstance(error, dict):
+        return f"error {error.get('code')!r}: {str(error.get('message'))[:200]}"
+    return "no success"
+
+
+def _shown(value: Any) -> str:
+    text = json.dumps(value, ensure_ascii=False, default=repr)
+    return text if len(text) <= 400 else text[:400] + "…"

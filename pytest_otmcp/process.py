@@ -1,0 +1,224 @@
+"""One subprocess of the subject: pipes with timestamps, stderr tail, process group, stop ladder.
+
+This module knows operating systems (groups, signals, pipes); it does not know MCP. Every other module may
+assume that nothing of a stopped subject is left running, including children that it forked.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import signal
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+__all__ = ["MAX_FRAME_BYTES", "StopReport", "SubjectProcess", "subject_environment"]
+
+MAX_FRAME_BYTES = 16 * 1024 * 1024
+"""A longer line on stdout is not read to its end: no OT reply has a reason to be this long."""
+
+_STDERR_LINES = 60
+_STDERR_LINE_BYTES = 2000
+
+# What a subject inherits from the kit's environment. An allow-list: a ``MODBUS_WRITES_ENABLED`` in the user's
+# shell must not reach the read-only variant.
+_INHERITED = (
+    "HOME LOGNAME PATH SHELL TERM USER LANG LC_ALL TZ TMPDIR VIRTUAL_ENV PYTHONPATH LD_LIBRARY_PATH SSL_CERT_FILE "
+    "APPDATA HOMEDRIVE HOMEPATH LOCALAPPDATA PATHEXT PROCESSOR_ARCHITECTURE SYSTEMDRIVE SYSTEMROOT TEMP USERNAME "
+    "USERPROFILE"
+).split()
+
+
+def subject_environment(declared: Mapping[str, str]) -> dict[str, str]:
+    """The environment of a subject: a short allow-list of the kit's own plus what the subject declares."""
+    inherited = {name: os.environ[name] for name in _INHERITED if name in os.environ}
+    return inherited | dict(declared)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StopReport:
+    """How a subject ended.
+
+    Attributes:
+        how: ``exited`` (before it was asked), ``eof`` (after its stdin closed, as the MCP specification asks),
+            ``terminated`` (SIGTERM) or ``killed`` (SIGKILL).
+        seconds: from the closing of stdin to the exit.
+        returncode: exit code, negative for a signal, as :mod:`subprocess` has it.
+    """
+
+    how: str
+    seconds: float
+    returncode: int | None
+
+
+class _Pipes(asyncio.SubprocessProtocol):
+    """Cuts stdout into lines, stamps each with the time at which its last byte was read."""
+
+    def __init__(self, on_line: Callable[[int, bytes], None], on_overflow: Callable[[int], None]) -> None:
+        self._on_line = on_line
+        self._on_overflow = on_overflow
+        self._partial = bytearray()
+        self._overflown = False
+        self.stderr: deque[str] = deque(maxlen=_STDERR_LINES)
+        self._stderr_partial = b""
+        self.exited = asyncio.Event()
+        self.stdout_closed = asyncio.Event()
+        self.stderr_closed = asyncio.Event()
+
+    def pipe_data_received(self, fd: int, data: bytes | str) -> None:
+        assert isinstance(data, bytes)
+        if fd == 1:
+            self._stdout(time.monotonic_ns(), data)
+        else:
+            self._stderr(data)
+
+    def _stdout(self, now: int, data: bytes) -> None:
+        if self._overflown:
+            return
+        start = 0
+        while (end := data.find(b"\n", start)) >= 0:
+            self._partial += data[start:end]
+            line, self._partial = bytes(self._partial), bytearray()
+            start = end + 1
+            self._on_line(now, line)
+        self._partial += data[start:]
+        if len(self._partial) > MAX_FRAME_BYTES:
+            self._overflown = True
+            self._partial.clear()
+            self._on_overflow(now)
+
+    def _stderr(self, data: bytes) -> None:
+        *lines, rest = (self._stderr_partial + data).split(b"\n")
+        self._stderr_partial = rest[-_STDERR_LINE_BYTES:]
+        # Of megabytes in one chunk only the newest lines can survive the deque anyway.
+        for line in lines[-_STDERR_LINES:]:
+            self.stderr.append(line[:_STDERR_LINE_BYTES].decode("utf-8", "replace").rstrip("\r"))
+
+    def pipe_connection_lost(self, fd: int, exc: Exception | None) -> None:
+        if fd == 1:
+            self.stdout_closed.set()
+        elif fd == 2:
+            if self._stderr_partial:
+                self.stderr.append(self._stderr_partial.decode("utf-8", "replace"))
+                self._stderr_partial = b""
+            self.stderr_closed.set()
+
+    def process_exited(self) -> None:
+        self.exited.set()
+
+
+class SubjectProcess:
+    """A running subject. Create it with :meth:`start`, end it with :meth:`stop`."""
+
+    def __init__(self, transport: asyncio.SubprocessTransport, pipes: _Pipes) -> None:
+        self._transport = transport
+        self._pipes = pipes
+        self.pid: int = cast(int, transport.get_pid())
+
+    @classmethod
+    async def start(
+        cls,
+        command: Sequence[str],
+        *,
+        env: Mapping[str, str],
+        cwd: Path | None,
+        on_line: Callable[[int, bytes], None],
+        on_overflow: Callable[[int], None],
+    ) -> SubjectProcess:
+        """Start ``command`` in a process group of its own.
+
+        Args:
+            command: argument vector; no shell is involved.
+            env: the whole environment of the process.
+            cwd: working directory, or None for the kit's.
+            on_line: called with (monotonic ns, line without its newline) for every line on stdout.
+            on_overflow: called once when a line on stdout exceeds :data:`MAX_FRAME_BYTES`; reading ends then.
+
+        Raises:
+            OSError: the command cannot be executed.
+        """
+        loop = asyncio.get_running_loop()
+        options: dict[str, Any] = {"start_new_session": True} if os.name == "posix" else {}
+        transport, pipes = await loop.subprocess_exec(
+            lambda: _Pipes(on_line, on_overflow), *command, env=dict(env), cwd=cwd, **options
+        )
+        return cls(transport, pipes)
+
+    @property
+    def returncode(self) -> int | None:
+        """Exit code, or None while it runs."""
+        return self._transport.get_returncode()
+
+    @property
+    def exited(self) -> asyncio.Event:
+        """Set when the process has ended."""
+        return self._pipes.exited
+
+    @property
+    def stdout_closed(self) -> asyncio.Event:
+        """Set when nothing more can come on stdout."""
+        return self._pipes.stdout_closed
+
+    def stderr_tail(self, lines: int = 12) -> list[str]:
+        """The newest non-empty lines of stderr, oldest first."""
+        return [line for line in self._pipes.stderr if line.strip()][-lines:]
+
+    async def settle_stderr(self) -> None:
+        """After the exit: wait (shortly) until what it said last has been read."""
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(self._pipes.stderr_closed.wait(), 0.5)
+
+    def write(self, data: bytes) -> None:
+        """Hand bytes to stdin; they are written at once unless the pipe is full.
+
+        Raises:
+            BrokenPipeError: stdin is closed.
+        """
+        stdin = self._transport.get_pipe_transport(0)
+        if stdin is None or stdin.is_closing():
+            raise BrokenPipeError("the adapter's stdin is closed")
+        cast(asyncio.WriteTransport, stdin).write(data)
+
+    async def stop(self, *, grace_s: float) -> StopReport:
+        """End the process the way the MCP specification describes (stdio, shutdown): close stdin, wait, SIGTERM,
+        wait, SIGKILL; then kill what is left of its process group.
+
+        Args:
+            grace_s: seconds given to each of the two polite steps.
+        """
+        begun = time.monotonic()
+        how = "exited" if self._pipes.exited.is_set() else "killed"
+        if how != "exited":
+            stdin = self._transport.get_pipe_transport(0)
+            if stdin is not None:
+                stdin.close()
+            if await self._ended(grace_s):
+                how = "eof"
+            else:
+                self._signal(signal.SIGTERM)
+                if await self._ended(grace_s):
+                    how = "terminated"
+        seconds = time.monotonic() - begun
+        # Children of a gracefully ended subject may live on: the group gets SIGKILL in every case.
+        self._signal(signal.SIGKILL if os.name == "posix" else signal.SIGTERM)
+        await self._ended(5.0)
+        self._transport.close()
+        return StopReport(how=how, seconds=seconds, returncode=self.returncode)
+
+    async def _ended(self, timeout_s: float) -> bool:
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(self._pipes.exited.wait(), timeout_s)
+        return self._pipes.exited.is_set()
+
+    def _signal(self, number: signal.Signals) -> None:
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            if sys.platform != "win32":
+                os.killpg(self.pid, number)
+            elif self.returncode is None:
+                self._transport.terminate()

@@ -1,0 +1,106 @@
+"""A task: an item of the suite, its steps for one repetition, and what it needs around them.
+
+Conformance modules declare tasks with :func:`task`; nothing here runs them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .trial import Repetition
+
+__all__ = ["Steps", "Suite", "Task"]
+
+Steps = Callable[["Repetition"], Awaitable[None]]
+
+SUITES = ("normal", "fault", "stress", "recovery")
+"""The suites in the order in which they run."""
+
+
+@dataclass(slots=True, kw_only=True)
+class Task:
+    """One item.
+
+    Attributes:
+        id: as the paper has it, such as ``M3``.
+        suite: one of :data:`SUITES`.
+        family: ``Modbus``, ``MQTT``, ``OPC UA`` or ``Cross-protocol``.
+        title: the paper's sentence for it, printed in its tables.
+        adapters: the protocols it needs.
+        requirements: ids of the requirement catalogue that it exercises.
+        steps: one repetition.
+        begin: once before the repetitions, with the role ``setup``; or None.
+        end: once after the repetitions, with the role ``control``; or None.
+        warm_up: run the steps once unmeasured, so that no first-time cost is counted as the adapter's.
+    """
+
+    id: str
+    suite: str
+    family: str
+    title: str
+    adapters: tuple[str, ...]
+    requirements: tuple[str, ...]
+    steps: Steps
+    begin: Steps | None = None
+    end: Steps | None = None
+    warm_up: bool = True
+
+    def before(self, steps: Steps) -> Steps:
+        """Decorator: what happens once before the repetitions."""
+        self.begin = steps
+        return steps
+
+    def after(self, steps: Steps) -> Steps:
+        """Decorator: what happens once after the repetitions."""
+        self.end = steps
+        return steps
+
+
+class Suite(list[Task]):
+    """The tasks of one suite, in the order of their declaration."""
+
+    def __init__(self, name: str, *, warm_up: bool = True) -> None:
+        super().__init__()
+        self.name = name
+        self._warm_up = warm_up
+
+    def task(
+        self, id: str, family: str, title: str, *, adapters: str, requirements: str = ""
+    ) -> Callable[[Steps], Task]:
+        """Decorator that turns the steps of one repetition into a task of this suite.
+
+        Args:
+            id, family, title: see :class:`Task`.
+            adapters: the protocols it needs, separated by blanks.
+            requirements: catalogue ids, separated by blanks.
+        """
+
+        def declare(steps: Steps) -> Task:
+            declared = Task(
+                id=id,
+                suite=self.name,
+                family=family,
+                title=title,
+                adapters=tuple(adapters.split()),
+                requirements=tuple(requirements.split()),
+                steps=steps,
+                warm_up=self._warm_up,
+            )
+            self.append(declared)
+            return declared
+
+        return declare
+
+
+def repetitions(reps: int) -> dict[str, int]:
+    """Repetitions per suite from the one number N: N, N, ceil(N/3), ceil(2N/3) (N = 30 gives the paper's matrix).
+
+    Raises:
+        ValueError: N is below 1.
+    """
+    if reps < 1:
+        raise ValueError("repetitions must be at least 1")
+    return {"normal": reps, "fault": reps, "stress": -(-reps // 3), "recovery": -(-2 * reps // 3)}

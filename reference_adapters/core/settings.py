@@ -1,0 +1,64 @@
+"""Settings from the environment, read strictly: a value that is not understood stops the start, except that a write
+switch which is not understood means "no"."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Mapping
+
+__all__ = ["ConfigError", "Environment"]
+
+_TRUE = ("1", "true", "yes", "on")
+_FALSE = ("0", "false", "no", "off", "")
+
+
+class ConfigError(Exception):
+    """A setting cannot be used; the message names the variable and what it expects."""
+
+
+class Environment:
+    """Reads variables with a common prefix."""
+
+    def __init__(self, values: Mapping[str, str] | None = None) -> None:
+        self._values = os.environ if values is None else values
+
+    def text(self, name: str, default: str | None = None) -> str:
+        """A string; without a default the variable is required."""
+        value = self._values.get(name, default)
+        if value is None:
+            raise ConfigError(f"{name} is not set")
+        return value
+
+    def optional(self, name: str) -> str | None:
+        """A string, or None when the variable is unset or empty."""
+        return self._values.get(name) or None
+
+    def whole(self, name: str, default: int, minimum: int, maximum: int) -> int:
+        """A whole number within bounds."""
+        text = self._values.get(name, str(default))
+        try:
+            number = int(text)
+        except ValueError:
+            raise ConfigError(f"{name}: expected a whole number, found {text!r}") from None
+        if not minimum <= number <= maximum:
+            raise ConfigError(f"{name}: expected {minimum} to {maximum}, found {number}")
+        return number
+
+    def seconds(self, name: str, default: float) -> float:
+        """A positive number of seconds, at most an hour."""
+        text = self._values.get(name, str(default))
+        try:
+            number = float(text)
+        except ValueError:
+            raise ConfigError(f"{name}: expected seconds, found {text!r}") from None
+        if not 0 < number <= 3600:
+            raise ConfigError(f"{name}: expected seconds above 0 and up to 3600, found {text}")
+        return number
+
+    def writes_enabled(self, name: str) -> bool:
+        """The write switch. Unset means no; so does everything that is not clearly a yes, with a warning."""
+        text = self._values.get(name, "").strip().lower()
+        if text not in _TRUE + _FALSE:
+            print(f"{name}: {text!r} is not understood; writes stay disabled", file=sys.stderr)
+        return text in _TRUE

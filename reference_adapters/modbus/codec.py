@@ -1,0 +1,75 @@
+"""Typed values in registers: width, sign, byte and word order (MODBUS Application Protocol V1.1b3, section 4.2).
+
+``ABCD`` is the specification's order: most significant byte and word first. ``CDAB`` swaps the words, ``BADC`` the bytes
+of each word, ``DCBA`` both.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from typing import Any, Literal
+
+from ..core import AdapterError
+
+__all__ = ["FORMATS", "DataType", "Order", "decode", "encode", "width"]
+
+DataType = Literal["int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64"]
+Order = Literal["ABCD", "CDAB", "BADC", "DCBA"]
+
+FORMATS = {
+    "int16": "h",
+    "uint16": "H",
+    "int32": "i",
+    "uint32": "I",
+    "int64": "q",
+    "uint64": "Q",
+    "float32": "f",
+    "float64": "d",
+}
+_EXACT_IN_JSON = 2**53 - 1
+
+
+def width(kind: DataType) -> int:
+    """Registers that a value of this type occupies."""
+    return max(1, struct.calcsize(f">{FORMATS[kind]}") // 2)
+
+
+def _arranged(data: bytes, order: Order) -> bytes:
+    words = [data[i : i + 2] for i in range(0, len(data), 2)]
+    if order in ("CDAB", "DCBA"):
+        words.reverse()
+    if order in ("BADC", "DCBA"):
+        words = [word[::-1] for word in words]
+    return b"".join(words)
+
+
+def decode(registers: list[int], kind: DataType, order: Order) -> dict[str, Any]:
+    """A value object: ``value`` is null for what JSON has no number for, and ``special`` says what it was; integers that
+    a double cannot hold are decimal strings."""
+    raw = struct.pack(f">{len(registers)}H", *registers)
+    (value,) = struct.unpack(f">{FORMATS[kind]}", _arranged(raw, order))
+    special = None
+    if isinstance(value, float) and not math.isfinite(value):
+        special = "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"
+        value = None
+    elif isinstance(value, int) and abs(value) > _EXACT_IN_JSON:
+        value = str(value)
+    return {"type": kind, "value": value, "special": special, "raw": raw.hex(), "quality": "good"}
+
+
+def encode(value: float, kind: DataType, order: Order) -> list[int]:
+    """The registers of a value.
+
+    Raises:
+        AdapterError: the value is outside the type's range, or not integral where it must be.
+    """
+    if kind not in ("float32", "float64"):
+        if float(value) != int(value):
+            raise AdapterError("type_mismatch", f"{kind} holds whole numbers only", field="/value")
+        value = int(value)
+    try:
+        data = struct.pack(f">{FORMATS[kind]}", value)
+    except (struct.error, OverflowError):
+        raise AdapterError("range_overflow", f"the value does not fit into {kind}", field="/value") from None
+    return list(struct.unpack(f">{len(data) // 2}H", _arranged(data, order)))
