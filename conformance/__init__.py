@@ -1,1 +1,1 @@
-
+"""What is required: the benchmark's tasks, one module a suite."""

@@ -7,16 +7,26 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from .run import Run
+    from .live import Live
+    from .run import Recorder, Run
     from .settings import RunSettings
 
-__all__ = ["RESULT", "RUN", "SETTINGS"]
+__all__ = ["LIVE", "RECORDER", "REQUIRED", "RESULT", "RUN", "SETTINGS"]
 
 SETTINGS = pytest.StashKey["RunSettings"]()
 """On the config: the checked settings."""
 
+REQUIRED = pytest.StashKey[list[str]]()
+"""On the config: ids of all items of the set, before anything was deselected."""
+
 RUN = pytest.StashKey["Run"]()
-"""On the config: the run of this process, from the moment conformance items are collected."""
+"""On the config of a process that executes items: its run."""
+
+RECORDER = pytest.StashKey["Recorder"]()
+"""On the config of the controller: what collects the results."""
+
+LIVE = pytest.StashKey["Live"]()
+"""On the config of the controller: what shows progress."""
 
 RESULT = pytest.StashKey[dict[str, Any]]()
 """On an item: what its task came to, as ``run.json`` has it."""

@@ -448,6 +448,11 @@ class Trial:
         )
         return repetition
 
+    def interrupted(self) -> dict[str, Any]:
+        """The item as far as it was measured when the user ended the run."""
+        self._status = "INTERRUPTED"
+        return self._item({})
+
     def _item(self, before: dict[str, float]) -> dict[str, Any]:
         failed = bool(self._findings) or any(not sample["ok"] for sample in self._samples)
         spent = {

@@ -1,0 +1,1 @@
+def write_figures(run, d): pass

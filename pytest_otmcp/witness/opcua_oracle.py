@@ -1,0 +1,226 @@
+"""What an OPC UA server witnesses.
+
+Journal kinds are service names (OPC 10000-4); requests list their ``nodes``, answers their ``results``. The image lists
+the plant's data variables by node id, its folders by browse name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ..findings import Finding
+
+__all__ = [
+    "browsed",
+    "children_of",
+    "complete_enumeration",
+    "exactly_one_service",
+    "exactly_one_write",
+    "folder_id",
+    "image_holds",
+    "names_and_ids_agree",
+    "no_state_changing_service",
+    "only_changed",
+    "read_from_device",
+    "result_status",
+    "some_service",
+]
+
+Entries = Sequence[Mapping[str, Any]]
+Image = Mapping[str, Any]
+
+_SESSION_SERVICES = {"CreateSession", "ActivateSession", "CloseSession", "CONNECTED", "DISCONNECTED"}
+
+
+def _requests(entries: Entries, kind: str | None = None) -> list[Mapping[str, Any]]:
+    return [
+        entry
+        for entry in entries
+        if entry["direction"] == "in" and entry["kind"] not in _SESSION_SERVICES and kind in (None, entry["kind"])
+    ]
+
+
+def _nodes(entry: Mapping[str, Any]) -> list[str]:
+    return [node["node_id"] if isinstance(node, Mapping) else node for node in entry.get("nodes", [])]
+
+
+def _values_read(entry: Mapping[str, Any]) -> list[str]:
+    return [node["node_id"] for node in entry["nodes"] if node["attribute"] == "Value"]
+
+
+def _seen(entries: Entries) -> str:
+    services = [f"{entry['kind']} {', '.join(_nodes(entry)[:4])}" for entry in _requests(entries)]
+    return "; ".join(services[:8]) + (" …" if len(services) > 8 else "") if services else "no service request"
+
+
+def folder_id(image: Image, name: str) -> str:
+    """Node id of a folder of the plant."""
+    return str(image["folders"][name])
+
+
+def children_of(image: Image, name: str) -> dict[str, str]:
+    """Browse name to node id of the data variables in a folder."""
+    parent = folder_id(image, name)
+    return {
+        variable["browse_name"]: node for node, variable in image["variables"].items() if variable["parent"] == parent
+    }
+
+
+def names_and_ids_agree(ids: Any, names: Any, expected: Mapping[str, str]) -> list[Finding]:
+    """A browse result holds these nodes, each with its own name; a namespace prefix of a name (``2:``) is accepted."""
+    pairs: dict[str, str] = {}
+    if isinstance(ids, list) and isinstance(names, list) and len(ids) == len(names):
+        pairs = {str(name).rpartition(":")[2]: str(node) for node, name in zip(ids, names, strict=True)}
+    wrong = {name: (node, pairs.get(name)) for name, node in expected.items() if pairs.get(name) != node}
+    if not wrong:
+        return []
+    name, (node, found) = next(iter(wrong.items()))
+    return [
+        Finding(
+            code="browse_differs",
+            message=f"{len(wrong)} of {len(expected)} nodes are missing or wrong; {name} should be {node}, it is {found}",
+            requirement="OUA-006",
+        )
+    ]
+
+
+def browsed(entries: Entries, node: str) -> list[Finding]:
+    """The server was asked to browse this node during the call."""
+    if any(node in _nodes(entry) for entry in _requests(entries, "Browse")):
+        return []
+    return [_missing(f"a Browse of {node}", entries)]
+
+
+def some_service(entries: Entries) -> list[Finding]:
+    """The server was asked something during the call."""
+    return [] if _requests(entries) else [_missing("a service request", entries)]
+
+
+def read_from_device(entries: Entries, node: str | None, at_least: int = 1) -> list[Finding]:
+    """The value of ``node`` (None for any) was read from the server at least that often."""
+    count = sum(
+        sum(node in (None, found) for found in _values_read(entry)) for entry in _requests(entries, "Read")
+    )
+    return [] if count >= at_least else [_missing(f"{at_least} read(s) of {node or 'a value'}, there were {count}", entries)]
+
+
+def _missing(what: str, entries: Entries) -> Finding:
+    return Finding(
+        code="no_exchange",
+        message=f"the server should have seen {what}",
+        requirement="RD-004",
+        evidence=_seen(entries),
+    )
+
+
+def exactly_one_service(entries: Entries, kind: str, *, node: str) -> list[Finding]:
+    """Exactly one request of this service named the node."""
+    count = sum(node in _nodes(entry) for entry in _requests(entries, kind))
+    if count == 1:
+        return []
+    return [
+        Finding(
+            code="request_count",
+            message=f"the server should have seen one {kind} of {node}, it saw {count}",
+            requirement="ENV-005",
+            evidence=_seen(entries),
+        )
+    ]
+
+
+def result_status(entries: Entries, kind: str, symbol: str) -> list[Finding]:
+    """The server answered a request of this service with this status code."""
+    found = [
+        result["status"]
+        for entry in entries
+        if entry["direction"] == "out" and entry["kind"] == kind
+        for result in entry.get("results", [])
+    ]
+    if symbol in found:
+        return []
+    return [
+        Finding(
+            code="no_status",
+            message=f"the server should have answered {kind} with {symbol}, its answers were {found or 'none'}",
+            requirement="ERR-003",
+        )
+    ]
+
+
+def exactly_one_write(entries: Entries, node: str, value: Any) -> list[Finding]:
+    """One Write reached the server, of this value to this node."""
+    changing = [entry for entry in _requests(entries) if entry.get("state_changing")]
+    if len(changing) == 1 and changing[0]["kind"] == "Write":
+        written = [(item["node_id"], item["attribute"], item["value"]) for item in changing[0]["nodes"]]
+        if written == [(node, "Value", value)]:
+            return []
+    return [
+        Finding(
+            code="not_written_once",
+            message=f"the server should have seen one Write of {value!r} to {node}, it saw {len(changing)} "
+            "state-changing request(s)",
+            requirement="WR-003" if len(changing) > 1 else "WR-001",
+            evidence=_seen(entries),
+        )
+    ]
+
+
+def no_state_changing_service(entries: Entries) -> list[Finding]:
+    """Nothing that could change the plant reached the server."""
+    changing = [entry for entry in _requests(entries) if entry.get("state_changing")]
+    if not changing:
+        return []
+    return [
+        Finding(
+            code="wrote",
+            message=f"the server should have seen no state-changing request, it saw {len(changing)}",
+            requirement="WR-004",
+            evidence=_seen(changing),
+        )
+    ]
+
+
+def image_holds(image: Image, node: str, value: Any) -> list[Finding]:
+    """The server holds this value."""
+    held = image["variables"].get(node, {}).get("value")
+    if held == value and isinstance(held, bool) == isinstance(value, bool):
+        return []
+    return [
+        Finding(
+            code="device_differs", message=f"{node} should hold {value!r}, the server holds {held!r}", requirement="WR-001"
+        )
+    ]
+
+
+def only_changed(before: Image, after: Image, expected: Mapping[str, Any]) -> list[Finding]:
+    """Between two images these nodes got these values; every other variable is as it was."""
+    findings = []
+    for node, variable in after["variables"].items():
+        wanted = expected[node] if node in expected else before["variables"].get(node, {}).get("value")
+        if variable["value"] != wanted:
+            findings.append(
+                Finding(
+                    code="device_differs",
+                    message=f"{node} should hold {wanted!r}, the server holds {variable['value']!r}",
+                    requirement="WR-001" if node in expected else "WR-002",
+                )
+            )
+    return findings[:5]
+
+
+def complete_enumeration(ids: Any, image: Image) -> list[Finding]:
+    """An enumeration lists every data variable of the plant, each once."""
+    listed = [str(node) for node in ids] if isinstance(ids, list) else []
+    missing = sorted(set(image["variables"]) - set(listed))
+    twice = sorted({node for node in listed if listed.count(node) > 1})
+    if not missing and not twice:
+        return []
+    problem = f"{len(missing)} missing, for instance {missing[0]}" if missing else f"{twice[0]} is listed twice"
+    return [
+        Finding(
+            code="enumeration_differs",
+            message=f"all {len(image['variables'])} variables should be listed once: {problem}",
+            requirement="OUA-006",
+        )
+    ]
