@@ -63,9 +63,7 @@ def milliseconds(begin_ns: int, end_ns: int | None) -> float | None:
 
 
 def declare(protocol: str, family: str, title: str) -> Callable[[Steps], Task]:
-    return RECOVERY.task(
-        f"R-{protocol}", family, title, adapters=protocol, requirements="REC-001 REC-002 MCP-009"
-    )
+    return RECOVERY.task(f"R-{protocol}", family, title, adapters=protocol, requirements="REC-001 REC-002 MCP-009")
 
 
 declare("modbus", "Modbus", "Recover from a restart of the Modbus device.")(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 
@@ -195,7 +196,7 @@ async def rapid_node_reads(run: Repetition) -> None:
     run.witnessed(opcua.read_from_device(await run.opcua.journal(), None, at_least=RAPID_CALLS))
 
 
-async def survives_a_restart(run: Repetition, protocol: str, operation: str, **inputs: object) -> None:
+async def survives_a_restart(run: Repetition, protocol: str, operation: str, **inputs: Any) -> None:
     at = run.at(protocol)
     run.succeeds(await at.call(operation, **inputs))
     await at.stop_device()

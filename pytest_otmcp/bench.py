@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -21,7 +21,7 @@ from .observation import Reply, Wire, observe
 from .plant import MockDevice
 from .subject import Adapter, Subject
 
-__all__ = ["Bench", "BenchOptions", "NoBindingError", "Station", "TimeSpent"]
+__all__ = ["Bench", "BenchOptions", "NoBindingError", "Plant", "Station", "TimeSpent"]
 
 READ_ONLY = "ro"
 READ_WRITE = "rw"
@@ -185,16 +185,50 @@ class Station:
         return reply
 
 
-class Bench:
-    """Everything that runs during a test run. Use :meth:`prepare` and :meth:`close` on the kit's loop."""
+class Plant:
+    """The devices, each started when it is first asked for."""
 
-    def __init__(self, subject: Subject, options: BenchOptions | None = None) -> None:
+    def __init__(self) -> None:
+        self._devices: dict[str, MockDevice] = {}
+        self._launches: dict[str, asyncio.Task[None]] = {}
+
+    async def device(self, name: str) -> MockDevice:
+        """The device ``protocol`` or ``protocol@instance``, running.
+
+        Raises:
+            KitError: it could not be started; said again at once to whoever asks next.
+        """
+        if name not in self._devices:
+            device = self._devices[name] = MockDevice(name.partition("@")[0])
+            self._launches[name] = asyncio.create_task(device.launch())
+        # Everybody who asks waits for the one launch; nobody who gives up waiting cancels it for the others.
+        await asyncio.shield(self._launches[name])
+        return self._devices[name]
+
+    async def close(self) -> None:
+        """End every device."""
+        await asyncio.gather(*self._launches.values(), return_exceptions=True)
+        await asyncio.gather(*(device.close() for device in self._devices.values()), return_exceptions=True)
+        self._devices.clear()
+        self._launches.clear()
+
+
+class Bench:
+    """Everything that runs during a test run. Use :meth:`prepare` and :meth:`close` on the kit's loop.
+
+    Args:
+        subject: who is tested.
+        options: see :class:`BenchOptions`.
+        plant: the devices, if they are to outlive this bench.
+    """
+
+    def __init__(self, subject: Subject, options: BenchOptions | None = None, plant: Plant | None = None) -> None:
         self.subject = subject
         self.options = options or BenchOptions()
         self.spent = TimeSpent()
-        self._devices: dict[str, MockDevice] = {}
+        self._plant = plant or Plant()
+        self._owns_plant = plant is None
         self._stations: dict[tuple[str, str], Station] = {}
-        self._failure: KitError | None = None
 
     async def prepare(self, protocols: Iterable[str]) -> None:
         """Start the devices and the read-write adapters of these protocols, all at once.
@@ -206,26 +240,10 @@ class Bench:
         """
         wanted = [name for name in dict.fromkeys(protocols) if name in self.subject.adapters]
         with self.spent.on("plant start"):
-            await asyncio.gather(*(self._device(name) for name in wanted))
+            await asyncio.gather(*(self._plant.device(name) for name in wanted))
         with self.spent.on("adapter starts"):
             stations = [await self.station(name) for name in wanted]
             await asyncio.gather(*(station.open() for station in stations), return_exceptions=True)
-
-    async def _device(self, name: str) -> MockDevice:
-        device = self._devices.get(name)
-        if device is None:
-            if self._failure is not None:
-                raise self._failure
-            device = self._devices[name] = self._new_device(name.split("@")[0])
-            try:
-                await device.launch()
-            except KitError as failure:
-                self._failure = failure
-                raise
-        return device
-
-    def _new_device(self, name: str) -> MockDevice:
-        return MockDevice(name)
 
     async def station(self, protocol: str, variant: str = READ_WRITE) -> Station:
         """The station of an adapter variant; its session is not opened.
@@ -235,7 +253,7 @@ class Bench:
         """
         key = (protocol, variant)
         if key not in self._stations:
-            device = await self._device(protocol if variant == READ_WRITE else f"{protocol}@{variant}")
+            device = await self._plant.device(protocol if variant == READ_WRITE else f"{protocol}@{variant}")
             self._stations[key] = Station(self.subject.adapters[protocol], variant, device, self.options)
         return self._stations[key]
 
@@ -255,9 +273,9 @@ class Bench:
         return facts
 
     async def close(self) -> None:
-        """End every session and every device; whatever one of them does, the others are ended too."""
-        closers: list[Callable[[], Any]] = [station.close for station in self._stations.values()]
-        await asyncio.gather(*(close() for close in closers), return_exceptions=True)
-        await asyncio.gather(*(device.close() for device in self._devices.values()), return_exceptions=True)
+        """End every session, and every device unless the plant is somebody else's."""
+        with self.spent.on("adapter starts"):
+            await asyncio.gather(*(station.close() for station in self._stations.values()), return_exceptions=True)
         self._stations.clear()
-        self._devices.clear()
+        if self._owns_plant:
+            await self._plant.close()

@@ -38,7 +38,9 @@ def explain(result: dict[str, object]) -> str:
     assert isinstance(samples, list)
     assert isinstance(findings, list)
     bad = [sample for sample in samples if not sample["ok"]]
-    lines = [f"{result['id']} {result['title']} [{result['status']}] {len(samples) - len(bad)}/{result['planned']} passed"]
+    lines = [
+        f"{result['id']} {result['title']} [{result['status']}] {len(samples) - len(bad)}/{result['planned']} passed"
+    ]
     lines += [f"  {finding['message']}" for finding in findings]
     for sample in bad[:2]:
         for finding in sample["findings"][:4]:

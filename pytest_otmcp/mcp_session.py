@@ -16,12 +16,19 @@ from collections.abc import Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import anyio
 from mcp import Client, MCPError
 from mcp.shared.message import SessionMessage
-from mcp.types import JSONRPCError, JSONRPCNotification, JSONRPCRequest, JSONRPCResponse, jsonrpc_message_adapter
+from mcp.types import (
+    JSONRPCError,
+    JSONRPCNotification,
+    JSONRPCRequest,
+    JSONRPCResponse,
+    RequestParamsMeta,
+    jsonrpc_message_adapter,
+)
 from pydantic import ValidationError
 
 from .errors import SubjectError
@@ -205,9 +212,8 @@ class McpSession:
         token = next(self._tokens)
         self._recorder.pending[token] = exchange
         try:
-            await client.call_tool(
-                tool, dict(arguments), read_timeout_seconds=timeout_s, meta={_META_KEY: token}  # type: ignore[typeddict-unknown-key]
-            )
+            meta = cast(RequestParamsMeta, {_META_KEY: token})
+            await client.call_tool(tool, dict(arguments), read_timeout_seconds=timeout_s, meta=meta)
         except MCPError as error:
             if exchange.response is None:
                 timed_out = error.code == -32001 and not self.died

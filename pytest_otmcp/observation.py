@@ -119,7 +119,6 @@ def observe(
 ) -> Reply:
     """Read the frames strictly and note every fault of the reply as such."""
     faults: list[Finding] = []
-    envelope: dict[str, Any] | None = None
     reply = Reply(
         adapter=adapter,
         variant=variant,
@@ -149,11 +148,10 @@ def observe(
         return reply
     result = message.get("result")
     if not isinstance(result, dict):
-        error = message.get("error")
         faults.append(
             Finding(
                 code="json_rpc_error",
-                message=f"{reply.label}: answered with a JSON-RPC error instead of a tool result: {error}",
+                message=f"{reply.label}: answered with a JSON-RPC error instead of a tool result: {message.get('error')}",
                 requirement="MCP-007",
                 evidence=_excerpt(wire.response),
             )

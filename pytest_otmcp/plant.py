@@ -224,9 +224,7 @@ class MockDevice:
         answer = await self.ask("journal", since=since)
         return Journal(entries=answer["entries"], next=answer["next"])
 
-    async def wait(
-        self, since: int, match: Mapping[str, Any], *, timeout_s: float, count: int = 1
-    ) -> list[Entry]:
+    async def wait(self, since: int, match: Mapping[str, Any], *, timeout_s: float, count: int = 1) -> list[Entry]:
         """The entries from ``since`` on whose fields equal ``match``, as soon as there are ``count`` of them, or
         those there are when the time is over."""
         answer = await self.ask(

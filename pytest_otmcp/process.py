@@ -119,7 +119,7 @@ class SubjectProcess:
     def __init__(self, transport: asyncio.SubprocessTransport, pipes: _Pipes) -> None:
         self._transport = transport
         self._pipes = pipes
-        self.pid: int = cast(int, transport.get_pid())
+        self.pid: int = transport.get_pid()
 
     @classmethod
     async def start(

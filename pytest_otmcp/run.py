@@ -12,6 +12,7 @@ import platform
 import time
 from contextlib import suppress
 from datetime import UTC, datetime
+from functools import partial
 from importlib import metadata, resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -70,7 +71,7 @@ class Run:
 
         planned = self.settings.repetitions[task.suite]
         loop, bench = self._start()
-        report = None if self.progress is None else lambda done, of: self.progress and self.progress(task, done, of)
+        report = partial(self.progress, task) if self.progress is not None else None
         trial = Trial(bench, task, planned, seed=self.settings.seed, progress=report)
         try:
             return loop.run(trial.run())

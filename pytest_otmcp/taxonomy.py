@@ -1,4 +1,4 @@
-"""The error registry (``errors.toml``) as frozen data. Pure."""
+"""The error registry (``errors.toml``) as frozen data: the codes, and what the protocols' own codes become. Pure."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
+from typing import Any
 
-__all__ = ["ErrorCode", "registry"]
+__all__ = ["ErrorCode", "WireCode", "registry", "wire_codes"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -18,14 +19,18 @@ class ErrorCode:
     Attributes:
         classes: acceptable values of ``error.class``.
         meaning: one phrase.
+        outcomes: acceptable values of ``error.outcome`` for a call that changes state.
         retry_read, retry_write: ``yes``, ``no``, ``verify``, or None where the code cannot occur.
+        label: what the paper's tables call it, or None.
     """
 
     code: str
     classes: tuple[str, ...]
     meaning: str
+    outcomes: tuple[str, ...]
     retry_read: str | None
     retry_write: str | None
+    label: str | None
 
     def allows_retryable(self, value: bool) -> bool:
         """``error.retryable`` may have this value: it says that the same request may simply be repeated, so it must
@@ -33,18 +38,69 @@ class ErrorCode:
         rules = {rule for rule in (self.retry_read, self.retry_write) if rule is not None}
         return "yes" in rules if value else rules != {"yes"}
 
+    def allows_outcome(self, value: str) -> bool:
+        """``error.outcome`` may have this value; a call that changes nothing may always say ``not_applicable``."""
+        return value == "not_applicable" or value in self.outcomes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WireCode:
+    """What a code of a protocol becomes in the envelope.
+
+    Attributes:
+        key: as in the data file: a Modbus exception or MQTT reason in decimal, an OPC UA symbol, a socket condition.
+        name: the specification's own name.
+        value: the number on the wire, None for socket conditions.
+        codes: acceptable error codes; empty for what is a success.
+        outcome: of a write, or None where it cannot occur.
+        retry: of a write: ``yes``, ``no``, ``verify`` or None.
+    """
+
+    key: str
+    name: str
+    value: int | None
+    codes: tuple[str, ...]
+    outcome: str | None
+    retry: str | None
+
+
+@cache
+def _document() -> Mapping[str, Any]:
+    return tomllib.loads((resources.files(__package__) / "errors.toml").read_text(encoding="utf-8"))
+
 
 @cache
 def registry() -> Mapping[str, ErrorCode]:
     """Code to entry."""
-    document = tomllib.loads((resources.files(__package__) / "errors.toml").read_text(encoding="utf-8"))
     return {
         code: ErrorCode(
             code=code,
             classes=tuple(entry["class"]),
             meaning=entry["meaning"],
+            outcomes=tuple(entry["outcome"]),
             retry_read=entry.get("retry_read"),
             retry_write=entry.get("retry_write"),
+            label=entry.get("label"),
         )
-        for code, entry in document.items()
+        for code, entry in _document()["codes"].items()
+    }
+
+
+@cache
+def wire_codes(protocol: str) -> Mapping[str, WireCode]:
+    """Key to entry of one protocol's table: ``modbus``, ``opcua``, ``mqtt_connack``, ``mqtt`` or ``socket``.
+
+    Raises:
+        KeyError: there is no such table.
+    """
+    return {
+        key: WireCode(
+            key=key,
+            name=entry.get("name", key),
+            value=entry.get("value", int(key) if key.isdecimal() else None),
+            codes=tuple(entry.get("code", ())),
+            outcome=entry.get("outcome"),
+            retry=entry.get("retry"),
+        )
+        for key, entry in _document()[protocol].items()
     }

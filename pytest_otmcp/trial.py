@@ -258,7 +258,9 @@ class Repetition:
         if reply.success and not any(oracle.equal_json(value, found) for value in values):
             reply.ok = False
             shown = " or ".join(map(repr, values))
-            self.finding("wrong_value", f"{reply.label}: {output} should be {shown}, the reply says {found!r}", "CON-004")
+            self.finding(
+                "wrong_value", f"{reply.label}: {output} should be {shown}, the reply says {found!r}", "CON-004"
+            )
 
     def _judge(self, reply: Reply, findings: list[Finding]) -> None:
         reply.ok = not findings and not reply.faults
@@ -335,7 +337,9 @@ class Trial:
             self._findings.append(Finding(code="not_testable", message=str(gap)))
         except KitError as failure:
             self._status = "KIT_ERROR"
-            self._findings.append(Finding(code="kit_error", message=f"{failure}. This is the kit's fault; please file a bug."))
+            self._findings.append(
+                Finding(code="kit_error", message=f"{failure}. This is the kit's fault; please file a bug.")
+            )
         finally:
             if READ_ONLY in {variant for _, variant in self.stations}:
                 await self._close_read_only()

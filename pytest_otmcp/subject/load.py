@@ -134,7 +134,9 @@ class _Reader:
                     jmespath.compile(expression)
                 except jmespath.exceptions.JMESPathError as error:
                     reason = str(error).splitlines()[0]
-                    raise self._refuse(f"{key}.{name}.result.{output}", f"not a JMESPath expression: {reason}") from None
+                    raise self._refuse(
+                        f"{key}.{name}.result.{output}", f"not a JMESPath expression: {reason}"
+                    ) from None
             bindings[name] = Binding(
                 tool=self._text(table, "tool", f"{key}.{name}"), arguments=arguments, outputs=outputs
             )

@@ -194,7 +194,7 @@ def _metric(metric: Any) -> dict[str, Any]:
     return {
         "name": _given(metric, "name"),
         "alias": _given(metric, "alias"),
-        "datatype": name,
+        "datatype": datatype,
         "value": None if metric.is_null else _value(metric, name, label),
         "is_null": metric.is_null,
     }

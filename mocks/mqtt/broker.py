@@ -1,0 +1,270 @@
+"""The broker: who has a session, who gets a message, what is retained, when a will is published.
+
+It knows no bytes and no sockets: connections bring it packets' contents (see ``connection``).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ..journal import Journal
+from .describe import describe_content
+from .faults import FaultPlan
+from .packets import MQTT_5, Connect, Publish, SubscriptionRequest, Will
+from .properties import Property
+from .session import Delivery, Message, Outlet, Session, Subscription
+from .topics import matches, split_shared
+
+__all__ = ["Broker", "Limits"]
+
+_NEVER = 0xFFFFFFFF
+_ROUTES = 10_000
+_TRAVELLING = (
+    Property.PAYLOAD_FORMAT_INDICATOR,
+    Property.MESSAGE_EXPIRY_INTERVAL,
+    Property.CONTENT_TYPE,
+    Property.RESPONSE_TOPIC,
+    Property.CORRELATION_DATA,
+    Property.USER_PROPERTY,
+)
+
+_Members = list[tuple[Session, Subscription]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Limits:
+    """What the broker concedes to a client; MQTT 5 clients are told in the CONNACK.
+
+    Attributes:
+        receive_maximum: QoS 2 messages that may be unreleased at a time.
+        topic_alias_maximum: highest topic alias a client may use.
+        maximum_packet_size: in bytes; None for the protocol's own limit.
+        server_keep_alive: longest keep-alive in seconds; None for any.
+        connect_timeout_s: how long a connection may stay without a CONNECT.
+    """
+
+    receive_maximum: int = 256
+    topic_alias_maximum: int = 16
+    maximum_packet_size: int | None = None
+    server_keep_alive: int | None = None
+    connect_timeout_s: float = 10.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Route:
+    """Who subscribes to a topic: each session with its matching subscriptions, and the shared subscriptions."""
+
+    sessions: list[tuple[Session, list[Subscription]]]
+    shares: dict[tuple[str, str], _Members]
+
+
+class Broker:
+    """Routes messages between sessions."""
+
+    def __init__(self, journal: Journal, limits: Limits | None = None) -> None:
+        self.journal = journal
+        self.limits = limits or Limits()
+        self.faults = FaultPlan([])
+        self.retained: dict[str, Message] = {}
+        self.sessions: dict[str, Session] = {}
+        self.connections = 0
+        self._assigned = itertools.count(1)
+        self._routes: dict[str, _Route] = {}
+        self._turns: dict[tuple[str, str], int] = {}
+
+    # -- sessions -----------------------------------------------------------------------------------------
+
+    def assign_client_id(self) -> str:
+        """An identifier for a client that has none [MQTT-3.1.3-6]."""
+        return f"otmcp-assigned-{next(self._assigned)}"
+
+    def attach(self, connect: Connect, client_id: str) -> tuple[Session, bool]:
+        """The session that a CONNECT opens, and whether it was there before (5: section 3.1.4)."""
+        session = self.sessions.get(client_id)
+        if session is not None and session.outlet is not None:
+            session.outlet.take_over()
+        # Taking over may have ended the session.
+        session = self.sessions.get(client_id)
+        if session is not None and connect.clean_start:
+            self._end(session)
+            session = None
+        present = session is not None
+        if session is None:
+            session = self.sessions[client_id] = Session(client_id)
+        session.cancel_timers()
+        if connect.protocol_level == MQTT_5:
+            session.set_expiry(connect.properties.get(Property.SESSION_EXPIRY_INTERVAL, 0))
+        else:
+            session.set_expiry(0 if connect.clean_start else _NEVER)
+        session.will, session.will_delay_s = None, 0.0
+        if connect.will is not None:
+            session.will = self._will_message(connect.will, client_id)
+            session.will_delay_s = connect.will.properties.get(Property.WILL_DELAY_INTERVAL, 0)
+        return session, present
+
+    def detach(self, session: Session, *, publish_will: bool) -> None:
+        """A session lost its connection: its will and its end become due (5: section 3.1.2.5, 3.1.2.11.2)."""
+        session.outlet = None
+        if not publish_will:
+            session.will = None
+        loop = asyncio.get_running_loop()
+        if session.will is not None and 0 < session.will_delay_s < session.expiry_s:
+            session.timers.append(loop.call_later(session.will_delay_s, self._publish_will, session))
+        elif session.will_delay_s == 0:
+            self._publish_will(session)
+        if session.expiry_s == 0:
+            self._end(session)
+        elif session.expiry_s < _NEVER:
+            session.timers.append(loop.call_later(session.expiry_s, self._end, session))
+
+    def _end(self, session: Session) -> None:
+        session.cancel_timers()
+        self.sessions.pop(session.client_id, None)
+        self._routes.clear()
+        # A will that still waits is published now at the latest [MQTT-3.1.2-8].
+        self._publish_will(session)
+
+    def _will_message(self, will: Will, client_id: str) -> Message:
+        return self._message(will, client_id, describe_content(will.topic, will.payload), will=True)
+
+    def _publish_will(self, session: Session) -> None:
+        will, session.will = session.will, None
+        if will is None:
+            return
+        self.journal.append(
+            connection=session.connection,
+            direction="in",
+            kind="WILL",
+            client_id=session.client_id,
+            **will.content,
+            qos=will.qos,
+            retain=will.retain,
+        )
+        self.route(will)
+
+    # -- messages -----------------------------------------------------------------------------------------
+
+    def publish(self, packet: Publish, client_id: str, content: Mapping[str, Any]) -> bool:
+        """Route what a client publishes; whether anybody subscribes to it."""
+        return self.route(self._message(packet, client_id, content))
+
+    @staticmethod
+    def _message(source: Publish | Will, client_id: str, content: Mapping[str, Any], *, will: bool = False) -> Message:
+        return Message(
+            topic=source.topic,
+            payload=source.payload,
+            qos=source.qos,
+            retain=source.retain,
+            properties={name: source.properties[name] for name in _TRAVELLING if name in source.properties},
+            publisher=client_id,
+            # The expiry interval of a will counts from its publication, which is when it is routed.
+            arrived=time.monotonic(),
+            content=content,
+            will=will,
+        )
+
+    def route(self, message: Message) -> bool:
+        """Retain a message if it asks for it, and hand it to its subscribers; whether there are any."""
+        if message.retain:
+            if message.payload:
+                self.retained[message.topic] = message
+            else:
+                self.retained.pop(message.topic, None)
+        route = self._routes.get(message.topic) or self._find_route(message.topic)
+        for session, subscriptions in route.sessions:
+            self._deliver(session, subscriptions, message)
+        for key, members in route.shares.items():
+            # One of the group, whose turn it is, rather one that is connected (5: section 4.8.2).
+            present = [member for member in members if member[0].outlet is not None] or members
+            turn = self._turns[key] = self._turns.get(key, -1) + 1
+            session, subscription = present[turn % len(present)]
+            self._deliver(session, [subscription], message)
+        return bool(route.sessions or route.shares)
+
+    def _find_route(self, topic: str) -> _Route:
+        route = _Route(sessions=[], shares={})
+        levels = topic.split("/")
+        for session in self.sessions.values():
+            found = [one for one in session.subscriptions.values() if matches(one.levels, levels)]
+            own = [one for one in found if one.share is None]
+            if own:
+                route.sessions.append((session, own))
+            for one in found:
+                if one.share is not None:
+                    route.shares.setdefault((one.share, "/".join(one.levels)), []).append((session, one))
+        if len(self._routes) >= _ROUTES:
+            self._routes.clear()
+        self._routes[topic] = route
+        return route
+
+    @staticmethod
+    def _deliver(
+        session: Session, subscriptions: list[Subscription], message: Message, *, stored: bool = False
+    ) -> None:
+        """One copy for all overlapping subscriptions, at the highest QoS granted [MQTT-3.3.4-2, MQTT-3.3.4-3]."""
+        if session.client_id == message.publisher:
+            subscriptions = [one for one in subscriptions if not one.no_local]
+            if not subscriptions:
+                return
+        retain = stored or (message.retain and any(one.retain_as_published for one in subscriptions))
+        session.deliver(
+            Delivery(
+                message=message,
+                qos=min(message.qos, max(one.qos for one in subscriptions)),
+                retain=retain,
+                identifiers=tuple(one.identifier for one in subscriptions if one.identifier is not None),
+            )
+        )
+
+    # -- subscriptions ------------------------------------------------------------------------------------
+
+    def subscribe(
+        self, session: Session, request: SubscriptionRequest, identifier: int | None, level: int
+    ) -> list[Message]:
+        """Add or replace a subscription; the retained messages it is to get (5: section 3.8.3.1)."""
+        share, proper = split_shared(request.filter) if level == MQTT_5 else (None, request.filter)
+        levels = proper.split("/")
+        is_new = request.filter not in session.subscriptions
+        session.subscriptions[request.filter] = Subscription(
+            filter=request.filter,
+            share=share,
+            levels=levels,
+            qos=request.qos,
+            no_local=request.no_local,
+            retain_as_published=request.retain_as_published,
+            identifier=identifier,
+        )
+        self._routes.clear()
+        if share is not None or request.retain_handling == 2 or (request.retain_handling == 1 and not is_new):
+            return []
+        for topic in [topic for topic, message in self.retained.items() if message.expired]:
+            del self.retained[topic]
+        return [message for topic, message in self.retained.items() if matches(levels, topic.split("/"))]
+
+    def send_retained(self, session: Session, topic_filter: str, messages: list[Message]) -> None:
+        """Deliver retained messages for a subscription."""
+        for message in messages:
+            self._deliver(session, [session.subscriptions[topic_filter]], message, stored=True)
+
+    def unsubscribe(self, session: Session, topic_filter: str) -> bool:
+        """Remove a subscription; whether there was one."""
+        self._routes.clear()
+        return session.subscriptions.pop(topic_filter, None) is not None
+
+    # -- from outside -------------------------------------------------------------------------------------
+
+    def open_connections(self) -> list[Outlet]:
+        """The connections that have a session."""
+        return [session.outlet for session in self.sessions.values() if session.outlet is not None]
+
+    def forget(self) -> None:
+        """Drop what nobody connected depends on: retained messages, and sessions without connection."""
+        self.retained.clear()
+        for session in [one for one in self.sessions.values() if one.outlet is None]:
+            session.will = None
+            self._end(session)

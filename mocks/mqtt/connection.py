@@ -1,0 +1,328 @@
+"""One network connection of a client: bytes in, packets handled in order and answered, bytes out, all journalled."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+import struct
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from .broker import Broker
+from .codec import UnsupportedProtocol, decode, encode
+from .describe import describe, describe_content, describe_publish
+from .faults import Rule
+from .packets import (
+    MQTT_5,
+    MQTT_311,
+    Ack,
+    Connack,
+    Connect,
+    Disconnect,
+    Packet,
+    PacketType,
+    Pingreq,
+    Pingresp,
+    Publish,
+    Suback,
+    Subscribe,
+    Unsuback,
+    Unsubscribe,
+)
+from .properties import PROTOCOL_ERROR, Property
+from .session import PACKET_IDENTIFIER_NOT_FOUND, Delivery, Session
+from .wire import Framer, ProtocolViolation
+
+__all__ = ["Connection"]
+
+NO_MATCHING_SUBSCRIBERS = 0x10
+NO_SUBSCRIPTION_EXISTED = 0x11
+DISCONNECT_WITH_WILL = 0x04
+BAD_AUTHENTICATION_METHOD = 0x8C
+KEEP_ALIVE_TIMEOUT = 0x8D
+SESSION_TAKEN_OVER = 0x8E
+RECEIVE_MAXIMUM_EXCEEDED = 0x93
+TOPIC_ALIAS_INVALID = 0x94
+V311_UNACCEPTABLE_PROTOCOL = 1
+V311_IDENTIFIER_REJECTED = 2
+
+_LINGER_S = 1.0
+"""How long a client may take to read the last packet before the connection is cut."""
+
+_Afterwards = Callable[[], None] | None
+
+
+class Connection(asyncio.Protocol):
+    """Serves one client; see :class:`~.session.Outlet` for what its session asks of it."""
+
+    def __init__(self, broker: Broker) -> None:
+        self._broker = broker
+        self._transport: asyncio.Transport
+        self._framer = Framer(broker.limits.maximum_packet_size)
+        self._level = MQTT_311
+        self._client_id: str | None = None
+        self._session: Session | None = None
+        self._end_reason: str | None = None
+        self._held = False
+        self._keepalive_s = 0.0
+        self._last_packet = 0.0
+        self._timer: asyncio.TimerHandle | None = None
+        self._aliases_in: dict[int, str] = {}
+        self._aliases_out: dict[str, int] = {}
+        self._topic_alias_maximum = 0
+        self._maximum_packet_size: int | None = None
+        self.receive_maximum = 65_535
+
+    # -- network ------------------------------------------------------------------------------------------
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        self._transport = transport
+        self._broker.connections += 1
+        self.number = self._broker.connections
+        self._loop = asyncio.get_running_loop()
+        self._record("in", "CONNECTED", peer=transport.get_extra_info("peername")[1])
+        self._timer = self._loop.call_later(self._broker.limits.connect_timeout_s, self.end, "no CONNECT in time")
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        if self._end_reason is None:
+            self._leave("connection lost", publish_will=True)
+        self._cancel_timer()
+        self._record("in", "DISCONNECTED", reason=self._end_reason)
+
+    def data_received(self, data: bytes) -> None:
+        if self._end_reason is None:
+            self._framer.feed(data)
+            self._advance()
+
+    def _advance(self) -> None:
+        """Handle the packets that have arrived completely."""
+        frame: tuple[int, bytes] | None = None
+        try:
+            while self._end_reason is None and not self._held and (frame := self._framer.next()):
+                packet = decode(*frame, self._level)
+                self._last_packet = self._loop.time()
+                self._handle(packet)
+                frame = None
+        except ProtocolViolation as violation:
+            # The bytes of a CONNECT may hold a password.
+            shown = b"" if self._session is None else bytes(frame[:1]) + frame[1] if frame else self._framer.held
+            self._record("in", "malformed", bytes=shown[:64].hex(), reason=str(violation))
+            if isinstance(violation, UnsupportedProtocol):
+                self._refuse_version(violation)
+            self.end(str(violation), violation.reason_code)
+
+    def _record(self, direction: str, kind: str, **fields: Any) -> None:
+        self._broker.journal.append(
+            connection=self.number, direction=direction, kind=kind, client_id=self._client_id, **fields
+        )
+
+    def _write(self, packet: Packet, data: bytes, fields: dict[str, Any]) -> None:
+        self._record("out", packet.type.name, **fields)
+        self._transport.write(data)
+
+    # -- what the session asks for ------------------------------------------------------------------------
+
+    def send(self, packet: Packet) -> None:
+        """Send any packet but a PUBLISH."""
+        if self._end_reason is None:
+            self._write(packet, encode(packet, self._level), describe(packet))
+
+    def publish(self, delivery: Delivery, *, dup: bool) -> bool:
+        """Send a PUBLISH; False when the packet is larger than the client accepts [MQTT-3.1.2-24]."""
+        message = delivery.message
+        topic, properties, alias = message.topic, {}, None
+        if self._level == MQTT_5:
+            properties = dict(message.current_properties())
+            if delivery.identifiers:
+                properties[Property.SUBSCRIPTION_IDENTIFIER] = list(delivery.identifiers)
+            topic, alias = self._alias(topic)
+            if alias is not None:
+                properties[Property.TOPIC_ALIAS] = alias
+        packet = Publish(
+            topic=topic,
+            payload=message.payload,
+            qos=delivery.qos,
+            retain=delivery.retain,
+            dup=dup,
+            packet_id=delivery.packet_id,
+            properties=properties,
+        )
+        data = encode(packet, self._level)
+        if self._maximum_packet_size is not None and len(data) > self._maximum_packet_size:
+            return False
+        if alias is not None:
+            self._aliases_out[message.topic] = alias
+        fields = describe_publish(packet, message.content)
+        if message.will:
+            fields["will_sent"] = True
+        self._write(packet, data, fields)
+        return True
+
+    def _alias(self, topic: str) -> tuple[str, int | None]:
+        """Topic name and alias to send: the name alone, both the first time, the alias alone from then on."""
+        known = self._aliases_out.get(topic)
+        if known is not None:
+            return "", known
+        if len(self._aliases_out) < self._topic_alias_maximum:
+            return topic, len(self._aliases_out) + 1
+        return topic, None
+
+    def take_over(self) -> None:
+        """Give way to another connection of the same client [MQTT-3.1.4-3]."""
+        self.end("session taken over", SESSION_TAKEN_OVER)
+
+    # -- the end ------------------------------------------------------------------------------------------
+
+    def end(self, reason: str, reason_code: int | None = None, *, publish_will: bool = True) -> None:
+        """Close the connection, telling an MQTT 5 client why."""
+        if self._end_reason is not None:
+            return
+        if reason_code is not None and self._session is not None and self._level == MQTT_5:
+            self.send(Disconnect(reason_code=reason_code))
+        self._leave(reason, publish_will=publish_will)
+        if self._transport.is_closing():
+            return
+        # Closing a socket with unread input resets the connection and may destroy what was just written. Therefore
+        # only this side is closed, until the client closes the other.
+        with contextlib.suppress(OSError):
+            self._transport.write_eof()
+        self._timer = self._loop.call_later(_LINGER_S, self._transport.abort)
+
+    def _leave(self, reason: str, *, publish_will: bool) -> None:
+        self._end_reason = reason
+        self._cancel_timer()
+        session, self._session = self._session, None
+        if session is not None:
+            self._broker.detach(session, publish_will=publish_will)
+
+    def _cancel_timer(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    def _supervise(self) -> None:
+        """End a connection that was silent for one and a half times its keep-alive [MQTT-3.1.2-22]."""
+        left = self._last_packet + 1.5 * self._keepalive_s - self._loop.time()
+        if left <= 0:
+            self.end("keep-alive timeout", KEEP_ALIVE_TIMEOUT)
+        else:
+            self._timer = self._loop.call_later(left, self._supervise)
+
+    # -- packets ------------------------------------------------------------------------------------------
+
+    def _handle(self, packet: Packet) -> None:
+        content: dict[str, Any] = {}
+        if isinstance(packet, Publish):
+            packet = self._resolve_alias(packet)
+            content = describe_content(packet.topic, packet.payload)
+            fields = describe_publish(packet, content)
+        else:
+            fields = describe(packet)
+        if isinstance(packet, Connect) and self._client_id is None:
+            self._client_id = packet.client_id
+        self._record("in", packet.type.name, **fields)
+        if self._session is None and not isinstance(packet, Connect):
+            raise ProtocolViolation("the first packet is not CONNECT", PROTOCOL_ERROR)
+        rule = self._broker.faults.match(packet, self._client_id or "")
+        if isinstance(packet, Connect):
+            self._handle_connect(packet, rule)
+            return
+        if rule is not None and rule.refuses(packet):
+            answer, afterwards = self._refusal(packet, rule.reason_code or 0), None
+        else:
+            answer, afterwards = self._obey(packet, content)
+        if rule is None:
+            self._answer(answer, afterwards)
+        else:
+            self._misbehave(rule, answer, afterwards)
+
+    def _answer(self, answer: Packet | None, afterwards: _Afterwards) -> None:
+        if answer is not None:
+            self.send(answer)
+        if afterwards is not None and self._end_reason is None:
+            afterwards()
+
+    def _resolve_alias(self, packet: Publish) -> Publish:
+        """The PUBLISH with its topic name in place (5: section 3.3.2.3.4)."""
+        alias = packet.properties.get(Property.TOPIC_ALIAS)
+        if alias is None:
+            return packet
+        if not 0 < alias <= self._broker.limits.topic_alias_maximum:
+            raise ProtocolViolation(f"topic alias {alias}", TOPIC_ALIAS_INVALID)
+        if packet.topic:
+            self._aliases_in[alias] = packet.topic
+            return packet
+        if alias not in self._aliases_in:
+            raise ProtocolViolation(f"topic alias {alias} stands for nothing", PROTOCOL_ERROR)
+        return replace(packet, topic=self._aliases_in[alias])
+
+    def _obey(self, packet: Packet, content: dict[str, Any]) -> tuple[Packet | None, _Afterwards]:
+        """Do what a packet asks; its answer, and what is to be sent after the answer."""
+        session = self._session
+        assert session is not None
+        match packet:
+            case Publish():
+                return self._receive(session, packet, content), None
+            case Ack(type=PacketType.PUBREL):
+                code = 0 if packet.packet_id in session.incoming else PACKET_IDENTIFIER_NOT_FOUND
+                session.incoming.discard(packet.packet_id)
+                return Ack(type=PacketType.PUBCOMP, packet_id=packet.packet_id, reason_code=code), None
+            case Ack():
+                return session.acknowledge(packet), None
+            case Subscribe():
+                return self._subscribe(session, packet)
+            case Unsubscribe():
+                existed = [self._broker.unsubscribe(session, one) for one in packet.filters]
+                codes = tuple(0 if one else NO_SUBSCRIPTION_EXISTED for one in existed)
+                return Unsuback(packet_id=packet.packet_id, reason_codes=codes), None
+            case Pingreq():
+                return Pingresp(), None
+            case Disconnect():
+                self._disconnect(session, packet)
+                return None, None
+            case Connect():
+                raise ProtocolViolation("a second CONNECT", PROTOCOL_ERROR)
+            case _:
+                raise ProtocolViolation(f"{packet.type.name} from a client", PROTOCOL_ERROR)
+
+    def _receive(self, session: Session, packet: Publish, content: dict[str, Any]) -> Ack | None:
+        if Property.SUBSCRIPTION_IDENTIFIER in packet.properties:
+            raise ProtocolViolation("a subscription identifier from a client", PROTOCOL_ERROR)
+        if packet.qos == 2:
+            if packet.packet_id in session.incoming:
+                # Delivered already; only the PUBREC was lost [MQTT-4.3.3-10].
+                return Ack(type=PacketType.PUBREC, packet_id=packet.packet_id)
+            if len(session.incoming) >= self._broker.limits.receive_maximum and self._level == MQTT_5:
+                raise ProtocolViolation("the Receive Maximum is exceeded", RECEIVE_MAXIMUM_EXCEEDED)
+            session.incoming.add(packet.packet_id)
+        subscribed = self._broker.publish(packet, session.client_id, content)
+        if packet.qos == 0:
+            return None
+        kind = PacketType.PUBACK if packet.qos == 1 else PacketType.PUBREC
+        code = 0 if subscribed else NO_MATCHING_SUBSCRIBERS
+        return Ack(type=kind, packet_id=packet.packet_id, reason_code=code)
+
+    def _subscribe(self, session: Session, packet: Subscribe) -> tuple[Suback, _Afterwards]:
+        identifier = packet.properties.get(Property.SUBSCRIPTION_IDENTIFIER)
+        retained = [
+            (request.filter, self._broker.subscribe(session, request, identifier, self._level))
+            for request in packet.requests
+        ]
+
+        def afterwards() -> None:
+            for topic_filter, messages in retained:
+                self._broker.send_retained(session, topic_filter, messages)
+
+        codes = tuple(request.qos for request in packet.requests)
+        return Suback(packet_id=packet.packet_id, reason_codes=codes), afterwards
+
+    def _disconnect(self, session: Session, packet: Disconnect) -> None:
+        interval = packet.properties.get(Property.SESSION_EXPIRY_INTERVAL)
+        if interval is not None:
+            if interval and session.expiry_s == 0:
+                raise ProtocolViolation("a Session Expiry Interval that was 0 cannot be raised", PROTOCOL_ERROR)
+            session.set_expiry(interval)
+        self.end("client disconnected", publish_will=packet.reason_code == DISCONNECT_WITH_WILL)

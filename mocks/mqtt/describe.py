@@ -1,0 +1,95 @@
+"""What the journal says of a control packet: JSON-safe facts, payloads as base64, never a password."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping
+from typing import Any
+
+from . import properties as props
+from .packets import (
+    Ack,
+    Auth,
+    Connack,
+    Connect,
+    Disconnect,
+    Packet,
+    Publish,
+    Suback,
+    Subscribe,
+    Unsuback,
+    Unsubscribe,
+)
+from .sparkplug import decode_message
+
+__all__ = ["describe", "describe_content", "describe_publish"]
+
+
+def describe_content(topic: str, payload: bytes) -> dict[str, Any]:
+    """Topic and payload of a message; of a Sparkplug message also what it says.
+
+    A host's STATE is JSON, not a Sparkplug payload (Sparkplug 3.0, section 6.4.27).
+    """
+    content: dict[str, Any] = {"topic": topic, "payload": base64.b64encode(payload).decode()}
+    if topic.startswith("spBv1.0/") and not topic.startswith("spBv1.0/STATE/"):
+        content["sparkplug"] = decode_message(topic, payload)
+    return content
+
+
+def describe_publish(packet: Publish, content: Mapping[str, Any]) -> dict[str, Any]:
+    """A PUBLISH whose content was described before: it is the same for all who receive it."""
+    fields = {
+        **content,
+        "qos": packet.qos,
+        "retain": packet.retain,
+        "dup": packet.dup,
+        "packet_id": packet.packet_id or None,
+    }
+    if packet.properties:
+        fields["properties"] = props.describe(packet.properties)
+    return fields
+
+
+def describe(packet: Packet) -> dict[str, Any]:
+    """Any control packet."""
+    if isinstance(packet, Publish):
+        return describe_publish(packet, describe_content(packet.topic, packet.payload))
+    fields = _fields(packet)
+    properties = getattr(packet, "properties", None)
+    if properties:
+        fields["properties"] = props.describe(properties)
+    return fields
+
+
+def _fields(packet: Packet) -> dict[str, Any]:
+    match packet:
+        case Connect():
+            return {
+                "protocol_level": packet.protocol_level,
+                "clean_start": packet.clean_start,
+                "keepalive": packet.keepalive,
+                "username": packet.username,
+                "will": None
+                if packet.will is None
+                else {
+                    **describe_content(packet.will.topic, packet.will.payload),
+                    "qos": packet.will.qos,
+                    "retain": packet.will.retain,
+                    "properties": props.describe(packet.will.properties),
+                },
+            }
+        case Connack():
+            return {"session_present": packet.session_present, "reason_codes": [packet.reason_code]}
+        case Ack():
+            return {"packet_id": packet.packet_id, "reason_codes": [packet.reason_code]}
+        case Subscribe():
+            filters = [{"filter": one.filter, "qos": one.qos} for one in packet.requests]
+            return {"packet_id": packet.packet_id, "filters": filters}
+        case Unsubscribe():
+            return {"packet_id": packet.packet_id, "filters": [{"filter": one} for one in packet.filters]}
+        case Suback() | Unsuback():
+            return {"packet_id": packet.packet_id, "reason_codes": list(packet.reason_codes)}
+        case Disconnect() | Auth():
+            return {"reason_codes": [packet.reason_code]}
+        case _:
+            return {}
