@@ -9,7 +9,7 @@ import asyncio
 import itertools
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from ..journal import Journal
@@ -17,7 +17,7 @@ from .describe import describe_content
 from .faults import FaultPlan
 from .packets import MQTT_5, Connect, Publish, SubscriptionRequest, Will
 from .properties import Property
-from .session import Delivery, Message, Outlet, Session, Subscription
+from .session import Delivery, Message, Session, Subscription
 from .topics import matches, split_shared
 
 __all__ = ["Broker", "Limits"]
@@ -136,6 +136,8 @@ class Broker:
         will, session.will = session.will, None
         if will is None:
             return
+        # Its expiry interval counts from now (5: section 3.1.3.2.4).
+        will = replace(will, arrived=time.monotonic())
         self.journal.append(
             connection=session.connection,
             direction="in",
@@ -162,7 +164,6 @@ class Broker:
             retain=source.retain,
             properties={name: source.properties[name] for name in _TRAVELLING if name in source.properties},
             publisher=client_id,
-            # The expiry interval of a will counts from its publication, which is when it is routed.
             arrived=time.monotonic(),
             content=content,
             will=will,
@@ -257,10 +258,6 @@ class Broker:
         return session.subscriptions.pop(topic_filter, None) is not None
 
     # -- from outside -------------------------------------------------------------------------------------
-
-    def open_connections(self) -> list[Outlet]:
-        """The connections that have a session."""
-        return [session.outlet for session in self.sessions.values() if session.outlet is not None]
 
     def forget(self) -> None:
         """Drop what nobody connected depends on: retained messages, and sessions without connection."""

@@ -1,88 +1,143 @@
-"""A small MQTT 3.1.1 client for the simulators of this room: a real connection to whatever broker there is."""
+"""A small MQTT 3.1.1 client for the simulated plant: a real connection to whatever broker there is."""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
-from typing import Any
 
-from .codec import Kind, Packet, Reader, decode, encode
+from .codec import decode, encode
+from .packets import (
+    MQTT_311,
+    Ack,
+    Connack,
+    Connect,
+    Disconnect,
+    Packet,
+    PacketType,
+    Pingreq,
+    Publish,
+    Suback,
+    Subscribe,
+    SubscriptionRequest,
+)
+from .wire import Framer, ProtocolViolation
 
-__all__ = ["Client"]
+__all__ = ["Client", "Observer"]
+
+Observer = Callable[[str, Packet], None]
+"""Is told every packet with its direction, ``in`` or ``out``."""
+
+_ANSWER_TIMEOUT_S = 5.0
 
 
 class Client(asyncio.Protocol):
-    """Connects, subscribes with QoS 1, publishes with QoS 0 or 1.
+    """Subscribes with QoS 1, publishes with QoS 0 or 1; one subscribe and one ping at a time.
 
-    Args:
-        on_message: called with (topic, payload) for every message received.
+    Attributes:
+        closed: set when the connection has ended.
     """
 
-    def __init__(self, on_message: Callable[[str, bytes], None]) -> None:
+    def __init__(self, on_message: Callable[[Publish], None], observe: Observer) -> None:
         self._on_message = on_message
-        self._reader = Reader()
+        self._observe = observe
+        self._framer = Framer()
         self._transport: asyncio.Transport
-        self._answers: asyncio.Queue[Packet] = asyncio.Queue()
+        self._answers: dict[PacketType, asyncio.Future[Packet]] = {}
         self._last_id = 0
+        self.closed = asyncio.Event()
 
     @classmethod
     async def connect(
-        cls, host: str, port: int, client_id: str, on_message: Callable[[str, bytes], None], will: dict[str, Any] | None
+        cls, host: str, port: int, connect: Connect, on_message: Callable[[Publish], None], observe: Observer
     ) -> Client:
-        """Open a connection with a clean session and no keep-alive.
+        """Open a connection.
 
         Raises:
-            ConnectionError: the broker refuses.
+            OSError: there is no broker, or it refuses or does not answer.
         """
         loop = asyncio.get_running_loop()
-        _, client = await loop.create_connection(lambda: cls(on_message), host, port)
-        fields = {"client_id": client_id, "clean_start": True, "keepalive": 0, "will": will}
-        client._send(Packet(Kind.CONNECT, fields))
-        answer = await client._answers.get()
-        if answer.kind != Kind.CONNACK or answer["reason_codes"] != [0]:
-            raise ConnectionError(f"the broker refuses {client_id}")
+        _, client = await loop.create_connection(lambda: cls(on_message, observe), host, port)
+        answer = await client._ask(connect, PacketType.CONNACK)
+        assert isinstance(answer, Connack)
+        if answer.reason_code:
+            raise ConnectionRefusedError(f"the broker refuses {connect.client_id} with code {answer.reason_code}")
         return client
 
     async def subscribe(self, *filters: str) -> None:
-        """Subscribe and wait for the SUBACK."""
-        wanted = [{"filter": text, "qos": 1} for text in filters]
-        self._send(Packet(Kind.SUBSCRIBE, {"packet_id": self._next_id(), "filters": wanted}))
-        await self._answers.get()
+        """Subscribe with QoS 1.
+
+        Raises:
+            OSError: the broker refuses, or the connection ends.
+        """
+        requests = tuple(SubscriptionRequest(filter=one, qos=1) for one in filters)
+        answer = await self._ask(Subscribe(packet_id=self._next_id(), requests=requests), PacketType.SUBACK)
+        assert isinstance(answer, Suback)
+        if 0x80 in answer.reason_codes:
+            raise ConnectionRefusedError(f"the broker refuses a subscription: {answer.reason_codes}")
 
     def publish(self, topic: str, payload: bytes, *, qos: int = 0, retain: bool = False) -> None:
         """Publish; a QoS 1 acknowledgement is not waited for."""
-        fields = {
-            "topic": topic,
-            "payload": payload,
-            "qos": qos,
-            "retain": retain,
-            "dup": False,
-            "packet_id": self._next_id() if qos else None,
-        }
-        self._send(Packet(Kind.PUBLISH, fields))
+        packet_id = self._next_id() if qos else 0
+        self._send(Publish(topic=topic, payload=payload, qos=qos, retain=retain, packet_id=packet_id))
 
-    def close(self) -> None:
+    async def ping(self) -> None:
+        """Return when the broker has handled everything sent so far.
+
+        Raises:
+            OSError: the connection ends.
+        """
+        await self._ask(Pingreq(), PacketType.PINGRESP)
+
+    async def aclose(self) -> None:
         """Disconnect in an orderly way."""
-        self._send(Packet(Kind.DISCONNECT))
+        self._send(Disconnect())
         self._transport.close()
+        await self.closed.wait()
+
+    async def _ask(self, packet: Packet, answer: PacketType) -> Packet:
+        waiting = self._answers[answer] = asyncio.get_running_loop().create_future()
+        if self.closed.is_set():
+            raise ConnectionResetError("the connection to the broker has ended")
+        self._send(packet)
+        try:
+            return await asyncio.wait_for(waiting, _ANSWER_TIMEOUT_S)
+        except TimeoutError:
+            self._transport.abort()
+            raise
 
     def _next_id(self) -> int:
-        self._last_id = self._last_id % 65535 + 1
+        self._last_id = self._last_id % 65_535 + 1
         return self._last_id
 
     def _send(self, packet: Packet) -> None:
-        self._transport.write(encode(packet, 4))
+        if not self._transport.is_closing():
+            self._observe("out", packet)
+            self._transport.write(encode(packet, MQTT_311))
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)
         self._transport = transport
 
+    def connection_lost(self, exc: Exception | None) -> None:
+        self.closed.set()
+        for waiting in self._answers.values():
+            if not waiting.done():
+                waiting.set_exception(ConnectionResetError("the broker closed the connection"))
+
     def data_received(self, data: bytes) -> None:
-        for first, body in self._reader.feed(data):
-            packet = decode(first, body, 4)
-            if packet.kind == Kind.PUBLISH:
-                if packet["qos"] == 1:
-                    self._send(Packet(Kind.PUBACK, {"packet_id": packet["packet_id"], "reason_codes": [0]}))
-                self._on_message(packet["topic"], packet["payload"])
-            elif packet.kind in (Kind.CONNACK, Kind.SUBACK):
-                self._answers.put_nowait(packet)
+        self._framer.feed(data)
+        try:
+            while frame := self._framer.next():
+                self._received(decode(*frame, MQTT_311))
+        except ProtocolViolation:
+            self._transport.abort()
+
+    def _received(self, packet: Packet) -> None:
+        self._observe("in", packet)
+        waiting = self._answers.get(packet.type)
+        if waiting is not None and not waiting.done():
+            waiting.set_result(packet)
+        elif isinstance(packet, Publish):
+            if packet.qos == 1:
+                self._send(Ack(type=PacketType.PUBACK, packet_id=packet.packet_id))
+            self._on_message(packet)

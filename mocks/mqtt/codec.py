@@ -260,7 +260,8 @@ def _unsubscribe(reader: Reader, level: int) -> Unsubscribe:
 def _unsuback(reader: Reader, level: int) -> Unsuback:
     packet_id = _packet_id(reader)
     properties = _properties(reader, level, Place.UNSUBACK)
-    return Unsuback(packet_id=packet_id, reason_codes=tuple(reader.rest()), properties=properties)
+    codes = tuple(reader.rest()) if level == MQTT_5 else ()
+    return Unsuback(packet_id=packet_id, reason_codes=codes, properties=properties)
 
 
 _DECODERS: dict[PacketType, Callable[[Reader, int], Packet]] = {

@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 import socket
 import struct
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -14,44 +13,22 @@ from .broker import Broker
 from .codec import UnsupportedProtocol, decode, encode
 from .describe import describe, describe_content, describe_publish
 from .faults import Rule
-from .packets import (
-    MQTT_5,
-    MQTT_311,
-    Ack,
-    Connack,
-    Connect,
-    Disconnect,
-    Packet,
-    PacketType,
-    Pingreq,
-    Pingresp,
-    Publish,
-    Suback,
-    Subscribe,
-    Unsuback,
-    Unsubscribe,
-)
+from .obey import Afterwards, accept, obey, refusal, supervised_keepalive
+from .packets import MQTT_5, MQTT_311, Connack, Connect, Disconnect, Packet, PacketType, Publish, Subscribe
 from .properties import PROTOCOL_ERROR, Property
-from .session import PACKET_IDENTIFIER_NOT_FOUND, Delivery, Session
+from .session import Delivery, Session
 from .wire import Framer, ProtocolViolation
 
 __all__ = ["Connection"]
 
-NO_MATCHING_SUBSCRIBERS = 0x10
-NO_SUBSCRIPTION_EXISTED = 0x11
 DISCONNECT_WITH_WILL = 0x04
-BAD_AUTHENTICATION_METHOD = 0x8C
 KEEP_ALIVE_TIMEOUT = 0x8D
 SESSION_TAKEN_OVER = 0x8E
-RECEIVE_MAXIMUM_EXCEEDED = 0x93
 TOPIC_ALIAS_INVALID = 0x94
 V311_UNACCEPTABLE_PROTOCOL = 1
-V311_IDENTIFIER_REJECTED = 2
 
 _LINGER_S = 1.0
 """How long a client may take to read the last packet before the connection is cut."""
-
-_Afterwards = Callable[[], None] | None
 
 
 class Connection(asyncio.Protocol):
@@ -107,11 +84,14 @@ class Connection(asyncio.Protocol):
                 self._handle(packet)
                 frame = None
         except ProtocolViolation as violation:
-            # The bytes of a CONNECT may hold a password.
-            shown = b"" if self._session is None else bytes(frame[:1]) + frame[1] if frame else self._framer.held
+            shown = bytes(frame[:1]) + frame[1] if frame else self._framer.held
+            if shown[:1] and shown[0] >> 4 == PacketType.CONNECT:
+                # It may hold a password.
+                shown = shown[:1]
             self._record("in", "malformed", bytes=shown[:64].hex(), reason=str(violation))
-            if isinstance(violation, UnsupportedProtocol):
-                self._refuse_version(violation)
+            if isinstance(violation, UnsupportedProtocol) and self._session is None:
+                # In the form of 3.1.1, which a client of any version can read up to the code.
+                self.send(Connack(session_present=False, reason_code=V311_UNACCEPTABLE_PROTOCOL))
             self.end(str(violation), violation.reason_code)
 
     def _record(self, direction: str, kind: str, **fields: Any) -> None:
@@ -221,29 +201,105 @@ class Connection(asyncio.Protocol):
             fields = describe_publish(packet, content)
         else:
             fields = describe(packet)
-        if isinstance(packet, Connect) and self._client_id is None:
+        first = self._session is None
+        if isinstance(packet, Connect) and first:
             self._client_id = packet.client_id
         self._record("in", packet.type.name, **fields)
-        if self._session is None and not isinstance(packet, Connect):
-            raise ProtocolViolation("the first packet is not CONNECT", PROTOCOL_ERROR)
+        if isinstance(packet, Connect) != first:
+            raise ProtocolViolation(f"{packet.type.name} as {'first' if first else 'later'} packet", PROTOCOL_ERROR)
         rule = self._broker.faults.match(packet, self._client_id or "")
         if isinstance(packet, Connect):
-            self._handle_connect(packet, rule)
-            return
-        if rule is not None and rule.refuses(packet):
-            answer, afterwards = self._refusal(packet, rule.reason_code or 0), None
+            self._connect(packet, rule)
+        elif isinstance(packet, Disconnect):
+            self._disconnect(packet)
         else:
-            answer, afterwards = self._obey(packet, content)
-        if rule is None:
-            self._answer(answer, afterwards)
-        else:
-            self._misbehave(rule, answer, afterwards)
+            assert self._session is not None
+            if rule is not None and rule.refuses:
+                assert rule.reason_code is not None
+                self._misbehave(rule, refusal(packet, rule.reason_code), None)
+                return
+            if rule is not None and rule.reason_code is not None and isinstance(packet, Subscribe):
+                packet = _granting(packet, rule.reason_code)
+            answer, afterwards = obey(self._broker, self._session, self._level, packet, content)
+            if rule is None:
+                self._answer(answer, afterwards)
+            else:
+                self._misbehave(rule, answer, afterwards)
 
-    def _answer(self, answer: Packet | None, afterwards: _Afterwards) -> None:
+    def _answer(self, answer: Packet | None, afterwards: Afterwards) -> None:
         if answer is not None:
             self.send(answer)
         if afterwards is not None and self._end_reason is None:
             afterwards()
+
+    def _misbehave(self, rule: Rule, answer: Packet | None, afterwards: Afterwards) -> None:
+        """Answer as the fault plan wants it, which is late or not at all."""
+        if rule.close or rule.reset:
+            self._cut(reset=rule.reset)
+        elif rule.delay_s:
+            self._loop.call_later(rule.delay_s, self._answer, answer, afterwards)
+        elif not rule.no_answer:
+            self._answer(answer, afterwards)
+
+    def _cut(self, *, reset: bool) -> None:
+        if reset:
+            # With SO_LINGER 0 the kernel sends RST instead of FIN.
+            sock = self._transport.get_extra_info("socket")
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            self._transport.abort()
+        else:
+            self._transport.close()
+        self._leave("fault plan", publish_will=True)
+
+    def _connect(self, packet: Connect, rule: Rule | None) -> None:
+        self._cancel_timer()
+        self._level = packet.protocol_level
+        self._framer.minimal = self._level == MQTT_5
+        if rule is None:
+            self._accept(packet)
+        elif rule.refuses:
+            assert rule.reason_code is not None
+            self.send(Connack(session_present=False, reason_code=rule.reason_code))
+            self.end("fault plan")
+        elif rule.close or rule.reset:
+            self._cut(reset=rule.reset)
+        else:
+            # What the client sends before its CONNACK waits, for ever when there will be none.
+            self._held = True
+            if not rule.no_answer:
+                self._loop.call_later(rule.delay_s, self._accept_late, packet)
+
+    def _accept_late(self, packet: Connect) -> None:
+        if self._end_reason is None:
+            self._held = False
+            self._accept(packet)
+            self._advance()
+
+    def _accept(self, packet: Connect) -> None:
+        session, connack = accept(self._broker, packet)
+        if session is None:
+            self.send(connack)
+            self.end("CONNECT refused")
+            return
+        self._session = session
+        self._client_id = session.client_id
+        self.receive_maximum = packet.properties.get(Property.RECEIVE_MAXIMUM, self.receive_maximum)
+        self._topic_alias_maximum = packet.properties.get(Property.TOPIC_ALIAS_MAXIMUM, 0)
+        self._maximum_packet_size = packet.properties.get(Property.MAXIMUM_PACKET_SIZE)
+        self._keepalive_s = supervised_keepalive(self._broker, packet)
+        if self._keepalive_s:
+            self._supervise()
+        self.send(connack)
+        session.resume(self)
+
+    def _disconnect(self, packet: Disconnect) -> None:
+        assert self._session is not None
+        interval = packet.properties.get(Property.SESSION_EXPIRY_INTERVAL)
+        if interval is not None:
+            if interval and self._session.expiry_s == 0:
+                raise ProtocolViolation("a Session Expiry Interval that was 0 cannot be raised", PROTOCOL_ERROR)
+            self._session.set_expiry(interval)
+        self.end("client disconnected", publish_will=packet.reason_code == DISCONNECT_WITH_WILL)
 
     def _resolve_alias(self, packet: Publish) -> Publish:
         """The PUBLISH with its topic name in place (5: section 3.3.2.3.4)."""
@@ -259,70 +315,7 @@ class Connection(asyncio.Protocol):
             raise ProtocolViolation(f"topic alias {alias} stands for nothing", PROTOCOL_ERROR)
         return replace(packet, topic=self._aliases_in[alias])
 
-    def _obey(self, packet: Packet, content: dict[str, Any]) -> tuple[Packet | None, _Afterwards]:
-        """Do what a packet asks; its answer, and what is to be sent after the answer."""
-        session = self._session
-        assert session is not None
-        match packet:
-            case Publish():
-                return self._receive(session, packet, content), None
-            case Ack(type=PacketType.PUBREL):
-                code = 0 if packet.packet_id in session.incoming else PACKET_IDENTIFIER_NOT_FOUND
-                session.incoming.discard(packet.packet_id)
-                return Ack(type=PacketType.PUBCOMP, packet_id=packet.packet_id, reason_code=code), None
-            case Ack():
-                return session.acknowledge(packet), None
-            case Subscribe():
-                return self._subscribe(session, packet)
-            case Unsubscribe():
-                existed = [self._broker.unsubscribe(session, one) for one in packet.filters]
-                codes = tuple(0 if one else NO_SUBSCRIPTION_EXISTED for one in existed)
-                return Unsuback(packet_id=packet.packet_id, reason_codes=codes), None
-            case Pingreq():
-                return Pingresp(), None
-            case Disconnect():
-                self._disconnect(session, packet)
-                return None, None
-            case Connect():
-                raise ProtocolViolation("a second CONNECT", PROTOCOL_ERROR)
-            case _:
-                raise ProtocolViolation(f"{packet.type.name} from a client", PROTOCOL_ERROR)
 
-    def _receive(self, session: Session, packet: Publish, content: dict[str, Any]) -> Ack | None:
-        if Property.SUBSCRIPTION_IDENTIFIER in packet.properties:
-            raise ProtocolViolation("a subscription identifier from a client", PROTOCOL_ERROR)
-        if packet.qos == 2:
-            if packet.packet_id in session.incoming:
-                # Delivered already; only the PUBREC was lost [MQTT-4.3.3-10].
-                return Ack(type=PacketType.PUBREC, packet_id=packet.packet_id)
-            if len(session.incoming) >= self._broker.limits.receive_maximum and self._level == MQTT_5:
-                raise ProtocolViolation("the Receive Maximum is exceeded", RECEIVE_MAXIMUM_EXCEEDED)
-            session.incoming.add(packet.packet_id)
-        subscribed = self._broker.publish(packet, session.client_id, content)
-        if packet.qos == 0:
-            return None
-        kind = PacketType.PUBACK if packet.qos == 1 else PacketType.PUBREC
-        code = 0 if subscribed else NO_MATCHING_SUBSCRIBERS
-        return Ack(type=kind, packet_id=packet.packet_id, reason_code=code)
-
-    def _subscribe(self, session: Session, packet: Subscribe) -> tuple[Suback, _Afterwards]:
-        identifier = packet.properties.get(Property.SUBSCRIPTION_IDENTIFIER)
-        retained = [
-            (request.filter, self._broker.subscribe(session, request, identifier, self._level))
-            for request in packet.requests
-        ]
-
-        def afterwards() -> None:
-            for topic_filter, messages in retained:
-                self._broker.send_retained(session, topic_filter, messages)
-
-        codes = tuple(request.qos for request in packet.requests)
-        return Suback(packet_id=packet.packet_id, reason_codes=codes), afterwards
-
-    def _disconnect(self, session: Session, packet: Disconnect) -> None:
-        interval = packet.properties.get(Property.SESSION_EXPIRY_INTERVAL)
-        if interval is not None:
-            if interval and session.expiry_s == 0:
-                raise ProtocolViolation("a Session Expiry Interval that was 0 cannot be raised", PROTOCOL_ERROR)
-            session.set_expiry(interval)
-        self.end("client disconnected", publish_will=packet.reason_code == DISCONNECT_WITH_WILL)
+def _granting(packet: Subscribe, qos: int) -> Subscribe:
+    """The SUBSCRIBE as if it asked for this QoS: the fault plan grants less."""
+    return replace(packet, requests=tuple(replace(one, qos=qos) for one in packet.requests))

@@ -1,27 +1,31 @@
-"""The MQTT device: the embedded broker and the simulated plant that is connected to it."""
+"""The MQTT device: the embedded broker, and the simulated plant connected to it."""
 
 from __future__ import annotations
 
 import asyncio
 import base64
+import binascii
 import socket
 from collections.abc import Mapping
 from typing import Any
 
 from ..device import Device
 from .broker import Broker
-from .codec import Kind, Packet
-from .connection import Connection, journal_fields
+from .connection import Connection
+from .describe import describe_content, describe_publish
 from .edge_node import EdgeNode
 from .faults import FaultPlan
-from .session import Message
-from .topics import valid_name
+from .packets import Publish
+from .topics import check_name
+from .wire import ProtocolViolation
 
 __all__ = ["MqttDevice"]
 
+KIT = "otmcp-kit"
+
 
 class MqttDevice(Device):
-    """Serves MQTT 3.1.1 and 5.0."""
+    """Serves MQTT 3.1.1 and 5."""
 
     protocol = "mqtt"
 
@@ -29,18 +33,26 @@ class MqttDevice(Device):
         super().__init__()
         self.broker = Broker(self.journal)
         self.edge_node = EdgeNode()
-        self._server: asyncio.Server | None = None
+        self._servers: list[asyncio.Server] = []
 
     async def serve(self, listener: socket.socket) -> None:
         loop = asyncio.get_running_loop()
-        self._server = await loop.create_server(lambda: Connection(self.broker), sock=listener, backlog=128)
-        host, port = listener.getsockname()[:2]
+
+        def connection() -> Connection:
+            return Connection(self.broker)
+
+        # The plant has a door of its own and is born before clients are let in: what they find does not depend on
+        # who is faster, and they do not wait for the births.
+        private = await loop.create_server(connection, "127.0.0.1", 0)
+        host, port = private.sockets[0].getsockname()
         await self.edge_node.start(host, port)
+        public = await loop.create_server(connection, sock=listener, backlog=128)
+        self._servers = [private, public]
 
     async def aclose(self) -> None:
-        self.edge_node.close()
-        if self._server is not None:
-            self._server.close()
+        await self.edge_node.aclose()
+        for server in self._servers:
+            server.close()
 
     def image(self) -> dict[str, Any]:
         return {
@@ -50,35 +62,23 @@ class MqttDevice(Device):
             "clients": [
                 {
                     "client_id": session.client_id,
-                    "connection": session.connection.number,
-                    "subscriptions": [
-                        {"filter": text, "qos": subscription.qos}
-                        for text, subscription in session.subscriptions.items()
-                    ],
+                    "connection": session.connection,
+                    "subscriptions": [{"filter": one.filter, "qos": one.qos} for one in session.subscriptions.values()],
                 }
                 for session in self.broker.sessions.values()
-                if session.connection is not None
+                if session.outlet is not None
             ],
             "edge_node": self.edge_node.image(),
         }
 
     async def poke(self, params: Mapping[str, Any]) -> None:
-        """``{"publish": {"topic", "payload" (base64), "qos", "retain"}}``: a message from no client, on the journal as
-        connection 0."""
-        source = dict(params["publish"])
-        fields = {
-            "topic": str(source["topic"]),
-            "payload": base64.b64decode(source["payload"]),
-            "qos": int(source.get("qos", 0)),
-            "retain": bool(source.get("retain", False)),
-        }
-        if not valid_name(fields["topic"]):
-            raise ValueError(f"{fields['topic']!r} is no topic name")
-        packet = Packet(Kind.PUBLISH, {**fields, "dup": False, "packet_id": None})
-        self.journal.append(
-            connection=0, direction="in", kind="PUBLISH", client_id="otmcp-kit", **journal_fields(packet)
-        )
-        self.broker.route(Message(**fields), None)
+        """``{"publish": {"topic", "payload" (base64), "qos", "retain"}}``: a message from the kit, journalled as received
+        on connection 0."""
+        packet = _publish(params)
+        content = describe_content(packet.topic, packet.payload)
+        fields = describe_publish(packet, content)
+        self.journal.append(connection=0, direction="in", kind="PUBLISH", client_id=KIT, **fields)
+        self.broker.publish(packet, KIT, content)
 
     def fault(self, rules: list[dict[str, Any]]) -> list[int]:
         plan = FaultPlan(rules)
@@ -87,9 +87,24 @@ class MqttDevice(Device):
 
     async def reset(self) -> None:
         self.broker.faults = FaultPlan([])
-        self.broker.retained = {
-            topic: message for topic, message in self.broker.retained.items() if topic == "system/status"
-        }
+        self.broker.forget()
+        await self.edge_node.reset()
 
     async def tick(self) -> None:
-        self.edge_node.tick()
+        await self.edge_node.tick()
+
+
+def _publish(params: Mapping[str, Any]) -> Publish:
+    source = params.get("publish")
+    if not isinstance(source, Mapping) or not {"topic", "payload"} <= source.keys():
+        raise ValueError("an MQTT poke is {'publish': {'topic': …, 'payload': base64, 'qos': 0, 'retain': false}}")
+    qos = source.get("qos", 0)
+    if qos not in (0, 1, 2):
+        raise ValueError(f"qos: expected 0, 1 or 2, found {qos!r}")
+    try:
+        topic = str(source["topic"])
+        check_name(topic)
+        payload = base64.b64decode(source["payload"], validate=True)
+    except (ProtocolViolation, binascii.Error) as error:
+        raise ValueError(str(error)) from None
+    return Publish(topic=topic, payload=payload, qos=qos, retain=bool(source.get("retain", False)))

@@ -1,133 +1,198 @@
-"""A simulated plant on MQTT: plain topics, and a Sparkplug 3.0 edge node with two devices.
+"""A Sparkplug 3.0 edge node with two devices, beside plain topics, on a connection to any broker.
 
-Everything it says is a function of the number of ticks. It is an ordinary client of the broker, so it can be pointed at
-any broker.
+============================  ===========================================================================================
+``spBv1.0/factory/…``         births, DDATA every tick, NDEATH will; obeys NCMD rebirth and DCMD of writable metrics
+``sensors/{…}``               temperature, pressure, humidity every tick: ``{"value": 20.0, "unit": "degC"}``
+``system/status``             retained: ``{"online": true}``
+``control/#``                 subscribed; the last payload on each topic is kept
+============================  ===========================================================================================
 """
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import json
-import math
 import time
+from collections.abc import Mapping
 from typing import Any
 
-from .client import Client
+from .client import Client, Observer
+from .packets import MQTT_311, Connect, Packet, Publish, Will
+from .plant import Plant, Tag
 from .sparkplug import DATATYPES, decode_message, encode_payload
 
-__all__ = ["EdgeNode"]
+__all__ = ["CLIENT_ID", "EdgeNode"]
 
 GROUP, NODE = "factory", "edge-node-1"
 CLIENT_ID = f"otmcp-mock-{NODE}"
-_NAMES = {number: name for name, number in DATATYPES.items()}
+
+_RECONNECT_S = 0.05
+_DATATYPE_NAMES = {number: name for name, number in DATATYPES.items()}
+
+
+def _ignore(direction: str, packet: Packet) -> None:
+    """Observe nothing."""
 
 
 class EdgeNode:
-    """Births, data, commands, rebirth; ``tick`` advances it by a second."""
+    """Connects, is born, reports, obeys commands; comes back when the connection breaks.
 
-    def __init__(self) -> None:
-        self.ticks = 0
-        self.bd_seq = 0
+    Attributes:
+        seq: of the last message; bd_seq: of this connection's birth and death.
+        controls: last payload by topic below ``control/``, as text.
+    """
+
+    def __init__(self, observe: Observer = _ignore) -> None:
+        self._observe = observe
+        self.plant = Plant()
         self.seq = 0
+        self.bd_seq = -1
         self.controls: dict[str, str] = {}
-        self.devices: dict[str, dict[str, tuple[str, Any]]] = {
-            "device-1": {"temperature": ("Double", 20.0), "pressure": ("Double", 1.0), "setpoint": ("Double", 50.0)},
-            "device-2": {"level": ("Double", 50.0), "running": ("Boolean", True), "count": ("Int64", 0)},
-        }
+        self._address = ("", 0)
         self._client: Client | None = None
+        self._keeper: asyncio.Task[None] | None = None
+        self._born = asyncio.Event()
+
+    # -- life ---------------------------------------------------------------------------------------------
 
     async def start(self, host: str, port: int) -> None:
-        """Connect with the will, subscribe to commands, publish the births."""
-        will = {
-            "topic": self._topic("NDEATH"),
-            "payload": encode_payload([self._bd_seq()], timestamp=_now(), seq=None),
-            "qos": 1,
-            "retain": False,
-        }
-        self._client = await Client.connect(host, port, CLIENT_ID, self._received, will)
-        # Section 5.4: commands are subscribed to before the birth, with QoS 1.
-        await self._client.subscribe(self._topic("NCMD"), self._topic("DCMD") + "/#", "control/#")
-        self._births()
-        self._client.publish("system/status", b'{"online": true}', qos=1, retain=True)
+        """Connect and publish the births.
 
-    def close(self) -> None:
+        Raises:
+            OSError: the broker cannot be reached or refuses.
+        """
+        self._address = (host, port)
+        await self._connect()
+        self._keeper = asyncio.create_task(self._keep_connected(), name="edge-node")
+
+    async def aclose(self) -> None:
         """An orderly end: NDEATH first, because a DISCONNECT discards the will (section 5.6)."""
-        if self._client is not None:
-            death = encode_payload([self._bd_seq()], timestamp=_now(), seq=None)
-            self._client.publish(self._topic("NDEATH"), death, qos=1)
-            self._client.close()
-            self._client = None
+        if self._keeper is not None:
+            self._keeper.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await self._keeper
+        client, self._client = self._client, None
+        if client is not None and not client.closed.is_set():
+            client.publish(self._topic("NDEATH"), self._death(), qos=1)
+            await client.aclose()
 
-    def tick(self) -> None:
-        """One second: new sine values, DDATA of both devices, plain sensor topics."""
-        self.ticks += 1
+    async def _connect(self) -> None:
+        # One more with every CONNECT (tck-id-topics-nbirth-bdseq-increment).
+        self.bd_seq = (self.bd_seq + 1) % 256
+        connect = Connect(
+            protocol_level=MQTT_311,
+            clean_start=True,
+            keepalive=0,
+            client_id=CLIENT_ID,
+            will=Will(topic=self._topic("NDEATH"), payload=self._death(), qos=1, retain=False),
+        )
+        client = await Client.connect(*self._address, connect, self._received, self._observe)
+        # Commands are subscribed to before the birth (tck-id-message-flow-edge-node-ncmd-subscribe).
+        await client.subscribe(self._topic("NCMD"), self._topic("DCMD", "+"), "control/#")
+        self._client = client
+        self._births()
+        client.publish("system/status", b'{"online": true}', retain=True)
+        await client.ping()
+        self._born.set()
+
+    async def _keep_connected(self) -> None:
+        while True:
+            if self._client is not None:
+                await self._client.closed.wait()
+                self._client = None
+                self._born.clear()
+            await asyncio.sleep(_RECONNECT_S)
+            with contextlib.suppress(OSError):
+                await self._connect()
+
+    async def reset(self) -> None:
+        """Start-up values, told by a rebirth.
+
+        Raises:
+            TimeoutError: there is no connection to the broker.
+        """
+        self.plant = Plant()
+        self.controls.clear()
+        await asyncio.wait_for(self._born.wait(), 5.0)
+        assert self._client is not None
+        self._births()
+        self._client.publish("system/status", b'{"online": true}', retain=True)
+        await self._client.ping()
+
+    async def tick(self) -> None:
+        """One second of the plant; returns when the broker has handled what was published."""
+        changed = self.plant.tick()
         if self._client is None:
             return
-        wave = math.sin(self.ticks * 2 * math.pi / 60)
-        self._set("device-1", temperature=20 + 5 * wave, pressure=1 + 0.2 * wave)
-        self._set("device-2", level=50 + 30 * wave, count=self.devices["device-2"]["count"][1] + 1)
-        for name, value in (("temperature", 20 + 5 * wave), ("pressure", 1 + 0.2 * wave), ("humidity", 45 + 10 * wave)):
-            self._client.publish(f"sensors/{name}", json.dumps({"value": round(value, 3)}).encode())
+        for device, tags in changed.items():
+            self._publish("DDATA", device, tags)
+        for name, reading in self.plant.sensors().items():
+            self._client.publish(f"sensors/{name}", json.dumps(reading).encode())
+        with contextlib.suppress(OSError):
+            await self._client.ping()
 
     def image(self) -> dict[str, Any]:
         """What it holds and where its counters are."""
-        devices = {
-            name: {metric: value for metric, (_, value) in metrics.items()} for name, metrics in self.devices.items()
-        }
         return {
             "group": GROUP,
             "edge_node": NODE,
+            "connected": self._client is not None,
+            "ticks": self.plant.ticks,
             "seq": self.seq,
             "bd_seq": self.bd_seq,
-            "devices": devices,
+            "devices": {
+                device: {name: tag.value for name, tag in tags.items()} for device, tags in self.plant.devices.items()
+            },
             "controls": dict(self.controls),
         }
 
-    def _topic(self, kind: str, device: str | None = None) -> str:
+    # -- Sparkplug ----------------------------------------------------------------------------------------
+
+    @staticmethod
+    def _topic(kind: str, device: str | None = None) -> str:
         return f"spBv1.0/{GROUP}/{kind}/{NODE}" + (f"/{device}" if device else "")
+
+    def _death(self) -> bytes:
+        # bdSeq alone, no sequence number (tck-id-topics-ndeath-seq, -payloads-ndeath-bdseq).
+        return encode_payload([self._bd_seq()], timestamp=_now(), seq=None)
 
     def _bd_seq(self) -> dict[str, Any]:
         return {"name": "bdSeq", "datatype": "Int64", "value": self.bd_seq}
 
-    def _publish(self, kind: str, device: str | None, metrics: list[dict[str, Any]]) -> None:
-        assert self._client is not None
+    def _publish(self, kind: str, device: str | None, tags: Mapping[str, Tag]) -> None:
+        metrics = [{"name": name, "datatype": tag.datatype, "value": tag.value} for name, tag in tags.items()]
+        if kind == "NBIRTH":
+            metrics.insert(0, self._bd_seq())
         self.seq = 0 if kind == "NBIRTH" else (self.seq + 1) % 256
+        assert self._client is not None
         self._client.publish(self._topic(kind, device), encode_payload(metrics, timestamp=_now(), seq=self.seq))
 
     def _births(self) -> None:
-        rebirth = {"name": "Node Control/Rebirth", "datatype": "Boolean", "value": False}
-        self._publish("NBIRTH", None, [self._bd_seq(), rebirth])
-        for device, metrics in self.devices.items():
-            self._publish("DBIRTH", device, _listed(metrics))
+        self._publish("NBIRTH", None, {"Node Control/Rebirth": Tag(datatype="Boolean", value=False)})
+        for device, tags in self.plant.devices.items():
+            self._publish("DBIRTH", device, tags)
 
-    def _set(self, device: str, **values: Any) -> None:
-        metrics = self.devices[device]
-        for name, value in values.items():
-            metrics[name] = (metrics[name][0], value)
-        self._publish("DDATA", device, _listed({name: metrics[name] for name in values}))
-
-    def _received(self, topic: str, payload: bytes) -> None:
-        if topic.startswith("control/"):
-            self.controls[topic] = payload.decode("utf-8", "replace")
+    def _received(self, packet: Publish) -> None:
+        if packet.topic.startswith("control/"):
+            self.controls[packet.topic] = packet.payload.decode("utf-8", "replace")
             return
-        message = decode_message(topic, payload)
-        if "error" in message:
+        message = decode_message(packet.topic, packet.payload)
+        if self._client is None or "error" in message:
             return
+        metrics = message["metrics"]
         if message["type"] == "NCMD":
-            if any(metric["name"] == "Node Control/Rebirth" and metric["value"] for metric in message["metrics"]):
+            if any(one["name"] == "Node Control/Rebirth" and one["value"] is True for one in metrics):
                 self._births()
             return
-        known = self.devices.get(message["device"], {})
-        accepted = {
-            metric["name"]: metric["value"]
-            for metric in message["metrics"]
-            if metric["name"] in known and _NAMES.get(metric["datatype"] or 0) == known[metric["name"]][0]
-        }
-        if accepted:
-            self._set(message["device"], **accepted)
-
-
-def _listed(metrics: dict[str, tuple[str, Any]]) -> list[dict[str, Any]]:
-    return [{"name": name, "datatype": kind, "value": value} for name, (kind, value) in metrics.items()]
+        done: dict[str, Tag] = {}
+        for one in metrics:
+            datatype = None if one["datatype"] is None else _DATATYPE_NAMES.get(one["datatype"], "unknown")
+            tag = self.plant.command(message["device"], one["name"], datatype, one["value"])
+            if tag is not None:
+                done[one["name"]] = tag
+        if done:
+            self._publish("DDATA", message["device"], done)
 
 
 def _now() -> int:

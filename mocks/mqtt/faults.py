@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from .packets import Packet, PacketType, Publish, Subscribe, Unsubscribe
+from .packets import Packet, Publish, Subscribe, Unsubscribe
 
 __all__ = ["OWN_CLIENTS", "FaultPlan", "Rule"]
 
@@ -14,7 +14,13 @@ OWN_CLIENTS = "otmcp-mock-"
 """Client ids that begin so belong to the mock itself: only a rule that names them applies to them."""
 
 _PACKETS = ("CONNECT", "PUBLISH", "PUBREC", "PUBREL", "SUBSCRIBE", "UNSUBSCRIBE", "PINGREQ")
-_REFUSABLE = ("CONNECT", "PUBLISH", "SUBSCRIBE", "UNSUBSCRIBE")
+_REFUSALS = range(0x80, 0x100)
+_CODES = {
+    "CONNECT": range(1, 0x100),
+    "PUBLISH": _REFUSALS,
+    "SUBSCRIBE": (0, 1, 2, *_REFUSALS),
+    "UNSUBSCRIBE": _REFUSALS,
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,8 +33,8 @@ class Rule:
         times: applied at most this often, None without limit.
         no_answer: obey the packet, but do not answer it; a CONNECT is not obeyed either.
         delay_s: obey it and answer that many seconds later; a CONNECT is obeyed later.
-        reason_code: answer with this code; from 0x80 on (any but 0 for CONNECT) the packet is not obeyed. 3.1.1 cannot
-            say it for a PUBLISH or UNSUBSCRIBE, which are then acknowledged.
+        reason_code: refuse with this code and do not obey; a SUBSCRIBE with 0 to 2 is granted that QoS instead. 3.1.1
+            cannot refuse a PUBLISH or UNSUBSCRIBE: they are acknowledged and not obeyed.
         close, reset: obey it, then close the connection, or reset it; a CONNECT is not obeyed.
     """
 
@@ -60,8 +66,9 @@ class Rule:
             raise ValueError(f"unknown member {min(unknown)!r} of a fault rule")
         if conditions.get("packet") not in _PACKETS:
             raise ValueError(f"a fault rule needs the name of a packet, one of {', '.join(_PACKETS)}")
-        if "reason_code" in action and conditions["packet"] not in _REFUSABLE:
-            raise ValueError(f"reason_code: possible for {', '.join(_REFUSABLE)}")
+        code = action.get("reason_code")
+        if code is not None and code not in _CODES.get(conditions["packet"], ()):
+            raise ValueError(f"reason_code {code!r} is no answer to {conditions['packet']}")
         return cls(**conditions, **action)
 
     def applies(self, packet: Packet, client_id: str) -> bool:
@@ -72,11 +79,10 @@ class Rule:
             return False
         return self.client_id in (None, client_id) and (self.topic is None or self.topic in _topics(packet))
 
-    def refuses(self, packet: Packet) -> bool:
+    @property
+    def refuses(self) -> bool:
         """Whether the packet is not to be obeyed."""
-        if self.reason_code is None:
-            return False
-        return self.reason_code >= (1 if packet.type is PacketType.CONNECT else 0x80)
+        return self.reason_code is not None and (self.reason_code >= 0x80 or self.packet == "CONNECT")
 
 
 def _topics(packet: Packet) -> tuple[str, ...]:

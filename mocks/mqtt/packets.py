@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import ClassVar
 
-from .properties import EMPTY, Properties
+from .properties import Properties
 
 __all__ = [
     "MQTT_5",
@@ -61,7 +61,7 @@ class Will:
     payload: bytes
     qos: int
     retain: bool
-    properties: Properties = EMPTY
+    properties: Properties = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,7 +75,7 @@ class Connect:
     client_id: str
     will: Will | None = None
     username: str | None = None
-    properties: Properties = EMPTY
+    properties: Properties = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,7 +85,7 @@ class Connack:
     type: ClassVar[PacketType] = PacketType.CONNACK
     session_present: bool
     reason_code: int
-    properties: Properties = EMPTY
+    properties: Properties = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,7 +99,7 @@ class Publish:
     retain: bool = False
     dup: bool = False
     packet_id: int = 0
-    properties: Properties = EMPTY
+    properties: Properties = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,7 +109,7 @@ class Ack:
     type: PacketType
     packet_id: int
     reason_code: int = 0
-    properties: Properties = EMPTY
+    properties: Properties = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -130,7 +130,7 @@ class Subscribe:
     type: ClassVar[PacketType] = PacketType.SUBSCRIBE
     packet_id: int
     requests: tuple[SubscriptionRequest, ...]
-    properties: Properties = EMPTY
+    properties: Properties = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -140,7 +140,7 @@ class Suback:
     type: ClassVar[PacketType] = PacketType.SUBACK
     packet_id: int
     reason_codes: tuple[int, ...]
-    properties: Properties = EMPTY
+    properties: Properties = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -150,7 +150,7 @@ class Unsubscribe:
     type: ClassVar[PacketType] = PacketType.UNSUBSCRIBE
     packet_id: int
     filters: tuple[str, ...]
-    properties: Properties = EMPTY
+    properties: Properties = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -160,7 +160,7 @@ class Unsuback:
     type: ClassVar[PacketType] = PacketType.UNSUBACK
     packet_id: int
     reason_codes: tuple[int, ...]
-    properties: Properties = EMPTY
+    properties: Properties = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -183,7 +183,7 @@ class Disconnect:
 
     type: ClassVar[PacketType] = PacketType.DISCONNECT
     reason_code: int = 0
-    properties: Properties = EMPTY
+    properties: Properties = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -192,7 +192,7 @@ class Auth:
 
     type: ClassVar[PacketType] = PacketType.AUTH
     reason_code: int = 0
-    properties: Properties = EMPTY
+    properties: Properties = field(default_factory=dict)
 
 
 Packet = (

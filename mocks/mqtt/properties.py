@@ -155,7 +155,7 @@ def decode(reader: Reader, place: Place) -> Properties:
         if place not in places:
             raise ProtocolViolation(f"the property {name.name} does not belong into {place.name}")
         value = kind.read(inner)
-        if kind is _BYTE and value > 1 or value == 0 and name in _NOT_ZERO:
+        if (kind is _BYTE and value > 1) or (value == 0 and name in _NOT_ZERO):
             raise ProtocolViolation(f"the property {name.name} must not be {value}", PROTOCOL_ERROR)
         if name is Property.USER_PROPERTY or (name is Property.SUBSCRIPTION_IDENTIFIER and place is Place.PUBLISH):
             found.setdefault(name, []).append(value)

@@ -11,11 +11,11 @@ import math
 import time
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from .packets import Ack, PacketType
-from .properties import EMPTY, PROTOCOL_ERROR, Properties, Property
+from .properties import PROTOCOL_ERROR, Properties, Property
 from .wire import ProtocolViolation
 
 __all__ = ["Delivery", "Message", "Outlet", "Session", "Subscription"]
@@ -39,7 +39,7 @@ class Message:
     payload: bytes
     qos: int
     retain: bool
-    properties: Properties = EMPTY
+    properties: Properties = field(default_factory=dict)
     publisher: str
     arrived: float
     content: Mapping[str, Any]

@@ -1,1 +1,39 @@
+"""An OPC UA plant: asyncua's server behind strict checks, with journal, faults and 1 Hz dynamics."""
 
+from __future__ import annotations
+
+import asyncio
+import logging
+
+from .device import OpcUaDevice
+from .plant import Plant
+from .server import PlantServer
+
+__all__ = ["create", "warm"]
+
+_warmed: tuple[PlantServer, Plant] | None = None
+
+
+def warm() -> None:
+    """Build the address space: a second of work that every device forked later inherits. No loop and no thread is left
+    behind, because a fork would not carry them over."""
+    global _warmed  # noqa: PLW0603  (handed from the launcher to the devices it forks)
+    # The library reports refused requests as errors; here they are what is being asked for.
+    logging.getLogger("asyncua").setLevel(logging.CRITICAL)
+    _warmed = asyncio.run(_build())
+
+
+async def _build() -> tuple[PlantServer, Plant]:
+    server = PlantServer()
+    await server.init()
+    plant = Plant(server)
+    await plant.build()
+    return server, plant
+
+
+def create() -> OpcUaDevice:
+    """A device on the address space that was warmed."""
+    if _warmed is None:
+        warm()
+    assert _warmed is not None
+    return OpcUaDevice(*_warmed)

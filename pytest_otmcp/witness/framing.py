@@ -18,25 +18,20 @@ Raises :class:`MalformedError` when no frame begins like that."""
 
 
 class MalformedError(ValueError):
-    """The stream cannot be cut any further.
-
-    Attributes:
-        reason: one sentence.
-        data: what could not be cut.
-    """
-
-    def __init__(self, reason: str, data: bytes = b"") -> None:
-        super().__init__(reason)
-        self.reason = reason
-        self.data = data
+    """The bytes are not what the protocol allows; the message is one sentence."""
 
 
 class Framer:
-    """One direction of one connection."""
+    """One direction of one connection.
+
+    Attributes:
+        malformed: why no further frame can be cut, once that is so; :attr:`pending` holds what was not cut.
+    """
 
     def __init__(self, frame_length: FrameLength) -> None:
         self._frame_length = frame_length
         self._buffer = bytearray()
+        self.malformed: str | None = None
 
     @property
     def pending(self) -> bytes:
@@ -44,27 +39,19 @@ class Framer:
         return bytes(self._buffer)
 
     def feed(self, data: bytes) -> list[bytes]:
-        """Add bytes, get the frames they complete.
-
-        Raises:
-            MalformedError: after frames that were whole have been returned by an earlier call, or when the very next
-                bytes are no frame; :attr:`MalformedError.data` holds everything that was not cut.
-        """
+        """Add bytes, get the frames they complete; none any more once the stream is malformed."""
         self._buffer += data
         frames: list[bytes] = []
-        begin = 0
-        try:
-            while begin < len(self._buffer):
-                length = self._frame_length(self._buffer[begin:] if begin else self._buffer)
-                if length is None or begin + length > len(self._buffer):
-                    break
-                frames.append(bytes(self._buffer[begin : begin + length]))
-                begin += length
-        except MalformedError as error:
-            if not frames:
-                raise MalformedError(error.reason, bytes(self._buffer)) from None
-        finally:
-            del self._buffer[:begin]
+        while self._buffer and self.malformed is None:
+            try:
+                length = self._frame_length(self._buffer)
+            except MalformedError as error:
+                self.malformed = str(error)
+                break
+            if length is None or length > len(self._buffer):
+                break
+            frames.append(bytes(self._buffer[:length]))
+            del self._buffer[:length]
         return frames
 
 

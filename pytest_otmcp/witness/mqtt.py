@@ -167,7 +167,7 @@ class MqttConversation:
             if reader.more():
                 raise MalformedError(f"{kind} is longer than its fields")
         except MalformedError as error:
-            fields = {"packet": kind, "reason": error.reason, "bytes": frame.hex()}
+            fields = {"packet": kind, "reason": str(error), "bytes": frame.hex()}
             kind = "malformed"
         # An assigned identifier (MQTT 5, section 3.2.2.3.7) is known from CONNACK on.
         self.client_id = fields.get("properties", {}).get("assigned_client_identifier") or self.client_id

@@ -1,19 +1,14 @@
 """What an MQTT broker witnesses.
 
-Journal kinds are the control packets (MQTT 3.1.1, section 3), one entry a packet and direction; payloads are base64. A
-PUBLISH below ``spBv1.0/`` also carries its Sparkplug payload, decoded with the official schema.
-
-The simulator's own clients (``otmcp-mock-…``) and what the kit itself published (connection 0) are not the adapter's
-doing and are left out everywhere.
+Journal kinds are the control packets (MQTT 3.1.1 and 5, chapter 3), one entry a packet and direction; payloads are
+base64. What the simulator's clients and the kit did is left out everywhere, see ``mqtt_entries``.
 """
 
 from __future__ import annotations
 
-import base64
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
-
-from ..findings import Finding
+from pytest_otmcp.findings import Finding
+from pytest_otmcp.witness.mqtt_entries import Entries, Entry, adapter_packets, payload_of, shown
+from pytest_otmcp.witness.sparkplug_oracle import ddata_metric, sparkplug_sequence
 
 __all__ = [
     "ddata_metric",
@@ -26,229 +21,161 @@ __all__ = [
     "subscribed",
 ]
 
-Entry = Mapping[str, Any]
-Entries = Sequence[Entry]
-
-MOCK_CLIENTS = "otmcp-mock-"
-_ANSWERS = {"CONNACK", "SUBACK", "UNSUBACK", "PINGRESP", "PUBACK", "PUBCOMP"}
-
-
-def _adapter(entries: Entries, kind: str | None = None, direction: str | None = None) -> list[Entry]:
-    return [
-        entry
-        for entry in entries
-        if entry["connection"] != 0
-        and not str(entry.get("client_id") or "").startswith(MOCK_CLIENTS)
-        and kind in (None, entry["kind"])
-        and direction in (None, entry["direction"])
-    ]
+# Answer to the request that it answers.
+_ANSWERS = {
+    "CONNACK": "CONNECT",
+    "SUBACK": "SUBSCRIBE",
+    "UNSUBACK": "UNSUBSCRIBE",
+    "PINGRESP": "PINGREQ",
+    "PUBACK": "PUBLISH",
+    "PUBCOMP": "PUBREL",
+}
+_REQUESTS = frozenset(_ANSWERS.values())
 
 
-def _seen(entries: Entries) -> str:
-    packets = [
-        f"{'<' if entry['direction'] == 'in' else '>'} {entry['kind']}"
-        + (f" {entry['topic']!r} {_payload(entry)[:60]!r}" if entry["kind"] == "PUBLISH" else "")
-        for entry in _adapter(entries)
-    ]
-    return "; ".join(packets[:10]) + (" …" if len(packets) > 10 else "") if packets else "no packet"
-
-
-def _payload(entry: Entry) -> bytes:
-    return base64.b64decode(entry.get("payload") or "")
-
-
-def exchange(entries: Entries, at_least: int = 1) -> list[Finding]:
-    """The broker answered the adapter at least that often."""
-    answers = [entry for entry in _adapter(entries, direction="out") if entry["kind"] in _ANSWERS]
-    if len(answers) >= at_least:
+def exchange(entries: Entries, at_least: int = 1, client_id: str | None = None) -> list[Finding]:
+    """The broker answered requests of the adapter at least that often; requests and answers are both in ``entries``."""
+    asked: dict[tuple[int, str, int | None], int] = {}
+    answered = 0
+    for entry in adapter_packets(entries, client_id=client_id):
+        if entry["direction"] == "in" and entry["kind"] in _REQUESTS:
+            key = (entry["connection"], entry["kind"], entry.get("packet_id"))
+            asked[key] = asked.get(key, 0) + 1
+        elif entry["direction"] == "out" and entry["kind"] in _ANSWERS:
+            key = (entry["connection"], _ANSWERS[entry["kind"]], entry.get("packet_id"))
+            if asked.get(key):
+                asked[key] -= 1
+                answered += 1
+    if answered >= at_least:
         return []
     return [
         Finding(
             code="no_exchange",
-            message=f"the broker should have answered the adapter at least {at_least} time(s) during the call(s), "
-            f"it answered {len(answers)} time(s)",
+            message=f"the broker should have answered the adapter at least {at_least} time(s) during the "
+            f"call(s), it answered {answered} time(s)",
             requirement="RD-004",
-            evidence=_seen(entries),
+            evidence=shown(entries),
         )
     ]
 
 
-def subscribed(entries: Entries, *, filter: str, qos: int) -> list[Finding]:
+def subscribed(entries: Entries, *, filter: str, qos: int, client_id: str | None = None) -> list[Finding]:
     """The broker received a SUBSCRIBE with this filter and granted this QoS."""
-    requests = {
-        (entry["connection"], entry["packet_id"]): [wanted["filter"] for wanted in entry["filters"]]
-        for entry in _adapter(entries, "SUBSCRIBE", "in")
-    }
-    for answer in _adapter(entries, "SUBACK", "out"):
-        filters = requests.get((answer["connection"], answer["packet_id"]), [])
-        if filter in filters and answer["reason_codes"][filters.index(filter)] == qos:
-            return []
+    requests: dict[tuple[int, int], list[str]] = {}
+    granted: list[int] = []
+    for entry in adapter_packets(entries, client_id=client_id):
+        key = (entry["connection"], entry.get("packet_id", 0))
+        if entry["kind"] == "SUBSCRIBE" and entry["direction"] == "in":
+            requests[key] = [wanted["filter"] for wanted in entry["filters"]]
+        elif entry["kind"] == "SUBACK" and entry["direction"] == "out":
+            codes = zip(requests.get(key, []), entry["reason_codes"], strict=False)
+            granted += [code for wanted, code in codes if wanted == filter]
+    if qos in granted:
+        return []
+    if granted:
+        problem = f"it answered with reason code {granted[0]:#04x}"
+    elif requests:
+        problem = f"it saw SUBSCRIBE for {sorted(requests.values())} without that being granted"
+    else:
+        problem = "it saw no SUBSCRIBE"
     return [
         Finding(
             code="not_subscribed",
-            message=f"the broker should have granted {filter!r} at QoS {qos}, it saw "
-            + (f"SUBSCRIBE for {sorted(requests.values())}" if requests else "no SUBSCRIBE"),
+            message=f"the broker should have granted {filter!r} at QoS {qos}, {problem}",
             requirement="MQT-002",
-            evidence=_seen(entries),
+            evidence=shown(entries),
         )
     ]
 
 
-def delivered(entries: Entries, *, topic: str, payload: bytes) -> list[Finding]:
+def delivered(entries: Entries, *, topic: str, payload: bytes, client_id: str | None = None) -> list[Finding]:
     """The broker delivered this message to the adapter."""
-    for entry in _adapter(entries, "PUBLISH", "out"):
-        if entry["topic"] == topic and _payload(entry) == payload:
-            return []
+    messages = adapter_packets(entries, "PUBLISH", "out", client_id)
+    if any(_is(entry, topic, payload) for entry in messages):
+        return []
+    others = [entry["topic"] for entry in messages]
     return [
         Finding(
             code="not_delivered",
-            message=f"a message on {topic!r} should have reached the adapter, the broker had nobody to send it to",
+            message=f"a message on {topic!r} should have reached the adapter, "
+            + (f"the broker sent it {others[:4]}" if others else "the broker had nobody to send it to"),
             requirement="MQT-004",
-            evidence=_seen(entries),
+            evidence=shown(entries),
         )
     ]
 
 
-def published_once(entries: Entries, *, topic: str, payload: bytes) -> list[Finding]:
-    """The adapter published these bytes on this topic, once, and nothing else."""
-    messages = _adapter(entries, "PUBLISH", "in")
-    if len(messages) == 1 and messages[0]["topic"] == topic and _payload(messages[0]) == payload:
-        return []
+def _is(entry: Entry, topic: str, payload: bytes) -> bool:
+    return bool(entry["topic"] == topic) and payload_of(entry) == payload
+
+
+def published_once(
+    entries: Entries,
+    *,
+    topic: str,
+    payload: bytes,
+    qos: int = 0,
+    retain: bool = False,
+    client_id: str | None = None,
+) -> list[Finding]:
+    """The adapter published these bytes on this topic in this manner, once, and nothing else."""
+    messages = adapter_packets(entries, "PUBLISH", "in", client_id)
+    code, requirement = "not_published_once", "WR-003" if len(messages) > 1 else "MQT-001"
+    if len(messages) == 1 and _is(messages[0], topic, payload):
+        found = (messages[0].get("qos"), bool(messages[0].get("retain")))
+        if found == (qos, retain):
+            return []
+        code, requirement = "published_otherwise", "MQT-003"
+        wanted = f"with QoS {qos} {'and' if retain else 'and not'} retained"
+        problem = f"it came with QoS {found[0]} {'and' if found[1] else 'and not'} retained"
+    else:
+        wanted = "once and nothing else"
+        problem = f"it received {len(messages)} message(s)"
     return [
         Finding(
-            code="not_published_once",
-            message=f"the broker should have received {payload[:80]!r} on {topic!r} once and nothing else, it received "
-            f"{len(messages)} message(s)",
-            requirement="WR-003" if len(messages) > 1 else "MQT-001",
-            evidence=_seen(entries),
+            code=code,
+            message=f"the broker should have received {payload[:80]!r} on {topic!r} {wanted}, {problem}",
+            requirement=requirement,
+            evidence=shown(entries),
         )
     ]
 
 
-def no_packet(entries: Entries, kind: str, *, direction: str) -> list[Finding]:
-    """No packet of this kind."""
-    packets = _adapter(entries, kind, direction)
+def no_packet(entries: Entries, kind: str, *, direction: str = "in", client_id: str | None = None) -> list[Finding]:
+    """No packet of this kind, not even a malformed one."""
+    packets = [
+        entry
+        for entry in adapter_packets(entries, None, direction, client_id)
+        if entry["kind"] == kind or (entry["kind"] == "malformed" and entry.get("packet") in (None, kind))
+    ]
     if not packets:
         return []
+    who = "from" if direction == "in" else "to"
     return [
         Finding(
             code="unexpected_packet",
-            message=f"the broker should have seen no {kind} from the adapter, it saw {len(packets)}",
+            message=f"the broker should have seen no {kind} {who} the adapter, it saw {len(packets)}",
             requirement="ERR-006",
-            evidence=_seen(entries),
+            evidence=shown(packets),
         )
     ]
 
 
-def session_stays_up(entries: Entries) -> list[Finding]:
+def session_stays_up(entries: Entries, client_id: str | None = None) -> list[Finding]:
     """The adapter's connection did not end."""
-    ended = [entry for entry in _adapter(entries) if entry["kind"] in ("DISCONNECT", "DISCONNECTED")]
+    ended = [
+        entry
+        for entry in adapter_packets(entries, client_id=client_id)
+        if entry["kind"] in ("DISCONNECT", "DISCONNECTED", "malformed")
+    ]
     if not ended:
         return []
     return [
         Finding(
             code="session_ended",
-            message="the adapter's connection to the broker should have stayed up, it ended",
+            message="the adapter's connection to the broker should have stayed up, it ended with "
+            + " and ".join(dict.fromkeys(entry["kind"] for entry in ended)),
             requirement="ADR-006",
-            evidence=_seen(entries),
+            evidence=shown(entries),
         )
     ]
-
-
-def _sparkplug(entries: Entries) -> Iterator[tuple[Entry, Mapping[str, Any]]]:
-    for entry in _adapter(entries, "PUBLISH", "in"):
-        if entry["topic"].startswith("spBv1.0/"):
-            yield entry, entry.get("sparkplug") or {"error": "not decoded"}
-
-
-def ddata_metric(entries: Entries, *, device: str, name: str, value: float) -> list[Finding]:
-    """The adapter published one DDATA for the device, with this metric alone, as Float or Double."""
-    messages = [
-        message for _, message in _sparkplug(entries) if message.get("type") == "DDATA" and message["device"] == device
-    ]
-    metrics = [metric for message in messages for metric in message["metrics"]]
-    if len(messages) == 1 and len(metrics) == 1 and (metrics[0]["name"], metrics[0]["value"]) == (name, value):
-        # A datatype may be left out of data messages (tck-id-payloads-metric-datatype-not-req): 9 Float, 10 Double.
-        if metrics[0]["datatype"] in (None, 0, 9, 10):
-            return []
-        problem = f"its datatype is {metrics[0]['datatype']}"
-    else:
-        shown = [f"{metric['name']}={metric['value']!r}" for metric in metrics]
-        problem = f"it received {len(messages)} with {', '.join(shown) or 'no metric'}"
-    return [
-        Finding(
-            code="wrong_ddata",
-            message=f"the broker should have received one DDATA of {device} with {name} = {value}, {problem}",
-            requirement="SPB-001",
-            evidence=_seen(entries),
-        )
-    ]
-
-
-def sparkplug_sequence(entries: Entries) -> list[Finding]:
-    """Each of the adapter's connections keeps the rules of an edge node (Sparkplug 3.0, chapters 5 and 6).
-
-    Will with NDEATH and bdSeq, NBIRTH first, DBIRTH before DDATA, one sequence number for all, QoS 0, not retained,
-    data only of metrics that a birth declared. ``entries`` must begin before the connections do.
-    """
-    findings: list[Finding] = []
-    connections: dict[int, _EdgeNode] = {}
-    for entry in _adapter(entries, "CONNECT", "in"):
-        connections[entry["connection"]] = _EdgeNode(entry)
-    for entry, message in _sparkplug(entries):
-        node = connections.get(entry["connection"])
-        if node is not None:
-            findings += node.check(entry, message)
-    return findings[:5]
-
-
-class _EdgeNode:
-    def __init__(self, connect: Entry) -> None:
-        self._will = connect.get("will")
-        self._seq: int | None = None
-        self._declared: dict[str | None, set[str]] = {}
-
-    def check(self, entry: Entry, message: Mapping[str, Any]) -> Iterator[Finding]:
-        if "error" in message:
-            yield _rule("SPB-001", f"{entry['topic']}: the payload does not decode: {message['error']}", entry)
-            return
-        kind, device = message["type"], message["device"]
-        if kind in ("NCMD", "DCMD"):
-            return
-        if kind != "NDEATH" and (entry["qos"] != 0 or entry["retain"]):
-            yield _rule("SPB-002", f"{kind} must have QoS 0 and not be retained", entry)
-        if kind == "NBIRTH":
-            yield from self._node_birth(entry, message)
-        elif kind != "NDEATH":
-            if self._seq is None:
-                yield _rule("SPB-003", f"{kind} before NBIRTH", entry)
-            elif message["seq"] != (self._seq + 1) % 256:
-                yield _rule("SPB-004", f"{kind} has seq {message['seq']} after {self._seq}", entry)
-            self._seq = message["seq"]
-        names = {metric["name"] for metric in message["metrics"]}
-        if kind == "DBIRTH":
-            self._declared[device] = names
-        elif kind == "DDATA" and device not in self._declared:
-            yield _rule("SPB-003", f"DDATA of {device!r} before its DBIRTH", entry)
-        elif kind == "DDATA" and not names <= self._declared[device]:
-            yield _rule("SPB-009", f"DDATA with undeclared metrics {sorted(names - self._declared[device])}", entry)
-
-    def _node_birth(self, entry: Entry, message: Mapping[str, Any]) -> Iterator[Finding]:
-        self._seq = message["seq"]
-        self._declared = {}
-        metrics = {metric["name"]: metric["value"] for metric in message["metrics"]}
-        if "bdSeq" not in metrics:
-            yield _rule("SPB-006", "NBIRTH without the metric bdSeq", entry)
-        if metrics.get("Node Control/Rebirth") is not False:
-            yield _rule("SPB-006", "NBIRTH must declare Node Control/Rebirth as false", entry)
-        will = self._will or {}
-        declared = (will.get("sparkplug") or {}).get("metrics") or []
-        death = {metric["name"]: metric["value"] for metric in declared}
-        if "/NDEATH/" not in str(will.get("topic")) or will.get("qos") != 1 or will.get("retain"):
-            yield _rule("SPB-006", "CONNECT must carry an NDEATH will with QoS 1, not retained", entry)
-        elif set(death) != {"bdSeq"} or death["bdSeq"] != metrics.get("bdSeq"):
-            yield _rule("SPB-006", "the will must hold the metric bdSeq alone, equal to NBIRTH's", entry)
-
-
-def _rule(requirement: str, message: str, entry: Entry) -> Finding:
-    return Finding(code="sparkplug", message=message, requirement=requirement, evidence=f"topic {entry['topic']}")

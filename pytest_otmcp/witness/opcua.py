@@ -100,9 +100,7 @@ class OpcUaConversation:
         try:
             return [{"direction": direction, **entry} for entry in self._entries(kind, direction, frame)]
         except MalformedError as error:
-            return [
-                {"direction": direction, "kind": "malformed", "reason": error.reason, "bytes": frame[:256].hex()}
-            ]
+            return [{"direction": direction, "kind": "malformed", "reason": str(error), "bytes": frame[:256].hex()}]
 
     def _entries(self, kind: str, direction: str, frame: bytes) -> list[dict[str, Any]]:
         reader = BinaryReader(frame[8:])

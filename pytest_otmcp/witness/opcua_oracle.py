@@ -99,10 +99,12 @@ def some_service(entries: Entries) -> list[Finding]:
 
 def read_from_device(entries: Entries, node: str | None, at_least: int = 1) -> list[Finding]:
     """The value of ``node`` (None for any) was read from the server at least that often."""
-    count = sum(
-        sum(node in (None, found) for found in _values_read(entry)) for entry in _requests(entries, "Read")
+    count = sum(sum(node in (None, found) for found in _values_read(entry)) for entry in _requests(entries, "Read"))
+    return (
+        []
+        if count >= at_least
+        else [_missing(f"{at_least} read(s) of {node or 'a value'}, there were {count}", entries)]
     )
-    return [] if count >= at_least else [_missing(f"{at_least} read(s) of {node or 'a value'}, there were {count}", entries)]
 
 
 def _missing(what: str, entries: Entries) -> Finding:
@@ -188,7 +190,9 @@ def image_holds(image: Image, node: str, value: Any) -> list[Finding]:
         return []
     return [
         Finding(
-            code="device_differs", message=f"{node} should hold {value!r}, the server holds {held!r}", requirement="WR-001"
+            code="device_differs",
+            message=f"{node} should hold {value!r}, the server holds {held!r}",
+            requirement="WR-001",
         )
     ]
 

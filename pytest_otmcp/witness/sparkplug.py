@@ -34,7 +34,13 @@ _TEXTS = ("bool boolean_value", "string string_value")
 
 # Message to fields: (number, "type name"), "*" marks a repeated field, "=" a member of the oneof `value`.
 _SCHEMA: dict[str, tuple[tuple[int, str], ...]] = {
-    "Payload": ((1, "uint64 timestamp"), (2, "*Metric metrics"), (3, "uint64 seq"), (4, "string uuid"), (5, "bytes body")),
+    "Payload": (
+        (1, "uint64 timestamp"),
+        (2, "*Metric metrics"),
+        (3, "uint64 seq"),
+        (4, "string uuid"),
+        (5, "bytes body"),
+    ),
     "Metric": (
         (1, "string name"),
         (2, "uint64 alias"),
@@ -94,7 +100,9 @@ def payload_class() -> Any:
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
     field_type = descriptor_pb2.FieldDescriptorProto
-    file = descriptor_pb2.FileDescriptorProto(name="otmcp_witness_sparkplug.proto", package="otmcp.witness", syntax="proto2")
+    file = descriptor_pb2.FileDescriptorProto(
+        name="otmcp_witness_sparkplug.proto", package="otmcp.witness", syntax="proto2"
+    )
     for message_name, fields in _SCHEMA.items():
         message = file.message_type.add(name=message_name)
         if any(text.startswith("=") for _, text in fields):

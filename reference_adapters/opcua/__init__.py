@@ -1,1 +1,11 @@
+"""The OPC UA adapter: 7 tools over one session.
 
+Environment: ``OPCUA_URL`` (opc.tcp://127.0.0.1:4840), ``OPCUA_TIMEOUT_S`` (2, per service call), ``OPCUA_DEADLINE_S``
+(4, per tool call), ``OPCUA_WRITES_ENABLED`` (no), ``OPCUA_USERNAME``, ``OPCUA_PASSWORD``.
+"""
+
+from __future__ import annotations
+
+from .tools import build
+
+__all__ = ["build"]

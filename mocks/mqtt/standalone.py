@@ -1,0 +1,112 @@
+"""The edge node alone, at a foreign broker: ``python -m pytest_otmcp.mocks sparkplug --broker mqtt://host:port``.
+
+It prints one ready line with the broker's address and its own control port, and runs until standard input ends. Its
+journal holds the packets of its own connection, as the edge node sees them.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import signal
+import socket
+import sys
+from collections.abc import Mapping
+from typing import Any
+from urllib.parse import urlsplit
+
+from ..control import ControlServer
+from ..device import Device
+from .describe import describe
+from .edge_node import CLIENT_ID, EdgeNode
+from .packets import Packet
+
+__all__ = ["SparkplugSimulator", "broker_address", "run"]
+
+
+def broker_address(url: str) -> tuple[str, int]:
+    """Host and port of ``mqtt://host[:port]``.
+
+    Raises:
+        ValueError: the URL is of another form.
+    """
+    parts = urlsplit(url)
+    if parts.scheme != "mqtt" or not parts.hostname or parts.username or parts.path.strip("/"):
+        raise ValueError(f"expected mqtt://host:port, found {url!r}")
+    return parts.hostname, parts.port or 1883
+
+
+class SparkplugSimulator(Device):
+    """An edge node as a device of its own."""
+
+    protocol = "sparkplug"
+
+    def __init__(self, host: str, port: int) -> None:
+        super().__init__()
+        self._address = (host, port)
+        self._edge_node = EdgeNode(self._observe)
+
+    def _observe(self, direction: str, packet: Packet) -> None:
+        fields = describe(packet)
+        self.journal.append(connection=1, direction=direction, kind=packet.type.name, client_id=CLIENT_ID, **fields)
+
+    async def serve(self, listener: socket.socket) -> None:
+        """Connect to the broker. Nobody connects to an edge node: the listener is closed."""
+        listener.close()
+        await self._edge_node.start(*self._address)
+
+    async def aclose(self) -> None:
+        await self._edge_node.aclose()
+
+    def image(self) -> dict[str, Any]:
+        return {"edge_node": self._edge_node.image()}
+
+    async def poke(self, params: Mapping[str, Any]) -> None:
+        raise ValueError("an edge node has nothing to poke: publish a command at its broker")
+
+    def fault(self, rules: list[dict[str, Any]]) -> list[int]:
+        if rules:
+            raise ValueError("an edge node has no fault plan")
+        return []
+
+    async def reset(self) -> None:
+        await self._edge_node.reset()
+
+    async def tick(self) -> None:
+        await self._edge_node.tick()
+
+
+def run(url: str) -> int:
+    """Serve until standard input ends or a signal arrives; returns the exit code.
+
+    Raises:
+        ValueError: the URL is malformed.
+        OSError: the broker cannot be reached or refuses.
+    """
+    asyncio.run(_run(*broker_address(url)))
+    return 0
+
+
+async def _run(host: str, port: int) -> None:
+    loop = asyncio.get_running_loop()
+    ended = asyncio.Event()
+
+    def read_input() -> None:
+        if not os.read(0, 4096):
+            ended.set()
+
+    # Input that cannot be watched (a file, /dev/null) never ends; then a signal must.
+    with contextlib.suppress(PermissionError):
+        loop.add_reader(0, read_input)
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, ended.set)
+    device = SparkplugSimulator(host, port)
+    await device.serve(socket.socket())
+    control = await ControlServer(device).start()
+    ready = {"event": "ready", "protocol": device.protocol, "host": host, "port": port}
+    sys.stdout.write(json.dumps({**ready, "control": control, "pid": os.getpid()}) + "\n")
+    sys.stdout.flush()
+    await ended.wait()
+    await device.aclose()

@@ -1,0 +1,82 @@
+"""OPC UA status codes (OPC 10000-4, 7.39) as error codes of the envelope."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from asyncua import ua
+
+from ..core import AdapterError
+
+__all__ = ["quality", "refusal", "trace_status"]
+
+# Symbol to (error code, outcome of a write). A Bad code that is not listed is a device_failure of unknown outcome.
+_CODES: dict[str, tuple[str, str]] = {
+    "BadNodeIdInvalid": ("invalid_input", "rejected"),
+    "BadNodeIdUnknown": ("illegal_address", "rejected"),
+    "BadAttributeIdInvalid": ("illegal_address", "rejected"),
+    "BadIndexRangeInvalid": ("invalid_input", "rejected"),
+    "BadIndexRangeNoData": ("illegal_address", "rejected"),
+    "BadTypeMismatch": ("type_mismatch", "rejected"),
+    "BadOutOfRange": ("illegal_value", "rejected"),
+    "BadNotWritable": ("not_writable", "rejected"),
+    "BadNotReadable": ("not_readable", "rejected"),
+    "BadWriteNotSupported": ("unsupported_operation", "rejected"),
+    "BadNotSupported": ("unsupported_operation", "rejected"),
+    "BadServiceUnsupported": ("unsupported_operation", "rejected"),
+    "BadUserAccessDenied": ("access_denied", "rejected"),
+    "BadIdentityTokenInvalid": ("auth_failed", "not_sent"),
+    "BadIdentityTokenRejected": ("auth_failed", "not_sent"),
+    "BadSecurityChecksFailed": ("tls_error", "not_sent"),
+    "BadCertificateUntrusted": ("tls_error", "not_sent"),
+    "BadSecurityPolicyRejected": ("tls_error", "not_sent"),
+    "BadMethodInvalid": ("illegal_address", "rejected"),
+    "BadArgumentsMissing": ("invalid_input", "rejected"),
+    "BadInvalidArgument": ("invalid_input", "rejected"),
+    "BadTooManyArguments": ("invalid_input", "rejected"),
+    "BadTooManyOperations": ("limit_exceeded", "rejected"),
+    "BadNothingToDo": ("invalid_input", "rejected"),
+    "BadRequestTooLarge": ("limit_exceeded", "rejected"),
+    "BadResponseTooLarge": ("limit_exceeded", "rejected"),
+    "BadInvalidState": ("device_busy", "rejected"),
+    "BadResourceUnavailable": ("device_busy", "rejected"),
+    "BadTooManySessions": ("device_busy", "not_sent"),
+    "BadServerHalted": ("connect_failed", "rejected"),
+    "BadShutdown": ("connection_lost", "unknown"),
+    "BadTimeout": ("timeout", "unknown"),
+    "BadRequestTimeout": ("timeout", "unknown"),
+    "BadCommunicationError": ("connection_lost", "unknown"),
+    "BadConnectionClosed": ("connection_lost", "unknown"),
+    "BadNoCommunication": ("bad_quality", "unknown"),
+    "BadNotConnected": ("bad_quality", "rejected"),
+    "BadWaitingForInitialData": ("bad_quality", "rejected"),
+    "BadSensorFailure": ("bad_quality", "rejected"),
+    "BadOutOfService": ("bad_quality", "rejected"),
+    "BadSessionIdInvalid": ("session_error", "rejected"),
+    "BadSessionClosed": ("session_error", "rejected"),
+    "BadSecureChannelIdInvalid": ("session_error", "rejected"),
+    "BadSecureChannelClosed": ("session_error", "unknown"),
+    "BadDecodingError": ("protocol_error", "unknown"),
+    "BadUnknownResponse": ("protocol_error", "unknown"),
+}
+
+
+def trace_status(status: ua.StatusCode) -> dict[str, Any]:
+    """``meta.trace.status_code``: the 32-bit value as it was on the wire, and its symbol."""
+    return {"value": status.value, "symbol": status.name}
+
+
+def quality(status: ua.StatusCode) -> str:
+    """``good``, ``uncertain`` or ``bad``, from the two severity bits; both bits set is bad."""
+    return ("good", "uncertain", "bad", "bad")[status.value >> 30]
+
+
+def refusal(status: ua.StatusCode, *, writes: bool, field: str | None = None) -> AdapterError:
+    """The error of an operation that the server answered with a Bad status."""
+    code, outcome = _CODES.get(status.name, ("device_failure", "unknown"))
+    return AdapterError(
+        code,
+        f"the server answered {status.name}",
+        outcome=outcome if writes else "not_applicable",
+        field=field,
+    )

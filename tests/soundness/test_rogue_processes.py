@@ -1,0 +1,75 @@
+"""A misbehaving process ends in a clear finding within a deadline, and leaves nothing behind."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Any
+
+import psutil
+import pytest
+
+from .conftest import failing, words
+
+Judge = Callable[..., dict[str, dict[str, Any]]]
+
+
+@pytest.fixture(autouse=True)
+def nothing_is_left_behind() -> Any:
+    before = {process.pid for process in psutil.Process().children(recursive=True)}
+    yield
+    left = [
+        process
+        for process in psutil.Process().children(recursive=True)
+        if process.pid not in before and "rogue.py" in " ".join(process.cmdline())
+    ]
+    assert left == []
+
+
+@pytest.mark.parametrize(
+    ("mode", "expected"),
+    [
+        ("dead", r"exited with code 1.*spindle\.conf: no such file"),
+        ("dies-in-initialize", r"exited with code 3 during its handshake.*no module named 'spindle'"),
+        ("stdout-flood", r"floods stdout with lines that are no MCP messages.*I am the spindle"),
+        ("wrong-id", r"a response carries the id \d{4}, which no request had"),
+        ("huge-reply", r"longer than 16 MiB"),
+        ("dies-in-call", r"exited with code 7.*out of spindle oil"),
+        ("hangs-in-call", r"no reply within the deadline of 1\.5 s"),
+        ("not-json", r"not strict JSON: NaN is no JSON number"),
+        ("stderr-flood", r"the device should have seen an exchange"),
+    ],
+)
+def test_the_finding_says_what_the_process_did(judge: Judge, mode: str, expected: str) -> None:
+    results = judge("modbus", "rogue.py", mode, tasks="M1")
+    assert failing(results) == {"M1"}
+    assert results["M1"]["status"] == "FAIL"
+    assert re.search(expected, words(results), re.DOTALL), words(results)
+
+
+def test_an_adapter_that_hangs_in_its_handshake_is_waited_for_once(judge: Judge) -> None:
+    results = judge("modbus", "rogue.py", "hangs-in-initialize", tasks="M1 M2 M3 FM1", time_scale=0.15)
+    assert failing(results) == {"M1", "M2", "M3", "FM1"}
+    assert "did not finish its handshake within" in words(results)
+
+
+def test_a_missing_command_is_named(judge: Judge) -> None:
+    results = judge("modbus", command=("adapter-of-nobody", "--stdio"), tasks="M1")
+    assert "the command 'adapter-of-nobody' was not found" in words(results)
+
+
+def test_a_process_that_never_exits_is_killed_and_reported(judge: Judge) -> None:
+    results = judge("modbus", "rogue.py", "never-exits", tasks="R-modbus")
+    assert "did not exit within" in words(results)
+
+
+def test_children_of_the_adapter_are_ended_too(judge: Judge) -> None:
+    before = set(psutil.pids())
+    judge("modbus", "rogue.py", "forks", tasks="M1")
+    assert [
+        process.info
+        for process in psutil.process_iter(["pid", "cmdline", "status"])
+        if process.pid not in before
+        and process.info["status"] != psutil.STATUS_ZOMBIE
+        and "time.sleep(3600)" in " ".join(process.info["cmdline"] or [])
+    ] == []
