@@ -78,6 +78,9 @@ class Connection(asyncio.Protocol):
         """Handle the packets that have arrived completely."""
         frame: tuple[int, bytes] | None = None
         try:
+            if self._session is None and not self._held and self._framer.held[:1] not in (b"", b"\x10"):
+                # Not waiting for the length that another protocol's second byte seems to announce.
+                raise ProtocolViolation("the first packet is not CONNECT", PROTOCOL_ERROR)
             while self._end_reason is None and not self._held and (frame := self._framer.next()):
                 packet = decode(*frame, self._level)
                 self._last_packet = self._loop.time()
@@ -201,12 +204,11 @@ class Connection(asyncio.Protocol):
             fields = describe_publish(packet, content)
         else:
             fields = describe(packet)
-        first = self._session is None
-        if isinstance(packet, Connect) and first:
+        if isinstance(packet, Connect) and self._session is None:
             self._client_id = packet.client_id
         self._record("in", packet.type.name, **fields)
-        if isinstance(packet, Connect) != first:
-            raise ProtocolViolation(f"{packet.type.name} as {'first' if first else 'later'} packet", PROTOCOL_ERROR)
+        if isinstance(packet, Connect) and self._session is not None:
+            raise ProtocolViolation("a second CONNECT", PROTOCOL_ERROR)
         rule = self._broker.faults.match(packet, self._client_id or "")
         if isinstance(packet, Connect):
             self._connect(packet, rule)

@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..findings import Finding
+from pytest_otmcp.envelope import same_json
+from pytest_otmcp.findings import Finding
 
 __all__ = [
     "exactly_one_request",
@@ -45,13 +46,18 @@ def _seen(entries: Entries) -> str:
 
 def some_exchange(entries: Entries) -> list[Finding]:
     """At least one request reached the device and was answered."""
-    answered = any(entry["kind"] == "response" for entry in entries)
-    if _requests(entries) and answered:
-        return []
+    asked: set[tuple[Any, ...]] = set()
+    for entry in entries:
+        key = (entry["connection"], entry.get("unit"), entry.get("transaction_id"))
+        if entry["kind"] == "request":
+            asked.add(key)
+        elif entry["kind"] == "response" and key in asked:
+            return []
     return [
         Finding(
             code="no_exchange",
-            message="the device should have seen an exchange during the call, it saw none",
+            message="the device should have seen an exchange during the call, it saw "
+            + ("requests that got no answer" if asked else "none"),
             requirement="RD-004",
             evidence=_seen(entries),
         )
@@ -84,7 +90,7 @@ def exactly_one_write(entries: Entries, table: str, *, address: int, values: lis
     functions = (6, 16) if table == "holding_registers" else (5, 15)
     writes = [entry for entry in entries if entry["kind"] == "request" and entry.get("state_changing")]
     if len(writes) == 1 and writes[0]["function"] in functions:
-        if (writes[0].get("address"), writes[0].get("values")) == (address, values):
+        if writes[0].get("address") == address and same_json(writes[0].get("values"), values):
             return []
         problem = "it saw another write"
     else:
@@ -130,8 +136,8 @@ def exception_sent(entries: Entries, code: int) -> list[Finding]:
 
 def image_holds(image: Image, table: str, address: int, values: list[Any], unit: int = 1) -> list[Finding]:
     """The device's memory holds these values."""
-    held = image["units"][str(unit)][table][address : address + len(values)]
-    if held == values:
+    held = image["units"].get(str(unit), {}).get(table, [])[address : address + len(values)]
+    if same_json(held, values):
         return []
     return [
         Finding(
@@ -143,19 +149,27 @@ def image_holds(image: Image, table: str, address: int, values: list[Any], unit:
 
 
 def only_changed(before: Image, after: Image, expected: Mapping[tuple[str, str, int], Any]) -> list[Finding]:
-    """Between two images these cells, given as (unit, table, address), got these values; every other cell is as it was."""
+    """Between two images the cells ``(unit, table, address)`` got these values; every other one is as it was."""
     findings = []
-    for unit, tables in after["units"].items():
-        for table, cells in tables.items():
-            old = before["units"][unit][table]
-            for address, value in enumerate(cells):
-                wanted = expected.get((unit, table, address), old[address])
-                if value != wanted:
-                    findings.append(
-                        Finding(
-                            code="device_differs",
-                            message=f"unit {unit} {table} {address} should hold {wanted}, the device holds {value}",
-                            requirement="WR-001" if (unit, table, address) in expected else "WR-002",
-                        )
-                    )
+    old, new = _cells(before), _cells(after)
+    for cell in sorted(old.keys() | new.keys()):
+        wanted, held = expected.get(cell, old.get(cell)), new.get(cell)
+        if not same_json(held, wanted):
+            unit, table, address = cell
+            findings.append(
+                Finding(
+                    code="device_differs",
+                    message=f"unit {unit} {table} {address} should hold {wanted}, the device holds {held}",
+                    requirement="WR-001" if cell in expected else "WR-002",
+                )
+            )
     return findings[:5]
+
+
+def _cells(image: Image) -> dict[tuple[str, str, int], Any]:
+    return {
+        (unit, table, address): value
+        for unit, tables in image["units"].items()
+        for table, cells in tables.items()
+        for address, value in enumerate(cells)
+    }

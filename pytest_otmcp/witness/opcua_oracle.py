@@ -6,10 +6,12 @@ the plant's data variables by node id, its folders by browse name.
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..findings import Finding
+from pytest_otmcp.envelope import same_json
+from pytest_otmcp.findings import Finding
 
 __all__ = [
     "browsed",
@@ -20,17 +22,23 @@ __all__ = [
     "folder_id",
     "image_holds",
     "names_and_ids_agree",
+    "no_service",
     "no_state_changing_service",
     "only_changed",
     "read_from_device",
     "result_status",
+    "service_count",
     "some_service",
 ]
 
 Entries = Sequence[Mapping[str, Any]]
 Image = Mapping[str, Any]
 
-_SESSION_SERVICES = {"CreateSession", "ActivateSession", "CloseSession", "CONNECTED", "DISCONNECTED"}
+# What keeps a session alive is no sign that anything was asked of the plant.
+_SESSION_SERVICES = frozenset(
+    {"CONNECTED", "DISCONNECTED", "Hello", "OpenSecureChannel", "CloseSecureChannel", "FindServers", "GetEndpoints"}
+    | {"CreateSession", "ActivateSession", "CloseSession", "CreateSubscription", "Publish", "DeleteSubscriptions"}
+)
 
 
 def _requests(entries: Entries, kind: str | None = None) -> list[Mapping[str, Any]]:
@@ -46,7 +54,12 @@ def _nodes(entry: Mapping[str, Any]) -> list[str]:
 
 
 def _values_read(entry: Mapping[str, Any]) -> list[str]:
-    return [node["node_id"] for node in entry["nodes"] if node["attribute"] == "Value"]
+    return [node["node_id"] for node in entry.get("nodes", []) if node["attribute"] == "Value"]
+
+
+def _statuses(entry: Mapping[str, Any]) -> list[str]:
+    results = entry.get("results", [])
+    return [str(result["status"] if isinstance(result, Mapping) else result) for result in results]
 
 
 def _seen(entries: Entries) -> str:
@@ -98,13 +111,17 @@ def some_service(entries: Entries) -> list[Finding]:
 
 
 def read_from_device(entries: Entries, node: str | None, at_least: int = 1) -> list[Finding]:
-    """The value of ``node`` (None for any) was read from the server at least that often."""
-    count = sum(sum(node in (None, found) for found in _values_read(entry)) for entry in _requests(entries, "Read"))
-    return (
-        []
-        if count >= at_least
-        else [_missing(f"{at_least} read(s) of {node or 'a value'}, there were {count}", entries)]
-    )
+    """The value of ``node`` was read from the server at least that often.
+
+    Args:
+        node: node id; None for any node of the plant (those of namespace 0 are the server's own: a client that
+            watches the server's state does not read the plant).
+    """
+    read = [found for entry in _requests(entries, "Read") for found in _values_read(entry)]
+    count = sum(found == node or (node is None and found.startswith("ns=")) for found in read)
+    if count >= at_least:
+        return []
+    return [_missing(f"{at_least} read(s) of {node or 'a value'}, there were {count}", entries)]
 
 
 def _missing(what: str, entries: Entries) -> Finding:
@@ -131,14 +148,37 @@ def exactly_one_service(entries: Entries, kind: str, *, node: str) -> list[Findi
     ]
 
 
-def result_status(entries: Entries, kind: str, symbol: str) -> list[Finding]:
-    """The server answered a request of this service with this status code."""
-    found = [
-        result["status"]
-        for entry in entries
-        if entry["direction"] == "out" and entry["kind"] == kind
-        for result in entry.get("results", [])
+def service_count(entries: Entries) -> dict[str, int]:
+    """How often each service was called, session keeping left out; a bound that no machine's speed changes."""
+    counts: dict[str, int] = {}
+    for entry in _requests(entries):
+        counts[entry["kind"]] = counts.get(entry["kind"], 0) + 1
+    return counts
+
+
+def no_service(entries: Entries, *kinds: str) -> list[Finding]:
+    """None of these services was called."""
+    called = [entry for kind in kinds for entry in _requests(entries, kind)]
+    if not called:
+        return []
+    return [
+        Finding(
+            code="unexpected_service",
+            message=f"the server should have seen no {' and no '.join(kinds)}, it saw {len(called)}",
+            requirement="ERR-006",
+            evidence=_seen(called),
+        )
     ]
+
+
+def result_status(entries: Entries, kind: str, symbol: str) -> list[Finding]:
+    """The server answered a request of this service with this status code, for an item or as a whole."""
+    found: list[str] = []
+    for entry in entries:
+        if entry["direction"] == "out" and entry["kind"] == kind:
+            found += _statuses(entry)
+            if entry.get("service_result") not in (None, "Good"):
+                found.append(str(entry["service_result"]))
     if symbol in found:
         return []
     return [
@@ -151,21 +191,35 @@ def result_status(entries: Entries, kind: str, symbol: str) -> list[Finding]:
 
 
 def exactly_one_write(entries: Entries, node: str, value: Any) -> list[Finding]:
-    """One Write reached the server, of this value to this node."""
+    """One Write reached the server, of this value to this node and of nothing but the value, and was accepted."""
     changing = [entry for entry in _requests(entries) if entry.get("state_changing")]
+    requirement = "WR-003" if len(changing) > 1 else "WR-001"
+    problem = f"it saw {len(changing)} state-changing request(s)"
     if len(changing) == 1 and changing[0]["kind"] == "Write":
-        written = [(item["node_id"], item["attribute"], item["value"]) for item in changing[0]["nodes"]]
-        if written == [(node, "Value", value)]:
+        items = changing[0].get("nodes", [])
+        written = [[item["node_id"], item["attribute"], item["value"]] for item in items]
+        refused = [status for entry in _answers(entries, "Write") for status in _statuses(entry) if status != "Good"]
+        if not same_json(written, [[node, "Value", value]]):
+            problem = f"it saw {written}"
+        elif items[0].get("has_status") or items[0].get("has_timestamp"):
+            # OPC 10000-4, section 5.11.4.1: servers may refuse to have status or timestamps written.
+            requirement, problem = "OUA-005", "a status or a timestamp was written with it"
+        elif refused and not refused[0].startswith("Good"):
+            problem = f"the server refused it with {refused[0]}"
+        else:
             return []
     return [
         Finding(
             code="not_written_once",
-            message=f"the server should have seen one Write of {value!r} to {node}, it saw {len(changing)} "
-            "state-changing request(s)",
-            requirement="WR-003" if len(changing) > 1 else "WR-001",
+            message=f"the server should have seen one Write of {value!r} to {node}, {problem}",
+            requirement=requirement,
             evidence=_seen(entries),
         )
     ]
+
+
+def _answers(entries: Entries, kind: str) -> list[Mapping[str, Any]]:
+    return [entry for entry in entries if entry["direction"] == "out" and entry["kind"] == kind]
 
 
 def no_state_changing_service(entries: Entries) -> list[Finding]:
@@ -185,32 +239,43 @@ def no_state_changing_service(entries: Entries) -> list[Finding]:
 
 def image_holds(image: Image, node: str, value: Any) -> list[Finding]:
     """The server holds this value."""
-    held = image["variables"].get(node, {}).get("value")
-    if held == value and isinstance(held, bool) == isinstance(value, bool):
+    variable = image["variables"].get(node)
+    if variable is not None and _holds(variable, value):
         return []
+    held = "has no such node" if variable is None else f"holds {variable['value']!r}"
     return [
         Finding(
             code="device_differs",
-            message=f"{node} should hold {value!r}, the server holds {held!r}",
+            message=f"{node} should hold {value!r}, the server {held}",
             requirement="WR-001",
         )
     ]
 
 
+def _holds(variable: Mapping[str, Any], value: Any) -> bool:
+    if variable.get("data_type") == "Float" and isinstance(value, float):
+        # The nearest number of four bytes is all that such a node can hold.
+        value = struct.unpack("<f", struct.pack("<f", value))[0]
+    return same_json(variable["value"], value)
+
+
 def only_changed(before: Image, after: Image, expected: Mapping[str, Any]) -> list[Finding]:
-    """Between two images these nodes got these values; every other variable is as it was."""
+    """Between two images these nodes got these values; every other variable is as it was, and none is gone."""
     findings = []
-    for node, variable in after["variables"].items():
-        wanted = expected[node] if node in expected else before["variables"].get(node, {}).get("value")
-        if variable["value"] != wanted:
-            findings.append(
-                Finding(
-                    code="device_differs",
-                    message=f"{node} should hold {wanted!r}, the server holds {variable['value']!r}",
-                    requirement="WR-001" if node in expected else "WR-002",
-                )
+    for node in before["variables"].keys() | after["variables"].keys():
+        old, new = before["variables"].get(node), after["variables"].get(node)
+        wanted = expected[node] if node in expected else None if old is None else old["value"]
+        if new is not None and _holds(new, wanted):
+            continue
+        held = "is gone" if new is None else f"holds {new['value']!r} on the server"
+        findings.append(
+            Finding(
+                code="device_differs",
+                message=f"{node} should hold {wanted!r}, it {held}",
+                requirement="WR-001" if node in expected else "WR-002",
             )
-    return findings[:5]
+        )
+    return sorted(findings, key=lambda finding: finding.message)[:5]
 
 
 def complete_enumeration(ids: Any, image: Image) -> list[Finding]:

@@ -211,17 +211,20 @@ def _metric(metric: Any) -> dict[str, Any]:
 # Sparkplug 3.0.0, section 6.4.16: which field carries which data type. UInt32 has two, since Tahu's Java code and its
 # C code differ and consumers have to live with both.
 _CARRIERS = {
-    **dict.fromkeys(("Int8", "Int16", "Int32", "UInt8", "UInt16"), {"int_value"}),
-    "UInt32": {"int_value", "long_value"},
-    **dict.fromkeys(("Int64", "UInt64", "DateTime"), {"long_value"}),
-    "Float": {"float_value"},
-    "Double": {"double_value"},
-    "Boolean": {"boolean_value"},
-    **dict.fromkeys(("String", "Text", "UUID"), {"string_value"}),
-    "DataSet": {"dataset_value"},
-    "Template": {"template_value"},
-    **dict.fromkeys(("Bytes", "File"), {"bytes_value"}),
-    **dict.fromkeys((name for name in DATA_TYPES if name.endswith("Array")), {"bytes_value"}),
+    name: carriers
+    for names, carriers in (
+        (("Int8", "Int16", "Int32", "UInt8", "UInt16"), {"int_value"}),
+        (("UInt32",), {"int_value", "long_value"}),
+        (("Int64", "UInt64", "DateTime"), {"long_value"}),
+        (("Float",), {"float_value"}),
+        (("Double",), {"double_value"}),
+        (("Boolean",), {"boolean_value"}),
+        (("String", "Text", "UUID"), {"string_value"}),
+        (("DataSet",), {"dataset_value"}),
+        (("Template",), {"template_value"}),
+        (("Bytes", "File", *(name for name in DATA_TYPES if name.endswith("Array"))), {"bytes_value"}),
+    )
+    for name in names
 }
 
 

@@ -6,6 +6,7 @@ meant.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -17,10 +18,16 @@ __all__ = ["Arguments", "BoundsCode", "parse_arguments"]
 
 _BOUNDS = {"greater_than", "greater_than_equal", "less_than", "less_than_equal"}
 _TOO_MUCH = {"too_long", "string_too_long", "bytes_too_long"}
+_MAX_NAME = 100
+_MAX_DEPTH = 20
 
 
 class Arguments(BaseModel):
-    """Base of every tool's arguments."""
+    """Base of every tool's arguments, and of every object inside them.
+
+    A rule that involves several arguments is a ``model_validator(mode="after")`` that raises :class:`AdapterError`. An
+    optional argument that may be left out but not be null is ``name: int = Field(default=None, …)``.
+    """
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
 
@@ -35,33 +42,88 @@ class BoundsCode:
 A = TypeVar("A", bound=Arguments)
 
 
-def parse_arguments(model: type[A], arguments: dict[str, Any] | None) -> A:
-    """Check a call's arguments.
+def parse_arguments(model: type[A], arguments: Any) -> A:
+    """Check a call's arguments, whatever JSON value they are.
 
     Raises:
         AdapterError: the first fault, with a JSON Pointer to it.
     """
+    if arguments is None:
+        arguments = {}
+    if not isinstance(arguments, dict):
+        raise AdapterError("invalid_input", "the arguments must be an object of names and values", field="")
+    _refuse_what_json_lacks(arguments)
     try:
-        return model.model_validate(arguments or {})
+        return model.model_validate(arguments)
     except ValidationError as error:
         fault = error.errors(include_url=False, include_input=False)[0]
-        raise _refusal(model, fault) from None
+        raise _refusal(model, arguments, fault) from None
 
 
-def _refusal(model: type[Arguments], fault: Any) -> AdapterError:
-    pointer = "".join(f"/{part}" for part in fault["loc"]) or "/"
-    kind = fault["type"]
+def _refuse_what_json_lacks(value: Any, pointer: str = "", depth: int = 0) -> None:
+    # A parser reads 1e999 as infinity and "\\ud800" as half a character; where a model says "any value" or "any text"
+    # nothing else refuses them.
+    if isinstance(value, float) and not math.isfinite(value):
+        raise AdapterError("invalid_input", f"{pointer}: numbers must be finite", field=pointer)
+    if isinstance(value, str) and not value.isascii() and _is_half_text(value):
+        raise AdapterError("invalid_input", f"{pointer}: the text holds a lone surrogate", field=pointer)
+    if not isinstance(value, dict | list):
+        return
+    if depth == _MAX_DEPTH:
+        raise AdapterError("limit_exceeded", f"arguments may be nested {_MAX_DEPTH} deep", field=pointer[:_MAX_NAME])
+    for name, member in value.items() if isinstance(value, dict) else enumerate(value):
+        if isinstance(member, float | str | dict | list):
+            _refuse_what_json_lacks(member, f"{pointer}/{_escaped(name)}", depth + 1)
+
+
+def _is_half_text(text: str) -> bool:
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return True
+    return False
+
+
+def _escaped(name: object) -> str:
+    text = str(name)[:_MAX_NAME].encode("utf-8", "replace").decode()
+    return text.replace("~", "~0").replace("/", "~1")
+
+
+def _pointer(arguments: Any, location: tuple[int | str, ...]) -> str:
+    """JSON Pointer (RFC 6901) to a fault. pydantic's location also names the branches of a union; these are no names."""
+    pointer = ""
+    for index, part in enumerate(location):
+        inside = (isinstance(arguments, dict) and part in arguments) or (
+            isinstance(arguments, list) and isinstance(part, int) and part < len(arguments)
+        )
+        if inside or (isinstance(arguments, dict) and index == len(location) - 1):
+            pointer += f"/{_escaped(part)}"
+        arguments = arguments[part] if inside else None
+    return pointer
+
+
+def _refusal(model: type[Arguments], arguments: dict[str, Any], fault: Any) -> AdapterError:
+    kind, location = fault["type"], fault["loc"]
+    pointer = _pointer(arguments, location)
     allowed = {name: value for name, value in (fault.get("ctx") or {}).items() if isinstance(value, int | float | str)}
+    code = "invalid_input"
     if kind == "extra_forbidden":
         known = ", ".join(model.model_fields) or "none"
-        return AdapterError("invalid_input", f"unknown argument {pointer}; known are: {known}", field=pointer)
-    if kind == "missing":
-        return AdapterError("invalid_input", f"the argument {pointer} is missing", field=pointer)
-    code = "invalid_input"
-    if kind in _BOUNDS:
-        field = model.model_fields.get(str(fault["loc"][0]))
-        codes = [mark.code for mark in (field.metadata if field else []) if isinstance(mark, BoundsCode)]
-        code = codes[0] if codes else code
-    elif kind in _TOO_MUCH:
-        code = "limit_exceeded"
-    return AdapterError(code, f"{pointer}: {fault['msg']}", field=pointer, allowed=allowed or None)
+        message = f"unknown argument {pointer}" + (f"; known are: {known}" if len(location) == 1 else "")
+    elif kind == "missing":
+        message = f"the argument {pointer} is missing"
+    else:
+        message = f"{pointer}: {fault['msg']}"
+        code = _code(model, kind, location)
+    return AdapterError(code, message, field=pointer, allowed=allowed or None)
+
+
+def _code(model: type[Arguments], kind: str, location: tuple[int | str, ...]) -> str:
+    if kind in _TOO_MUCH:
+        return "limit_exceeded"
+    field = model.model_fields.get(str(location[0])) if location else None
+    if kind not in _BOUNDS or field is None:
+        return "invalid_input"
+    code = next((mark.code for mark in field.metadata if isinstance(mark, BoundsCode)), "invalid_input")
+    # A limit is something from above: asking for -1 of something exceeds none, it makes no sense.
+    return "invalid_input" if code == "limit_exceeded" and kind.startswith("greater") else code

@@ -9,45 +9,82 @@ from typing import Any
 
 from .errors import AdapterError
 
-__all__ = ["Call"]
+__all__ = ["Call", "Connection"]
+
+
+class Connection:
+    """What is known about the connection to the device; one per server, shared by its calls.
+
+    Attributes:
+        state: ``connected`` or ``disconnected``.
+        generation: how many connections there have been.
+    """
+
+    def __init__(self) -> None:
+        self.state = "disconnected"
+        self.generation = 0
 
 
 class Call:
     """Filled in by a tool while it works; becomes ``meta``.
 
+    A tool, or the link below it, reports in this order::
+
+        call.connection(generation=link.generation, fresh=just_connected)
+        call.trace.update(unit=1, function=3)
+        call.sending()  # immediately before the bytes go to the transport
+        call.answered()  # when the device's answer is there, whatever it says
+
+    Whoever skips one of them lies in the envelope: ``attempts``, ``outcome`` and ``source`` come from nothing else.
+
     Attributes:
         attempts: requests that were handed to the transport, repetitions included.
         sent: a state-changing request may have left this process.
         trace: facts of the exchange as it was on the wire, see the envelope's description.
-        source: ``device`` when the data came from the device in this call, else ``none``.
+        source: ``device`` when the data came from the device in this call, ``cache`` when it was received earlier,
+            else ``none``.
+        extra: further members of ``meta`` that only some calls have: ``age_ms``, ``truncated``, ``untrusted``, ….
     """
 
-    def __init__(self, *, protocol: str, operation: str, endpoint: str, writes: bool) -> None:
+    def __init__(
+        self, *, protocol: str, operation: str, endpoint: str, writes: bool, shared: Connection | None = None
+    ) -> None:
         self.protocol = protocol
         self.writes = writes
         self.attempts = 0
         self.sent = False
         self.trace: dict[str, Any] = {}
         self.source = "none"
+        self.extra: dict[str, Any] = {}
         self._operation = operation
         self._endpoint = endpoint
-        self._connection = {"state": "disconnected", "generation": 0}
+        self._shared = Connection() if shared is None else shared
+        self._used: dict[str, Any] | None = None
         self._started_at = datetime.now(UTC)
         self._started = time.monotonic()
 
     def connection(self, *, generation: int, fresh: bool) -> None:
         """The call uses the connection of this generation; ``fresh`` when it had to be made for it."""
         state = "reconnected" if fresh and generation > 1 else "connected"
-        self._connection = {"state": state, "generation": generation}
+        self._used = {"state": state, "generation": generation}
+        self._shared.state = "connected"
+        self._shared.generation = max(generation, self._shared.generation)
 
     def disconnected(self) -> None:
-        """The connection was found broken."""
-        self._connection["state"] = "disconnected"
+        """The connection was found broken, or could not be made."""
+        generation = self._shared.generation if self._used is None else self._used["generation"]
+        self._used = {"state": "disconnected", "generation": generation}
+        if generation == self._shared.generation:
+            self._shared.state = "disconnected"
 
-    def sending(self) -> None:
-        """A request is about to be handed to the transport."""
+    def sending(self, *, changes_state: bool = True) -> None:
+        """A request is about to be handed to the transport.
+
+        Args:
+            changes_state: False for what a writing tool only asks, for instance the type of its target.
+        """
         self.attempts += 1
-        self.sent = self.writes
+        self.sent = self.sent or (self.writes and changes_state)
 
     def answered(self, **trace: Any) -> None:
         """The device answered."""
@@ -76,6 +113,8 @@ class Call:
             "attempts": self.attempts,
             "request_id": uuid.uuid4().hex,
             "source": self.source,
-            "connection": self._connection,
+            # A call that did not get as far as the connection reports what the others know about it.
+            "connection": self._used or {"state": self._shared.state, "generation": self._shared.generation},
             "trace": self.trace,
+            **self.extra,
         }

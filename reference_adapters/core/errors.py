@@ -18,8 +18,8 @@ REGISTRY: dict[str, tuple[str, bool, bool]] = {
     "unsupported_operation": ("validation", False, False),
     "config_error": ("internal", False, False),
     "writes_disabled": ("policy", False, False),
-    "access_denied": ("device", False, False),
-    "rate_limited": ("device", True, True),
+    "access_denied": ("policy", False, False),
+    "rate_limited": ("policy", True, True),
     "illegal_address": ("device", False, False),
     "illegal_value": ("device", False, False),
     "not_readable": ("device", False, False),
@@ -43,7 +43,12 @@ REGISTRY: dict[str, tuple[str, bool, bool]] = {
     "internal_error": ("internal", False, False),
 }
 
-_NOTHING_SENT = frozenset({"validation", "policy"})
+_NOTHING_SENT = frozenset({"validation", "policy", "state"})
+# Refusals that are ours when nothing was sent, and the device's otherwise.
+_ALSO_FROM_DEVICES = frozenset(
+    {"type_mismatch", "limit_exceeded", "unsupported_operation", "access_denied", "rate_limited"}
+)
+_MAX_MESSAGE = 500
 
 
 class AdapterError(Exception):
@@ -51,13 +56,18 @@ class AdapterError(Exception):
 
     Attributes:
         code: a key of :data:`REGISTRY`.
-        message: one actionable sentence. Never with text that came from the device.
+        message: one sentence that tells the caller what to do differently. Never with text that came from the device:
+            an assistant reads it as the adapter's own words.
         outcome: ``not_sent``, ``rejected``, ``unknown``, ``partial`` or ``applied``; None lets the call decide from
             what it knows to have been sent.
         field: JSON Pointer to the argument that is at fault.
         allowed: the bound or set that was violated.
         details: further facts.
         partial: what succeeded, of a call with several items.
+        retry_after_ms: when repeating the call has a chance, where that is known.
+
+    Raises:
+        ValueError: the code is not in the registry, or the message is empty.
     """
 
     def __init__(
@@ -70,8 +80,11 @@ class AdapterError(Exception):
         allowed: dict[str, Any] | None = None,
         details: dict[str, Any] | None = None,
         partial: Any = None,
+        retry_after_ms: int | None = None,
     ) -> None:
         super().__init__(message)
+        if code not in REGISTRY or not message:
+            raise ValueError(f"an error needs a message and a code of the registry, not {code!r}")
         self.code = code
         self.message = message
         self.outcome = outcome
@@ -79,6 +92,7 @@ class AdapterError(Exception):
         self.allowed = allowed
         self.details = details
         self.partial = partial
+        self.retry_after_ms = retry_after_ms
 
     def as_error(self, *, writes: bool, sent: bool) -> dict[str, Any]:
         """The envelope's ``error`` member.
@@ -88,25 +102,26 @@ class AdapterError(Exception):
             sent: a state-changing request may have left.
         """
         kind, retry_read, retry_write = REGISTRY[self.code]
-        if self.outcome is not None:
-            outcome = self.outcome
-        elif kind in _NOTHING_SENT or (writes and not sent):
-            outcome = "not_sent"
-        elif not writes:
-            outcome = "not_applicable"
-        else:
-            outcome = "unknown" if kind != "device" else "rejected"
-        if kind == "validation" and outcome == "rejected":
+        outcome = self.outcome or _outcome(kind, writes=writes, sent=sent)
+        if self.code in _ALSO_FROM_DEVICES and outcome in ("rejected", "not_applicable"):
             kind = "device"
         error: dict[str, Any] = {
             "code": self.code,
             "class": kind,
-            "message": self.message[:500],
-            # What certainly did not happen may simply be repeated, if repeating can help at all.
-            "retryable": retry_write if writes else retry_read,
+            "message": self.message[:_MAX_MESSAGE],
+            # What certainly did not happen may be repeated like a read, if repeating can help at all.
+            "retryable": retry_write if writes and outcome != "not_sent" else retry_read,
             "outcome": outcome,
         }
-        for name in ("field", "allowed", "details"):
+        for name in ("field", "allowed", "details", "retry_after_ms"):
             if getattr(self, name) is not None:
                 error[name] = getattr(self, name)
         return error
+
+
+def _outcome(kind: str, *, writes: bool, sent: bool) -> str:
+    if kind in _NOTHING_SENT or (writes and not sent):
+        return "not_sent"
+    if not writes:
+        return "not_applicable"
+    return "rejected" if kind == "device" else "unknown"

@@ -29,9 +29,9 @@ from mcp.types import (
 )
 
 from .arguments import Arguments, parse_arguments
-from .call import Call
+from .call import Call, Connection
 from .errors import AdapterError
-from .schema import output_schema
+from .schema import input_schema, output_schema
 
 __all__ = ["AdapterServer"]
 
@@ -83,6 +83,7 @@ class AdapterServer:
         self._deadline_s = deadline_s
         self._close = close
         self._tools: dict[str, _Tool] = {}
+        self._connection = Connection()
         self.mcp: Server[None] = Server(
             name,
             version=version,
@@ -113,16 +114,16 @@ class AdapterServer:
         """
 
         def register(handler: Handler) -> Handler:
-            model: type[Arguments] = get_type_hints(handler)["arguments"]
+            hints = get_type_hints(handler)
             name = handler.__name__
-            schema = model.model_json_schema()
-            schema.pop("title", None)
+            if name in self._tools:
+                raise ValueError(f"there are two tools named {name}")
             self._tools[name] = _Tool(
                 listing=Tool(
                     name=name,
                     description=inspect.cleandoc(handler.__doc__ or ""),
-                    input_schema=schema,
-                    output_schema=output_schema(),
+                    input_schema=input_schema(hints["arguments"]),
+                    output_schema=output_schema(hints["return"]),
                     annotations=ToolAnnotations(
                         read_only_hint=not writes,
                         destructive_hint=writes,
@@ -130,7 +131,7 @@ class AdapterServer:
                         open_world_hint=False,
                     ),
                 ),
-                model=model,
+                model=hints["arguments"],
                 handler=handler,
                 operation=operation,
                 protocol=protocol or self._protocol,
@@ -148,28 +149,37 @@ class AdapterServer:
     async def _call_tool(self, context: ServerRequestContext[None], params: CallToolRequestParams) -> CallToolResult:
         tool = self._tools.get(params.name)
         if tool is None:
-            raise MCPError(INVALID_PARAMS, f"Unknown tool: {params.name}")
-        call = Call(protocol=tool.protocol, operation=tool.operation, endpoint=self.endpoint, writes=tool.writes)
+            # Server/tools, section Error Handling: an unknown tool is a protocol error, not a result.
+            raise MCPError(INVALID_PARAMS, f"Unknown tool: {params.name[:100]}")
+        return await self._answer(tool, params.arguments)
+
+    async def _answer(self, tool: _Tool, arguments: Any) -> CallToolResult:
+        call = Call(
+            protocol=tool.protocol,
+            operation=tool.operation,
+            endpoint=self.endpoint,
+            writes=tool.writes,
+            shared=self._connection,
+        )
         try:
-            envelope = call.success(await self._perform(tool, call, params.arguments))
+            return _result(call.success(await self._perform(tool, call, arguments)))
         except AdapterError as error:
-            envelope = call.failure(error)
+            return _result(call.failure(error))
         except Exception:
             # A bug of ours: its traceback is for whoever reads the log, not for an assistant.
-            log.exception("tool %s failed unexpectedly", params.name)
-            envelope = call.failure(AdapterError("internal_error", "the adapter failed unexpectedly; see its log"))
-        return _result(envelope)
+            log.exception("tool %s failed unexpectedly", tool.listing.name)
+            return _result(call.failure(AdapterError("internal_error", "the adapter failed unexpectedly; see its log")))
 
-    async def _perform(self, tool: _Tool, call: Call, arguments: dict[str, Any] | None) -> dict[str, Any]:
+    async def _perform(self, tool: _Tool, call: Call, arguments: Any) -> dict[str, Any]:
         parsed = parse_arguments(tool.model, arguments)
         if tool.writes and not self.writes_enabled:
             raise AdapterError("writes_disabled", f"writes are disabled; set {self._switch}=true to enable them")
         try:
-            async with asyncio.timeout(self._deadline_s):
+            async with asyncio.timeout(self._deadline_s) as deadline:
                 return await tool.handler(call, parsed)
         except TimeoutError:
-            call.disconnected()
-            raise AdapterError("timeout", f"the device did not answer within {self._deadline_s:g} s") from None
+            limit = f"within {self._deadline_s:g} s" if deadline.expired() else "in time"
+            raise AdapterError("timeout", f"the device did not answer {limit}") from None
 
 
 def _result(envelope: dict[str, Any]) -> CallToolResult:

@@ -58,7 +58,7 @@ class Environment:
 
     def writes_enabled(self, name: str) -> bool:
         """The write switch. Unset means no; so does everything that is not clearly a yes, with a warning."""
-        text = self._values.get(name, "").strip().lower()
+        text = self._values.get(name, "").lower()
         if text not in _TRUE + _FALSE:
             print(f"{name}: {text!r} is not understood; writes stay disabled", file=sys.stderr)
         return text in _TRUE

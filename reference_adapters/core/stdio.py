@@ -10,46 +10,70 @@ library cannot end up between two messages.
 from __future__ import annotations
 
 import asyncio
+import json
+import logging
 import os
+import signal
+import stat
 import sys
+from contextlib import suppress
 from typing import Self
 
 import anyio
 from anyio.streams.memory import MemoryObjectSendStream
 from mcp.server import Server
+from mcp.server.stdio import stdio_server
 from mcp.shared.message import SessionMessage
-from mcp.types import jsonrpc_message_adapter
+from mcp.types import JSONRPCMessage, jsonrpc_message_adapter
 from pydantic import ValidationError
 
 __all__ = ["serve_stdio"]
 
 _MAX_LINE = 32 * 1024 * 1024
+_FLUSH_S = 0.2
+
+log = logging.getLogger(__name__)
 
 
 class _Input(asyncio.Protocol):
-    """Cuts standard input into lines and lines into messages."""
+    """Cuts standard input into lines and lines into messages. What is no message is left out, and stderr says so."""
 
     def __init__(self, messages: MemoryObjectSendStream[SessionMessage | Exception]) -> None:
         self._messages = messages
-        self._partial = b""
+        self._buffer = bytearray()
+        self._searched = 0
+        self._overlong = False
 
     def data_received(self, data: bytes) -> None:
-        *lines, self._partial = (self._partial + data).split(b"\n")
-        for line in lines:
-            if line.strip():
+        self._buffer += data
+        start = 0
+        while (end := self._buffer.find(b"\n", max(start, self._searched))) >= 0:
+            line = bytes(self._buffer[start:end])
+            start = end + 1
+            if self._overlong:
+                self._overlong = False
+            elif not line.isspace() and line:
                 self._deliver(line)
-        if len(self._partial) > _MAX_LINE:
-            self._messages.close()
+        if start:
+            del self._buffer[:start]
+        if len(self._buffer) > _MAX_LINE:
+            log.warning("a line of more than %d bytes was dropped", _MAX_LINE)
+            self._overlong = True
+            self._buffer.clear()
+        self._searched = len(self._buffer)
 
     def _deliver(self, line: bytes) -> None:
         try:
-            message: SessionMessage | Exception = SessionMessage(jsonrpc_message_adapter.validate_json(line))
-        except ValidationError as error:
-            message = error
-        try:
-            self._messages.send_nowait(message)
-        except (anyio.BrokenResourceError, anyio.ClosedResourceError):
-            self._partial = b""
+            message = jsonrpc_message_adapter.validate_json(line, by_name=False)
+        except ValidationError:
+            try:
+                message = _second_reading(line)
+            except (ValueError, RecursionError):
+                log.warning("a line of %d bytes that is no JSON-RPC message was dropped", len(line))
+                return
+        # The stream is closed when the session has ended; whatever comes after that has nobody to answer it.
+        with suppress(anyio.BrokenResourceError, anyio.ClosedResourceError):
+            self._messages.send_nowait(SessionMessage(message))
 
     def eof_received(self) -> None:
         self._messages.close()
@@ -58,12 +82,27 @@ class _Input(asyncio.Protocol):
         self._messages.close()
 
 
+def _second_reading(line: bytes) -> JSONRPCMessage:
+    """A reader with fewer scruples: deep nesting and lone surrogates reach the tool, which can refuse them in words.
+
+    Raises:
+        ValueError, RecursionError: this is no message.
+    """
+    limit = sys.getrecursionlimit()
+    sys.setrecursionlimit(10 * limit)
+    try:
+        return jsonrpc_message_adapter.validate_python(json.loads(line), by_name=False)
+    finally:
+        sys.setrecursionlimit(limit)
+
+
 class _Output(asyncio.BaseProtocol):
     """Writes messages straight to the pipe; the write end of the session."""
 
     def __init__(self) -> None:
         self._writable = asyncio.Event()
         self._writable.set()
+        self._lost = asyncio.Event()
         self._pipe: asyncio.WriteTransport
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -78,6 +117,13 @@ class _Output(asyncio.BaseProtocol):
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._writable.set()
+        self._lost.set()
+
+    async def flushed(self) -> None:
+        """Wait, not for long, until what was sent has left; the client may have stopped reading."""
+        with suppress(TimeoutError):
+            async with asyncio.timeout(_FLUSH_S):
+                await self._lost.wait()
 
     async def send(self, item: SessionMessage, /) -> None:
         if self._pipe.is_closing():
@@ -96,7 +142,12 @@ class _Output(asyncio.BaseProtocol):
 
 
 async def serve_stdio(server: Server[None]) -> None:
-    """Serve until standard input ends."""
+    """Serve until standard input ends, or the process is asked to."""
+    if not (_is_pipe(0) and _is_pipe(1)):
+        # ``adapter < requests.jsonl``: the loop cannot watch files. The SDK's threads can read them.
+        async with stdio_server() as streams:
+            await server.run(*streams, server.create_initialization_options())
+        return
     loop = asyncio.get_running_loop()
     wire_in, wire_out = os.dup(0), os.dup(1)
     sys.stdout.flush()
@@ -105,6 +156,14 @@ async def serve_stdio(server: Server[None]) -> None:
     os.dup2(null, 0)
     os.close(null)
     send, receive = anyio.create_memory_object_stream[SessionMessage | Exception](float("inf"))
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, send.close)
     await loop.connect_read_pipe(lambda: _Input(send), os.fdopen(wire_in, "rb", buffering=0))
     _, output = await loop.connect_write_pipe(_Output, os.fdopen(wire_out, "wb", buffering=0))
     await server.run(receive, output, server.create_initialization_options())
+    await output.flushed()
+
+
+def _is_pipe(descriptor: int) -> bool:
+    mode = os.fstat(descriptor).st_mode
+    return stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode) or os.isatty(descriptor)

@@ -15,7 +15,6 @@ from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 from paho.mqtt.subscribeoptions import SubscribeOptions
-
 from pytest_otmcp.mocks.journal import Entry, Journal
 from pytest_otmcp.mocks.mqtt.broker import Broker, Limits
 from pytest_otmcp.mocks.mqtt.connection import Connection
@@ -81,7 +80,9 @@ class RunningBroker:
 class Peer:
     """A paho client of a broker. Use as a context manager: leaving it cuts the connection if it still exists."""
 
-    def __init__(self, port: int, client_id: str = "", *, version: int = 5, clean: bool = True, **settings: Any) -> None:
+    def __init__(
+        self, port: int, client_id: str = "", *, version: int = 5, clean: bool = True, **settings: Any
+    ) -> None:
         self.port, self.version, self.clean = port, version, clean
         self.client = paho.Client(
             CallbackAPIVersion.VERSION2,
@@ -93,8 +94,8 @@ class Peer:
         )
         self.connect_properties: dict[str, Any] = settings.pop("properties", {})
         self.keepalive: int = settings.pop("keepalive", 60)
-        will = settings.pop("will", None)
-        if will is not None:
+        will = dict(settings.pop("will", {}))
+        if will:
             will_properties = will.pop("properties", None)
             if will_properties is not None:
                 will["properties"] = properties(PacketTypes.WILLMESSAGE, **will_properties)
@@ -255,11 +256,11 @@ def frame(first: int, *parts: bytes) -> bytes:
     return bytes([first, len(body)]) + body
 
 
-def connect_bytes(client_id: str = "raw", level: int = 4, flags: int = 2, tail: bytes = b"", props: bytes = b"\0") -> bytes:
+def connect_bytes(
+    client_id: str = "raw", level: int = 4, flags: int = 2, tail: bytes = b"", props: bytes = b"\0"
+) -> bytes:
     """A CONNECT with keep-alive 0."""
-    return frame(
-        0x10, utf8("MQTT"), bytes([level, flags, 0, 0]), props if level == 5 else b"", utf8(client_id), tail
-    )
+    return frame(0x10, utf8("MQTT"), bytes([level, flags, 0, 0]), props if level == 5 else b"", utf8(client_id), tail)
 
 
 @contextmanager
