@@ -73,6 +73,7 @@ class Broker:
         self.retained: dict[str, Message] = {}
         self.sessions: dict[str, Session] = {}
         self.connections = 0
+        self.open: set[asyncio.Transport] = set()
         self._assigned = itertools.count(1)
         self._routes: dict[str, _Route] = {}
         self._turns: dict[tuple[str, str], int] = {}
@@ -256,6 +257,13 @@ class Broker:
         """Remove a subscription; whether there was one."""
         self._routes.clear()
         return session.subscriptions.pop(topic_filter, None) is not None
+
+    async def aclose(self) -> None:
+        """Cut all connections."""
+        for transport in self.open:
+            transport.abort()
+        while self.open:
+            await asyncio.sleep(0)
 
     # -- from outside -------------------------------------------------------------------------------------
 

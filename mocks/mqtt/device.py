@@ -53,6 +53,7 @@ class MqttDevice(Device):
         await self.edge_node.aclose()
         for server in self._servers:
             server.close()
+        await self.broker.aclose()
 
     def image(self) -> dict[str, Any]:
         return {

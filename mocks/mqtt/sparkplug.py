@@ -1,93 +1,138 @@
 """The Sparkplug B payload (Sparkplug 3.0, section 6.4), from a table of its fields.
 
 The descriptors are built at import in a pool of their own: no generated code, no clash with another package's copy of
-the same schema. Field names and numbers are those of the Eclipse Sparkplug specification (EFSL); members this kit only
-has to keep (metadata, properties, data sets, templates) are declared as bytes, which is the same on the wire.
+the same schema. Names, numbers and types are those of the Eclipse Sparkplug specification (EFSL). Its empty extension
+messages are left out: what they would hold is kept as unknown fields.
 """
 
 from __future__ import annotations
 
-import struct
+import base64
+from collections.abc import Sequence
 from typing import Any
 
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from google.protobuf.message import DecodeError
 
 __all__ = ["DATATYPES", "decode_message", "encode_payload", "topic_parts"]
 
-_F = descriptor_pb2.FieldDescriptorProto
-_PAYLOAD = (
-    ("timestamp", 1, _F.TYPE_UINT64),
-    ("seq", 3, _F.TYPE_UINT64),
-    ("uuid", 4, _F.TYPE_STRING),
-    ("body", 5, _F.TYPE_BYTES),
+_SCALARS = (
+    ("int_value", "uint32"),
+    ("long_value", "uint64"),
+    ("float_value", "float"),
+    ("double_value", "double"),
+    ("boolean_value", "bool"),
+    ("string_value", "string"),
 )
-_METRIC = (
-    ("name", 1, _F.TYPE_STRING),
-    ("alias", 2, _F.TYPE_UINT64),
-    ("timestamp", 3, _F.TYPE_UINT64),
-    ("datatype", 4, _F.TYPE_UINT32),
-    ("is_historical", 5, _F.TYPE_BOOL),
-    ("is_transient", 6, _F.TYPE_BOOL),
-    ("is_null", 7, _F.TYPE_BOOL),
-    ("metadata", 8, _F.TYPE_BYTES),
-    ("properties", 9, _F.TYPE_BYTES),
-)
-_VALUE = (
-    ("int_value", 10, _F.TYPE_UINT32),
-    ("long_value", 11, _F.TYPE_UINT64),
-    ("float_value", 12, _F.TYPE_FLOAT),
-    ("double_value", 13, _F.TYPE_DOUBLE),
-    ("boolean_value", 14, _F.TYPE_BOOL),
-    ("string_value", 15, _F.TYPE_STRING),
-    ("bytes_value", 16, _F.TYPE_BYTES),
-    ("dataset_value", 17, _F.TYPE_BYTES),
-    ("template_value", 18, _F.TYPE_BYTES),
-)
-
-DATATYPES = {
-    "Int8": 1,
-    "Int16": 2,
-    "Int32": 3,
-    "Int64": 4,
-    "UInt8": 5,
-    "UInt16": 6,
-    "UInt32": 7,
-    "UInt64": 8,
-    "Float": 9,
-    "Double": 10,
-    "Boolean": 11,
-    "String": 12,
-    "DateTime": 13,
-    "Text": 14,
-    "UUID": 15,
-    "Bytes": 17,
+_SCHEMA: dict[str, tuple[Sequence[tuple[str, str]], Sequence[tuple[str, str]]]] = {
+    # Message: its fields, then those of its oneof "value", numbered from 1 in this order. A star repeats.
+    "Payload": (
+        (
+            ("timestamp", "uint64"),
+            ("metrics", "Metric*"),
+            ("seq", "uint64"),
+            ("uuid", "string"),
+            ("body", "bytes"),
+        ),
+        (),
+    ),
+    "Metric": (
+        (
+            ("name", "string"),
+            ("alias", "uint64"),
+            ("timestamp", "uint64"),
+            ("datatype", "uint32"),
+            ("is_historical", "bool"),
+            ("is_transient", "bool"),
+            ("is_null", "bool"),
+            ("metadata", "MetaData"),
+            ("properties", "PropertySet"),
+        ),
+        (
+            *_SCALARS,
+            ("bytes_value", "bytes"),
+            ("dataset_value", "DataSet"),
+            ("template_value", "Template"),
+        ),
+    ),
+    "MetaData": (
+        (
+            ("is_multi_part", "bool"),
+            ("content_type", "string"),
+            ("size", "uint64"),
+            ("seq", "uint64"),
+            ("file_name", "string"),
+            ("file_type", "string"),
+            ("md5", "string"),
+            ("description", "string"),
+        ),
+        (),
+    ),
+    "PropertySet": ((("keys", "string*"), ("values", "PropertyValue*")), ()),
+    "PropertySetList": ((("propertyset", "PropertySet*"),), ()),
+    "PropertyValue": (
+        (("type", "uint32"), ("is_null", "bool")),
+        (*_SCALARS, ("propertyset_value", "PropertySet"), ("propertysets_value", "PropertySetList")),
+    ),
+    "DataSet": (
+        (("num_of_columns", "uint64"), ("columns", "string*"), ("types", "uint32*"), ("rows", "Row*")),
+        (),
+    ),
+    "Row": ((("elements", "DataSetValue*"),), ()),
+    "DataSetValue": ((), _SCALARS),
+    "Template": (
+        (
+            ("version", "string"),
+            ("metrics", "Metric*"),
+            ("parameters", "Parameter*"),
+            ("template_ref", "string"),
+            ("is_definition", "bool"),
+        ),
+        (),
+    ),
+    "Parameter": ((("name", "string"), ("type", "uint32")), _SCALARS),
 }
-_SIGNED = {1: 32, 2: 32, 3: 32, 4: 64}
+
+_NAMES = "Int8 Int16 Int32 Int64 UInt8 UInt16 UInt32 UInt64 Float Double Boolean String DateTime Text UUID DataSet Bytes File"
+DATATYPES = {name: number for number, name in enumerate(_NAMES.split(), start=1)}
+"""Datatype indexes (section 6.4.16), as far as values are set or read here."""
+
+_SIGNED = {DATATYPES[name] for name in ("Int8", "Int16", "Int32", "Int64")}
+_MEMBERS = {
+    **dict.fromkeys(("Int8", "Int16", "Int32", "UInt8", "UInt16", "UInt32"), "int_value"),
+    **dict.fromkeys(("Int64", "UInt64", "DateTime"), "long_value"),
+    **dict.fromkeys(("String", "Text", "UUID"), "string_value"),
+    "Float": "float_value",
+    "Double": "double_value",
+    "Boolean": "boolean_value",
+    "Bytes": "bytes_value",
+    "File": "bytes_value",
+}
+_BITS = {"int_value": 32, "long_value": 64}
 
 
 def _build() -> Any:
-    file = descriptor_pb2.FileDescriptorProto(
-        name="otmcp_mock_sparkplug_b.proto", package="otmcp.mock", syntax="proto2"
-    )
-    payload = file.message_type.add(name="Payload")
-    metric = payload.nested_type.add(name="Metric")
-    metric.oneof_decl.add(name="value")
-    for name, number, kind in _METRIC:
-        metric.field.add(name=name, number=number, type=kind, label=_F.LABEL_OPTIONAL)
-    for name, number, kind in _VALUE:
-        metric.field.add(name=name, number=number, type=kind, label=_F.LABEL_OPTIONAL, oneof_index=0)
-    for name, number, kind in _PAYLOAD:
-        payload.field.add(name=name, number=number, type=kind, label=_F.LABEL_OPTIONAL)
-    payload.field.add(
-        name="metrics",
-        number=2,
-        type=_F.TYPE_MESSAGE,
-        type_name=".otmcp.mock.Payload.Metric",
-        label=_F.LABEL_REPEATED,
-    )
+    package = "otmcp.mock.sparkplug"
+    kinds = descriptor_pb2.FieldDescriptorProto
+    file = descriptor_pb2.FileDescriptorProto(name="otmcp_mock_sparkplug.proto", package=package, syntax="proto2")
+    for message_name, (fields, alternatives) in _SCHEMA.items():
+        message = file.message_type.add(name=message_name)
+        if alternatives:
+            message.oneof_decl.add(name="value")
+        for number, (name, declared) in enumerate((*fields, *alternatives), start=1):
+            label = kinds.LABEL_REPEATED if declared.endswith("*") else kinds.LABEL_OPTIONAL
+            field = message.field.add(name=name, number=number, label=label)
+            if number > len(fields):
+                field.oneof_index = 0
+            kind = declared.rstrip("*")
+            if kind in _SCHEMA:
+                field.type = kinds.TYPE_MESSAGE
+                field.type_name = f".{package}.{kind}"
+            else:
+                field.type = kinds.Type.Value(f"TYPE_{kind.upper()}")
     pool = descriptor_pool.DescriptorPool()
     pool.Add(file)
-    return message_factory.GetMessageClass(pool.FindMessageTypeByName("otmcp.mock.Payload"))
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(f"{package}.Payload"))
 
 
 _Payload = _build()
@@ -105,28 +150,15 @@ def encode_payload(metrics: list[dict[str, Any]], *, timestamp: int, seq: int | 
     if seq is not None:
         payload.seq = seq
     for source in metrics:
-        number = DATATYPES[source["datatype"]]
-        metric = payload.metrics.add(name=source["name"], timestamp=timestamp, datatype=number)
-        _set_value(metric, number, source["value"])
+        datatype, value = source["datatype"], source["value"]
+        member = _MEMBERS[datatype]
+        if member in _BITS:
+            # Negative numbers travel as two's complement in an unsigned field (section 6.4.16).
+            value &= (1 << _BITS[member]) - 1
+        fields = {"name": source["name"], "timestamp": timestamp, "datatype": DATATYPES[datatype], member: value}
+        payload.metrics.add(**fields)
     data: bytes = payload.SerializeToString()
     return data
-
-
-def _set_value(metric: Any, number: int, value: Any) -> None:
-    if number in (1, 2, 3, 5, 6, 7):
-        metric.int_value = value & 0xFFFFFFFF
-    elif number in (4, 8, 13):
-        metric.long_value = value & 0xFFFFFFFFFFFFFFFF
-    elif number == 9:
-        metric.float_value = value
-    elif number == 10:
-        metric.double_value = value
-    elif number == 11:
-        metric.boolean_value = value
-    elif number == 17:
-        metric.bytes_value = value
-    else:
-        metric.string_value = value
 
 
 def topic_parts(topic: str) -> tuple[str, str, str, str | None] | None:
@@ -145,7 +177,8 @@ def decode_message(topic: str, data: bytes) -> dict[str, Any]:
     payload = _Payload()
     try:
         payload.ParseFromString(data)
-    except Exception as error:  # protobuf's DecodeError differs between its implementations
+        metrics = [_metric(metric) for metric in payload.metrics]
+    except (DecodeError, UnicodeDecodeError) as error:
         return {"error": f"not a Sparkplug payload: {error}"}
     group, kind, node, device = parts
     return {
@@ -155,23 +188,30 @@ def decode_message(topic: str, data: bytes) -> dict[str, Any]:
         "device": device,
         "seq": payload.seq if payload.HasField("seq") else None,
         "timestamp": payload.timestamp if payload.HasField("timestamp") else None,
-        "metrics": [_metric(metric) for metric in payload.metrics],
+        "metrics": metrics,
     }
 
 
 def _metric(metric: Any) -> dict[str, Any]:
-    member = metric.WhichOneof("value")
-    value = None if member is None else getattr(metric, member)
-    if isinstance(value, bytes):
-        value = value.hex()
-    elif isinstance(value, int) and not isinstance(value, bool) and metric.datatype in _SIGNED:
-        # Negative numbers travel as two's complement in an unsigned field (section 6.4.16).
-        size = _SIGNED[metric.datatype]
-        value = struct.unpack("q" if size == 64 else "i", struct.pack("Q" if size == 64 else "I", value))[0]
     return {
         "name": metric.name if metric.HasField("name") else None,
         "alias": metric.alias if metric.HasField("alias") else None,
         "datatype": metric.datatype if metric.HasField("datatype") else None,
-        "value": value,
+        "value": _value(metric),
         "is_null": metric.is_null,
     }
+
+
+def _value(metric: Any) -> Any:
+    """JSON-safe: bytes as base64, data sets and templates as text."""
+    member = metric.WhichOneof("value")
+    if member is None:
+        return None
+    value = getattr(metric, member)
+    if isinstance(value, bytes):
+        return base64.b64encode(value).decode()
+    if member in ("dataset_value", "template_value"):
+        return str(value)
+    if metric.datatype in _SIGNED and member in _BITS and value >> (_BITS[member] - 1):
+        return value - (1 << _BITS[member])
+    return value

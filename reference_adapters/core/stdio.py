@@ -145,8 +145,8 @@ async def serve_stdio(server: Server[None]) -> None:
     """Serve until standard input ends, or the process is asked to."""
     if not (_is_pipe(0) and _is_pipe(1)):
         # ``adapter < requests.jsonl``: the loop cannot watch files. The SDK's threads can read them.
-        async with stdio_server() as streams:
-            await server.run(*streams, server.create_initialization_options())
+        async with stdio_server() as (read, write):
+            await server.run(read, write, server.create_initialization_options())
         return
     loop = asyncio.get_running_loop()
     wire_in, wire_out = os.dup(0), os.dup(1)

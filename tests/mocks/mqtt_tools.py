@@ -71,6 +71,7 @@ class RunningBroker:
     def close(self) -> None:
         """Stop; the broker must have run without a problem."""
         self.call(self._server.close)
+        self._run(self.broker.aclose())
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join()
         self._loop.close()
