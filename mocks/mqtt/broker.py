@@ -72,11 +72,34 @@ class Broker:
         self.faults = FaultPlan([])
         self.retained: dict[str, Message] = {}
         self.sessions: dict[str, Session] = {}
-        self.connections = 0
-        self.open: set[asyncio.Transport] = set()
+        self._connections = 0
+        self._open: set[asyncio.Transport] = set()
+        self._all_closed = asyncio.Event()
         self._assigned = itertools.count(1)
         self._routes: dict[str, _Route] = {}
         self._turns: dict[tuple[str, str], int] = {}
+
+    # -- connections --------------------------------------------------------------------------------------
+
+    def opened(self, transport: asyncio.Transport) -> int:
+        """A connection was made; its number."""
+        self._open.add(transport)
+        self._connections += 1
+        return self._connections
+
+    def closed(self, transport: asyncio.Transport) -> None:
+        """A connection has ended."""
+        self._open.discard(transport)
+        if not self._open:
+            self._all_closed.set()
+
+    async def aclose(self) -> None:
+        """Cut all connections."""
+        self._all_closed.clear()
+        for transport in self._open:
+            transport.abort()
+        if self._open:
+            await self._all_closed.wait()
 
     # -- sessions -----------------------------------------------------------------------------------------
 
@@ -257,13 +280,6 @@ class Broker:
         """Remove a subscription; whether there was one."""
         self._routes.clear()
         return session.subscriptions.pop(topic_filter, None) is not None
-
-    async def aclose(self) -> None:
-        """Cut all connections."""
-        for transport in self.open:
-            transport.abort()
-        while self.open:
-            await asyncio.sleep(0)
 
     # -- from outside -------------------------------------------------------------------------------------
 

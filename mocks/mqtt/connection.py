@@ -57,15 +57,13 @@ class Connection(asyncio.Protocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)
         self._transport = transport
-        self._broker.open.add(transport)
-        self._broker.connections += 1
-        self.number = self._broker.connections
+        self.number = self._broker.opened(transport)
         self._loop = asyncio.get_running_loop()
         self._record("in", "CONNECTED", peer=transport.get_extra_info("peername")[1])
         self._timer = self._loop.call_later(self._broker.limits.connect_timeout_s, self.end, "no CONNECT in time")
 
     def connection_lost(self, exc: Exception | None) -> None:
-        self._broker.open.discard(self._transport)
+        self._broker.closed(self._transport)
         if self._end_reason is None:
             self._leave("connection lost", publish_will=True)
         self._cancel_timer()

@@ -194,12 +194,17 @@ def decode_message(topic: str, data: bytes) -> dict[str, Any]:
 
 def _metric(metric: Any) -> dict[str, Any]:
     return {
-        "name": metric.name if metric.HasField("name") else None,
+        "name": _text(metric.name) if metric.HasField("name") else None,
         "alias": metric.alias if metric.HasField("alias") else None,
         "datatype": metric.datatype if metric.HasField("datatype") else None,
         "value": _value(metric),
         "is_null": metric.is_null,
     }
+
+
+def _text(value: str | bytes) -> str:
+    # What is not UTF-8 comes as bytes from one implementation of protobuf and raises in another.
+    return value if isinstance(value, str) else value.decode()
 
 
 def _value(metric: Any) -> Any:
@@ -208,7 +213,9 @@ def _value(metric: Any) -> Any:
     if member is None:
         return None
     value = getattr(metric, member)
-    if isinstance(value, bytes):
+    if member == "string_value":
+        return _text(value)
+    if member == "bytes_value":
         return base64.b64encode(value).decode()
     if member in ("dataset_value", "template_value"):
         return str(value)

@@ -46,7 +46,10 @@ def _suite(suite: str, items: list[Mapping[str, Any]], timing: bool, width: int)
                 row += f"{good}/{len(phases)}".rjust(14) + _number(percentile(times, 50) if timing else None, 13)
             yield row, _style(item)
         return
-    yield f"{suite:<10}{'passed':>9}{'at least':>10}{'median ms':>11}{'p95 ms':>9}{'mean ms':>9}{'95 % CI':>17}   task", "head"
+    yield (
+        f"{suite:<10}{'passed':>9}{'at least':>10}{'median ms':>11}{'p95 ms':>9}{'mean ms':>9}{'95 % CI':>17}   task",
+        "head",
+    )
     for item in items:
         times = [sample["duration_ms"] for sample in item["samples"]] if timing else []
         good = sum(sample["ok"] for sample in item["samples"])

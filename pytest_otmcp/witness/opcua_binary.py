@@ -177,7 +177,8 @@ class BinaryReader:
             "value": value,
             "variant_type": variant_type,
             "status": symbol(status),
-            "has_status": bool(mask & 2),
+            # A Good that is spelt out says no more than one that is left out.
+            "has_status": status != 0,
             "has_timestamp": bool(mask & 12),
         }
 

@@ -212,7 +212,7 @@ class _Session:
         if names != [_BD_SEQ] or self.death["seq"] is not None:
             yield _rule("SPB-006", f"the will must hold bdSeq alone and no seq, it holds {names}", entry)
         born = next((metric["value"] for metric in message["metrics"] if metric["name"] == _BD_SEQ), None)
-        if self.bd_seq is not None and born != self.bd_seq:
+        if None not in (self.bd_seq, born) and born != self.bd_seq:
             yield _rule("SPB-006", f"bdSeq of NBIRTH must be the will's {self.bd_seq}, it is {born}", entry)
         if not self._clean:
             yield _rule("SPB-006", "the connection must begin with a clean session", entry)

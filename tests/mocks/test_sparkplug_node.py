@@ -136,6 +136,15 @@ class Plant:
             if entry["client_id"] == "otmcp-mock-edge-node-1"
         ]
 
+    @contextlib.asynccontextmanager
+    async def client(self) -> AsyncIterator[Peer]:
+        """A client, in a thread because it blocks."""
+        peer = await asyncio.to_thread(Peer(self.port, "client").connect)
+        try:
+            yield peer
+        finally:
+            await asyncio.to_thread(peer.disconnect)
+
     async def wait(self, since: int, count: int = 1, **match: Any) -> list[Entry]:
         """Journal entries that are to come."""
         entries = await self.device.journal.wait(since, match, count, PATIENCE_S)
@@ -331,7 +340,7 @@ async def test_the_image_shows_what_the_broker_and_the_plant_hold(plant: Plant) 
 
 @pytest.mark.asyncio
 async def test_a_poke_is_a_message_from_the_kit(plant: Plant) -> None:
-    with Peer(plant.port, "client") as client:
+    async with plant.client() as client:
         await asyncio.to_thread(client.subscribe, "sensors/#", 1)
         since = await plant.send("sensors/pressure", b"nonce")
         message = await asyncio.to_thread(client.next)
@@ -359,7 +368,7 @@ async def test_a_poke_that_is_not_understood_is_refused(plant: Plant, params: di
 
 @pytest.mark.asyncio
 async def test_a_reset_restores_start_up_values_and_keeps_connections(plant: Plant) -> None:
-    with Peer(plant.port, "client") as client:
+    async with plant.client() as client:
         await asyncio.to_thread(client.subscribe, "sensors/#")
         await asyncio.to_thread(client.publish, "other", b"kept", 1, retain=True)
         await plant.send(NODE.format("DCMD") + "/device-2", command(metric("speed", "Int32", 5)))

@@ -219,7 +219,9 @@ def test_a_write_that_is_repeated_or_another_one_is_found() -> None:
     assert "one write of [40] to holding_registers 1, it saw 2" in twice
     assert "[WR-003]" in twice
     for address, values, table in ((2, [40], "holding_registers"), (1, [41], "holding_registers")):
-        assert "it saw another write" in words(oracle.exactly_one_write(journal(WRITE), table, address=address, values=values))
+        assert "it saw another write" in words(
+            oracle.exactly_one_write(journal(WRITE), table, address=address, values=values)
+        )
     assert "it saw 0" in words(oracle.exactly_one_write(journal(READ), "holding_registers", address=1, values=[40]))
     coil = journal("05 0001 FF00 -> 05 0001 FF00")
     assert oracle.exactly_one_write(coil, "coils", address=1, values=[True]) == []

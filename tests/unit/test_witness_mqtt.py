@@ -61,7 +61,9 @@ def test_connect_shows_the_will_and_never_the_password() -> None:
 
 def test_connect_of_version_5_has_properties_of_its_own_and_of_its_will() -> None:
     properties = "08 11 0000000A 21 0014"
-    data = packet(0x10, string("MQTT"), "05 06 003C", properties, string("me"), "05 18 00000005", string("w"), string("x"))
+    data = packet(
+        0x10, string("MQTT"), "05 06 003C", properties, string("me"), "05 18 00000005", string("w"), string("x")
+    )
     (entry,) = decode(("in", data))
     assert entry["properties"] == {"session_expiry_interval": 10, "receive_maximum": 20}
     assert entry["will"] == {
@@ -172,7 +174,7 @@ def test_segments_of_any_size_give_the_same_packets() -> None:
     rng = random.Random(13)
     packets = [CONNECT, CONNACK]
     for size in (0, 1, 121, 122, 127, 128, 16_383, 16_384, 70_000):
-        body = (b"\0\x01t" + rng.randbytes(size))
+        body = b"\0\x01t" + rng.randbytes(size)
         length, encoded = len(body), bytearray()
         while True:
             length, digit = divmod(length, 128)
@@ -257,7 +259,9 @@ def test_an_exchange_is_a_request_of_the_adapter_and_its_answer() -> None:
         journal(sent("SUBSCRIBE", packet_id=1, filters=[]), answered("SUBACK", packet_id=2, reason_codes=[0])),
         journal(*({**entry, **MOCK} for entry in ping)),
     ):
-        assert "at least 1 time(s) during the call(s), it answered 0 time(s) [RD-004]" in words(oracle.exchange(entries))
+        assert "at least 1 time(s) during the call(s), it answered 0 time(s) [RD-004]" in words(
+            oracle.exchange(entries)
+        )
     assert oracle.exchange(journal(*ping), client_id="another") != []
 
 
@@ -276,7 +280,9 @@ def test_a_message_counts_as_delivered_to_the_adapter_only() -> None:
     assert oracle.delivered(journal(delivery), topic="sensors/t", payload=b"nonce") == []
     nobody = oracle.delivered(journal({**delivery, **MOCK}), topic="sensors/t", payload=b"nonce")
     assert "the broker had nobody to send it to [MQT-004]" in words(nobody)
-    assert "the broker sent it ['sensors/t']" in words(oracle.delivered(journal(delivery), topic="sensors/t", payload=b"x"))
+    assert "the broker sent it ['sensors/t']" in words(
+        oracle.delivered(journal(delivery), topic="sensors/t", payload=b"x")
+    )
 
 
 def test_a_publication_counts_once_and_as_it_was_asked_for() -> None:

@@ -58,7 +58,7 @@ def payload(*metrics: bytes, seq: int | None = None, timestamp: int | None = 1) 
 
 def test_bytes_written_from_the_specification_are_read() -> None:
     data = bytes.fromhex(
-        "08 80 c0 fe bf c8 2e"  # 1: timestamp 1600000000000
+        "08 80 80 ba bb c8 2e"  # 1: timestamp 1600000000000
         "12 13"  # 2: metric of 19 bytes
         "0a 04 74 65 6d 70"  # 1: name "temp"
         "10 05"  # 2: alias
@@ -158,7 +158,9 @@ def test_a_message_carries_the_parts_of_its_topic() -> None:
         **{"group": "factory", "type": "DDATA", "edge_node": "edge", "device": "pump"},
         **{"seq": 3, "timestamp": 1, "metrics": []},
     }
-    assert decode_message("spBv1.0/g/NDATA/e", b"\xff") == {"error": "the payload is not the protobuf message of Sparkplug B"}
+    assert decode_message("spBv1.0/g/NDATA/e", b"\xff") == {
+        "error": "the payload is not the protobuf message of Sparkplug B"
+    }
 
 
 # -- an edge node's session -------------------------------------------------------------------------------
