@@ -5,6 +5,7 @@ Node identifiers are the browse names: ``ns=2;s=Temperature``.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable
 from typing import Any
@@ -126,10 +127,8 @@ class Plant:
         """
         node = self._id(name)
         if node not in self.variables:
-            try:
+            with contextlib.suppress(ua.UaError):
                 node = ua.NodeId.from_string(name)
-            except ua.UaError:
-                pass
         if node not in self.variables:
             raise ValueError(f"the plant has no variable {name!r}")
         return node

@@ -159,7 +159,8 @@ class PlantSession(InternalSession):  # type: ignore[misc]
     async def translate_browsepaths_to_nodeids(self, params: list[ua.BrowsePath]) -> list[ua.BrowsePathResult]:
         nodes = [path.StartingNode.to_string() for path in params]
         self._record("in", "TranslateBrowsePaths", nodes=nodes, state_changing=False)
-        return await super().translate_browsepaths_to_nodeids(params)
+        results: list[ua.BrowsePathResult] = await super().translate_browsepaths_to_nodeids(params)
+        return results
 
     # -- methods ------------------------------------------------------------------------------------------
 
@@ -202,7 +203,9 @@ class PlantSession(InternalSession):  # type: ignore[misc]
         if len(given) > len(expected):
             return refuse(Codes.BadTooManyArguments)
         kinds = [
-            Codes.Good if argument.VariantType == kind and not isinstance(argument.Value, list) else Codes.BadTypeMismatch
+            Codes.Good
+            if argument.VariantType == kind and not isinstance(argument.Value, list)
+            else Codes.BadTypeMismatch
             for argument, kind in zip(given, expected, strict=True)
         ]
         if any(kind != Codes.Good for kind in kinds):

@@ -32,7 +32,7 @@ _BLUE, _ORANGE, _GREEN, _RED, _PURPLE, _SKY, _YELLOW = (
     "#F0E442",
 )
 _FAMILY_COLOURS = {"Modbus": _BLUE, "MQTT": _GREEN, "OPC UA": _ORANGE, "Cross-protocol": _PURPLE}
-_STYLE = {
+_STYLE: dict[Any, Any] = {
     "font.size": 7,
     "font.family": "DejaVu Sans",
     "axes.spines.top": False,

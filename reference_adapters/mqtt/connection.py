@@ -120,7 +120,9 @@ class Connection:
             raise AdapterError("dns_error", "the broker's host name cannot be resolved", outcome="not_sent") from None
         except (OSError, ConnectionLostError):
             self._end()
-            raise AdapterError("connect_failed", "no connection to the broker could be made", outcome="not_sent") from None
+            raise AdapterError(
+                "connect_failed", "no connection to the broker could be made", outcome="not_sent"
+            ) from None
         except TimeoutError:
             await self.close()
             raise AdapterError("timeout", "the broker did not answer CONNECT", outcome="not_sent") from None
@@ -131,7 +133,8 @@ class Connection:
         self._housekeeping = asyncio.create_task(self._keep_alive())
 
     async def _keep_alive(self) -> None:
-        while self._client.loop_misc() == MQTTErrorCode.MQTT_ERR_SUCCESS:
+        # paho sends its keep-alive, and finds out that the broker is silent, only when it is called.
+        while self._client.loop_misc() == MQTTErrorCode.MQTT_ERR_SUCCESS:  # noqa: ASYNC110
             await asyncio.sleep(1.0)
         self._end()
 
@@ -149,7 +152,8 @@ class Connection:
         self.lost.set()
         if self._housekeeping is not None:
             self._housekeeping.cancel()
-        for waiting in (self._opened, *self._answers.values()):
+        pending: list[asyncio.Future[Any]] = [self._opened, *self._answers.values()]
+        for waiting in pending:
             if not waiting.done():
                 waiting.set_exception(ConnectionLostError())
                 # Whoever gave up waiting must not cause a warning.

@@ -84,7 +84,9 @@ class Link:
             mid = connection.send(topic, data, qos, retain)
         except ConnectionLostError:
             call.disconnected()
-            raise AdapterError("connection_lost", "the connection is down; nothing was sent", outcome="not_sent") from None
+            raise AdapterError(
+                "connection_lost", "the connection is down; nothing was sent", outcome="not_sent"
+            ) from None
         call.sending()
         try:
             await connection.sent(mid)

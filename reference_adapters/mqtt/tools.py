@@ -78,7 +78,7 @@ class MetricValue(Arguments):
 class NodeBirth(Arguments):
     """The metrics of the node itself."""
 
-    metrics: Annotated[list[TypedMetric], Field(max_length=1000)] = []
+    metrics: Annotated[list[TypedMetric], Field(max_length=1000, default_factory=list)]
 
 
 class Device(Arguments):
@@ -177,9 +177,7 @@ def build() -> AdapterServer:
         check_name(arguments.topic)
         data = _bytes(arguments.payload, arguments.encoding)
         call.trace.update(topic=arguments.topic, qos=arguments.qos, retain=arguments.retain)
-        delivery = await link.publish(
-            call, arguments.topic, lambda: data, qos=arguments.qos, retain=arguments.retain
-        )
+        delivery = await link.publish(call, arguments.topic, lambda: data, qos=arguments.qos, retain=arguments.retain)
         if arguments.qos:
             call.answered()
         call.trace["delivery"] = delivery

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Annotated, Any
 from urllib.parse import urlsplit
 
@@ -51,7 +52,7 @@ class CallMethod(Arguments):
 
     object_id: NodeText
     method_id: NodeText
-    arguments: Annotated[list[Value], Field(max_length=100)] = []
+    arguments: Annotated[list[Value], Field(max_length=100, default_factory=list)]
 
 
 class Nothing(Arguments):
@@ -161,7 +162,7 @@ def build() -> AdapterServer:
             references, point = list(result.References), result.ContinuationPoint
             while point:
                 following = ua.BrowseNextParameters(ContinuationPoints=[point])
-                (page,) = await link.service(call, lambda client, p=following: client.browse_next(p))
+                (page,) = await link.service(call, partial(_browse_next, following))
                 references += page.References
                 point = page.ContinuationPoint
             found.append(references)
@@ -229,9 +230,7 @@ def build() -> AdapterServer:
             ua.WriteValue(NodeId=node, AttributeId=ua.AttributeIds.Value, Value=ua.DataValue(variant))
             for node, variant in zip(nodes, variants, strict=True)
         ]
-        statuses: list[ua.StatusCode] = await link.service(
-            call, lambda client: client.write(parameters), changes=True
-        )
+        statuses: list[ua.StatusCode] = await link.service(call, lambda client: client.write(parameters), changes=True)
         return statuses
 
     @server.tool("opcua.write", writes=True)
@@ -310,7 +309,12 @@ def build() -> AdapterServer:
     return server
 
 
-class reading_only:  # noqa: N801  (used like a function)
+async def _browse_next(parameters: ua.BrowseNextParameters, client: Any) -> list[ua.BrowseResult]:
+    results: list[ua.BrowseResult] = await client.browse_next(parameters)
+    return results
+
+
+class reading_only:
     """While a writing tool only reads, nothing that it sends can change anything."""
 
     def __init__(self, call: Call) -> None:

@@ -1,0 +1,307 @@
+"""Reference adapters with one defect each: run as ``python defective.py NAME``.
+
+A defect is a small function that takes the built server and bends one thing. Reaching into its private members is fine
+here: nothing else in the project may.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from importlib import import_module
+from typing import Any
+
+from mcp.types import CallToolResult, TextContent
+
+from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
+from pytest_otmcp.reference_adapters.core import server as core_server
+from pytest_otmcp.reference_adapters.core.run import serve
+
+Handler = Callable[[Call, Any], Any]
+
+
+def wrap(server: AdapterServer, name: str, handler: Callable[[Handler], Handler], **changes: Any) -> None:
+    """Replace a tool's handler by one that knows the original."""
+    tool = server._tools[name]
+    server._tools[name] = replace(tool, handler=handler(tool.handler), **changes)
+
+
+# -- Modbus ---------------------------------------------------------------------------------------------------
+
+
+def unknown_tool(server: AdapterServer) -> None:
+    del server._tools["ping"]
+
+
+def traceback_as_text(server: AdapterServer) -> None:
+    """Failures are prose with a traceback instead of an envelope."""
+    genuine = core_server._result
+
+    def result(envelope: dict[str, Any]) -> CallToolResult:
+        if envelope["success"]:
+            return genuine(envelope)
+        text = 'Traceback (most recent call last):\n  File "adapter.py", line 1\nModbusIOException'
+        return CallToolResult(content=[TextContent(type="text", text=text)], is_error=True)
+
+    core_server._result = result
+
+
+def lying_guard(server: AdapterServer) -> None:
+    """Says that writes are disabled, after having written."""
+    tool = server._tools["write_register"]
+
+    async def handler(call: Call, arguments: Any) -> dict[str, Any]:
+        data: dict[str, Any] = await tool.handler(call, arguments)
+        if enabled:
+            return data
+        raise AdapterError("writes_disabled", "writes are disabled", outcome="not_sent")
+
+    enabled = server.writes_enabled
+    server.writes_enabled = True
+    server._tools["write_register"] = replace(tool, handler=handler)
+
+
+def write_not_sent(server: AdapterServer) -> None:
+    """Says written, writes nothing, and serves the value from its memory when it is read back."""
+    claimed: dict[int, int] = {}
+
+    async def write(call: Call, arguments: Any) -> dict[str, Any]:
+        claimed[arguments.address] = arguments.value
+        return {"address": arguments.address, "value": arguments.value}
+
+    def read(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> dict[str, Any]:
+            data: dict[str, Any] = await genuine(call, arguments)
+            data["values"][0] = claimed.get(arguments.address, data["values"][0])
+            return data
+
+        return handler
+
+    wrap(server, "write_register", lambda genuine: write)
+    wrap(server, "read_multiple_holding_registers", read)
+
+
+def write_sent_twice(server: AdapterServer) -> None:
+    def twice(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> dict[str, Any]:
+            await genuine(call, arguments)
+            data: dict[str, Any] = await genuine(call, arguments)
+            return data
+
+        return handler
+
+    wrap(server, "write_register", twice)
+
+
+def never_reconnects(server: AdapterServer) -> None:
+    """The first lost connection is the last."""
+    lost = False
+
+    def once(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> dict[str, Any]:
+            nonlocal lost
+            if lost:
+                raise AdapterError("connect_failed", "the connection is gone", outcome="not_sent")
+            try:
+                data: dict[str, Any] = await genuine(call, arguments)
+            except AdapterError as error:
+                lost = error.code in ("connect_failed", "connection_lost")
+                raise
+            return data
+
+        return handler
+
+    for name in list(server._tools):
+        wrap(server, name, once)
+
+
+def hang(server: AdapterServer) -> None:
+    """Reading never answers; the deadline is gone."""
+
+    async def handler(call: Call, arguments: Any) -> dict[str, Any]:
+        await asyncio.Event().wait()
+        return {}
+
+    server._deadline_s = 3600.0
+    wrap(server, "read_input_registers", lambda genuine: handler)
+
+
+def stdout_noise(server: AdapterServer) -> None:
+    print("Connected to Modbus device", flush=True)
+
+
+def wrong_value(server: AdapterServer) -> None:
+    def off(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> dict[str, Any]:
+            data: dict[str, Any] = await genuine(call, arguments)
+            data["values"] = [(value + 1) % 65536 for value in data["values"]]
+            return data
+
+        return handler
+
+    wrap(server, "read_input_registers", off)
+
+
+def swapped_parallel_replies(server: AdapterServer) -> None:
+    """When reads run at the same time, each gets the answer to another one."""
+
+    def swapped(genuine: Handler) -> Handler:
+        waiting: list[tuple[asyncio.Future[Any], Any]] = []
+
+        async def handler(call: Call, arguments: Any) -> Any:
+            answer: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
+            waiting.append((answer, await genuine(call, arguments)))
+            # Whoever else is being served has arrived after a few milliseconds.
+            await asyncio.sleep(0.01)
+            if not answer.done():
+                together, waiting[:] = list(waiting), []
+                results = [data for _, data in together]
+                for (other, _), data in zip(together, results[1:] + results[:1], strict=True):
+                    other.set_result(data)
+            return await answer
+
+        return handler
+
+    wrap(server, "read_input_registers", swapped)
+
+
+def truncates_overflow(server: AdapterServer) -> None:
+    """70000 becomes 4464, and that is called success."""
+    tool = server._tools["write_register"]
+    bare = type("Anything", (tool.model,), {"__annotations__": {"value": int}, "__module__": __name__})
+
+    def cut(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> dict[str, Any]:
+            value = arguments.value
+            sent = tool.model(address=arguments.address, value=value & 0xFFFF)
+            await genuine(call, sent)
+            return {"address": arguments.address, "value": value}
+
+        return handler
+
+    wrap(server, "write_register", cut, model=bare)
+
+
+def is_error_never_set(server: AdapterServer) -> None:
+    genuine = core_server._result
+
+    def result(envelope: dict[str, Any]) -> CallToolResult:
+        return genuine(envelope).model_copy(update={"is_error": False})
+
+    core_server._result = result
+
+
+# -- MQTT -----------------------------------------------------------------------------------------------------
+
+
+def cached_status(server: AdapterServer) -> None:
+    """Broker info is answered from memory after the first time."""
+
+    def cached(genuine: Handler) -> Handler:
+        memory: dict[str, Any] = {}
+
+        async def handler(call: Call, arguments: Any) -> dict[str, Any]:
+            if not memory:
+                memory.update(await genuine(call, arguments))
+            return memory
+
+        return handler
+
+    wrap(server, "get_broker_info", cached)
+
+
+def clamps_qos(server: AdapterServer) -> None:
+    tool = server._tools["subscribe_topic"]
+    bare = type("Anything", (tool.model,), {"__annotations__": {"qos": int}, "__module__": __name__})
+
+    def clamp(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> dict[str, Any]:
+            data: dict[str, Any] = await genuine(call, tool.model(topic=arguments.topic, qos=min(arguments.qos, 2)))
+            return data
+
+        return handler
+
+    wrap(server, "subscribe_topic", clamp, model=bare)
+
+
+def publish_not_sent(server: AdapterServer) -> None:
+    async def handler(call: Call, arguments: Any) -> dict[str, Any]:
+        return {"topic": arguments.topic, "qos": 0, "retain": False, "payload_bytes": 1, "delivery": "unacknowledged"}
+
+    def unless_invalid(genuine: Handler) -> Handler:
+        async def choose(call: Call, arguments: Any) -> dict[str, Any]:
+            chosen = handler if arguments.topic else genuine
+            data: dict[str, Any] = await chosen(call, arguments)
+            return data
+
+        return choose
+
+    wrap(server, "publish_message", unless_invalid)
+
+
+# -- OPC UA ---------------------------------------------------------------------------------------------------
+
+
+def incomplete_enumeration(server: AdapterServer) -> None:
+    def short(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> dict[str, Any]:
+            data: dict[str, Any] = await genuine(call, arguments)
+            data["variables"].pop()
+            return data
+
+        return handler
+
+    wrap(server, "get_all_variables", short)
+
+
+def bad_code(server: AdapterServer) -> None:
+    """Every refusal of the server becomes protocol_error."""
+
+    def collapsed(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> dict[str, Any]:
+            try:
+                data: dict[str, Any] = await genuine(call, arguments)
+            except AdapterError as error:
+                if error.code == "illegal_address":
+                    raise AdapterError("protocol_error", "something went wrong") from None
+                raise
+            return data
+
+        return handler
+
+    wrap(server, "read_opcua_node", collapsed)
+
+
+DEFECTS: dict[str, tuple[str, Callable[[AdapterServer], None]]] = {
+    "unknown-tool": ("modbus", unknown_tool),
+    "traceback-as-text": ("modbus", traceback_as_text),
+    "lying-guard": ("modbus", lying_guard),
+    "write-not-sent": ("modbus", write_not_sent),
+    "write-sent-twice": ("modbus", write_sent_twice),
+    "never-reconnects": ("modbus", never_reconnects),
+    "hang": ("modbus", hang),
+    "stdout-noise": ("modbus", stdout_noise),
+    "wrong-value": ("modbus", wrong_value),
+    "swapped-parallel-replies": ("modbus", swapped_parallel_replies),
+    "truncates-overflow": ("modbus", truncates_overflow),
+    "is-error-never-set": ("modbus", is_error_never_set),
+    "cached-status": ("mqtt", cached_status),
+    "clamps-qos": ("mqtt", clamps_qos),
+    "publish-not-sent": ("mqtt", publish_not_sent),
+    "incomplete-enumeration": ("opcua", incomplete_enumeration),
+    "bad-code": ("opcua", bad_code),
+    "none": ("modbus", lambda server: None),
+}
+
+
+def main() -> None:
+    protocol, bend = DEFECTS[sys.argv[1]]
+    server = import_module(f"pytest_otmcp.reference_adapters.{protocol}").build()
+    bend(server)
+    sys.exit(serve(server))
+
+
+if __name__ == "__main__":
+    main()
