@@ -107,7 +107,7 @@ async def the_guard_was_put_to_the_test(run: Repetition) -> None:
     )
     # The whole life of the read-only session, its closing included, is on this device's journal and nobody else's.
     await run.modbus_ro.close_session()
-    run.witnessed(modbus.no_state_changing_request(await run.modbus_ro.whole_journal()))
+    run.witnessed(modbus.no_state_changing_request(await run.modbus_ro.session_journal()))
 
 
 @NORMAL.task(
@@ -184,7 +184,7 @@ async def publish_device_data(run: Repetition) -> None:
     await run.mqtt.wait_for(kind="PUBLISH", direction="in", timeout_s=1.0)
     run.witnessed(
         mqtt.ddata_metric(await run.mqtt.journal(), device="device-1", name="temperature", value=value),
-        mqtt.sparkplug_sequence(await run.mqtt.whole_journal()),
+        mqtt.sparkplug_sequence(await run.mqtt.session_journal()),
     )
 
 

@@ -91,6 +91,7 @@ class Station:
         self._options = options
         self._start_failure: SubjectError | None = None
         self.mark = 0
+        self.session_mark = 0
 
     @property
     def deadline_s(self) -> float:
@@ -127,6 +128,8 @@ class Station:
         if self.session is not None and not self.session.died:
             return
         await self.close()
+        # Everything that this session will ever do to its device is on the journal from here on.
+        self.session_mark = await self.device.mark()
         session = self.new_session()
         try:
             await session.open()
@@ -161,7 +164,7 @@ class Station:
             raise KitError(f"the {self.adapter.protocol} session was used before it was opened")
         arguments = binding.fill(inputs)
         # The client gives up a little later than the deadline, so that a late answer is seen to be late.
-        exchange = await session.call(binding.tool, arguments, timeout_s=self.deadline_s + 1.0)
+        exchange = await session.call(binding.tool, arguments, timeout_s=1.2 * self.deadline_s)
         wire = Wire(
             request=exchange.request,
             response=exchange.response,

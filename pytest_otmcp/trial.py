@@ -72,10 +72,11 @@ class AtDevice:
         with self._repetition.spent("observing the device"):
             await self.device.tick(steps)
 
-    async def whole_journal(self) -> list[Entry]:
-        """Everything on the device's journal, from before this repetition too."""
+    async def session_journal(self) -> list[Entry]:
+        """The device's journal since the adapter's session was opened, or since the device was started if that was
+        later."""
         with self._repetition.spent("observing the device"):
-            return (await self.device.journal(0)).entries
+            return (await self.device.journal(self.station.session_mark)).entries
 
     async def publish_from_kit(self, topic: str, payload: bytes) -> None:
         """Let the broker publish a message that does not come from the adapter, QoS 0, not retained."""
@@ -101,7 +102,7 @@ class AtDevice:
         begun = time.monotonic_ns()
         with self._repetition.spent("endpoint restarts"):
             await self.device.start()
-        self._since = self.station.mark = 0
+        self._since = self.station.mark = self.station.session_mark = 0
         return (self.device.accepting_ns - begun) / 1e6
 
     async def fresh_session(self) -> McpSession:

@@ -272,9 +272,11 @@ class Broker:
         return [message for topic, message in self.retained.items() if matches(levels, topic.split("/"))]
 
     def send_retained(self, session: Session, topic_filter: str, messages: list[Message]) -> None:
-        """Deliver retained messages for a subscription."""
-        for message in messages:
-            self._deliver(session, [session.subscriptions[topic_filter]], message, stored=True)
+        """Deliver retained messages for a subscription, if it still exists: its SUBACK may have been delayed."""
+        subscription = session.subscriptions.get(topic_filter)
+        if subscription is not None:
+            for message in messages:
+                self._deliver(session, [subscription], message, stored=True)
 
     def unsubscribe(self, session: Session, topic_filter: str) -> bool:
         """Remove a subscription; whether there was one."""

@@ -60,6 +60,7 @@ class Client(asyncio.Protocol):
         answer = await client._ask(connect, PacketType.CONNACK)
         assert isinstance(answer, Connack)
         if answer.reason_code:
+            client._transport.abort()
             raise ConnectionRefusedError(f"the broker refuses {connect.client_id} with code {answer.reason_code}")
         return client
 
@@ -73,6 +74,7 @@ class Client(asyncio.Protocol):
         answer = await self._ask(Subscribe(packet_id=self._next_id(), requests=requests), PacketType.SUBACK)
         assert isinstance(answer, Suback)
         if 0x80 in answer.reason_codes:
+            self._transport.abort()
             raise ConnectionRefusedError(f"the broker refuses a subscription: {answer.reason_codes}")
 
     def publish(self, topic: str, payload: bytes, *, qos: int = 0, retain: bool = False) -> None:

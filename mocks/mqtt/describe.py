@@ -1,4 +1,21 @@
-"""What the journal says of a control packet: JSON-safe facts, payloads as base64, never a password."""
+"""What the journal says of a control packet: JSON-safe facts, payloads as base64, never a password.
+
+==================  =====================================================================================
+PUBLISH             topic, payload, qos, retain, dup, packet_id (null at QoS 0); below ``spBv1.0/`` also
+                    ``sparkplug``; ``will_sent: true`` on the copies of a will
+CONNECT             protocol_level, clean_start, keepalive, username, will (as PUBLISH, or null)
+CONNACK             session_present, reason_codes
+SUBSCRIBE           packet_id, filters: ``[{"filter", "qos"}]``
+UNSUBSCRIBE         packet_id, filters: ``[{"filter"}]``
+SUBACK, UNSUBACK    packet_id, reason_codes
+PUBACK … PUBCOMP    packet_id, reason_codes
+DISCONNECT, AUTH    reason_codes
+any of MQTT 5       properties, if there are any
+==================  =====================================================================================
+
+Topics are whole where the wire had an alias. Not packets: CONNECTED, DISCONNECTED (reason), malformed (bytes as hex,
+reason), WILL (a will fired, whether or not anybody receives it).
+"""
 
 from __future__ import annotations
 

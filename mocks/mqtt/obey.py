@@ -28,7 +28,7 @@ from .properties import PROTOCOL_ERROR, Property
 from .session import PACKET_IDENTIFIER_NOT_FOUND, Session
 from .wire import ProtocolViolation
 
-__all__ = ["Afterwards", "accept", "obey", "refusal"]
+__all__ = ["Afterwards", "accept", "obey", "refusal", "supervised_keepalive"]
 
 NO_MATCHING_SUBSCRIBERS = 0x10
 NO_SUBSCRIPTION_EXISTED = 0x11
