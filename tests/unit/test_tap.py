@@ -70,7 +70,7 @@ async def client(tap: Tap) -> AsyncIterator[tuple[asyncio.StreamReader, asyncio.
         writer.transport.abort()
 
 
-async def within(seconds: float, awaitable: Awaitable) -> T:
+async def within(seconds: float, awaitable: Awaitable[Received]) -> Received:
     return await asyncio.wait_for(awaitable, seconds)
 
 

@@ -41,7 +41,7 @@ def journal(*exchanges: str, connection: int = 1) -> list[Entry]:
 
 
 # MODBUS Application Protocol V1.1b3, the examples of section 6.
-EXAMPLES = {
+EXAMPLES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "01 0013 0013 -> 01 03 CD6B05": (
         {"function": 1, "address": 19, "quantity": 19},
         {"values": [bool(int(bit)) for bit in "1011001111010110101"]},

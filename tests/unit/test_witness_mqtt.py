@@ -286,7 +286,7 @@ def test_a_message_counts_as_delivered_to_the_adapter_only() -> None:
 
 
 def test_a_publication_counts_once_and_as_it_was_asked_for() -> None:
-    wanted = {"topic": "control/pump", "payload": b"50"}
+    wanted: dict[str, Any] = {"topic": "control/pump", "payload": b"50"}
     others = (publish(b"noise", **KIT), publish(b"noise", **MOCK), publish(b"noise", direction="out"))
     assert oracle.published_once(journal(publish(), *others), **wanted) == []
     assert oracle.published_once(journal(publish(qos=1, packet_id=4)), qos=1, **wanted) == []

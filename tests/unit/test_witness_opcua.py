@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 import pytest
-from asyncua import ua
+from asyncua import ua as untyped_ua
 from asyncua.ua.ua_binary import struct_to_binary, to_binary
 
 from pytest_otmcp.witness import opcua_oracle as oracle
@@ -18,6 +18,7 @@ from pytest_otmcp.witness.opcua import OpcUaConversation, chunk_length
 from pytest_otmcp.witness.opcua_binary import BinaryReader, symbol
 
 Entry = dict[str, Any]
+ua: Any = untyped_ua
 TEMPERATURE = ua.NodeId("Temperature", 2)
 
 
@@ -424,8 +425,10 @@ def test_browsing_has_to_give_every_name_with_its_own_id() -> None:
         "2 of 3 nodes are missing or wrong; ValvePosition should be ns=2;s=ValvePosition, it is ns=2;s=Ratio"
         in words(crossed)
     )
-    for wrong in ((None, None), (ids, names[:2]), ([], [])):
-        assert "3 of 3 nodes are missing or wrong" in words(oracle.names_and_ids_agree(*wrong, children))
+    for wrong_ids, wrong_names in ((None, None), (ids, names[:2]), ([], [])):
+        assert "3 of 3 nodes are missing or wrong" in words(
+            oracle.names_and_ids_agree(wrong_ids, wrong_names, children)
+        )
 
 
 def test_an_enumeration_is_complete_and_without_repeats() -> None:

@@ -1,0 +1,187 @@
+"""The plugin as its users see it: real runs of the shipped suite in a pytest of their own."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable
+from pathlib import Path
+
+import psutil
+import pytest
+
+from pytest_otmcp.record import load
+
+SUITE = ["--pyargs", "pytest_otmcp.conformance"]
+PYTEST = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider"]
+DEFECTIVE = Path(__file__).parents[1] / "soundness" / "defective.py"
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+ALTERED = """
+[subject]
+name = "altered"
+version = "1"
+
+[adapter.modbus]
+command = ["{{python}}", "{program}", "{mode}"]
+env = {{ MODBUS_HOST = "{{host}}", MODBUS_PORT = "{{port}}" }}
+rw_env = {{ MODBUS_WRITES_ENABLED = "true" }}
+deadline_s = 2
+"""
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Run:
+    def start(*options: str) -> subprocess.CompletedProcess[str]:
+        command = [*PYTEST, *SUITE, "--otmcp-report-dir", str(tmp_path / "report"), *options]
+        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False)
+
+    return start
+
+
+def children() -> set[int]:
+    return {process.pid for process in psutil.Process().children(recursive=True)}
+
+
+def test_a_narrowed_run_is_recorded_and_called_incomplete(run: Run, tmp_path: Path) -> None:
+    done = run("-k", "M2 or FM1", "--otmcp-reps=4", "--junit-xml=junit.xml")
+    assert done.returncode == 0, done.stdout
+    assert "VERDICT: INCOMPLETE (8/8 runs passed in 2 items; 36 of 38 items did not run" in done.stdout
+    record = load(tmp_path / "report" / "run.json", allow_incomplete=True)
+    assert [item["id"] for item in record["items"]] == ["M2", "FM1"]
+    assert record["settings"]["repetitions"] == {"normal": 4, "fault": 4, "stress": 2, "recovery": 3}
+    sample = record["items"][0]["samples"][0]
+    assert sample["calls"][0]["tool"] == "read_input_registers"
+    assert {entry["kind"] for entry in sample["device"]} == {"request", "response"}
+    assert (tmp_path / "report" / "tables" / "tab_results.tex").is_file()
+    assert (tmp_path / "report" / "figures" / "latency_boxplot.pdf").is_file()
+    names = [case.get("name") for case in ElementTree.parse(tmp_path / "junit.xml").iter("testcase")]
+    assert names == ["test_normal[M2]", "test_fault[FM1]"]
+
+
+def test_xdist_gives_the_same_items_and_withholds_latencies(run: Run, tmp_path: Path) -> None:
+    done = run("-n", "2", "--otmcp-suite=fault", "--otmcp-reps=2")
+    assert done.returncode == 0, done.stdout
+    record = load(tmp_path / "report" / "run.json", allow_incomplete=True)
+    assert [item["id"] for item in record["items"]] == ["FM1", "FM2", "FQ1", "FQ2", "FO1", "FO2", "FX1"]
+    assert {item["status"] for item in record["items"]} == {"PASS"}
+    assert record["footer"]["timing_valid"] is False
+    assert "latencies withheld" in done.stdout
+    assert set(record["subject"]["adapters"]) == {"modbus", "mqtt", "opcua"}
+
+
+def test_a_defective_adapter_makes_the_run_fail_with_a_finding(run: Run, tmp_path: Path) -> None:
+    subject = tmp_path / "altered.toml"
+    subject.write_text(ALTERED.format(program=DEFECTIVE, mode="wrong-value"))
+    done = run("-k", "M1 or M2", "--otmcp-reps=2", "--otmcp-subject", str(subject))
+    assert done.returncode == 1
+    assert "VERDICT: NOT CONFORMANT" in done.stdout
+    assert "rep 1/2: read_input_registers(address=0, count=4): values should be" in done.stdout
+    assert "Traceback" not in done.stdout
+
+
+def test_a_protocol_that_is_not_claimed_is_not_applicable(run: Run, tmp_path: Path) -> None:
+    subject = tmp_path / "altered.toml"
+    subject.write_text(ALTERED.format(program=DEFECTIVE, mode="none"))
+    done = run("-k", "M1 or Q1", "--otmcp-reps=1", "--otmcp-subject", str(subject))
+    assert done.returncode == 0, done.stdout
+    record = load(tmp_path / "report" / "run.json", allow_incomplete=True)
+    assert {item["id"]: item["status"] for item in record["items"]} == {"M1": "PASS", "Q1": "NOT_APPLICABLE"}
+
+
+def test_an_interrupted_run_keeps_what_it_measured(tmp_path: Path) -> None:
+    before = children()
+    report = tmp_path / "report"
+    command = [*PYTEST, *SUITE, "--otmcp-report-dir", str(report), "--otmcp-reps=2000", "-k", "M1 or M2"]
+    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    assert process.stdout is not None
+    for line in process.stdout:
+        # M1 is over when its line is there; M2 has two thousand repetitions before it.
+        if "2000/2000" in line:
+            break
+    process.send_signal(signal.SIGINT)
+    rest = process.stdout.read()
+    process.stdout.close()
+    assert process.wait(60) == pytest.ExitCode.INTERRUPTED, rest
+    assert "VERDICT: INCOMPLETE" in rest
+    record = load(report / "run.json", allow_incomplete=True)
+    assert record["footer"]["complete"] is False
+    assert record["footer"]["reason"] == "interrupted by the user"
+    items = {item["id"]: item for item in record["items"]}
+    assert len(items["M1"]["samples"]) == 2000
+    assert items["M2"]["status"] == "INTERRUPTED"
+    assert children() <= before
+
+
+def test_a_mock_that_dies_is_the_kits_fault(tmp_path: Path) -> None:
+    report = tmp_path / "report"
+    command = [*PYTEST, *SUITE, "--otmcp-report-dir", str(report), "--otmcp-reps=3000", "-k", "M2 or M3"]
+    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    assert process.stdout is not None
+    for line in process.stdout:
+        if "3000/3000" in line:
+            break
+    mocks = [
+        child
+        for child in psutil.Process(process.pid).children(recursive=True)
+        if "pytest_otmcp.mocks" in " ".join(child.cmdline())
+    ]
+    for mock in mocks:
+        os.kill(mock.pid, signal.SIGKILL)
+    rest = process.stdout.read()
+    process.stdout.close()
+    assert process.wait(60) == 1, rest
+    assert "VERDICT: INDETERMINATE" in rest
+    assert "please file a bug" in rest
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (["--otmcp-reps=many"], "--otmcp-reps: expected a whole number, found 'many'"),
+        (["--otmcp-reps=0"], "--otmcp-reps: expected 1 to 100000, found 0"),
+        (["--otmcp-suite=falt"], "--otmcp-suite: 'falt' is unknown; did you mean 'fault'?"),
+        (["--otmcp-era=stone"], "--otmcp-era: 'stone' is unknown"),
+        (["--otmcp-time-scale=fast"], "--otmcp-time-scale: expected a number, found 'fast'"),
+        (["--otmcp-broker=http://x"], "--otmcp-broker: expected mqtt://host:port, found 'http://x'"),
+        (["--otmcp-subject=nowhere.toml"], "there is no such file"),
+        (["--otmcp-subject=broken.toml"], "not valid TOML"),
+        (["--otmcp-subject=typo.toml"], "adapter.modbuss: unknown key; did you mean 'modbus'?"),
+    ],
+)
+def test_a_bad_option_or_file_is_one_clear_sentence(
+    run: Run, tmp_path: Path, options: list[str], sentence: str
+) -> None:
+    (tmp_path / "broken.toml").write_text("[subject\n")
+    (tmp_path / "typo.toml").write_text('[subject]\nname="x"\nversion="1"\n[adapter.modbuss]\ncommand=["x"]\n')
+    done = run(*options)
+    assert done.returncode == pytest.ExitCode.USAGE_ERROR
+    output = done.stdout + done.stderr
+    assert sentence in output
+    assert "Traceback" not in output
+
+
+def test_the_plugin_is_inert_where_nothing_of_it_is_collected(tmp_path: Path) -> None:
+    (tmp_path / "test_own.py").write_text(
+        "import sys\n"
+        "def test_own():\n"
+        "    heavy = {'mcp', 'pymodbus', 'asyncua', 'paho', 'scipy', 'matplotlib', 'jmespath'}\n"
+        "    assert not heavy & set(sys.modules)\n"
+    )
+    environment = {**os.environ, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
+    command = [*PYTEST, "-p", "pytest_otmcp.plugin", "test_own.py"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, env=environment)
+    assert done.returncode == 0, done.stdout
+    assert "VERDICT" not in done.stdout
+    assert not (tmp_path / "reports").exists()
+
+
+def test_the_record_is_plain_json(run: Run, tmp_path: Path) -> None:
+    run("-k", "M1", "--otmcp-reps=1")
+    record = json.loads((tmp_path / "report" / "run.json").read_text())
+    assert record["schema"] == "otmcp-run/1"

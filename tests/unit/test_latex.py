@@ -1,0 +1,91 @@
+"""The tables are the paper's, to the character, and LaTeX accepts them."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from pytest_otmcp.report.latex import escape, write_tables
+
+from .samples import item, run
+
+M1 = item("M1", "normal", "Modbus", "Ping the adapter and confirm the TCP mock is reachable.", [1.1] * 30)
+M2 = item("M2", "normal", "Modbus", "Read a four-register sensor block from the Modbus mock.", [1.5] * 29 + [1.7])
+Q1 = item("Q1", "normal", "MQTT", "Inspect broker connectivity through the MCP adapter.", [1.8] * 30)
+FM2 = item(
+    "FM2",
+    "fault",
+    "Modbus",
+    "Write overflow value (70000 > uint16 max) and expect adapter rejection.",
+    [1.0] * 30,
+    error_code="range_overflow",
+)
+S1 = item("S1", "stress", "Modbus", "Four concurrent register reads.", [2.0] * 10)
+R = item("R-modbus", "recovery", "Modbus", "Recover.", [9.0] * 20)
+ALL = [M1, M2, Q1, FM2, S1, R]
+
+DOCUMENT = r"""
+\documentclass{article}
+\usepackage{booktabs,tabularx,array}
+\newcolumntype{Y}{>{\raggedright\arraybackslash}X}
+\input{exact_counts}
+\begin{document}
+\totalRuns{} runs, \totalToolCalls{} calls, \modbusToolCount{} tools.
+\input{tab_results} \input{tab_taskbreakdown} \input{tab_faultresults}
+\input{tab_stress} \input{tab_recovery} \input{tab_statistics}
+\end{document}
+"""
+
+
+def lines(directory: Path, name: str) -> list[str]:
+    return (directory / f"{name}.tex").read_text().splitlines()
+
+
+def test_rows_equal_the_papers(tmp_path: Path) -> None:
+    write_tables(run(ALL), tmp_path)
+    assert r"        M1 & Modbus & Ping the adapter and confirm the TCP mock is reachable. & 1.1 & 1.1 \\" in lines(
+        tmp_path, "tab_taskbreakdown"
+    )
+    assert (
+        r"        FM2 & Modbus & Write overflow value (70000 > uint16 max) and expect adapter rejection. & 100.0 & 1.0 "
+        r"& range overflow \\" in lines(tmp_path, "tab_faultresults")
+    )
+    assert r"        Modbus & 2 & 100.0 & 100.0 & 1.3 & 1.5 & 100.0 \\" in lines(tmp_path, "tab_results")
+    assert r"        & & (\%) & (\%) & (ms) & (ms) & (\%) \\" in lines(tmp_path, "tab_results")
+    assert r"\newcommand{\totalRuns}{150}" in lines(tmp_path, "exact_counts")
+    assert r"\newcommand{\modbusToolCount}{17}" in lines(tmp_path, "exact_counts")
+
+
+def test_families_are_separated_by_a_rule(tmp_path: Path) -> None:
+    write_tables(run(ALL), tmp_path)
+    breakdown = lines(tmp_path, "tab_taskbreakdown")
+    assert breakdown[breakdown.index(next(line for line in breakdown if "Q1 &" in line)) - 1].strip() == r"\midrule"
+
+
+def test_latencies_of_a_parallel_run_are_withheld(tmp_path: Path) -> None:
+    write_tables(run(ALL, timing_valid=False), tmp_path)
+    assert "& --- & --- " in "\n".join(lines(tmp_path, "tab_taskbreakdown"))
+
+
+def test_a_failure_lowers_the_rate(tmp_path: Path) -> None:
+    write_tables(run([item("M1", "normal", "Modbus", "Ping.", [1.0] * 4, failing=1)]), tmp_path)
+    assert r"        Modbus & 1 & 75.0 & 75.0 & 1.0 & 1.0 & --- \\" in lines(tmp_path, "tab_results")
+
+
+def test_every_special_character_is_escaped() -> None:
+    assert escape(r"50 % & _x_ #1 $ {a} ~ ^ \ ") == (
+        r"50 \% \& \_x\_ \#1 \$ \{a\} \textasciitilde{} \textasciicircum{} \textbackslash{} "
+    )
+
+
+@pytest.mark.skipif(shutil.which("pdflatex") is None, reason="pdflatex is not installed")
+@pytest.mark.parametrize("items", [ALL, [M1], []], ids=["complete", "one item", "empty"])
+def test_latex_compiles_the_tables(tmp_path: Path, items: list[dict[str, object]]) -> None:
+    write_tables(run(items, complete=bool(items)), tmp_path)
+    (tmp_path / "document.tex").write_text(DOCUMENT)
+    command = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "document.tex"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stdout[-3000:]
