@@ -1,16 +1,17 @@
 """The control channel of a device: newline-delimited JSON on a loopback port.
 
 A request is ``{"id": 1, "op": "image"}``; its answer ``{"id": 1, "ok": true, "result": {…}}`` or
-``{"id": 1, "ok": false, "error": "one sentence"}``. Requests may be pipelined; answers may overtake a ``wait``.
+``{"id": 1, "ok": false, "error": "one sentence"}``. Any number of clients may be connected; requests may be pipelined and
+are done one after the other, except that nothing has to wait for a ``wait``.
 
 ======================================================  ========================================================
-``ready``                                               ``{"protocol", "pid"}``
+``ready``                                               ``{"protocol", "port", "pid"}``
 ``image``                                               what the device really holds
 ``poke {params}``                                       set a value out of band
 ``fault {rules}``                                       replace the fault plan; ``{"hits": […]}`` of the old one
 ``reset``                                               start-up values, no faults
 ``pause`` / ``resume``                                  stop or start the free-running 1 Hz simulation
-``tick {steps}``                                        advance the simulation by hand
+``tick {steps}``                                        advance the simulation by hand, seconds of plant time
 ``journal {since}``                                     ``{"entries", "next", "dropped"}``
 ``journal_reset``                                       forget the entries; ``{"next"}``
 ``wait {since, match, count, timeout_s}``               matching entries, as soon as there are ``count``
@@ -22,8 +23,9 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import traceback
 from collections.abc import Awaitable, Callable, Mapping
-from typing import Any
+from typing import Any, TypeVar
 
 from .device import Device, Simulation
 
@@ -33,6 +35,7 @@ _LINE_LIMIT = 16 * 1024 * 1024
 _WAIT_LIMIT_S = 600.0
 
 Request = Mapping[str, Any]
+T = TypeVar("T")
 
 
 class ControlServer:
@@ -64,50 +67,68 @@ class ControlServer:
         return port
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        pending: set[asyncio.Task[None]] = set()
+        waits: set[asyncio.Task[None]] = set()
         try:
             while line := await reader.readline():
-                # Only a wait takes time; everything else is answered in order, before the next line is read.
-                task = asyncio.create_task(self._answer(line, writer))
-                pending.add(task)
-                task.add_done_callback(pending.discard)
-                if b'"wait"' not in line:
-                    await task
+                request = _parsed(line)
+                if request.get("op") == "wait":
+                    task = asyncio.create_task(self._answer(request, writer))
+                    waits.add(task)
+                    task.add_done_callback(waits.discard)
+                else:
+                    await self._answer(request, writer)
         except (ConnectionError, ValueError):
+            # Gone, or a line longer than the limit.
+            pass
+        except asyncio.CancelledError:
+            # The process ends. Python 3.11's streams report a handler that ends as cancelled as an error.
             pass
         finally:
-            for task in pending:
+            for task in waits:
                 task.cancel()
             writer.close()
 
-    async def _answer(self, line: bytes, writer: asyncio.StreamWriter) -> None:
-        identifier: Any = None
+    async def _answer(self, request: Request, writer: asyncio.StreamWriter) -> None:
+        answer: dict[str, Any] = {"id": request.get("id"), "ok": False}
         try:
-            request = json.loads(line)
-            identifier = request["id"]
-            result = await self._ops[request["op"]](request)
-            answer = {"id": identifier, "ok": True, "result": result}
-        except KeyError as error:
-            answer = {"id": identifier, "ok": False, "error": f"the request lacks or does not know {error}"}
-        except (ValueError, TypeError) as error:
-            answer = {"id": identifier, "ok": False, "error": str(error)}
-        writer.write(json.dumps(answer, separators=(",", ":")).encode() + b"\n")
+            result = await self._operation(request)(request)
+            line = json.dumps({**answer, "ok": True, "result": result}, separators=(",", ":"))
+        except ValueError as error:
+            line = json.dumps({**answer, "error": str(error)})
+        except Exception as error:
+            # A bug of the device. It must reach whoever asked, not end the channel.
+            traceback.print_exc()
+            line = json.dumps({**answer, "error": f"the device failed: {type(error).__name__}: {error}"})
+        writer.write(line.encode() + b"\n")
+
+    def _operation(self, request: Request) -> Callable[[Request], Awaitable[dict[str, Any]]]:
+        op = request.get("op")
+        if not isinstance(op, str) or op not in self._ops:
+            raise ValueError(f"unknown op {op!r}; known are {', '.join(self._ops)}")
+        return self._ops[op]
 
     async def _ready(self, request: Request) -> dict[str, Any]:
-        return {"protocol": self._device.protocol, "pid": os.getpid()}
+        return {"protocol": self._device.protocol, "port": self._device.port, "pid": os.getpid()}
 
     async def _image(self, request: Request) -> dict[str, Any]:
         return self._device.image()
 
     async def _poke(self, request: Request) -> dict[str, Any]:
-        await self._device.poke(request["params"])
+        params = _member(request, "params", dict)
+        try:
+            await self._device.poke(params)
+        except KeyError as error:
+            raise ValueError(f"the poke lacks {error}") from None
         return {}
 
     async def _fault(self, request: Request) -> dict[str, Any]:
-        return {"hits": self._device.fault(list(request["rules"]))}
+        rules = _member(request, "rules", list)
+        if not all(isinstance(rule, dict) for rule in rules):
+            raise ValueError("rules: every fault rule is an object")
+        return {"hits": self._device.fault(rules)}
 
     async def _reset(self, request: Request) -> dict[str, Any]:
-        await self._device.reset()
+        await self._simulation.reset()
         return {}
 
     async def _pause(self, request: Request) -> dict[str, Any]:
@@ -119,21 +140,42 @@ class ControlServer:
         return {}
 
     async def _tick(self, request: Request) -> dict[str, Any]:
-        for _ in range(int(request.get("steps", 1))):
-            await self._device.tick()
+        await self._simulation.tick(_member(request, "steps", int, 1))
         return {}
 
     async def _journal(self, request: Request) -> dict[str, Any]:
         journal = self._device.journal
-        return {"entries": journal.since(int(request["since"])), "next": journal.next, "dropped": journal.dropped}
+        entries = journal.since(_member(request, "since", int))
+        return {"entries": entries, "next": journal.next, "dropped": journal.dropped}
 
     async def _journal_reset(self, request: Request) -> dict[str, Any]:
         self._device.journal.clear()
         return {"next": self._device.journal.next}
 
     async def _wait(self, request: Request) -> dict[str, Any]:
-        timeout_s = min(float(request.get("timeout_s", 1.0)), _WAIT_LIMIT_S)
+        timeout_s = min(_member(request, "timeout_s", float, 1.0), _WAIT_LIMIT_S)
         entries = await self._device.journal.wait(
-            int(request["since"]), request["match"], int(request.get("count", 1)), timeout_s
+            _member(request, "since", int),
+            _member(request, "match", dict),
+            _member(request, "count", int, 1),
+            timeout_s,
         )
         return {"entries": entries, "next": self._device.journal.next}
+
+
+def _parsed(line: bytes) -> Request:
+    # What is no request is answered as one without op: whoever sent it learns of it.
+    try:
+        request = json.loads(line)
+    except (ValueError, RecursionError):
+        return {}
+    return request if isinstance(request, dict) else {}
+
+
+def _member(request: Request, name: str, kind: type[T], default: T | None = None) -> T:
+    value = request.get(name, default)
+    if kind is float and type(value) is int:
+        value = float(value)
+    if type(value) is not kind:
+        raise ValueError(f"{name}: expected {kind.__name__}, found {value!r}")
+    return value

@@ -1,8 +1,8 @@
 """What a protocol package implements: a :class:`Device`, a ``warm`` and a ``create`` function.
 
 A protocol package (``modbus``, ``mqtt``, ``opcua``) offers two functions. ``warm()`` runs once in the launcher, before
-any device process is forked: imports and everything else that is slow and bound to no loop. ``create()`` runs in the
-device process and returns a fresh device.
+any device process is forked: imports and everything else that is slow; it leaves no loop and no thread behind, because
+a fork carries neither over. ``create()`` runs in the device process, before its loop, and returns a fresh device.
 """
 
 from __future__ import annotations
@@ -20,9 +20,16 @@ __all__ = ["Device", "Simulation"]
 
 
 class Device(ABC):
-    """A device that serves one protocol on one port and keeps a journal of what reached it."""
+    """A device that serves one protocol on one port and keeps a journal of what reached it.
+
+    Attributes:
+        protocol: name of the protocol, as on the command line.
+        port: port of the endpoint; set by whoever starts the device, before ``serve``.
+        journal: everything that reached the device and that it sent.
+    """
 
     protocol: str
+    port: int = 0
 
     def __init__(self) -> None:
         self.journal = Journal()
@@ -41,7 +48,7 @@ class Device(ABC):
 
     @abstractmethod
     async def poke(self, params: Mapping[str, Any]) -> None:
-        """Set a value out of band, without a trace in the journal.
+        """Set a value out of band.
 
         Raises:
             ValueError: the parameters name nothing that exists; the message says what.
@@ -52,24 +59,25 @@ class Device(ABC):
         """Replace the fault plan; return how often each rule of the old plan was applied.
 
         Raises:
-            ValueError: a rule is not understood.
+            ValueError: a rule is not understood; the old plan stays.
         """
 
     @abstractmethod
     async def reset(self) -> None:
-        """Start-up values and no faults; connections and journal stay."""
+        """Start-up values and no faults; connections and journal stay. Never called during a tick."""
 
     @abstractmethod
     async def tick(self) -> None:
-        """Advance the simulation by one second of plant time, deterministically."""
+        """Advance the simulation by one second of plant time, deterministically. Never called during a reset."""
 
 
 class Simulation:
-    """Ticks a device once a second until paused."""
+    """Ticks a device once a second until paused; one tick or reset at a time."""
 
     def __init__(self, device: Device) -> None:
         self._device = device
         self._task: asyncio.Task[None] | None = None
+        self._turn = asyncio.Lock()
 
     def resume(self) -> None:
         """Run freely."""
@@ -79,10 +87,24 @@ class Simulation:
     async def pause(self) -> None:
         """Stand still; when this returns no tick is under way."""
         task, self._task = self._task, None
-        if task is not None:
+        if task is None:
+            return
+        # Whoever has the turn knows that the task is between ticks, so none is cut in half.
+        async with self._turn:
             task.cancel()
             with contextlib.suppress(asyncio.CancelledError):
                 await task
+
+    async def tick(self, steps: int) -> None:
+        """Advance by hand."""
+        for _ in range(steps):
+            async with self._turn:
+                await self._device.tick()
+
+    async def reset(self) -> None:
+        """Back to start-up values; running or paused as before."""
+        async with self._turn:
+            await self._device.reset()
 
     async def _run(self) -> None:
         loop = asyncio.get_running_loop()
@@ -90,5 +112,8 @@ class Simulation:
         while True:
             due += 1.0
             await asyncio.sleep(max(0.0, due - loop.time()))
-            # Shielded: a pause must not cut a tick in half.
-            await asyncio.shield(self._device.tick())
+            try:
+                await self.tick(1)
+            except Exception as error:
+                # A plant that stands still without a word would be taken for a paused one.
+                loop.call_exception_handler({"message": "a tick of the simulation failed", "exception": error})

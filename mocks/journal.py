@@ -90,7 +90,7 @@ class _Waiter:
             self.satisfied.set()
 
     def offer(self, entry: Entry) -> None:
-        if all(entry.get(name) == value for name, value in self._match.items()):
+        if all(name in entry and entry[name] == value for name, value in self._match.items()):
             self.found.append(entry)
             if len(self.found) >= self._count:
                 self.satisfied.set()

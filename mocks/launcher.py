@@ -5,7 +5,9 @@ takes milliseconds nevertheless, the launcher imports and prepares everything on
 
 The launcher keeps the port: a bound socket that never listens. Connections to it are refused while no device listens,
 nobody else can take the port meanwhile, and no client's connect() can be given the port as its own source port (which
-on loopback would connect it to itself). The device binds the same port with SO_REUSEPORT.
+on loopback would connect it to itself). The device binds the same port with SO_REUSEPORT. On Linux all closed sockets of
+a killed process are closed before waitpid() returns, so a start right after a stop finds the port free; connections in
+TIME_WAIT do not matter to sockets that all have SO_REUSEADDR or SO_REUSEPORT.
 
 Standard output carries one JSON object per line, standard input one word per line:
 
@@ -14,7 +16,11 @@ Standard output carries one JSON object per line, standard input one word per li
 ``start``  a new device on the same port; ``{"event": "ready", "protocol", "host", "port", "control", "pid"}``
 =========  ==========================================================================================
 
-``{"event": "died", "port", "exit"}`` tells that a device ended by itself. End of input ends everything.
+``{"event": "died", "port", "exit"}`` tells that a device ended by itself; ``start`` is understood afterwards.
+``{"event": "error", "message"}`` answers any other word. End of input ends everything.
+
+Two pipes tie the processes together, so that neither outlives the other unnoticed, however it ends: the device reads
+end-of-file from the *life* pipe when the launcher is gone, the launcher from the *death* pipe when the device is.
 """
 
 from __future__ import annotations
@@ -29,6 +35,7 @@ import selectors
 import signal
 import socket
 import sys
+import traceback
 from types import ModuleType
 from typing import Any, NoReturn
 
@@ -38,13 +45,20 @@ from .device import Device
 __all__ = ["run"]
 
 
+_STDIN, _STDOUT, _STDERR = 0, 1, 2
+
+
 def run(protocol: str, host: str, port: int) -> int:
     """Serve until standard input closes; returns the exit code.
 
     Raises:
-        OSError: the port cannot be bound.
+        OSError: the port cannot be bound, or somebody else serves on it.
     """
-    reservation = _bound(host, port)
+    if port:
+        # SO_REUSEPORT alone would let two mocks of one user share a port. A socket without it may not be bound where
+        # another launcher keeps its reservation (which has no SO_REUSEADDR for this reason) or anybody listens.
+        _bound(host, port, socket.SO_REUSEADDR).close()
+    reservation = _bound(host, port, socket.SO_REUSEPORT)
     port = reservation.getsockname()[1]
     module = importlib.import_module(f".{protocol}", __package__)
     module.warm()
@@ -60,30 +74,32 @@ def run(protocol: str, host: str, port: int) -> int:
     except _Ended:
         pass
     finally:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
         launcher.stop()
         reservation.close()
     return 0
 
 
 class _Ended(BaseException):
-    """A signal asked the launcher to end."""
+    """A signal asked the launcher to end, or nobody listens to it any more."""
 
 
 def _end(number: int, frame: Any) -> NoReturn:
     raise _Ended
 
 
-def _bound(host: str, port: int) -> socket.socket:
+def _bound(host: str, port: int, *options: int) -> socket.socket:
     # The protocol is named because asyncio sets TCP_NODELAY only where it reads IPPROTO_TCP.
-    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
+    bound = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     try:
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
-        listener.bind((host, port))
+        for option in options:
+            bound.setsockopt(socket.SOL_SOCKET, option, 1)
+        bound.bind((host, port))
     except BaseException:
-        listener.close()
+        bound.close()
         raise
-    return listener
+    return bound
 
 
 class _Launcher:
@@ -93,28 +109,32 @@ class _Launcher:
         self._port = port
         self._module = module
         self._pid: int | None = None
-        self._death: int | None = None
-        # The device holds the reading end: it reads end-of-file when the launcher is gone, however it went.
+        self._death = -1
         self._life_read, self._life_write = os.pipe()
-        self._selector = selectors.DefaultSelector()
+        # poll and not epoll, which refuses files and /dev/null as standard input.
+        self._selector = selectors.PollSelector()
         self._buffer = b""
 
     def say(self, **event: Any) -> None:
-        sys.stdout.write(json.dumps(event) + "\n")
-        sys.stdout.flush()
+        try:
+            # Unbuffered: nothing may be left behind for a forked device to write again.
+            os.write(_STDOUT, json.dumps(event).encode() + b"\n")
+        except BrokenPipeError:
+            raise _Ended from None
 
     def obey(self) -> None:
         """Read commands until standard input closes; notice a device that dies."""
-        self._selector.register(0, selectors.EVENT_READ)
+        self._selector.register(_STDIN, selectors.EVENT_READ)
         while True:
-            for key, _ in self._selector.select():
-                if key.fd != 0:
-                    self._device_died()
-                elif not self._read_commands():
-                    return
+            readable = {key.fd for key, _ in self._selector.select()}
+            # Death first: a command may reap the device and reuse the number of its pipe.
+            if self._death in readable:
+                self._device_died()
+            if _STDIN in readable and not self._read_commands():
+                return
 
     def _read_commands(self) -> bool:
-        chunk = os.read(0, 4096)
+        chunk = os.read(_STDIN, 4096)
         *lines, self._buffer = (self._buffer + chunk).split(b"\n")
         for line in lines:
             word = line.strip().decode("utf-8", "replace")
@@ -131,23 +151,19 @@ class _Launcher:
 
     def start(self) -> None:
         """Fork a device and tell when it accepts connections."""
-        ready_read, ready_write = os.pipe()
+        death_read, death_write = os.pipe()
         pid = os.fork()
         if pid == 0:
-            os.close(ready_read)
+            os.close(death_read)
             os.close(self._life_write)
-            self._become_device(ready_write)
-        os.close(ready_write)
-        self._pid = pid
-        with os.fdopen(ready_read, "rb", buffering=0) as pipe:
-            control = pipe.readline()
+            self._become_device(death_write)
+        os.close(death_write)
+        self._pid, self._death = pid, death_read
+        self._selector.register(death_read, selectors.EVENT_READ)
+        control = os.read(death_read, 64)
         if not control:
             self._device_died()
             return
-        if hasattr(os, "pidfd_open"):
-            # Readable when the device has ended: no signal handler is needed.
-            self._death = os.pidfd_open(pid)
-            self._selector.register(self._death, selectors.EVENT_READ)
         self.say(
             event="ready",
             protocol=self._protocol,
@@ -159,12 +175,10 @@ class _Launcher:
 
     def _reap(self) -> int:
         assert self._pid is not None
-        death, self._death = self._death, None
-        if death is not None:
-            self._selector.unregister(death)
-            os.close(death)
+        self._selector.unregister(self._death)
+        os.close(self._death)
         _, status = os.waitpid(self._pid, 0)
-        self._pid = None
+        self._pid, self._death = None, -1
         return os.waitstatus_to_exitcode(status)
 
     def _device_died(self) -> None:
@@ -177,32 +191,36 @@ class _Launcher:
                 os.kill(self._pid, signal.SIGKILL)
             self._reap()
 
-    def _become_device(self, ready: int) -> NoReturn:
+    def _become_device(self, death: int) -> NoReturn:
         code = 1
         try:
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
             # Ctrl-C in a terminal reaches the whole group; the launcher decides when a device ends.
             signal.signal(signal.SIGINT, signal.SIG_IGN)
+            # The launcher's commands and events are not the device's; a stray print must not look like an event.
             null = os.open(os.devnull, os.O_RDWR)
-            os.dup2(null, 0)
-            os.dup2(2, 1)
-            self._selector.close()
+            os.dup2(null, _STDIN)
+            os.close(null)
+            os.dup2(_STDERR, _STDOUT)
             device = self._module.create()
-            asyncio.run(_serve(device, _bound(self._host, self._port), ready, self._life_read))
+            device.port = self._port
+            listener = _bound(self._host, self._port, socket.SO_REUSEADDR, socket.SO_REUSEPORT)
+            asyncio.run(_serve(device, listener, death, self._life_read))
             code = 0
+        except BaseException:
+            traceback.print_exc()
         finally:
             sys.stderr.flush()
             # Not sys.exit: the launcher's exit handlers are not the device's.
             os._exit(code)
 
 
-async def _serve(device: Device, listener: socket.socket, ready: int, life: int) -> None:
+async def _serve(device: Device, listener: socket.socket, death: int, life: int) -> None:
     ended = asyncio.Event()
     asyncio.get_running_loop().add_reader(life, ended.set)
     await device.serve(listener)
-    control = ControlServer(device)
-    port = await control.start()
-    os.write(ready, f"{port}\n".encode())
-    os.close(ready)
+    port = await ControlServer(device).start()
+    # One write of a few bytes into a pipe arrives in one piece. The pipe stays open: its end tells of the device's.
+    os.write(death, f"{port}\n".encode())
     await ended.wait()
     await device.aclose()

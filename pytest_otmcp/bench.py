@@ -20,8 +20,11 @@ from .mcp_session import McpSession, SessionOptions
 from .observation import Reply, Wire, observe
 from .plant import MockDevice
 from .subject import Adapter, Subject
+from .tap_broker import TappedBroker
 
 __all__ = ["Bench", "BenchOptions", "NoBindingError", "Plant", "Station", "TimeSpent"]
+
+Device = MockDevice | TappedBroker
 
 READ_ONLY = "ro"
 READ_WRITE = "rw"
@@ -83,7 +86,7 @@ class BenchOptions:
 class Station:
     """One adapter variant, its session, and the device it talks to."""
 
-    def __init__(self, adapter: Adapter, variant: str, device: MockDevice, options: BenchOptions) -> None:
+    def __init__(self, adapter: Adapter, variant: str, device: Device, options: BenchOptions) -> None:
         self.adapter = adapter
         self.variant = variant
         self.device = device
@@ -189,20 +192,28 @@ class Station:
 
 
 class Plant:
-    """The devices, each started when it is first asked for."""
+    """The devices, each started when it is first asked for.
 
-    def __init__(self) -> None:
-        self._devices: dict[str, MockDevice] = {}
+    Args:
+        broker: URL of an external MQTT broker to use, behind the kit's tap, instead of the embedded one.
+    """
+
+    def __init__(self, broker: str | None = None) -> None:
+        self._broker = broker
+        self._devices: dict[str, Device] = {}
         self._launches: dict[str, asyncio.Task[None]] = {}
 
-    async def device(self, name: str) -> MockDevice:
+    async def device(self, name: str) -> Device:
         """The device ``protocol`` or ``protocol@instance``, running.
 
         Raises:
             KitError: it could not be started; said again at once to whoever asks next.
         """
         if name not in self._devices:
-            device = self._devices[name] = MockDevice(name.partition("@")[0])
+            protocol = name.partition("@")[0]
+            tapped = self._broker if protocol == "mqtt" else None
+            device = MockDevice(protocol) if tapped is None else TappedBroker(tapped)
+            self._devices[name] = device
             self._launches[name] = asyncio.create_task(device.launch())
         # Everybody who asks waits for the one launch; nobody who gives up waiting cancels it for the others.
         await asyncio.shield(self._launches[name])
@@ -229,7 +240,7 @@ class Bench:
         self.subject = subject
         self.options = options or BenchOptions()
         self.spent = TimeSpent()
-        self._plant = plant or Plant()
+        self._plant = plant or Plant(self.options.broker)
         self._owns_plant = plant is None
         self._stations: dict[tuple[str, str], Station] = {}
 

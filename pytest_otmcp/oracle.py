@@ -9,21 +9,11 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from .envelope import same_json
 from .findings import Finding
 from .observation import Reply
 
-__all__ = ["equal_json", "failed", "succeeded"]
-
-
-def equal_json(expected: Any, found: Any) -> bool:
-    """Equality as JSON has it: ``1 == 1.0``, but ``true`` is not ``1``."""
-    if isinstance(expected, bool) or isinstance(found, bool):
-        return expected is found
-    if isinstance(expected, Mapping) and isinstance(found, Mapping):
-        return expected.keys() == found.keys() and all(equal_json(expected[key], found[key]) for key in expected)
-    if isinstance(expected, list | tuple) and isinstance(found, list | tuple):
-        return len(expected) == len(found) and all(map(equal_json, expected, found))
-    return bool(expected == found)
+__all__ = ["failed", "succeeded"]
 
 
 def succeeded(reply: Reply, **outputs: Any) -> list[Finding]:
@@ -44,7 +34,7 @@ def succeeded(reply: Reply, **outputs: Any) -> list[Finding]:
             evidence=_shown(reply.envelope),
         )
         for name, expected in outputs.items()
-        if not equal_json(expected, reply.outputs.get(name))
+        if not same_json(expected, reply.outputs.get(name))
     ]
 
 
@@ -110,7 +100,7 @@ def _contains(found: Any, expected: Any) -> bool:
         return isinstance(found, Mapping) and all(
             name in found and _contains(found[name], value) for name, value in expected.items()
         )
-    return equal_json(expected, found)
+    return same_json(expected, found)
 
 
 def _outcome(reply: Reply) -> str:

@@ -15,6 +15,7 @@ from typing import Any
 
 from . import oracle
 from .bench import READ_ONLY, READ_WRITE, Bench, NoBindingError, Station
+from .envelope import same_json
 from .errors import KitError, SubjectError
 from .findings import Finding
 from .mcp_session import McpSession
@@ -256,7 +257,7 @@ class Repetition:
     def one_of(self, reply: Reply, output: str, *values: Any) -> None:
         """Expect an output to be one of several values, where concurrency makes each of them right."""
         found = reply.outputs.get(output)
-        if reply.success and not any(oracle.equal_json(value, found) for value in values):
+        if reply.success and not any(same_json(value, found) for value in values):
             reply.ok = False
             shown = " or ".join(map(repr, values))
             self.finding(

@@ -10,18 +10,20 @@ import asyncio
 import socket
 import struct
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 from ..device import Device
 from .faults import FaultPlan, Rule
 from .image import UnitImage, poke
-from .pdu import IllegalRequest, describe, execute
+from .pdu import READS, IllegalRequest, describe, execute, read_response, values_read
 
 __all__ = ["ModbusDevice"]
 
 GATEWAY_TARGET_FAILED_TO_RESPOND = 0x0B
 _MAX_LENGTH = 254
 """Largest value of the MBAP length field: unit identifier and a PDU of 253 bytes."""
+_GARBAGE = b"\xde\xad\xbe\xef\xff\xff\x00\x01"
 
 
 class ModbusDevice(Device):
@@ -80,7 +82,20 @@ class _Connection(asyncio.Protocol):
         self._record("in", "CONNECTED", peer=transport.get_extra_info("peername")[1])
 
     def connection_lost(self, exc: Exception | None) -> None:
+        if self._buffer:
+            self._malformed("the connection ended inside a frame")
         self._record("in", "DISCONNECTED")
+
+    def pause_writing(self) -> None:
+        # Who does not read answers is not listened to: answers must not pile up.
+        self._transport.pause_reading()
+
+    def resume_writing(self) -> None:
+        self._transport.resume_reading()
+
+    def _malformed(self, reason: str) -> None:
+        self._record("in", "malformed", bytes=bytes(self._buffer[:300]).hex(), reason=reason)
+        self._buffer.clear()
 
     def _record(self, direction: str, kind: str, **fields: Any) -> None:
         self._device.journal.append(connection=self._number, direction=direction, kind=kind, **fields)
@@ -90,8 +105,9 @@ class _Connection(asyncio.Protocol):
         while len(self._buffer) >= 6 and not self._transport.is_closing():
             transaction, protocol, length = struct.unpack_from(">HHH", self._buffer)
             if protocol != 0 or not 2 <= length <= _MAX_LENGTH:
-                # The stream cannot be trusted any more (Messaging guide, section 4.4.2.2).
-                self._record("in", "malformed", bytes=bytes(self._buffer[:64]).hex(), reason="MBAP header")
+                # Where the next frame begins cannot be known any more. The guide (section 4.4.2.2) discards
+                # such a frame without a word; a witness drops the connection, so that nobody overlooks it.
+                self._malformed(f"MBAP header: protocol {protocol}, length {length}")
                 self._transport.abort()
                 return
             if len(self._buffer) < 6 + length:
@@ -115,27 +131,31 @@ class _Connection(asyncio.Protocol):
         except IllegalRequest as refusal:
             response = bytes([pdu[0] | 0x80, refusal.code])
         if rule is None:
-            self._send(transaction, unit, response)
+            self._send(fields, transaction, unit, response)
         else:
-            self._misbehave(rule, transaction, unit, response)
+            self._misbehave(rule, fields, transaction, unit, response)
 
-    def _send(self, transaction: int, unit: int, response: bytes, cut: int | None = None) -> None:
+    def _send(
+        self, request: Mapping[str, Any], transaction: int, unit: int, response: bytes, cut: int | None = None
+    ) -> None:
         if self._transport.is_closing():
             return
         frame = struct.pack(">HHHB", transaction, 0, len(response) + 1, unit) + response
-        exception = response[1] if response[0] & 0x80 else None
-        self._record(
-            "out",
-            "response",
-            unit=unit,
-            transaction_id=transaction,
-            function=response[0] & 0x7F,
-            exception=exception,
-            pdu=response.hex(),
-        )
+        fields: dict[str, Any] = {
+            "unit": unit,
+            "transaction_id": transaction,
+            "function": response[0] & 0x7F,
+            "exception": response[1] if response[0] & 0x80 else None,
+        }
+        values = values_read(request, response)
+        if values is not None:
+            fields["values"] = values
+        if cut is not None:
+            fields["truncate"] = cut
+        self._record("out", "response", **fields, pdu=response.hex())
         self._transport.write(frame[:cut])
 
-    def _misbehave(self, rule: Rule, transaction: int, unit: int, response: bytes) -> None:
+    def _misbehave(self, rule: Rule, request: Mapping[str, Any], transaction: int, unit: int, response: bytes) -> None:
         if rule.drop:
             return
         if rule.close:
@@ -148,20 +168,20 @@ class _Connection(asyncio.Protocol):
             self._transport.abort()
             return
         if rule.garbage:
-            self._record("out", "garbage")
-            self._transport.write(b"\xde\xad\xbe\xef\xff\xff\x00\x01")
+            self._record("out", "garbage", bytes=_GARBAGE.hex())
+            self._transport.write(_GARBAGE)
             return
-        if rule.answer_values is not None:
-            response = bytes([response[0], 2 * len(rule.answer_values)]) + struct.pack(
-                f">{len(rule.answer_values)}H", *rule.answer_values
-            )
-        answer = (
+        if rule.answer_values is not None and response[0] in READS:
+            response = read_response(response[0], rule.answer_values)
+        send = partial(
+            self._send,
+            request,
             (transaction + rule.transaction_id) & 0xFFFF,
             unit if rule.answer_unit is None else rule.answer_unit,
             response,
             rule.truncate,
         )
         if rule.delay_s:
-            asyncio.get_running_loop().call_later(rule.delay_s, self._send, *answer)
+            asyncio.get_running_loop().call_later(rule.delay_s, send)
         else:
-            self._send(*answer)
+            send()

@@ -1,5 +1,8 @@
 """What the device holds: four tables of a hundred cells, and how the plant behind them moves.
 
+The plant moves its input registers, discrete inputs, mode (on a command) and alarm (when it gets hot); every other
+cell belongs to the clients. There is no chance in it: the same ticks and writes give the same values.
+
 Addresses are those of the PDU, from 0. The cells with a meaning are the paper's ("Mock endpoint fidelity"); the others
 are free for use.
 """
@@ -22,6 +25,7 @@ E_STOPPED, RUNNING = 0, 1
 
 _STOPPED_MODE, _RUNNING_MODE, _E_STOP_MODE = 0, 1, 2
 _AMBIENT = 20.0
+_ALARM_LIMIT = 90.0
 
 
 class UnitImage:
@@ -39,6 +43,8 @@ class UnitImage:
         self._level = 50.0
         self._produced = 0.0
         self._seconds = 0
+        self._was_hot = False
+        self._given: set[int] = set()
         self.holding_registers[:10] = [50, 30, 40, 60, 100, _RUNNING_MODE, 0, 0, 0, 0]
         self.coils[PUMP] = True
         self.discrete_inputs[RUNNING] = True
@@ -56,15 +62,19 @@ class UnitImage:
         return cells
 
     def poke(self, table: str, address: int, values: Sequence[Any]) -> None:
-        """Set cells out of band."""
+        """Set cells out of band.
+
+        Raises:
+            ValueError: no such table, address or value.
+        """
         cells = self.table(table)
         if address < 0 or address + len(values) > SIZE:
             raise ValueError(f"{table} {address}..{address + len(values) - 1}: the device has 0..{SIZE - 1}")
-        if table in ("coils", "discrete_inputs"):
-            cells[address : address + len(values)] = [bool(value) for value in values]
-            return
-        if not all(isinstance(value, int) and 0 <= value <= 0xFFFF for value in values):
-            raise ValueError(f"{table}: register values are 0..65535")
+        bits = table in ("coils", "discrete_inputs")
+        kind, highest = (bool, 1) if bits else (int, 0xFFFF)
+        for value in values:
+            if type(value) is not kind or not 0 <= value <= highest:
+                raise ValueError(f"{table}: expected {'booleans' if bits else 'integers 0..65535'}, found {value!r}")
         cells[address : address + len(values)] = list(values)
 
     def dump(self) -> dict[str, Any]:
@@ -84,21 +94,27 @@ class UnitImage:
         self._level = min(100.0, max(0.0, self._level + (0.4 if pumping else 0.0) - 0.4 * valve))
         if running:
             self._produced += registers[RATE] / 60 * min(registers[CONVEYOR], 100) / 100
-        self.coils[ALARM] = self._temperature > 90.0
+        hot = self._temperature > _ALARM_LIMIT
+        if hot and not self._was_hot:
+            self.coils[ALARM] = True
+        self._was_hot = hot
         self._publish()
 
     def _obey_commands(self) -> None:
+        """E-stop is a switch: as long as its register is not 0, nothing runs. The other commands act when their
+        registers leave 0. A register that a client has written is never taken back: what is written stays."""
         registers, inputs = self.holding_registers, self.discrete_inputs
-        if registers[E_STOP]:
-            inputs[E_STOPPED], inputs[RUNNING], registers[MODE] = True, False, _E_STOP_MODE
-        elif registers[RESET]:
-            inputs[E_STOPPED], registers[MODE] = False, _STOPPED_MODE
-        elif registers[STOP]:
+        given = {command for command in (START, STOP, E_STOP, RESET) if registers[command]}
+        fresh, self._given = given - self._given, given
+        if E_STOP in given:
+            if not inputs[E_STOPPED]:
+                inputs[E_STOPPED], inputs[RUNNING], registers[MODE] = True, False, _E_STOP_MODE
+        elif RESET in fresh:
+            inputs[E_STOPPED], inputs[RUNNING], registers[MODE] = False, False, _STOPPED_MODE
+        elif STOP in fresh and not inputs[E_STOPPED]:
             inputs[RUNNING], registers[MODE] = False, _STOPPED_MODE
-        elif registers[START] and not inputs[E_STOPPED]:
+        elif START in fresh and not inputs[E_STOPPED]:
             inputs[RUNNING], registers[MODE] = True, _RUNNING_MODE
-        # A command is an edge, not a state: it is taken back when it has been obeyed.
-        registers[START] = registers[STOP] = registers[E_STOP] = registers[RESET] = 0
 
     def _publish(self) -> None:
         registers, running = self.holding_registers, self.discrete_inputs[RUNNING]
@@ -119,8 +135,15 @@ class UnitImage:
 
 
 def poke(units: Mapping[int, UnitImage], params: Mapping[str, Any]) -> None:
-    """Apply the parameters of a ``poke``: unit (default 1), table, address, values."""
-    unit = int(params.get("unit", 1))
-    if unit not in units:
+    """Apply the parameters of a ``poke``: unit (default 1), table, address, values.
+
+    Raises:
+        ValueError: no such cell or value.
+        KeyError: a parameter is missing.
+    """
+    unit, table, address, values = params.get("unit", 1), params["table"], params["address"], params["values"]
+    if type(address) is not int or not isinstance(values, list):
+        raise ValueError(f"a poke has an integer address and a list of values, found {address!r} and {values!r}")
+    if type(unit) is not int or unit not in units:
         raise ValueError(f"unit {unit} is not configured; configured are {', '.join(map(str, units))}")
-    units[unit].poke(str(params["table"]), int(params["address"]), list(params["values"]))
+    units[unit].poke(table, address, values)

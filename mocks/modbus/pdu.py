@@ -7,11 +7,21 @@ checks come in the order of the specification's state diagrams: function, quanti
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from .image import SIZE, UnitImage
 
-__all__ = ["STATE_CHANGING", "IllegalRequest", "describe", "execute"]
+__all__ = [
+    "READS",
+    "STATE_CHANGING",
+    "IllegalRequest",
+    "describe",
+    "execute",
+    "identify",
+    "read_response",
+    "values_read",
+]
 
 ILLEGAL_FUNCTION, ILLEGAL_DATA_ADDRESS, ILLEGAL_DATA_VALUE = 1, 2, 3
 
@@ -20,6 +30,10 @@ WRITE_COIL, WRITE_REGISTER, WRITE_COILS, WRITE_REGISTERS = 5, 6, 15, 16
 MASK_WRITE, READ_WRITE, ENCAPSULATED = 22, 23, 43
 
 STATE_CHANGING = frozenset({WRITE_COIL, WRITE_REGISTER, WRITE_COILS, WRITE_REGISTERS, MASK_WRITE, READ_WRITE})
+
+READS = frozenset({READ_COILS, READ_DISCRETE, READ_HOLDING, READ_INPUT, READ_WRITE})
+_ADDRESSED = STATE_CHANGING | READS
+_COIL_STATES = {0x0000: False, 0xFF00: True}
 
 _IDENTIFICATION = {
     0: b"pytest-otmcp",
@@ -43,28 +57,57 @@ class IllegalRequest(Exception):
 
 
 def describe(pdu: bytes) -> dict[str, Any]:
-    """The request's fields for the journal, as far as its bytes go."""
+    """The request's fields for the journal, as far as its bytes go.
+
+    ``address``, ``quantity`` and ``values`` are those of the write in a Read/Write Multiple Registers request, which
+    has ``read_address`` and ``read_quantity`` besides. A coil value that is neither FF00 nor 0000 stays a number.
+    """
     function = pdu[0]
     fields: dict[str, Any] = {"function": function, "state_changing": function in STATE_CHANGING}
-    if function != ENCAPSULATED and len(pdu) >= 5:
-        fields["address"], second = struct.unpack_from(">HH", pdu, 1)
-        if function == WRITE_COIL:
-            fields["quantity"], fields["values"] = 1, [second == 0xFF00]
-        elif function == WRITE_REGISTER:
-            fields["quantity"], fields["values"] = 1, [second]
-        elif function == MASK_WRITE and len(pdu) >= 7:
+    if function not in _ADDRESSED or len(pdu) < 5:
+        return fields
+    fields["address"], second = struct.unpack_from(">HH", pdu, 1)
+    if function == WRITE_COIL:
+        fields["quantity"], fields["values"] = 1, [_COIL_STATES.get(second, second)]
+    elif function == WRITE_REGISTER:
+        fields["quantity"], fields["values"] = 1, [second]
+    elif function == MASK_WRITE:
+        fields["quantity"] = 1
+        if len(pdu) >= 7:
             fields["and_mask"], fields["or_mask"] = struct.unpack_from(">HH", pdu, 3)
-        elif function == READ_WRITE and len(pdu) >= 10:
-            fields["read_address"], fields["read_quantity"] = fields["address"], second
+    elif function == READ_WRITE:
+        fields["read_address"], fields["read_quantity"] = fields.pop("address"), second
+        if len(pdu) >= 10:
             fields["address"], fields["quantity"] = struct.unpack_from(">HH", pdu, 5)
             fields["values"] = _registers(pdu[10:])
-        else:
-            fields["quantity"] = second
-            if function == WRITE_COILS and len(pdu) > 6:
-                fields["values"] = _bits(pdu[6:], second)
-            elif function == WRITE_REGISTERS and len(pdu) > 6:
-                fields["values"] = _registers(pdu[6:])
+    else:
+        fields["quantity"] = second
+        if function == WRITE_COILS and len(pdu) > 6:
+            fields["values"] = _bits(pdu[6:], second)
+        elif function == WRITE_REGISTERS and len(pdu) > 6:
+            fields["values"] = _registers(pdu[6:])
     return fields
+
+
+def values_read(request: Mapping[str, Any], response: bytes) -> list[Any] | None:
+    """What a response PDU says was read: registers or bits; None if it is none of a read.
+
+    Args:
+        request: the fields of the request, from :func:`describe`.
+        response: the response PDU.
+    """
+    function = response[0]
+    if function in (READ_HOLDING, READ_INPUT, READ_WRITE):
+        return _registers(response[2:])
+    if function in (READ_COILS, READ_DISCRETE):
+        return _bits(response[2:], request["quantity"])
+    return None
+
+
+def read_response(function: int, values: Sequence[int]) -> bytes:
+    """The response PDU that answers a read with these registers or bits."""
+    data = _pack_bits(values) if function in (READ_COILS, READ_DISCRETE) else _pack(values)
+    return bytes([function, len(data)]) + data
 
 
 def execute(unit: UnitImage, pdu: bytes, *, apply: bool = True) -> bytes:
@@ -80,19 +123,18 @@ def execute(unit: UnitImage, pdu: bytes, *, apply: bool = True) -> bytes:
     if function in (READ_COILS, READ_DISCRETE):
         address, quantity = _span(body, 2000)
         cells = unit.coils if function == READ_COILS else unit.discrete_inputs
-        data = _pack_bits(cells[address : address + quantity])
-        return bytes([function, len(data)]) + data
+        return read_response(function, cells[address : address + quantity])
     if function in (READ_HOLDING, READ_INPUT):
         address, quantity = _span(body, 125)
         registers = unit.holding_registers if function == READ_HOLDING else unit.input_registers
-        return bytes([function, 2 * quantity]) + _pack(registers[address : address + quantity])
+        return read_response(function, registers[address : address + quantity])
     if function == WRITE_COIL:
         address, value = _pair(body)
-        if value not in (0x0000, 0xFF00):
+        if value not in _COIL_STATES:
             raise IllegalRequest(ILLEGAL_DATA_VALUE)
         _within(address, 1)
         if apply:
-            unit.coils[address] = value == 0xFF00
+            unit.coils[address] = _COIL_STATES[value]
         return pdu
     if function == WRITE_REGISTER:
         address, value = _pair(body)
@@ -122,7 +164,7 @@ def execute(unit: UnitImage, pdu: bytes, *, apply: bool = True) -> bytes:
     if function == READ_WRITE:
         return _read_write(unit, body, apply)
     if function == ENCAPSULATED:
-        return _identification(body)
+        return identify(_IDENTIFICATION, body)
     raise IllegalRequest(ILLEGAL_FUNCTION)
 
 
@@ -146,7 +188,7 @@ def _within(address: int, quantity: int) -> None:
         raise IllegalRequest(ILLEGAL_DATA_ADDRESS)
 
 
-def _block(body: bytes, limit: int, size: Any) -> tuple[int, int, bytes]:
+def _block(body: bytes, limit: int, size: Callable[[int], int]) -> tuple[int, int, bytes]:
     if len(body) < 5:
         raise IllegalRequest(ILLEGAL_DATA_VALUE)
     address, quantity, count = struct.unpack_from(">HHB", body)
@@ -169,40 +211,45 @@ def _read_write(unit: UnitImage, body: bytes, apply: bool) -> bytes:
     # Section 6.17: the write is performed before the read.
     if apply:
         unit.holding_registers[address : address + quantity] = _registers(data)
-    read = unit.holding_registers[read_address : read_address + read_quantity]
-    return bytes([READ_WRITE, 2 * read_quantity]) + _pack(read)
+    return read_response(READ_WRITE, unit.holding_registers[read_address : read_address + read_quantity])
 
 
-def _identification(body: bytes) -> bytes:
-    """Read Device Identification, section 6.21: conformity level 0x82 (regular, stream and individual access)."""
+def identify(objects: Mapping[int, bytes], body: bytes) -> bytes:
+    """Read Device Identification, section 6.21, with conformity level 82: basic and regular objects, stream and
+    individual access. A stream that does not fit into one PDU is continued at the object that the answer names.
+
+    Raises:
+        IllegalRequest: 01 for another MEI type, 02 for an unknown object asked for individually, 03 otherwise.
+    """
     if not body or body[0] != 0x0E:
         raise IllegalRequest(ILLEGAL_FUNCTION)
     if len(body) != 3:
         raise IllegalRequest(ILLEGAL_DATA_VALUE)
     code, first = body[1], body[2]
     if code == 4:
-        if first not in _IDENTIFICATION:
+        if first not in objects:
             raise IllegalRequest(ILLEGAL_DATA_ADDRESS)
         wanted = [first]
     elif code in _CATEGORY_LAST:
-        last = _CATEGORY_LAST[code]
-        # An unknown object id restarts the stream at the beginning, says the section.
-        wanted = list(range(first if first <= last else 0, last + 1))
+        category = [identifier for identifier in sorted(objects) if identifier <= _CATEGORY_LAST[code]]
+        # An object id that is not known restarts the stream at the beginning, says the section.
+        wanted = [identifier for identifier in category if first not in category or identifier >= first]
     else:
         raise IllegalRequest(ILLEGAL_DATA_VALUE)
-    objects, more, following = b"", 0x00, 0
+    listed, following = b"", None
     taken = 0
     for identifier in wanted:
-        entry = bytes([identifier, len(_IDENTIFICATION[identifier])]) + _IDENTIFICATION[identifier]
-        if 7 + len(objects) + len(entry) > _MAX_PDU:
-            more, following = 0xFF, identifier
+        entry = bytes([identifier, len(objects[identifier])]) + objects[identifier]
+        if 7 + len(listed) + len(entry) > _MAX_PDU:
+            following = identifier
             break
-        objects += entry
+        listed += entry
         taken += 1
-    return bytes([ENCAPSULATED, 0x0E, code, 0x82, more, following, taken]) + objects
+    more = b"\x00\x00" if following is None else bytes([0xFF, following])
+    return bytes([ENCAPSULATED, 0x0E, code, 0x82]) + more + bytes([taken]) + listed
 
 
-def _pack(registers: list[int]) -> bytes:
+def _pack(registers: Sequence[int]) -> bytes:
     return struct.pack(f">{len(registers)}H", *registers)
 
 
@@ -214,8 +261,8 @@ def _bits(data: bytes, quantity: int) -> list[bool]:
     return [bool(data[i // 8] >> (i % 8) & 1) for i in range(min(quantity, 8 * len(data)))]
 
 
-def _pack_bits(cells: list[bool]) -> bytes:
+def _pack_bits(cells: Sequence[int]) -> bytes:
     data = bytearray((len(cells) + 7) // 8)
     for i, cell in enumerate(cells):
-        data[i // 8] |= cell << (i % 8)
+        data[i // 8] |= bool(cell) << (i % 8)
     return bytes(data)

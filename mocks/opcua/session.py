@@ -145,7 +145,7 @@ class PlantSession(InternalSession):  # type: ignore[misc]
         nodes = [item.NodeId.to_string() for item in params.NodesToBrowse]
         self._record("in", "Browse", nodes=nodes, state_changing=False)
         status = await self._faulty("Browse", (item.NodeId for item in params.NodesToBrowse))
-        results = await super().browse(params)
+        results: list[ua.BrowseResult] = await super().browse(params)
         for item, result in zip(params.NodesToBrowse, results, strict=True):
             if status is not None:
                 result.StatusCode, result.References = status, []

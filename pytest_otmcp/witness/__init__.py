@@ -1,5 +1,6 @@
-"""What the devices witness: pure functions from journal entries and images to findings.
+"""What the devices witness. Pure; one set of modules a protocol:
 
-One module per protocol. None of them knows the mocks' code or the adapters': they read the journal's fields, whoever
-wrote them.
+- decoders (``modbus``, ``mqtt``, ``sparkplug``, ``opcua``): recorded bytes to journal entries, written from the
+  specifications and independent of mocks, adapters and the libraries these are made of;
+- oracles (``*_oracle``): journal entries and images to findings, whoever wrote the journal.
 """

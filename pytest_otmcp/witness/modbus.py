@@ -85,7 +85,7 @@ def _request(pdu: bytes) -> dict[str, Any]:
         if words[1] in (0x0000, 0xFF00):
             fields["values"] = [words[1] == 0xFF00]
     elif function == MASK_WRITE and len(words) >= 3:
-        fields |= {"address": words[0], "and_mask": words[1], "or_mask": words[2]}
+        fields |= {"address": words[0], "quantity": 1, "and_mask": words[1], "or_mask": words[2]}
     elif function == READ_WRITE and len(words) >= 4:
         fields |= {"read_address": words[0], "read_quantity": words[1]}
         fields |= {"address": words[2], "quantity": words[3], "values": _registers(pdu[10:])}

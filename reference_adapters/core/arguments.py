@@ -14,11 +14,14 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from .errors import AdapterError
 
-__all__ = ["Arguments", "BoundsCode", "parse_arguments"]
+__all__ = ["LEFT_OUT", "Arguments", "BoundsCode", "parse_arguments"]
 
 _BOUNDS = {"greater_than", "greater_than_equal", "less_than", "less_than_equal"}
 _TOO_MUCH = {"too_long", "string_too_long", "bytes_too_long"}
 _MAX_NAME = 100
+
+LEFT_OUT: Any = None
+"""Default of an argument that was not given; any other way to say nothing, such as null, is refused."""
 _MAX_DEPTH = 20
 
 
@@ -26,7 +29,7 @@ class Arguments(BaseModel):
     """Base of every tool's arguments, and of every object inside them.
 
     A rule that involves several arguments is a ``model_validator(mode="after")`` that raises :class:`AdapterError`. An
-    optional argument that may be left out but not be null is ``name: int = Field(default=None, …)``.
+    optional argument that may be left out but not be null is ``name: int = Field(default=LEFT_OUT, …)``.
     """
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)

@@ -80,7 +80,8 @@ def output_schema(data: Any) -> dict[str, Any]:
     """JSON Schema 2020-12 of the envelope ``{success, data, error, meta}``.
 
     Args:
-        data: type of ``data`` in a success: a ``TypedDict``, or ``dict[str, Any]`` for any object.
+        data: type of ``data`` in a success: a ``TypedDict`` (of ``typing_extensions``: pydantic cannot read the standard
+            one before Python 3.12), or ``dict[str, Any]`` for any object.
     """
     shape = TypeAdapter(data).json_schema()
     _tidy(shape)

@@ -17,6 +17,7 @@ from typing import Any, get_type_hints
 
 from mcp import MCPError
 from mcp.server import Server, ServerRequestContext
+from mcp.server.context import CallNext, HandlerResult
 from mcp.types import (
     INVALID_PARAMS,
     CallToolRequestParams,
@@ -35,9 +36,11 @@ from .schema import input_schema, output_schema
 
 __all__ = ["AdapterServer"]
 
-Handler = Callable[[Call, Any], Awaitable[dict[str, Any]]]
+Handler = Callable[[Call, Any], Awaitable[Any]]
 
 log = logging.getLogger(__name__)
+
+_to_json = json.JSONEncoder(ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,6 +94,8 @@ class AdapterServer:
             on_list_tools=self._list_tools,
             on_call_tool=self._call_tool,
         )
+        # In place of the SDK's OpenTelemetry middleware, a twelfth of a null call for spans that nobody collects.
+        self.mcp.middleware[:] = [self._refuse_other_than_objects]
 
     @asynccontextmanager
     async def _lifespan(self, server: Server[None]) -> AsyncIterator[None]:
@@ -104,7 +109,8 @@ class AdapterServer:
     ) -> Callable[[Handler], Handler]:
         """Decorator: offer an async function ``(call, arguments) -> data`` as a tool.
 
-        The function's name, docstring and argument model become the tool's name, description and input schema.
+        The function's name and docstring become the tool's name and description, the annotations of ``arguments`` and of
+        what it returns (a ``TypedDict``, or ``dict[str, Any]``) its input and output schema.
 
         Args:
             operation: abstract operation, the envelope's ``meta.operation``.
@@ -153,6 +159,17 @@ class AdapterServer:
             raise MCPError(INVALID_PARAMS, f"Unknown tool: {params.name[:100]}")
         return await self._answer(tool, params.arguments)
 
+    async def _refuse_other_than_objects(
+        self, ctx: ServerRequestContext[None, Any], call_next: CallNext
+    ) -> HandlerResult:
+        # The SDK answers ``"arguments": [1]`` with a bare -32602. Here every refusal of a known tool is an envelope.
+        params = ctx.params or {}
+        if ctx.method == "tools/call" and not isinstance(params.get("arguments"), dict | None):
+            name = params.get("name")
+            if isinstance(name, str) and name in self._tools:
+                return await self._answer(self._tools[name], params["arguments"])
+        return await call_next(ctx)
+
     async def _answer(self, tool: _Tool, arguments: Any) -> CallToolResult:
         call = Call(
             protocol=tool.protocol,
@@ -176,16 +193,16 @@ class AdapterServer:
             raise AdapterError("writes_disabled", f"writes are disabled; set {self._switch}=true to enable them")
         try:
             async with asyncio.timeout(self._deadline_s) as deadline:
-                return await tool.handler(call, parsed)
+                data: dict[str, Any] = await tool.handler(call, parsed)
+                return data
         except TimeoutError:
             limit = f"within {self._deadline_s:g} s" if deadline.expired() else "in time"
             raise AdapterError("timeout", f"the device did not answer {limit}") from None
 
 
 def _result(envelope: dict[str, Any]) -> CallToolResult:
-    text = json.dumps(envelope, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     return CallToolResult(
-        content=[TextContent(type="text", text=text)],
+        content=[TextContent(type="text", text=_to_json(envelope))],
         structured_content=envelope,
         is_error=not envelope["success"],
     )

@@ -8,16 +8,18 @@ from __future__ import annotations
 
 import math
 import struct
-from typing import Any, Literal
+from typing import Literal
+
+from typing_extensions import TypedDict
 
 from ..core import AdapterError
 
-__all__ = ["FORMATS", "DataType", "Order", "decode", "encode", "width"]
+__all__ = ["EXACT_IN_JSON", "DataType", "Order", "Value", "decode", "encode", "width"]
 
 DataType = Literal["int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64"]
 Order = Literal["ABCD", "CDAB", "BADC", "DCBA"]
 
-FORMATS = {
+_FORMATS = {
     "int16": "h",
     "uint16": "H",
     "int32": "i",
@@ -27,12 +29,24 @@ FORMATS = {
     "float32": "f",
     "float64": "d",
 }
-_EXACT_IN_JSON = 2**53 - 1
+EXACT_IN_JSON = 2**53 - 1
+"""Integers beyond this may be rounded by JSON readers that only have doubles (RFC 7493, section 2.2)."""
+
+
+class Value(TypedDict):
+    """A value object: ``special`` is NaN, Infinity or -Infinity where ``value`` is null for want of a JSON number;
+    integers beyond 2^53 - 1 are decimal strings; ``raw`` is the registers' bytes in hexadecimal."""
+
+    type: str
+    value: int | float | str | None
+    special: str | None
+    raw: str
+    quality: str
 
 
 def width(kind: DataType) -> int:
     """Registers that a value of this type occupies."""
-    return max(1, struct.calcsize(f">{FORMATS[kind]}") // 2)
+    return struct.calcsize(f">{_FORMATS[kind]}") // 2
 
 
 def _arranged(data: bytes, order: Order) -> bytes:
@@ -44,32 +58,29 @@ def _arranged(data: bytes, order: Order) -> bytes:
     return b"".join(words)
 
 
-def decode(registers: list[int], kind: DataType, order: Order) -> dict[str, Any]:
-    """A value object: ``value`` is null for what JSON has no number for, and ``special`` says what it was; integers that
-    a double cannot hold are decimal strings."""
+def decode(registers: list[int], kind: DataType, order: Order) -> Value:
+    """The value in these registers."""
     raw = struct.pack(f">{len(registers)}H", *registers)
-    (value,) = struct.unpack(f">{FORMATS[kind]}", _arranged(raw, order))
+    (value,) = struct.unpack(f">{_FORMATS[kind]}", _arranged(raw, order))
     special = None
     if isinstance(value, float) and not math.isfinite(value):
         special = "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"
         value = None
-    elif isinstance(value, int) and abs(value) > _EXACT_IN_JSON:
+    elif isinstance(value, int) and abs(value) > EXACT_IN_JSON:
         value = str(value)
     return {"type": kind, "value": value, "special": special, "raw": raw.hex(), "quality": "good"}
 
 
 def encode(value: float, kind: DataType, order: Order) -> list[int]:
-    """The registers of a value.
+    """The registers of a value: an int for the integer types, a finite number for the others.
 
     Raises:
-        AdapterError: the value is outside the type's range, or not integral where it must be.
+        AdapterError: ``range_overflow``, the value is outside the type's range.
     """
-    if kind not in ("float32", "float64"):
-        if float(value) != int(value):
-            raise AdapterError("type_mismatch", f"{kind} holds whole numbers only", field="/value")
-        value = int(value)
     try:
-        data = struct.pack(f">{FORMATS[kind]}", value)
+        if not math.isfinite(value):
+            raise OverflowError
+        data = struct.pack(f">{_FORMATS[kind]}", value)
     except (struct.error, OverflowError):
         raise AdapterError("range_overflow", f"the value does not fit into {kind}", field="/value") from None
     return list(struct.unpack(f">{len(data) // 2}H", _arranged(data, order)))

@@ -7,14 +7,17 @@ are 0 and both decisions are made in :meth:`Link.exchange`, where it is known wh
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
-from typing import Any
+import ipaddress
+import socket
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
 
 from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.exceptions import ModbusException
 from pymodbus.pdu import ModbusPDU
 
 from ..core import AdapterError, Call
+from .wire import BadReply, Frame, reply_pdu, request_facts
 
 __all__ = ["Link", "Send"]
 
@@ -26,34 +29,105 @@ _EXCEPTIONS = {
     2: ("illegal_address", "rejected", "the device has no such address"),
     3: ("illegal_value", "rejected", "the device refuses the value or quantity"),
     4: ("device_failure", "unknown", "the device failed while executing the request"),
-    5: ("accepted_pending", "unknown", "the device accepted the request and needs time"),
-    6: ("device_busy", "rejected", "the device is busy"),
-    8: ("device_failure", "unknown", "the device reports a memory parity error"),
+    5: ("accepted_pending", "unknown", "the device accepted the request and needs time; do not repeat it"),
+    6: ("device_busy", "rejected", "the device is busy; try again later"),
+    8: ("device_failure", "rejected", "the device reports a memory parity error"),
     10: ("gateway_path_unavailable", "rejected", "the gateway has no path to the unit"),
     11: ("gateway_target_no_response", "unknown", "the unit behind the gateway did not respond"),
 }
 
 
-class _ConnectionLost(Exception):
-    """The connection ended while a reply was awaited."""
+class _ConnectionDied(Exception):
+    """The connection ended before anything of the reply was there."""
+
+
+class _Connection:
+    """One TCP connection, and what passes over it."""
+
+    def __init__(self, host: str, port: int, timeout_s: float) -> None:
+        self.lost = False
+        self.request: Frame | None = None
+        self.received = b""
+        self.answered = False
+        self._call: Call | None = None
+        self._patience = asyncio.timeout(None)
+        self.client = AsyncModbusTcpClient(
+            host,
+            port=port,
+            timeout=timeout_s,
+            retries=0,
+            reconnect_delay=0,
+            trace_connect=self._connect,
+            trace_packet=self._packet,
+            trace_pdu=self._pdu,
+        )
+
+    @asynccontextmanager
+    async def exchange(self, call: Call) -> AsyncIterator[None]:
+        """What is sent inside belongs to this call.
+
+        Raises:
+            TimeoutError: the connection ended. pymodbus would wait for the reply until its own timeout.
+        """
+        self._call, self.request, self.received, self.answered = call, None, b"", False
+        try:
+            async with asyncio.timeout(None) as self._patience:
+                yield
+        finally:
+            self._call = None
+
+    def _connect(self, connected: bool) -> None:
+        if connected:
+            return
+        self.lost = True
+        if self._call is not None and not self.answered and self._patience.when() is None:
+            self._patience.reschedule(0.0)
+
+    def _packet(self, sending: bool, data: bytes) -> bytes:
+        # pymodbus shows every byte that goes to the transport: the trace is the wire's, not the arguments'.
+        if not sending:
+            self.received = data
+        elif self._call is not None:
+            self.request, facts = request_facts(data)
+            trace = self._call.trace
+            trace.update(facts)
+            trace.setdefault("transaction_ids", []).append(self.request.transaction)
+            self._call.sending()
+            trace["pdus"] = self._call.attempts
+        return data
+
+    def check(self) -> None:
+        """Make sure that the reply is the one to the request.
+
+        Raises:
+            BadReply: it is not.
+        """
+        assert self.request is not None
+        reply_pdu(self.request, self.received)
+
+    def _pdu(self, sending: bool, pdu: ModbusPDU) -> ModbusPDU:
+        self.answered = not sending
+        return pdu
 
 
 class Link:
-    """One TCP connection to a Modbus device or gateway."""
+    """One TCP connection at a time to a Modbus device or gateway.
+
+    Args:
+        host, port: where it listens.
+        timeout_s: seconds for connecting, and for each exchange.
+    """
 
     def __init__(self, host: str, port: int, timeout_s: float) -> None:
         self._host = host
         self._port = port
         self._timeout_s = timeout_s
         self._lock = asyncio.Lock()
-        self._client: AsyncModbusTcpClient | None = None
-        self._lost = asyncio.Event()
-        self._sent_transaction: int | None = None
-        self._call: Call | None = None
-        self.generation = 0
+        self._connection: _Connection | None = None
+        self._generation = 0
 
-    async def exchange(self, call: Call, unit: int, send: Send) -> ModbusPDU:
-        """Send one request and return its reply.
+    async def exchange(self, call: Call, send: Send) -> ModbusPDU:
+        """Send one request and return its reply, which is certain to be the reply to this request.
 
         A read that met a dead connection is repeated once over a new one. A write is not: once its bytes may have
         left, only the device knows what became of it.
@@ -63,97 +137,88 @@ class Link:
         """
         async with self._lock:
             try:
-                reply = await self._attempt(call, send)
-            except _ConnectionLost:
-                if call.writes:
-                    raise AdapterError("connection_lost", "the connection broke while the write was under way") from None
                 try:
-                    reply = await self._attempt(call, send)
-                except _ConnectionLost:
-                    raise AdapterError("connection_lost", "the connection broke during the call") from None
-        return _checked(call, unit, reply)
+                    return await self._attempt(call, send)
+                except _ConnectionDied:
+                    if call.sent:
+                        raise
+                    return await self._attempt(call, send)
+            except _ConnectionDied:
+                raise AdapterError("connection_lost", "the connection broke during the call") from None
 
     async def _attempt(self, call: Call, send: Send) -> ModbusPDU:
-        client, fresh = await self._connected()
-        call.connection(generation=self.generation, fresh=fresh)
-        self._call, self._sent_transaction = call, None
-        request = asyncio.ensure_future(send(client))
-        lost = asyncio.ensure_future(self._lost.wait())
+        connection = await self._connected(call)
         try:
-            # pymodbus does not fail a pending request when the peer closes; it would wait out its timeout.
-            await asyncio.wait({request, lost}, return_when=asyncio.FIRST_COMPLETED)
-            if not request.done():
-                self._drop(call)
-                raise _ConnectionLost
-            reply = request.result()
-        except ModbusException as error:
-            self._drop(call)
-            if self._lost.is_set():
-                raise _ConnectionLost from None
-            raise AdapterError("timeout", f"no valid reply within {self._timeout_s:g} s") from error
-        except asyncio.CancelledError:
-            # A reply that comes late must not meet the next request.
-            self._drop(call)
-            raise
-        finally:
-            lost.cancel()
-            request.cancel()
-            self._call = None
-        if reply.transaction_id != self._sent_transaction:
-            self._drop(call)
-            raise AdapterError("protocol_error", "the reply carries another transaction identifier", outcome="unknown")
-        return reply
-
-    async def _connected(self) -> tuple[AsyncModbusTcpClient, bool]:
-        if self._client is not None and self._client.connected and not self._lost.is_set():
-            return self._client, False
-        self._drop(None)
-        lost = self._lost = asyncio.Event()
-        client = AsyncModbusTcpClient(
-            self._host,
-            port=self._port,
-            timeout=self._timeout_s,
-            retries=0,
-            reconnect_delay=0,
-            trace_connect=lambda connected: None if connected else lost.set(),
-            trace_pdu=self._trace,
-        )
-        if not await client.connect():
-            client.close()
-            raise AdapterError("connect_failed", "no connection to the device could be made", outcome="not_sent")
-        self._client = client
-        self.generation += 1
-        return client, True
-
-    def _trace(self, sending: bool, pdu: ModbusPDU) -> ModbusPDU:
-        # Counts what really goes to the transport, whoever decided to send it.
-        if sending and self._call is not None:
-            self._call.sending()
-            self._sent_transaction = pdu.transaction_id
-        return pdu
-
-    def _drop(self, call: Call | None) -> None:
-        client, self._client = self._client, None
-        if client is not None:
-            client.close()
-        if call is not None:
+            async with connection.exchange(call):
+                pdu = await send(connection.client)
+            connection.check()
+        except (ModbusException, TimeoutError, BadReply, asyncio.CancelledError) as error:
+            # Whatever still arrives for this request must not meet the next one.
+            self._drop()
             call.disconnected()
+            if isinstance(error, asyncio.CancelledError):
+                raise
+            raise self._explained(connection, error) from None
+        call.answered()
+        return _accepted(call, pdu)
+
+    def _explained(self, connection: _Connection, error: Exception) -> Exception:
+        if isinstance(error, BadReply):
+            return AdapterError("protocol_error", f"the reply is not the one to the request: {error}")
+        if connection.received:
+            return AdapterError("protocol_error", "what the device sent is no valid reply to the request")
+        if connection.lost:
+            return _ConnectionDied()
+        return AdapterError("timeout", f"the device did not reply within {self._timeout_s:g} s")
+
+    async def _connected(self, call: Call) -> _Connection:
+        existing = self._connection
+        if existing is not None and existing.client.connected and not existing.lost:
+            call.connection(generation=self._generation, fresh=False)
+            return existing
+        self._drop()
+        call.disconnected()
+        await self._resolve()
+        connection = _Connection(self._host, self._port, self._timeout_s)
+        try:
+            made = await connection.client.connect()
+        except asyncio.CancelledError:
+            connection.client.close()
+            raise
+        if not made:
+            connection.client.close()
+            message = f"no connection to {self._host}:{self._port}; is the device on, and is the address right?"
+            raise AdapterError("connect_failed", message, outcome="not_sent")
+        self._connection = connection
+        self._generation += 1
+        call.connection(generation=self._generation, fresh=True)
+        return connection
+
+    async def _resolve(self) -> None:
+        # pymodbus reports an unknown name like a refused connection.
+        try:
+            ipaddress.ip_address(self._host)
+        except ValueError:
+            try:
+                await asyncio.get_running_loop().getaddrinfo(self._host, self._port, type=socket.SOCK_STREAM)
+            except socket.gaierror:
+                message = f"the host name {self._host} cannot be resolved"
+                raise AdapterError("dns_error", message, outcome="not_sent") from None
+
+    def _drop(self) -> None:
+        connection, self._connection = self._connection, None
+        if connection is not None:
+            connection.client.close()
 
     async def close(self) -> None:
         """Close the connection."""
-        self._drop(None)
+        self._drop()
 
 
-def _checked(call: Call, unit: int, reply: ModbusPDU) -> ModbusPDU:
-    trace: dict[str, Any] = {"unit": reply.dev_id, "function": reply.function_code & 0x7F}
-    if reply.dev_id != unit:
-        raise AdapterError("protocol_error", "the reply comes from another unit", outcome="unknown")
-    if reply.isError():
-        code = getattr(reply, "exception_code", 0)
-        call.answered(**trace, exception_code=code)
-        error, outcome, meaning = _EXCEPTIONS.get(code, ("protocol_error", "unknown", "unknown exception code"))
-        raise AdapterError(
-            error, f"{meaning} (exception {code:02X})", outcome=outcome if call.writes else "not_applicable"
-        )
-    call.answered(**trace)
-    return reply
+def _accepted(call: Call, pdu: ModbusPDU) -> ModbusPDU:
+    if not pdu.isError():
+        return pdu
+    code = int(getattr(pdu, "exception_code", 0))
+    call.trace["exception_code"] = code
+    error, outcome, meaning = _EXCEPTIONS.get(code, ("protocol_error", "unknown", "unknown exception code"))
+    raise AdapterError(error, f"{meaning} (exception {code:02X})", outcome=outcome if call.writes else "not_applicable")

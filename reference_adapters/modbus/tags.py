@@ -4,23 +4,24 @@ A JSON object of tags, for instance::
 
     {"boiler_temperature": {"table": "input", "address": 0, "type": "int16", "scale": 0.1, "unit": "degC"}}
 
-The engineering value is ``raw * scale + offset``. A write is rounded to the nearest raw value, halves away from zero,
-and refused when that does not fit the type.
+The engineering value is ``raw * scale + offset``, computed in decimal: 253 * 0.1 is 25.3 and not 25.300000000000001. A
+write is rounded to the nearest raw value, halves away from zero, and refused when that does not fit the type. Without
+scale and offset nothing is rounded: 40.7 is no value for a register.
 """
 
 from __future__ import annotations
 
 import json
-import math
+from decimal import ROUND_HALF_UP, Decimal
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
 
-from ..core import ConfigError
-from .codec import DataType, Order
+from ..core import AdapterError, ConfigError
+from .codec import EXACT_IN_JSON, DataType, Order, width
 
-__all__ = ["Tag", "load_tags", "nearest_raw"]
+__all__ = ["Tag", "engineering_value", "load_tags", "raw_value"]
 
 
 class Tag(BaseModel):
@@ -36,6 +37,26 @@ class Tag(BaseModel):
     offset: float = 0.0
     unit: str | None = None
     writable: bool = False
+
+    @model_validator(mode="after")
+    def _makes_sense(self) -> Self:
+        if self.scale == 0:
+            raise ValueError("a scale of 0 maps every raw value to the same engineering value")
+        if self.address + width(self.type) > 65536:
+            raise ValueError("the value runs past register 65535")
+        if self.writable and self.table == "input":
+            raise ValueError("input registers cannot be written")
+        return self
+
+    @property
+    def scaled(self) -> bool:
+        """Engineering and raw value differ."""
+        return (self.scale, self.offset) != (1.0, 0.0)
+
+    @property
+    def whole(self) -> bool:
+        """The raw value is an integer."""
+        return not self.type.startswith("float")
 
 
 def load_tags(path: str | None) -> dict[str, Tag]:
@@ -57,11 +78,25 @@ def load_tags(path: str | None) -> dict[str, Tag]:
         raise ConfigError(f"MODBUS_TAG_MAP: {where}: {fault['msg']}") from None
 
 
-def nearest_raw(tag: Tag, value: float) -> float:
-    """The raw value of an engineering value; whole for integer types."""
-    raw = (value - tag.offset) / tag.scale
-    if tag.type in ("float32", "float64"):
+def engineering_value(tag: Tag, raw: Any) -> Any:
+    """The engineering value of a decoded raw value; null and decimal strings as in :func:`codec.decode`."""
+    if raw is None or not tag.scaled:
         return raw
-    # 25.3 / 0.1 is 252.99999999999997: the noise of the division must not decide between two registers.
-    cleaned = round(raw, 9)
-    return math.copysign(math.floor(abs(cleaned) + 0.5), cleaned)
+    value = Decimal(str(raw)) * Decimal(str(tag.scale)) + Decimal(str(tag.offset))
+    return float(value) if abs(value) <= EXACT_IN_JSON else str(value)
+
+
+def raw_value(tag: Tag, value: float) -> float:
+    """The raw value nearest to an engineering value; an int for integer types.
+
+    Raises:
+        AdapterError: ``type_mismatch``, a fraction for a register that only holds whole numbers.
+    """
+    raw = Decimal(str(value))
+    if tag.scaled:
+        raw = (raw - Decimal(str(tag.offset))) / Decimal(str(tag.scale))
+    if not tag.whole:
+        return float(raw)
+    if not tag.scaled and raw != raw.to_integral_value():
+        raise AdapterError("type_mismatch", f"{tag.type} holds whole numbers only", field="/value")
+    return int(raw.to_integral_value(ROUND_HALF_UP))

@@ -441,7 +441,7 @@ def test_the_simulator_lives_at_a_foreign_broker() -> None:
     try:
         assert broker.stderr is not None
         # "mosquitto version … running" is its last line before it serves.
-        assert any(b"running" in line for line in iter(broker.stderr.readline, b""))
+        assert any(line.endswith(b" running\n") for line in iter(broker.stderr.readline, b""))
         with Peer(port, "host", version=4) as host:
             host.subscribe("spBv1.0/#", 1)
             with program("sparkplug", "--broker", f"mqtt://127.0.0.1:{port}") as (_, ready):

@@ -1,0 +1,286 @@
+"""Real adapters over real pipes, and real mock devices with their control channel, for the tests of the adapters.
+
+The client is written by hand: it sees every byte that the adapter writes to stdout, can send what no library would send,
+and checks every result against the rules of the envelope and the output schema that its tool declares.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import selectors
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+from jsonschema import Draft202012Validator
+
+from pytest_otmcp.envelope import check_result, parse_strict
+
+LEGACY, MODERN = "2025-11-25", "2026-07-28"
+_META = {
+    "io.modelcontextprotocol/protocolVersion": MODERN,
+    "io.modelcontextprotocol/clientCapabilities": {},
+    "io.modelcontextprotocol/clientInfo": {"name": "tests", "version": "1"},
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reply:
+    """The result of one tool call."""
+
+    result: dict[str, Any]
+
+    @property
+    def envelope(self) -> dict[str, Any]:
+        envelope: dict[str, Any] = self.result["structuredContent"]
+        return envelope
+
+    @property
+    def data(self) -> Any:
+        assert self.envelope["success"], self.envelope
+        return self.envelope["data"]
+
+    @property
+    def error(self) -> dict[str, Any]:
+        assert not self.envelope["success"], self.envelope
+        error: dict[str, Any] = self.envelope["error"]
+        return error
+
+    @property
+    def meta(self) -> dict[str, Any]:
+        meta: dict[str, Any] = self.envelope["meta"]
+        return meta
+
+
+class Client:
+    """One adapter process and a raw JSON-RPC client on its pipes."""
+
+    def __init__(self, command: list[str], env: Mapping[str, str] | None = None, era: str = MODERN) -> None:
+        self.era = era
+        self.process = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            bufsize=0,
+            env={**os.environ, **(env or {})},
+        )
+        assert self.process.stdin
+        assert self.process.stdout
+        assert self.process.stderr
+        self.stdin, self.stdout = self.process.stdin, self.process.stdout
+        self.stderr = b""
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self.stdout, selectors.EVENT_READ)
+        self._selector.register(self.process.stderr, selectors.EVENT_READ)
+        self._buffer = b""
+        self._answers: dict[Any, dict[str, Any]] = {}
+        self._id = 0
+        self.ended = False
+        if era == LEGACY:
+            parameters = {"protocolVersion": LEGACY, "capabilities": {}, "clientInfo": {"name": "t", "version": "1"}}
+            self.server = self.request("initialize", parameters)["result"]
+            self.write({"jsonrpc": "2.0", "method": "notifications/initialized"})
+        else:
+            self.server = self.request("server/discover", {})["result"]
+        self.tools = {tool["name"]: tool for tool in self.request("tools/list", {})["result"]["tools"]}
+        self._schemas = {name: Draft202012Validator(tool["outputSchema"]) for name, tool in self.tools.items()}
+
+    def write(self, message: Mapping[str, Any] | bytes) -> None:
+        data = message if isinstance(message, bytes) else json.dumps(message).encode()
+        view = memoryview(data + b"\n")
+        while view:
+            view = view[os.write(self.stdin.fileno(), view) :]
+
+    def send(self, method: str, params: Mapping[str, Any]) -> int:
+        """Write a request; its id."""
+        self._id += 1
+        if self.era == MODERN:
+            params = {**params, "_meta": _META}
+        self.write({"jsonrpc": "2.0", "id": self._id, "method": method, "params": params})
+        return self._id
+
+    def answer(self, identifier: Any, timeout_s: float = 10.0) -> dict[str, Any]:
+        """The response to a request.
+
+        Raises:
+            TimeoutError: it did not come.
+        """
+        deadline = time.monotonic() + timeout_s
+        while identifier not in self._answers:
+            if self.ended or not self._read(deadline - time.monotonic()):
+                raise TimeoutError(f"no answer to {identifier!r}; stderr: {self.stderr[-2000:].decode()}")
+        return self._answers.pop(identifier)
+
+    def _read(self, timeout_s: float) -> bool:
+        ready = self._selector.select(max(0.0, timeout_s))
+        for key, _ in ready:
+            data = os.read(key.fd, 1 << 20)
+            if not data:
+                self._selector.unregister(key.fileobj)
+                self.ended = self.ended or key.fileobj is self.stdout
+            elif key.fileobj is not self.stdout:
+                self.stderr += data
+            else:
+                *lines, self._buffer = (self._buffer + data).split(b"\n")
+                for line in lines:
+                    # Every line is a message: nothing else may ever be on stdout.
+                    message = parse_strict(line)
+                    assert message["jsonrpc"] == "2.0"
+                    self._answers[message["id"]] = message
+        return bool(ready)
+
+    def request(self, method: str, params: Mapping[str, Any]) -> dict[str, Any]:
+        return self.answer(self.send(method, params))
+
+    def call(self, tool: str, arguments: Any = None, **members: Any) -> Reply:
+        """Call a tool; ``arguments`` as a mapping, as keywords, or any other JSON value."""
+        return self.reply(tool, self.start(tool, members if arguments is None else arguments))
+
+    def start(self, tool: str, arguments: Any) -> int:
+        return self.send("tools/call", {"name": tool, "arguments": arguments})
+
+    def reply(self, tool: str, identifier: int, timeout_s: float = 10.0) -> Reply:
+        response = self.answer(identifier, timeout_s)
+        assert "result" in response, response
+        result = response["result"]
+        findings = [finding for finding in check_result(result) if finding.code != "internal_error"]
+        assert findings == []
+        self._schemas[tool].validate(result["structuredContent"])
+        return Reply(result=result)
+
+    def close(self) -> tuple[int, float]:
+        """Close stdin; exit code and seconds until the end."""
+        started = time.monotonic()
+        self.stdin.close()
+        while self._selector.get_map() and time.monotonic() < started + 5.0:
+            self._read(1.0)
+        code = self.process.wait(timeout=5.0)
+        elapsed = time.monotonic() - started
+        self.stdout.close()
+        assert self.process.stderr
+        self.process.stderr.close()
+        self._selector.close()
+        return code, elapsed
+
+    def abandon(self) -> None:
+        """End the process however it is."""
+        if self.process.poll() is None:
+            self.process.kill()
+        if not self.stdin.closed:
+            self.close()
+
+
+class Mock:
+    """A mock device with its launcher and control channel."""
+
+    def __init__(self, protocol: str) -> None:
+        self.launcher = subprocess.Popen(
+            [sys.executable, "-m", "pytest_otmcp.mocks", protocol],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            bufsize=1,
+        )
+        self._control: socket.socket | None = None
+        self._connect()
+        self("pause")
+
+    def _connect(self) -> None:
+        ready = self._event("ready")
+        self.port: int = ready["port"]
+        self._control = socket.create_connection(("127.0.0.1", ready["control"]), timeout=5.0)
+        self._lines = self._control.makefile("rb")
+
+    def _event(self, expected: str) -> dict[str, Any]:
+        assert self.launcher.stdout
+        event: dict[str, Any] = json.loads(self.launcher.stdout.readline())
+        assert event["event"] == expected, event
+        return event
+
+    def __call__(self, operation: str, **members: Any) -> dict[str, Any]:
+        assert self._control
+        self._control.sendall(json.dumps({"id": 1, "op": operation, **members}).encode() + b"\n")
+        answer = json.loads(self._lines.readline())
+        assert answer["ok"], answer
+        result: dict[str, Any] = answer["result"]
+        return result
+
+    def fault(self, *rules: Mapping[str, Any]) -> None:
+        self("fault", rules=list(rules))
+
+    def mark(self) -> int:
+        """Where the journal stands."""
+        mark: int = self("journal", since=1 << 60)["next"]
+        return mark
+
+    def since(self, mark: int, **fields: Any) -> list[dict[str, Any]]:
+        """Journal entries with these fields."""
+        entries: list[dict[str, Any]] = self("journal", since=mark)["entries"]
+        return [entry for entry in entries if all(entry.get(name) == value for name, value in fields.items())]
+
+    def stop(self) -> None:
+        assert self.launcher.stdin
+        self._hang_up()
+        self.launcher.stdin.write("stop\n")
+        self._event("stopped")
+
+    def start(self) -> None:
+        assert self.launcher.stdin
+        self.launcher.stdin.write("start\n")
+        self._connect()
+        self("pause")
+
+    def _hang_up(self) -> None:
+        if self._control is not None:
+            self._lines.close()
+            self._control.close()
+            self._control = None
+
+    def close(self) -> None:
+        assert self.launcher.stdin
+        assert self.launcher.stdout
+        self._hang_up()
+        self.launcher.stdin.close()
+        self.launcher.wait(timeout=5.0)
+        self.launcher.stdout.close()
+
+
+@pytest.fixture(scope="session")
+def sessions() -> Iterator[Callable[..., Client]]:
+    """Starts adapters that live until the end of the test run: ``sessions(command, env, era)``."""
+    opened: list[Client] = []
+
+    def start(command: list[str], env: Mapping[str, str] | None = None, era: str = MODERN) -> Client:
+        opened.append(Client(command, env, era))
+        return opened[-1]
+
+    yield start
+    for client in opened:
+        client.abandon()
+
+
+@pytest.fixture(scope="session")
+def mocks() -> Iterator[Callable[[str], Mock]]:
+    """Starts mock devices that live until the end of the test run: ``mocks(protocol)``."""
+    opened: list[Mock] = []
+
+    def start(protocol: str) -> Mock:
+        opened.append(Mock(protocol))
+        return opened[-1]
+
+    yield start
+    for mock in opened:
+        mock.close()
+
+
+@pytest.fixture(scope="session")
+def adapter_command() -> Callable[[str], list[str]]:
+    """How a reference adapter is started: ``adapter_command(protocol)``."""
+    return lambda protocol: [sys.executable, "-m", "pytest_otmcp.reference_adapters", protocol]

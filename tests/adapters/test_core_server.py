@@ -1,0 +1,433 @@
+"""The adapter skeleton alone: a server with toy tools (this file, run as a program) behind real pipes."""
+
+# In the checkout mypy does not find the installed name of the adapters' folder.
+# mypy: disable-error-code="import-not-found,misc,untyped-decorator,no-any-return"
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from typing import Annotated, Any, Literal
+
+import pytest
+from jsonschema import Draft202012Validator
+from pydantic import Field
+from pytest_otmcp.reference_adapters.core import LEFT_OUT, AdapterError, AdapterServer, Arguments, BoundsCode, Call
+from pytest_otmcp.reference_adapters.core.run import serve
+
+LEGACY, MODERN = "2025-11-25", "2026-07-28"
+ENVELOPE = {
+    "io.modelcontextprotocol/protocolVersion": MODERN,
+    "io.modelcontextprotocol/clientCapabilities": {},
+    "io.modelcontextprotocol/clientInfo": {"name": "tests", "version": "1"},
+}
+
+
+class Nothing(Arguments):
+    pass
+
+
+class Inner(Arguments):
+    name: str
+    value: Any
+
+
+class Everything(Arguments):
+    word: Annotated[int, Field(ge=0, le=65535), BoundsCode("range_overflow")]
+    count: Annotated[int, Field(ge=1, le=125), BoundsCode("limit_exceeded")] = 1
+    number: float = 0.0
+    flag: bool = False
+    text: Annotated[str, Field(max_length=1000)] = ""
+    mode: Literal["a", "b"] = "a"
+    unit: int = Field(default=LEFT_OUT, ge=0, le=247)
+    either: int | str = 0
+    items: list[Inner] = Field(default_factory=list)
+
+
+def build() -> AdapterServer:
+    async def close() -> None:
+        if "CLOSED_MARK" in os.environ:
+            print("session closed", file=sys.stderr, flush=True)
+
+    server = AdapterServer(
+        name="toy",
+        version="1.0",
+        protocol="modbus-tcp",
+        endpoint="modbus+tcp://127.0.0.1:502",
+        writes_enabled=os.environ.get("WRITES") == "1",
+        switch="WRITES",
+        deadline_s=0.3,
+        close=close,
+    )
+
+    @server.tool("toy.take")
+    async def take(call: Call, arguments: Everything) -> dict[str, Any]:
+        """Take anything."""
+        return arguments.model_dump()
+
+    @server.tool("toy.null")
+    async def null(call: Call, arguments: Nothing) -> dict[str, Any]:
+        """Do nothing."""
+        return {}
+
+    @server.tool("toy.write", writes=True, idempotent=False)
+    async def write(call: Call, arguments: Everything) -> dict[str, Any]:
+        """Pretend to write."""
+        call.sending()
+        call.answered(word=arguments.word)
+        return {}
+
+    @server.tool("toy.hang", writes=True)
+    async def hang(call: Call, arguments: Everything) -> dict[str, Any]:
+        """Never return; the request has left when ``flag`` is set."""
+        if arguments.flag:
+            call.sending()
+        await asyncio.Event().wait()
+        return {}
+
+    @server.tool("toy.crash")
+    async def crash(call: Call, arguments: Nothing) -> dict[str, Any]:
+        """Have a bug."""
+        raise RuntimeError("secret path /opt/adapter/main.py")
+
+    @server.tool("toy.infinite")
+    async def infinite(call: Call, arguments: Nothing) -> dict[str, Any]:
+        """Return what JSON cannot say."""
+        return {"value": float("inf")}
+
+    @server.tool("toy.noisy")
+    async def noisy(call: Call, arguments: Nothing) -> dict[str, Any]:
+        """Print where no print belongs."""
+        print("a stray line", flush=True)
+        os.write(1, b"another one\n")
+        return {}
+
+    @server.tool("toy.refuse")
+    async def refuse(call: Call, arguments: Nothing) -> dict[str, Any]:
+        """Refuse, having tried once."""
+        call.sending()
+        call.answered()
+        raise AdapterError("device_busy", "x" * 600, details={"a": 1}, retry_after_ms=5, partial={"done": 1})
+
+    return server
+
+
+@pytest.fixture(scope="module")
+def toy(sessions: Any) -> Any:
+    return sessions([sys.executable, __file__])
+
+
+@pytest.fixture(scope="module")
+def writable(sessions: Any) -> Any:
+    return sessions([sys.executable, __file__], {"WRITES": "1"})
+
+
+GOOD = {"word": 70}
+
+
+def test_tools_are_listed_with_strict_schemas_and_truthful_annotations(toy: Any) -> None:
+    tool = toy.tools["take"]
+    schema = tool["inputSchema"]
+    Draft202012Validator.check_schema(schema)
+    Draft202012Validator.check_schema(tool["outputSchema"])
+    assert schema["additionalProperties"] is False
+    assert schema["$defs"]["Inner"]["additionalProperties"] is False
+    assert schema["required"] == ["word"]
+    assert schema["properties"]["word"] == {"maximum": 65535, "minimum": 0, "type": "integer"}
+    assert schema["properties"]["mode"]["enum"] == ["a", "b"]
+    assert schema["properties"]["unit"] == {"maximum": 247, "minimum": 0, "type": "integer"}
+    reads, writes = toy.tools["null"]["annotations"], toy.tools["write"]["annotations"]
+    assert (reads["readOnlyHint"], reads["openWorldHint"]) == (True, False)
+    assert (writes["readOnlyHint"], writes["destructiveHint"], writes["idempotentHint"]) == (False, True, False)
+
+
+def test_listing_twice_gives_the_same(toy: Any) -> None:
+    assert toy.request("tools/list", {})["result"] == toy.request("tools/list", {})["result"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "field"),
+    [
+        ({}, "invalid_input", "/word"),
+        ({"word": "5"}, "invalid_input", "/word"),
+        ({"word": 5.0}, "invalid_input", "/word"),
+        ({"word": 5.5}, "invalid_input", "/word"),
+        ({"word": True}, "invalid_input", "/word"),
+        ({"word": None}, "invalid_input", "/word"),
+        ({"word": []}, "invalid_input", "/word"),
+        ({"word": {}}, "invalid_input", "/word"),
+        ({"word": -1}, "range_overflow", "/word"),
+        ({"word": 65536}, "range_overflow", "/word"),
+        ({"word": 10**30}, "range_overflow", "/word"),
+        ({"word": 1, "count": 126}, "limit_exceeded", "/count"),
+        ({"word": 1, "count": 0}, "invalid_input", "/count"),
+        ({"word": 1, "number": "1.5"}, "invalid_input", "/number"),
+        ({"word": 1, "number": True}, "invalid_input", "/number"),
+        ({"word": 1, "flag": 1}, "invalid_input", "/flag"),
+        ({"word": 1, "flag": "true"}, "invalid_input", "/flag"),
+        ({"word": 1, "text": 5}, "invalid_input", "/text"),
+        ({"word": 1, "text": "x" * 1001}, "limit_exceeded", "/text"),
+        ({"word": 1, "mode": "c"}, "invalid_input", "/mode"),
+        ({"word": 1, "unit": None}, "invalid_input", "/unit"),
+        ({"word": 1, "either": True}, "invalid_input", "/either"),
+        ({"word": 1, "wrod": 2}, "invalid_input", "/wrod"),
+        ({"word": 1, "a/b~c": 2}, "invalid_input", "/a~1b~0c"),
+        ({"word": 1, "items": [{"name": "n", "value": 1, "x": 2}]}, "invalid_input", "/items/0/x"),
+        ({"word": 1, "items": [{"name": "n"}]}, "invalid_input", "/items/0/value"),
+        ({"word": 1, "items": {"name": "n"}}, "invalid_input", "/items"),
+        (None, "invalid_input", "/word"),
+        ([1], "invalid_input", ""),
+        ("word", "invalid_input", ""),
+        (5, "invalid_input", ""),
+    ],
+)
+@pytest.mark.parametrize("tool", ["take", "write"])
+def test_wrong_arguments_are_refused_in_the_envelope(
+    toy: Any, tool: str, arguments: Any, code: str, field: str
+) -> None:
+    identifier = toy.start(tool, arguments)
+    reply = toy.reply(tool, identifier)
+    assert (reply.error["code"], reply.error["field"], reply.error["outcome"]) == (code, field, "not_sent")
+    assert reply.error["class"] == "validation"
+    assert not reply.error["retryable"]
+    assert (reply.meta["attempts"], reply.meta["source"], reply.meta["trace"]) == (0, "none", {})
+
+
+@pytest.mark.parametrize("literal", ["NaN", "Infinity", "-Infinity", "1e999", "-1e999"])
+@pytest.mark.parametrize("place", ['"number": %s', '"word": %s', '"items": [{"name": "n", "value": %s}]'])
+def test_numbers_that_are_not_finite_are_refused_wherever_they_are(toy: Any, place: str, literal: str) -> None:
+    request = {"jsonrpc": "2.0", "id": "inf", "method": "tools/call"}
+    params = {"name": "take", "arguments": {"MARK": 0}, "_meta": ENVELOPE}
+    text = json.dumps({**request, "params": params}).replace('"MARK": 0', place % literal)
+    toy.write(text.encode())
+    assert toy.reply("take", "inf").error["code"] == "invalid_input"
+
+
+def test_a_lone_surrogate_is_refused_in_words(toy: Any) -> None:
+    toy.write(
+        json.dumps(
+            {
+                "jsonrpc": "2.0",
+                "id": "half",
+                "method": "tools/call",
+                "params": {"name": "take", "arguments": {"word": 1, "text": "\ud800"}, "_meta": ENVELOPE},
+            }
+        ).encode()
+    )
+    error = toy.reply("take", "half").error
+    assert (error["code"], error["field"]) == ("invalid_input", "/text")
+
+
+def test_deep_nesting_is_a_limit(toy: Any) -> None:
+    deep: Any = 1
+    for _ in range(900):
+        deep = [deep]
+    error = toy.call("take", word=1, items=[{"name": "n", "value": deep}]).error
+    assert error["code"] == "limit_exceeded"
+
+
+def test_ten_megabytes_of_text_are_a_limit_and_the_session_goes_on(toy: Any) -> None:
+    assert toy.call("take", word=1, text="x" * 10_000_000).error["code"] == "limit_exceeded"
+    assert toy.call("take", word=1).data["word"] == 1
+
+
+def test_good_arguments_are_taken_as_they_are(toy: Any) -> None:
+    given = {"word": 65535, "count": 125, "number": 1, "flag": True, "text": "ü", "mode": "b", "unit": 247}
+    data = toy.call("take", given).data
+    assert {name: data[name] for name in given} == given
+
+
+def test_a_denied_write_is_refused_after_validation_and_before_everything_else(toy: Any, writable: Any) -> None:
+    reply = toy.call("write", GOOD)
+    assert (reply.error["code"], reply.error["class"]) == ("writes_disabled", "policy")
+    assert (reply.error["outcome"], reply.meta["attempts"]) == ("not_sent", 0)
+    assert "WRITES=true" in reply.error["message"]
+    assert toy.call("write", word="x").error["code"] == "invalid_input"
+    assert writable.call("write", GOOD).meta["trace"] == {"word": 70}
+
+
+def test_an_unknown_tool_is_a_protocol_error(toy: Any) -> None:
+    response = toy.request("tools/call", {"name": "reboot", "arguments": {}})
+    assert response["error"]["code"] == -32602
+
+
+@pytest.mark.parametrize(("sent", "outcome"), [(True, "unknown"), (False, "not_sent")])
+def test_the_deadline_ends_a_call_and_says_what_may_have_happened(writable: Any, sent: bool, outcome: str) -> None:
+    reply = writable.call("hang", word=1, flag=sent)
+    assert (reply.error["code"], reply.error["outcome"]) == ("timeout", outcome)
+    assert reply.error["retryable"] is not sent
+    assert reply.meta["attempts"] == int(sent)
+    assert reply.meta["latency_ms"] >= 300
+
+
+def test_a_cancelled_call_is_never_answered(writable: Any) -> None:
+    identifier = writable.start("hang", GOOD)
+    writable.write({"jsonrpc": "2.0", "method": "notifications/cancelled", "params": {"requestId": identifier}})
+    # The deadline of a later call passes after that of the cancelled one.
+    assert writable.call("hang", GOOD).error["code"] == "timeout"
+    with pytest.raises(TimeoutError):
+        writable.answer(identifier, timeout_s=0.0)
+
+
+def test_a_bug_is_an_internal_error_without_internals(toy: Any) -> None:
+    for tool in ("crash", "infinite"):
+        error = toy.call(tool).error
+        assert error["code"] == "internal_error"
+        assert "secret" not in json.dumps(error)
+    assert b"secret path" in toy.stderr
+
+
+def test_an_error_carries_what_it_was_given(toy: Any) -> None:
+    reply = toy.call("refuse")
+    assert reply.error["code"] == "device_busy"
+    assert len(reply.error["message"]) == 500
+    assert (reply.error["details"], reply.error["retry_after_ms"]) == ({"a": 1}, 5)
+    assert reply.envelope["data"] == {"partial": {"done": 1}}
+    assert (reply.meta["attempts"], reply.meta["source"]) == (1, "device")
+
+
+def test_meta_is_complete_and_request_ids_are_unique(toy: Any) -> None:
+    metas = [toy.call("null").meta, toy.call("take", word="x").meta, toy.call("write", GOOD).meta]
+    assert len({meta["request_id"] for meta in metas}) == 3
+    assert {meta["operation"] for meta in metas} == {"toy.null", "toy.take", "toy.write"}
+    assert all(meta.keys() == metas[0].keys() for meta in metas)
+
+
+def test_stray_prints_do_not_reach_the_wire(toy: Any) -> None:
+    assert toy.call("noisy").data == {}
+    assert toy.call("null").data == {}
+    assert b"a stray line" in toy.stderr
+    assert b"another one" in toy.stderr
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"{",
+        b"not json at all",
+        b"[]",
+        b"null",
+        b"\xff\xfe",
+        b'{"jsonrpc":"2.0","id":null,"method":"tools/list"}',
+        b'{"jsonrpc":"2.0","id":77,"result":{}}',
+        b'{"jsonrpc":"2.0","method":"notifications/cancelled","params":{"requestId":4711}}',
+        b'{"jsonrpc":"2.0","method":"notifications/unheard-of"}',
+        b"",
+        b"   ",
+        b"[" * 100_000,
+    ],
+)
+def test_a_line_that_is_no_request_does_not_end_the_session(toy: Any, line: bytes) -> None:
+    toy.write(line)
+    assert toy.call("null").data == {}
+
+
+def test_a_request_in_pieces_and_several_in_one_write_are_all_answered(toy: Any) -> None:
+    request = {
+        "jsonrpc": "2.0",
+        "id": "pieces",
+        "method": "tools/call",
+        "params": {"name": "null", "arguments": {}, "_meta": ENVELOPE},
+    }
+    data = json.dumps(request).encode() + b"\n"
+    for piece in (data[:10], data[10:50], data[50:]):
+        os.write(toy.stdin.fileno(), piece)
+    assert toy.reply("null", "pieces").data == {}
+    toy.write(b"\n".join(json.dumps({**request, "id": f"p{i}"}).encode() for i in range(50)))
+    assert all(toy.reply("null", f"p{i}").data == {} for i in range(50))
+
+
+def test_both_eras_give_the_same_results(sessions: Any, toy: Any) -> None:
+    legacy = sessions([sys.executable, __file__], era=LEGACY)
+    assert legacy.server["protocolVersion"] == LEGACY
+    assert MODERN in toy.server["supportedVersions"]
+    assert legacy.tools == toy.tools
+    one, other = legacy.call("take", word=5), toy.call("take", word=5)
+    assert one.data == other.data
+    assert legacy.call("take", [1]).error == toy.call("take", [1]).error
+    assert "resultType" not in one.result
+    assert other.result["resultType"] == "complete"
+
+
+@pytest.mark.parametrize("era", [LEGACY, MODERN])
+def test_closing_stdin_ends_the_process_and_closes_the_device_session(sessions: Any, era: str) -> None:
+    client = sessions([sys.executable, __file__], {"CLOSED_MARK": "1", "WRITES": "1"}, era)
+    client.start("hang", GOOD)
+    code, _ = client.close()
+    assert code == 0
+    assert b"session closed" in client.stderr
+    assert b"Traceback" not in client.stderr
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_the_process_in_order(sessions: Any, number: signal.Signals) -> None:
+    client = sessions([sys.executable, __file__], {"CLOSED_MARK": "1"})
+    client.process.send_signal(number)
+    assert client.process.wait(timeout=5.0) == 0
+    client.close()
+    assert b"session closed" in client.stderr
+
+
+def test_files_instead_of_pipes_do_not_hang(tmp_path: Any) -> None:
+    source = tmp_path / "requests.jsonl"
+    parameters = {"protocolVersion": LEGACY, "capabilities": {}, "clientInfo": {"name": "t", "version": "1"}}
+    source.write_text(json.dumps({"jsonrpc": "2.0", "id": 1, "method": "initialize", "params": parameters}) + "\n")
+    with source.open() as requests, (tmp_path / "answers").open("w") as answers:
+        done = subprocess.run([sys.executable, __file__], stdin=requests, stdout=answers, timeout=10, check=False)
+    assert done.returncode == 0
+
+
+def test_streamable_http_serves_the_same_tools(toy: Any) -> None:
+    import httpx2
+
+    with subprocess.Popen(
+        [sys.executable, __file__],
+        stderr=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        text=True,
+        env={**os.environ, "MCP_TRANSPORT": "streamable-http", "MCP_HTTP_PORT": "0"},
+    ) as process:
+        try:
+            assert process.stderr
+            next(process.stderr)
+            url = next(process.stderr).split()[-1]
+            headers = {
+                "Accept": "application/json, text/event-stream",
+                "MCP-Protocol-Version": MODERN,
+                "Mcp-Method": "tools/call",
+                "Mcp-Name": "take",
+            }
+            params = {"name": "take", "arguments": {"word": "5"}, "_meta": ENVELOPE}
+            body = {"jsonrpc": "2.0", "id": 1, "method": "tools/call", "params": params}
+            deadline = time.monotonic() + 10
+            while True:
+                # The port is bound when it is announced; it listens when the application has started.
+                with contextlib.suppress(httpx2.ConnectError):
+                    response = httpx2.post(url, json=body, headers=headers, timeout=10)
+                    break
+                assert time.monotonic() < deadline
+            text = response.text
+            payload = json.loads(text if text.startswith("{") else text.partition("data: ")[2].splitlines()[0])
+            error = payload["result"]["structuredContent"]["error"]
+            assert (error["code"], error["field"]) == ("invalid_input", "/word")
+            forged = httpx2.post(url, json=body, headers={**headers, "Origin": "http://evil.example"}, timeout=10)
+            assert forged.status_code == 403
+        finally:
+            process.terminate()
+
+
+def test_other_hosts_than_loopback_are_refused() -> None:
+    env = {**os.environ, "MCP_TRANSPORT": "streamable-http", "MCP_HTTP_HOST": "0.0.0.0"}  # noqa: S104
+    done = subprocess.run([sys.executable, __file__], env=env, capture_output=True, text=True, timeout=10, check=False)
+    assert done.returncode == 2
+    assert "MCP_HTTP_HOST" in done.stderr
+
+
+if __name__ == "__main__":
+    sys.exit(serve(build()))

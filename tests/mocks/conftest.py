@@ -1,0 +1,36 @@
+"""What all tests of mocks share: mock programs as real processes."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Awaitable, Callable
+
+import pytest_asyncio
+from mock_program import MockProgram
+
+StartMock = Callable[..., Awaitable[MockProgram]]
+
+
+@pytest_asyncio.fixture
+async def start_mock() -> AsyncIterator[StartMock]:
+    """``await start_mock("modbus", "--port", "0")``: the program with its device ready and its simulation paused.
+
+    Whatever was started is ended with the test, and must have had nothing to say on standard error.
+    """
+    started: list[MockProgram] = []
+
+    async def start(*arguments: str, paused: bool = True) -> MockProgram:
+        program = await MockProgram.start(*arguments)
+        started.append(program)
+        await program.ready(paused=paused)
+        return program
+
+    yield start
+    for program in started:
+        _, stderr = await program.end()
+        assert stderr == ""
+
+
+@pytest_asyncio.fixture
+async def modbus(start_mock: StartMock) -> MockProgram:
+    """The Modbus mock, paused."""
+    return await start_mock("modbus")

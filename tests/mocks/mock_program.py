@@ -1,0 +1,174 @@
+"""A mock program as a real process, and an async client of its control channel.
+
+Written against the documented protocol and nothing of the mocks' code: what a person with a shell could do.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import itertools
+import json
+import sys
+from typing import Any
+
+__all__ = ["PATIENCE_S", "Control", "MockProgram", "RefusedError"]
+
+PATIENCE_S = 20.0
+"""How long a test waits for what must happen."""
+
+_LINE_LIMIT = 64 * 1024 * 1024
+
+
+class RefusedError(Exception):
+    """The device answered a control request with an error."""
+
+
+class Control:
+    """Client of one control connection. Requests are pipelined: several may be awaited at once."""
+
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.reader = reader
+        self.writer = writer
+        self._ids = itertools.count(1)
+        self._waiting: dict[int, asyncio.Future[dict[str, Any]]] = {}
+        self._pump = asyncio.create_task(self._read())
+
+    @classmethod
+    async def connect(cls, port: int) -> Control:
+        return cls(*await asyncio.open_connection("127.0.0.1", port, limit=_LINE_LIMIT))
+
+    async def _read(self) -> None:
+        with contextlib.suppress(ConnectionError):
+            while line := await self.reader.readline():
+                answer = json.loads(line)
+                self._waiting.pop(answer["id"]).set_result(answer)
+        for waiting in self._waiting.values():
+            waiting.set_exception(ConnectionError("the control channel was closed"))
+
+    async def ask(self, op: str, **members: Any) -> dict[str, Any]:
+        """The result of an operation.
+
+        Raises:
+            RefusedError: the answer was an error; carries its sentence.
+        """
+        number = next(self._ids)
+        answer: asyncio.Future[dict[str, Any]] = asyncio.get_running_loop().create_future()
+        self._waiting[number] = answer
+        self.writer.write(json.dumps({"id": number, "op": op, **members}).encode() + b"\n")
+        reply = await asyncio.wait_for(answer, PATIENCE_S)
+        if not reply["ok"]:
+            raise RefusedError(reply["error"])
+        result: dict[str, Any] = reply["result"]
+        return result
+
+    async def image(self) -> dict[str, Any]:
+        return await self.ask("image")
+
+    async def journal(self, since: int = 0, **match: Any) -> list[dict[str, Any]]:
+        """The entries from ``since`` on that have these fields."""
+        entries = (await self.ask("journal", since=since))["entries"]
+        return [entry for entry in entries if all(entry.get(name) == value for name, value in match.items())]
+
+    async def wait(self, since: int = 0, count: int = 1, **match: Any) -> list[dict[str, Any]]:
+        """The entries with these fields, as soon as there are ``count``; it is an error if there never are."""
+        reply = await self.ask("wait", since=since, match=match, count=count, timeout_s=PATIENCE_S / 2)
+        entries: list[dict[str, Any]] = reply["entries"]
+        assert len(entries) >= count, f"{match} did not happen {count} time(s): {entries}"
+        return entries
+
+    async def next(self) -> int:
+        """Sequence number that the next journal entry will get."""
+        return int((await self.ask("journal", since=sys.maxsize))["next"])
+
+    async def close(self) -> None:
+        self._pump.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await self._pump
+        self.writer.close()
+        with contextlib.suppress(ConnectionError):
+            await self.writer.wait_closed()
+
+
+class MockProgram:
+    """``python -m pytest_otmcp.mocks …``: launcher process, its events, and the control channel of its device.
+
+    Attributes:
+        process: the launcher.
+        ready_event: the newest ready line.
+        control: connected to the running device by :meth:`ready`.
+    """
+
+    def __init__(self, process: asyncio.subprocess.Process) -> None:
+        self.process = process
+        self.ready_event: dict[str, Any] = {}
+        self.control: Control
+        self._controls: list[Control] = []
+
+    @classmethod
+    async def start(cls, *arguments: str) -> MockProgram:
+        """Start the program; :meth:`ready` or :meth:`end` has to follow."""
+        return cls(
+            await asyncio.create_subprocess_exec(
+                *(sys.executable, "-m", "pytest_otmcp.mocks", *arguments),
+                stdin=asyncio.subprocess.PIPE,
+                stdout=asyncio.subprocess.PIPE,
+                stderr=asyncio.subprocess.PIPE,
+            )
+        )
+
+    @property
+    def host(self) -> str:
+        return str(self.ready_event["host"])
+
+    @property
+    def port(self) -> int:
+        return int(self.ready_event["port"])
+
+    async def event(self) -> dict[str, Any]:
+        """The next line on standard output."""
+        assert self.process.stdout is not None
+        line = await asyncio.wait_for(self.process.stdout.readline(), PATIENCE_S)
+        assert line, f"the program ended: {(await self.end())[1]}"
+        event: dict[str, Any] = json.loads(line)
+        return event
+
+    async def ready(self, *, paused: bool = True) -> None:
+        """Wait for the device and connect to its control port."""
+        self.ready_event = await self.event()
+        assert self.ready_event["event"] == "ready", self.ready_event
+        self.control = await self.connect_control()
+        if paused:
+            await self.control.ask("pause")
+
+    async def connect_control(self) -> Control:
+        """One more control connection."""
+        control = await Control.connect(self.ready_event["control"])
+        self._controls.append(control)
+        return control
+
+    def say(self, *words: str) -> None:
+        """Write commands, one a line."""
+        assert self.process.stdin is not None
+        self.process.stdin.write("".join(f"{word}\n" for word in words).encode())
+
+    async def restart(self) -> None:
+        """Stop the device and start a new one."""
+        self.say("stop")
+        assert (await self.event())["event"] == "stopped"
+        self.say("start")
+        await self.ready()
+
+    async def end(self) -> tuple[int, str]:
+        """Close standard input; exit code and standard error."""
+        for control in self._controls:
+            await control.close()
+        self._controls.clear()
+        assert self.process.stdin is not None
+        assert self.process.stderr is not None
+        self.process.stdin.close()
+        with contextlib.suppress(ConnectionError):
+            await self.process.stdin.wait_closed()
+        # Ends with the last process that holds it: launcher and device.
+        stderr = await asyncio.wait_for(self.process.stderr.read(), PATIENCE_S)
+        return await asyncio.wait_for(self.process.wait(), PATIENCE_S), stderr.decode()

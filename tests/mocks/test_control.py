@@ -1,0 +1,243 @@
+"""The control channel and the journal, on the Modbus mock; every mock uses the same code."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import pytest
+from mock_program import Control, MockProgram
+from pytest_otmcp.mocks.device import Device, Simulation
+from pytest_otmcp.mocks.journal import Journal
+
+pytestmark = pytest.mark.asyncio
+
+READ_HR_0 = bytes.fromhex("0001 0000 0006 01 03 0000 0001")
+
+
+async def exchange(modbus: MockProgram, request: bytes = READ_HR_0) -> None:
+    reader, writer = await asyncio.open_connection(modbus.host, modbus.port)
+    writer.write(request)
+    await reader.readexactly(9)
+    writer.close()
+
+
+async def test_answers_carry_the_ids_of_pipelined_requests(modbus: MockProgram) -> None:
+    results = await asyncio.gather(*(modbus.control.ask(op) for op in ("image", "ready", "journal_reset") * 20))
+    assert [set(result) for result in results] == [{"units"}, {"protocol", "port", "pid"}, {"next"}] * 20
+
+
+async def test_requests_of_one_client_are_done_in_order(modbus: MockProgram) -> None:
+    def put(value: int) -> Any:
+        params = {"table": "holding_registers", "address": 50, "values": [value]}
+        # The word "wait" in a request does not make it one.
+        return modbus.control.ask("poke", params=params, note='"wait"')
+
+    *_, image = await asyncio.gather(*(put(value) for value in range(50)), modbus.control.image())
+    assert image["units"]["1"]["holding_registers"][50] == 49
+
+
+async def test_several_clients_see_the_same_device(modbus: MockProgram) -> None:
+    others = [await modbus.connect_control() for _ in range(5)]
+    await modbus.control.ask("poke", params={"table": "coils", "address": 9, "values": [True]})
+    for other in others:
+        assert (await other.image())["units"]["1"]["coils"][9] is True
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("this is no JSON", "unknown op None"),
+        ("[]", "unknown op None"),
+        ("[" * 100_000, "unknown op None"),
+        ('{"id": 1}', "unknown op None"),
+        ('{"id": 1, "op": "reboot"}', "unknown op 'reboot'; known are ready, image"),
+        ('{"id": 1, "op": ["image"]}', "unknown op ['image']"),
+        ('{"id": 1, "op": "tick", "steps": "x"}', "steps: expected int, found 'x'"),
+        ('{"id": 1, "op": "tick", "steps": true}', "steps: expected int, found True"),
+        ('{"id": 1, "op": "journal"}', "since: expected int, found None"),
+        ('{"id": 1, "op": "wait", "since": 0, "match": []}', "match: expected dict, found []"),
+        ('{"id": 1, "op": "poke"}', "params: expected dict, found None"),
+        ('{"id": 1, "op": "poke", "params": {}}', "the poke lacks 'table'"),
+        ('{"id": 1, "op": "fault", "rules": [1]}', "every fault rule is an object"),
+        ('{"id": 1, "op": "fault", "rules": [{}]}', "a fault rule needs an action"),
+    ],
+)
+async def test_what_is_no_request_is_answered_with_a_sentence(modbus: MockProgram, line: str, words: str) -> None:
+    reader, writer = await asyncio.open_connection("127.0.0.1", modbus.ready_event["control"])
+    writer.write(line.encode() + b"\n")
+    answer = json.loads(await reader.readline())
+    assert answer["ok"] is False
+    assert words in answer["error"]
+    writer.write(b'{"id": "still here", "op": "ready"}\n')
+    assert json.loads(await reader.readline())["id"] == "still here"
+    writer.close()
+
+
+async def test_a_paused_plant_stands_still_and_a_tick_moves_it(modbus: MockProgram) -> None:
+    async def temperature() -> int:
+        value: int = (await modbus.control.image())["units"]["1"]["input_registers"][0]
+        return value
+
+    cold = await temperature()
+    await modbus.control.ask("tick", steps=0)
+    assert await temperature() == cold
+    await modbus.control.ask("tick", steps=30)
+    assert await temperature() > cold
+
+
+async def test_an_unpaused_plant_moves_by_itself(start_mock: Any) -> None:
+    program = await start_mock("modbus", paused=False)
+    before = await program.control.image()
+    async with asyncio.timeout(20):
+        # The device tells no one of its ticks.
+        while await program.control.image() == before:  # noqa: ASYNC110
+            await asyncio.sleep(0.05)
+
+
+async def test_reset_brings_back_the_values_and_keeps_journal_and_connections(modbus: MockProgram) -> None:
+    start = await modbus.control.image()
+    reader, writer = await asyncio.open_connection(modbus.host, modbus.port)
+    writer.write(bytes.fromhex("0001 0000 0006 01 06 0032 0007"))
+    await reader.readexactly(12)
+    await modbus.control.ask("tick", steps=5)
+    await modbus.control.ask("fault", rules=[{"action": {"drop": True}}])
+    seen = await modbus.control.next()
+    await modbus.control.ask("reset")
+    assert await modbus.control.image() == start
+    assert await modbus.control.next() == seen
+    writer.write(READ_HR_0)
+    await reader.readexactly(11)
+    writer.close()
+
+
+async def test_the_journal_tells_a_connections_life_in_order(modbus: MockProgram) -> None:
+    await exchange(modbus)
+    await exchange(modbus)
+    await modbus.control.wait(kind="DISCONNECTED", connection=2)
+    entries = await modbus.control.journal()
+    kinds = ["CONNECTED", "request", "response", "DISCONNECTED"]
+    assert [entry["kind"] for entry in entries if entry["connection"] == 1] == kinds
+    assert [entry["kind"] for entry in entries if entry["connection"] == 2] == kinds
+    assert [entry["seq"] for entry in entries] == list(range(len(entries)))
+    times = [entry["t_ns"] for entry in entries]
+    assert times == sorted(times)
+
+
+async def test_a_wait_is_answered_by_what_has_already_happened(modbus: MockProgram) -> None:
+    await exchange(modbus)
+    found = await modbus.control.wait(kind="response", exception=None)
+    assert [entry["function"] for entry in found] == [3]
+
+
+async def test_a_wait_is_answered_as_soon_as_it_happens_and_holds_nobody_up(modbus: MockProgram) -> None:
+    since = await modbus.control.next()
+    waiting = asyncio.create_task(modbus.control.wait(since=since, count=3, kind="request", state_changing=False))
+    await modbus.control.image()
+    for _ in range(3):
+        assert not waiting.done()
+        await exchange(modbus)
+    assert len(await waiting) == 3
+
+
+async def test_a_wait_that_is_disappointed_tells_what_there_was(modbus: MockProgram) -> None:
+    await exchange(modbus)
+    await modbus.control.wait(kind="DISCONNECTED")
+    for timeout_s in (0, 0.01):
+        match = {"kind": "request"}
+        reply = await modbus.control.ask("wait", since=0, match=match, count=2, timeout_s=timeout_s)
+        assert len(reply["entries"]) == 1
+        assert reply["next"] == await modbus.control.next()
+
+
+async def test_a_missing_field_equals_nothing_not_even_null(modbus: MockProgram) -> None:
+    await exchange(modbus)
+    match = {"kind": "request", "exception": None}
+    assert (await modbus.control.ask("wait", since=0, match=match, timeout_s=0))["entries"] == []
+
+
+async def test_a_client_that_goes_away_while_waiting_leaves_nothing_behind(modbus: MockProgram) -> None:
+    leaving = await Control.connect(modbus.ready_event["control"])
+    leaving.writer.write(b'{"id": 1, "op": "wait", "since": 0, "match": {"kind": "never"}, "timeout_s": 60}\n')
+    await leaving.ask("ready")
+    await leaving.close()
+    await exchange(modbus)
+    assert await modbus.control.journal(kind="request")
+
+
+async def test_a_cleared_journal_counts_on() -> None:
+    journal = Journal()
+    for _ in range(3):
+        journal.append(connection=1, direction="in", kind="x")
+    journal.clear()
+    journal.append(connection=1, direction="in", kind="y")
+    assert [entry["seq"] for entry in journal.since(0)] == [3]
+    assert journal.since(4) == []
+
+
+async def test_a_full_journal_drops_the_oldest_and_counts_them() -> None:
+    journal = Journal(capacity=10)
+    for _ in range(25):
+        journal.append(connection=1, direction="in", kind="x")
+    assert [entry["seq"] for entry in journal.since(0)] == list(range(15, 25))
+    assert [entry["seq"] for entry in journal.since(22)] == [22, 23, 24]
+    assert (journal.next, journal.dropped) == (25, 15)
+
+
+class SlowDevice(Device):
+    """Its ticks take two turns of the loop; notices when a tick is cut short or overlaps another or a reset."""
+
+    protocol = "slow"
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.begun = self.done = 0
+
+    async def serve(self, listener: Any) -> None:
+        raise NotImplementedError
+
+    async def aclose(self) -> None:
+        raise NotImplementedError
+
+    def image(self) -> dict[str, Any]:
+        raise NotImplementedError
+
+    async def poke(self, params: Mapping[str, Any]) -> None:
+        raise NotImplementedError
+
+    def fault(self, rules: list[dict[str, Any]]) -> list[int]:
+        raise NotImplementedError
+
+    async def reset(self) -> None:
+        assert self.begun == self.done
+
+    async def tick(self) -> None:
+        assert self.begun == self.done
+        self.begun += 1
+        await asyncio.sleep(0)
+        await asyncio.sleep(0)
+        self.done += 1
+
+
+async def test_ticks_and_resets_take_turns_and_a_pause_cuts_none_in_half(monkeypatch: pytest.MonkeyPatch) -> None:
+    device = SlowDevice()
+    simulation = Simulation(device)
+    loop = asyncio.get_running_loop()
+    problems: list[dict[str, Any]] = []
+    loop.set_exception_handler(lambda loop, context: problems.append(context))
+    # A clock that leaps: every second is over at once.
+    real = asyncio.sleep
+    monkeypatch.setattr("pytest_otmcp.mocks.device.asyncio.sleep", lambda _: real(0))
+    for turns in range(12):
+        simulation.resume()
+        for _ in range(turns):
+            await real(0)
+        await asyncio.gather(simulation.tick(2), simulation.reset(), simulation.pause(), simulation.tick(1))
+        at_rest = device.done
+        assert device.begun == at_rest
+        for _ in range(5):
+            await real(0)
+        assert device.begun == at_rest
+    assert problems == []
