@@ -193,6 +193,9 @@ class SubjectProcess:
             grace_s: seconds given to each of the two polite steps.
         """
         begun = time.monotonic()
+        if self._pipes.stdout_closed.is_set():
+            # Its end of the pipe closes a moment before the process is reaped: it was leaving before it was asked.
+            await self._ended(0.5)
         how = "exited" if self._pipes.exited.is_set() else "killed"
         if how != "exited":
             stdin = self._transport.get_pipe_transport(0)

@@ -32,6 +32,10 @@ within a few deadlines, not after thirty."""
 Progress = Callable[[int, int], None]
 
 
+class _UnansweredError(Exception):
+    """A call got no response: the rest of the repetition would only wait for one deadline after the other."""
+
+
 class AtDevice:
     """One adapter at its device, as the steps of a repetition see it."""
 
@@ -45,6 +49,8 @@ class AtDevice:
         """Perform an operation; see :meth:`Station.call`."""
         reply = await self.station.call(operation, role=role or self._repetition.role, **inputs)
         self._repetition.add(reply)
+        if reply.wire.response is None:
+            raise _UnansweredError
         return reply
 
     async def journal(self) -> list[Entry]:
@@ -137,7 +143,7 @@ class AtDevice:
         while True:
             reply = await self.call(operation, **inputs)
             replies.append(reply)
-            if reply.success or reply.wire.response is None or time.monotonic_ns() >= end:
+            if reply.success or time.monotonic_ns() >= end:
                 return replies
             reply.role = "recovery"
             reply.ok = True
@@ -230,9 +236,13 @@ class Repetition:
         self._group += 1
         self._together = True
         try:
-            return list(await asyncio.gather(*calls))
+            replies = await asyncio.gather(*calls, return_exceptions=True)
         finally:
             self._together = False
+        for reply in replies:
+            if isinstance(reply, BaseException):
+                raise reply
+        return [reply for reply in replies if isinstance(reply, Reply)]
 
     async def keep_journal(self, at: AtDevice) -> None:
         """Keep what a device's journal holds before its process ends."""
@@ -432,6 +442,10 @@ class Trial:
     async def _steps(self, repetition: Repetition, steps: Callable[[Repetition], Awaitable[None]]) -> None:
         try:
             await steps(repetition)
+        except _UnansweredError:
+            for at in repetition.all:
+                if not at.device.running:
+                    await at.start_device()
         finally:
             seconds = repetition.calls_s()
             self.bench.spent.move("kit", "tool calls", seconds)

@@ -43,7 +43,10 @@ REGISTRY: dict[str, tuple[str, bool, bool]] = {
     "internal_error": ("internal", False, False),
 }
 
+# What a write that may have left usually comes to, where the class does not say it.
 _NOTHING_SENT = frozenset({"validation", "policy", "state"})
+_NEVER_CONNECTED = frozenset({"config_error", "connect_failed", "dns_error", "tls_error", "auth_failed"})
+_MAYBE_BEGUN = frozenset({"accepted_pending", "device_failure", "gateway_target_no_response"})
 # Refusals that are ours when nothing was sent, and the device's otherwise.
 _ALSO_FROM_DEVICES = frozenset(
     {"type_mismatch", "limit_exceeded", "unsupported_operation", "access_denied", "rate_limited"}
@@ -102,7 +105,7 @@ class AdapterError(Exception):
             sent: a state-changing request may have left.
         """
         kind, retry_read, retry_write = REGISTRY[self.code]
-        outcome = self.outcome or _outcome(kind, writes=writes, sent=sent)
+        outcome = self.outcome or _outcome(self.code, kind, writes=writes, sent=sent)
         if self.code in _ALSO_FROM_DEVICES and outcome in ("rejected", "not_applicable"):
             kind = "device"
         error: dict[str, Any] = {
@@ -119,9 +122,9 @@ class AdapterError(Exception):
         return error
 
 
-def _outcome(kind: str, *, writes: bool, sent: bool) -> str:
-    if kind in _NOTHING_SENT or (writes and not sent):
+def _outcome(code: str, kind: str, *, writes: bool, sent: bool) -> str:
+    if kind in _NOTHING_SENT or (writes and (not sent or code in _NEVER_CONNECTED)):
         return "not_sent"
     if not writes:
         return "not_applicable"
-    return "rejected" if kind == "device" else "unknown"
+    return "rejected" if kind == "device" and code not in _MAYBE_BEGUN else "unknown"

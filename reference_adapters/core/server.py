@@ -94,7 +94,8 @@ class AdapterServer:
             on_list_tools=self._list_tools,
             on_call_tool=self._call_tool,
         )
-        # In place of the SDK's OpenTelemetry middleware, a twelfth of a null call for spans that nobody collects.
+        # In place of the SDK's OpenTelemetry middleware (measured: 17 of 186 us of a null call, for spans that nobody
+        # collects).
         self.mcp.middleware[:] = [self._refuse_other_than_objects]
 
     @asynccontextmanager
