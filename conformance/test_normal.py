@@ -283,7 +283,7 @@ async def snapshot(run: Repetition, *, parallel: bool) -> None:
         run.opcua.call("read_many", nodes=["ns=2;s=Temperature", "ns=2;s=Pressure"]),
         run.mqtt.call("info"),
     )
-    block, nodes, info = await run.together(*calls) if parallel else [await call for call in calls]
+    block, nodes, info = await (run.together if parallel else run.in_order)(*calls)
     run.succeeds(block, values=registers)
     run.succeeds(nodes, values=[temperature, pressure])
     run.succeeds(info, connected=True)
@@ -306,7 +306,7 @@ async def control_sequence(run: Repetition, *, parallel: bool) -> None:
         run.opcua.call("write", node=pump, value=True),
         run.mqtt.call("publish", topic="control/line", payload=payload, qos=0),
     )
-    register, node, message = await run.together(*calls) if parallel else [await call for call in calls]
+    register, node, message = await (run.together if parallel else run.in_order)(*calls)
     run.succeeds(register, value=60)
     run.succeeds(node, value=True)
     run.succeeds(message, topic="control/line")

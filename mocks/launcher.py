@@ -36,6 +36,7 @@ import signal
 import socket
 import sys
 import traceback
+from collections.abc import Iterator
 from types import ModuleType
 from typing import Any, NoReturn
 
@@ -46,6 +47,7 @@ __all__ = ["run"]
 
 
 _STDIN, _STDOUT, _STDERR = 0, 1, 2
+_END_SIGNALS = (signal.SIGTERM, signal.SIGINT)
 
 
 def run(protocol: str, host: str, port: int) -> int:
@@ -66,6 +68,8 @@ def run(protocol: str, host: str, port: int) -> int:
     gc.collect()
     gc.freeze()
     launcher = _Launcher(protocol, host, port, module)
+    # Signals arrive where the launcher waits, and nowhere else: not between a fork and the note of its process id.
+    signal.pthread_sigmask(signal.SIG_BLOCK, _END_SIGNALS)
     signal.signal(signal.SIGTERM, _end)
     signal.signal(signal.SIGINT, _end)
     try:
@@ -74,8 +78,6 @@ def run(protocol: str, host: str, port: int) -> int:
     except _Ended:
         pass
     finally:
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
         launcher.stop()
         reservation.close()
     return 0
@@ -87,6 +89,15 @@ class _Ended(BaseException):
 
 def _end(number: int, frame: Any) -> NoReturn:
     raise _Ended
+
+
+@contextlib.contextmanager
+def _interruptible() -> Iterator[None]:
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _END_SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_BLOCK, _END_SIGNALS)
 
 
 def _bound(host: str, port: int, *options: int) -> socket.socket:
@@ -126,7 +137,8 @@ class _Launcher:
         """Read commands until standard input closes; notice a device that dies."""
         self._selector.register(_STDIN, selectors.EVENT_READ)
         while True:
-            readable = {key.fd for key, _ in self._selector.select()}
+            with _interruptible():
+                readable = {key.fd for key, _ in self._selector.select()}
             # Death first: a command may reap the device and reuse the number of its pipe.
             if self._death in readable:
                 self._device_died()
@@ -160,7 +172,8 @@ class _Launcher:
         os.close(death_write)
         self._pid, self._death = pid, death_read
         self._selector.register(death_read, selectors.EVENT_READ)
-        control = os.read(death_read, 64)
+        with _interruptible():
+            control = os.read(death_read, 64)
         if not control:
             self._device_died()
             return
@@ -197,6 +210,7 @@ class _Launcher:
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
             # Ctrl-C in a terminal reaches the whole group; the launcher decides when a device ends.
             signal.signal(signal.SIGINT, signal.SIG_IGN)
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, _END_SIGNALS)
             # The launcher's commands and events are not the device's; a stray print must not look like an event.
             null = os.open(os.devnull, os.O_RDWR)
             os.dup2(null, _STDIN)
@@ -221,6 +235,7 @@ async def _serve(device: Device, listener: socket.socket, death: int, life: int)
     await device.serve(listener)
     port = await ControlServer(device).start()
     # One write of a few bytes into a pipe arrives in one piece. The pipe stays open: its end tells of the device's.
-    os.write(death, f"{port}\n".encode())
+    with contextlib.suppress(BrokenPipeError):  # the launcher is gone already, and the life pipe will tell
+        os.write(death, f"{port}\n".encode())
     await ended.wait()
     await device.aclose()

@@ -9,7 +9,7 @@ import asyncio
 import base64
 import random
 import time
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Awaitable, Callable, Coroutine, Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -231,7 +231,19 @@ class Repetition:
         self.replies.append(reply)
         self.findings.extend(reply.faults)
 
-    async def together(self, *calls: Awaitable[Reply]) -> list[Reply]:
+    async def in_order(self, *calls: Coroutine[Any, Any, Reply]) -> list[Reply]:
+        """Perform calls one after the other."""
+        replies = []
+        for index, call in enumerate(calls):
+            try:
+                replies.append(await call)
+            except BaseException:
+                for unused in calls[index + 1 :]:
+                    unused.close()
+                raise
+        return replies
+
+    async def together(self, *calls: Coroutine[Any, Any, Reply]) -> list[Reply]:
         """Perform calls concurrently; their time counts once, from the first request to the last reply."""
         self._group += 1
         self._together = True

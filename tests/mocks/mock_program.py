@@ -39,12 +39,17 @@ class Control:
         return cls(*await asyncio.open_connection("127.0.0.1", port, limit=_LINE_LIMIT))
 
     async def _read(self) -> None:
-        with contextlib.suppress(ConnectionError):
+        try:
             while line := await self.reader.readline():
                 answer = json.loads(line)
-                self._waiting.pop(answer["id"]).set_result(answer)
+                waiting = self._waiting.pop(answer["id"])
+                if not waiting.done():
+                    waiting.set_result(answer)
+        except (ConnectionError, ValueError):
+            pass  # gone, or a line longer than the limit: either way nothing more will be answered
         for waiting in self._waiting.values():
-            waiting.set_exception(ConnectionError("the control channel was closed"))
+            if not waiting.done():
+                waiting.set_exception(ConnectionError("the control channel was closed"))
 
     async def ask(self, op: str, **members: Any) -> dict[str, Any]:
         """The result of an operation.

@@ -14,7 +14,6 @@ from importlib import import_module
 from typing import Any
 
 from mcp.types import CallToolResult, TextContent
-
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
 from pytest_otmcp.reference_adapters.core import server as core_server
 from pytest_otmcp.reference_adapters.core.run import serve
