@@ -14,6 +14,7 @@ from typing import Any
 
 import jmespath
 
+from .. import __version__
 from ..errors import UsageError
 from .model import Adapter, Binding, Subject, Variant
 from .operations import OPERATIONS, PROTOCOLS
@@ -86,7 +87,7 @@ class _Reader:
             raise self._refuse("adapter", f"expected at least one of {', '.join(PROTOCOLS)}")
         return Subject(
             name=self._text(about, "name", "subject"),
-            version=self._text(about, "version", "subject"),
+            version=self._text(about, "version", "subject").replace("{kit_version}", __version__),
             adapters={protocol: self._adapter(protocol, table) for protocol, table in adapters.items()},
             source=self._path,
         )

@@ -1,0 +1,104 @@
+"""A JSON-RPC client on two pipes and nothing else, so that what is measured is the server and not a client library."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pytest_otmcp.process import subject_environment
+
+__all__ = ["PipeClient"]
+
+_ROOT = Path(__file__).resolve().parent.parent
+_PATIENCE_S = 30.0
+_META = {
+    "io.modelcontextprotocol/protocolVersion": "2026-07-28",
+    "io.modelcontextprotocol/clientCapabilities": {},
+    "io.modelcontextprotocol/clientInfo": {"name": "benchmarks", "version": "0"},
+}
+
+
+class PipeClient:
+    """A server process, run as ``python -m MODULE …``, and the pipes to it.
+
+    Args:
+        arguments: module and its arguments.
+        env: what the server's environment has besides the allow-list.
+    """
+
+    def __init__(self, *arguments: str, env: Mapping[str, str] | None = None) -> None:
+        self._name = " ".join(arguments)
+        self._stderr = tempfile.TemporaryFile()  # noqa: SIM115  # lives as long as the server
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", *arguments],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._stderr,
+            bufsize=0,
+            cwd=_ROOT,
+            env=subject_environment(env or {}),
+        )
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._in, self._out = self._process.stdin, self._process.stdout
+        self._id = 0
+
+    def discover(self) -> None:
+        """The handshake: wait until the server answers."""
+        self._request("server/discover", {})
+
+    def call(self, tool: str, arguments: Mapping[str, Any]) -> int:
+        """Call a tool; nanoseconds from the request's write to its response line having been read.
+
+        Raises:
+            RuntimeError: the call did not succeed; a failure must not be measured as a fast success.
+        """
+        result, took_ns = self._request("tools/call", {"name": tool, "arguments": arguments})
+        if result.get("isError"):
+            raise RuntimeError(f"{self._name}: {tool} failed: {result}")
+        return took_ns
+
+    def _request(self, method: str, params: Mapping[str, Any]) -> tuple[dict[str, Any], int]:
+        self._id += 1
+        request = {"jsonrpc": "2.0", "id": self._id, "method": method, "params": {**params, "_meta": _META}}
+        frame = json.dumps(request).encode() + b"\n"
+        source = self._out.fileno()
+        started = time.perf_counter_ns()
+        self._in.write(frame)
+        data = b""
+        while not data.endswith(b"\n"):
+            # Costs two microseconds, and a server that hangs cannot hang the run.
+            if not select.select([source], [], [], _PATIENCE_S)[0]:
+                raise RuntimeError(f"{self._name}: no answer to {method} within {_PATIENCE_S:g} s{self._said()}")
+            piece = os.read(source, 1 << 16)
+            if not piece:
+                raise RuntimeError(f"{self._name}: ended during {method}{self._said()}")
+            data += piece
+        took_ns = time.perf_counter_ns() - started
+        answer = json.loads(data)
+        if answer.get("id") != self._id or "result" not in answer:
+            raise RuntimeError(f"{self._name}: {method} was answered with {answer}")
+        return answer["result"], took_ns
+
+    def _said(self) -> str:
+        self._stderr.seek(0)
+        return "; stderr: " + self._stderr.read()[-2000:].decode("utf-8", "replace")
+
+    def close(self) -> None:
+        """End the server by closing its standard input."""
+        self._in.close()
+        try:
+            self._process.wait(5.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._out.close()
+        self._stderr.close()
