@@ -258,11 +258,11 @@ class McpSession:
 
     @asynccontextmanager
     async def _transport(self) -> AsyncIterator[TransportStreams]:
-        to_client, from_server = anyio.create_memory_object_stream[SessionMessage | Exception](256)
-        from_client, to_server = anyio.create_memory_object_stream[SessionMessage](16)
         self._process = await SubjectProcess.start(
             self._command, env=self._env, cwd=self._cwd, on_line=self._line, on_overflow=self._overflow
         )
+        to_client, from_server = anyio.create_memory_object_stream[SessionMessage | Exception](256)
+        from_client, to_server = anyio.create_memory_object_stream[SessionMessage](16)
         tasks = [
             asyncio.create_task(self._pump_in(to_client), name="otmcp-pump-in"),
             asyncio.create_task(self._pump_out(to_server), name="otmcp-pump-out"),

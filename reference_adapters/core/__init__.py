@@ -6,7 +6,7 @@ An adapter is a ``build()`` that reads its settings and returns a server with it
         address: Annotated[int, Field(ge=0, le=65535, description="PDU address, from 0")]
 
 
-    class RegisterValue(TypedDict):
+    class RegisterValue(TypedDict):  # of typing_extensions: before Python 3.12 pydantic refuses the standard one
         address: int
         value: int
 
