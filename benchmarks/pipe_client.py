@@ -18,7 +18,7 @@ from pytest_otmcp.process import subject_environment
 __all__ = ["PipeClient"]
 
 _ROOT = Path(__file__).resolve().parent.parent
-_PATIENCE_S = 30.0
+_PATIENCE_S = 60.0
 _META = {
     "io.modelcontextprotocol/protocolVersion": "2026-07-28",
     "io.modelcontextprotocol/clientCapabilities": {},
@@ -65,6 +65,10 @@ class PipeClient:
         if result.get("isError"):
             raise RuntimeError(f"{self._name}: {tool} failed: {result}")
         return took_ns
+
+    def exchange(self) -> int:
+        """Have a raw client make its exchange; nanoseconds as of :meth:`call`."""
+        return self._request("exchange", {})[1]
 
     def _request(self, method: str, params: Mapping[str, Any]) -> tuple[dict[str, Any], int]:
         self._id += 1

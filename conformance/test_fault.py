@@ -30,7 +30,7 @@ QUIET_S = 0.25
     "FM1",
     "Modbus",
     "Read invalid register address (9999) and expect a structured protocol error.",
-    adapters="modbus",
+    needs="modbus.read_holding",
     requirements="ERR-002 ENV-007",
 )
 async def read_missing_register(run: Repetition) -> None:
@@ -47,7 +47,7 @@ async def read_missing_register(run: Repetition) -> None:
     "FM2",
     "Modbus",
     "Write overflow value (70000 > uint16 max) and expect adapter rejection.",
-    adapters="modbus",
+    needs="modbus.write_holding",
     requirements="ADR-003 ERR-006",
 )
 async def write_overflow(run: Repetition) -> None:
@@ -71,7 +71,7 @@ async def the_largest_value_is_accepted(run: Repetition) -> None:
     "FQ1",
     "MQTT",
     "Publish to empty topic string and expect a structured invalid-input error.",
-    adapters="mqtt",
+    needs="mqtt.publish",
     requirements="ADR-006 ERR-006",
 )
 async def publish_to_nowhere(run: Repetition) -> None:
@@ -93,7 +93,7 @@ async def a_proper_topic_is_accepted(run: Repetition) -> None:
     "FQ2",
     "MQTT",
     "Subscribe with invalid QoS (5) and expect a structured invalid-input error.",
-    adapters="mqtt",
+    needs="mqtt.subscribe mqtt.subscribe.qos",
     requirements="ADR-007",
 )
 async def subscribe_with_qos_5(run: Repetition) -> None:
@@ -114,7 +114,7 @@ async def a_proper_qos_is_accepted(run: Repetition) -> None:
     "FO1",
     "OPC UA",
     "Read non-existent node (ns=2;i=99999) and expect a structured read-failed error.",
-    adapters="opcua",
+    needs="opcua.read",
     requirements="ERR-003 ENV-007",
 )
 async def read_missing_node(run: Repetition) -> None:
@@ -131,7 +131,7 @@ async def read_missing_node(run: Repetition) -> None:
     "FO2",
     "OPC UA",
     "Write wrong type (string to float node) and expect a structured write-failed error.",
-    adapters="opcua",
+    needs="opcua.write",
     requirements="ADR-004",
 )
 async def write_wrong_type(run: Repetition) -> None:
@@ -151,7 +151,7 @@ async def a_number_is_accepted(run: Repetition) -> None:
     "FX1",
     "Cross-protocol",
     "3-step cross-protocol sequence with one deliberate bad OPC UA read; expect 2/3 succeed.",
-    adapters="modbus mqtt opcua",
+    needs="modbus.read_input opcua.read mqtt.publish",
     requirements="ERR-003 RD-001 MQT-001",
 )
 async def one_bad_step_of_three(run: Repetition) -> None:

@@ -27,7 +27,7 @@ WRITE_SINGLE_REGISTER = 6
     "M1",
     "Modbus",
     "Ping the adapter and confirm the TCP mock is reachable.",
-    adapters="modbus",
+    needs="modbus.ping",
     requirements="REC-002 MCP-008",
 )
 async def ping(run: Repetition) -> None:
@@ -40,7 +40,7 @@ async def ping(run: Repetition) -> None:
     "M2",
     "Modbus",
     "Read a four-register sensor block from the Modbus mock.",
-    adapters="modbus",
+    needs="modbus.read_input",
     requirements="RD-001 RD-002 RD-004",
 )
 async def read_sensor_block(run: Repetition) -> None:
@@ -60,7 +60,7 @@ async def read_sensor_block(run: Repetition) -> None:
     "M3",
     "Modbus",
     "Write a holding register and read it back for verification.",
-    adapters="modbus",
+    needs="modbus.write_holding modbus.read_holding",
     requirements="WR-001 WR-002 WR-003",
 )
 async def write_and_read_back(run: Repetition) -> None:
@@ -81,7 +81,7 @@ async def write_and_read_back(run: Repetition) -> None:
     "M4",
     "Modbus",
     "Attempt a write with writes disabled and expect a guarded rejection.",
-    adapters="modbus modbus@ro",
+    needs="modbus.write_holding modbus.read_holding modbus.guard",
     requirements="WR-004 ERR-006",
 )
 async def guarded_write(run: Repetition) -> None:
@@ -114,7 +114,7 @@ async def the_guard_was_put_to_the_test(run: Repetition) -> None:
     "Q1",
     "MQTT",
     "Inspect broker connectivity through the MCP adapter.",
-    adapters="mqtt",
+    needs="mqtt.info",
     requirements="REC-002",
 )
 async def broker_info(run: Repetition) -> None:
@@ -127,7 +127,7 @@ async def broker_info(run: Repetition) -> None:
     "Q2",
     "MQTT",
     "Subscribe to the mock sensor topic namespace.",
-    adapters="mqtt",
+    needs="mqtt.subscribe mqtt.messages",
     requirements="MQT-002 MQT-004",
 )
 async def subscribe_to_sensors(run: Repetition) -> None:
@@ -158,7 +158,7 @@ async def a_received_message_can_be_read(run: Repetition) -> None:
     "Q3",
     "MQTT",
     "Publish a standard MQTT control payload.",
-    adapters="mqtt",
+    needs="mqtt.publish",
     requirements="MQT-001 MQT-003 WR-003",
 )
 async def publish_control(run: Repetition) -> None:
@@ -173,7 +173,7 @@ async def publish_control(run: Repetition) -> None:
     "Q4",
     "MQTT",
     "Publish a Sparkplug B DDATA update for the mock device.",
-    adapters="mqtt",
+    needs="mqtt.device_birth mqtt.device_data",
     requirements="SPB-001 SPB-002 SPB-003 SPB-004",
 )
 async def publish_device_data(run: Repetition) -> None:
@@ -198,7 +198,7 @@ async def the_device_is_born(run: Repetition) -> None:
     "O1",
     "OPC UA",
     "Read the temperature sensor variable from the OPC UA mock plant.",
-    adapters="opcua",
+    needs="opcua.read",
     requirements="RD-001 RD-004 OUA-002",
 )
 async def read_temperature(run: Repetition) -> None:
@@ -218,7 +218,7 @@ async def read_temperature(run: Repetition) -> None:
     "O2",
     "OPC UA",
     "Browse the actuator subtree in the mock plant.",
-    adapters="opcua",
+    needs="opcua.browse",
     requirements="OUA-006",
 )
 async def browse_actuators(run: Repetition) -> None:
@@ -236,7 +236,7 @@ async def browse_actuators(run: Repetition) -> None:
     "O3",
     "OPC UA",
     "Write the valve-position variable and confirm the new value.",
-    adapters="opcua",
+    needs="opcua.write opcua.read",
     requirements="WR-001 WR-002 WR-003",
 )
 async def write_valve_position(run: Repetition) -> None:
@@ -260,7 +260,7 @@ async def write_valve_position(run: Repetition) -> None:
     "O4",
     "OPC UA",
     "Enumerate the mock plant variables through the adapter.",
-    adapters="opcua",
+    needs="opcua.variables",
     requirements="OUA-006",
 )
 async def enumerate_variables(run: Repetition) -> None:
@@ -324,7 +324,7 @@ async def control_sequence(run: Repetition, *, parallel: bool) -> None:
     "X1",
     "Cross-protocol",
     "Collect a multi-adapter state snapshot across Modbus, OPC UA, and MQTT.",
-    adapters="modbus mqtt opcua",
+    needs="modbus.read_input opcua.read_many mqtt.info",
     requirements="RD-001",
 )
 async def sequential_snapshot(run: Repetition) -> None:
@@ -335,7 +335,7 @@ async def sequential_snapshot(run: Repetition) -> None:
     "X2",
     "Cross-protocol",
     "Execute a coordinated multi-adapter control sequence.",
-    adapters="modbus mqtt opcua",
+    needs="modbus.write_holding opcua.write mqtt.publish",
     requirements="WR-001 WR-003 MQT-001",
 )
 async def sequential_control(run: Repetition) -> None:
@@ -346,7 +346,7 @@ async def sequential_control(run: Repetition) -> None:
     "X1p",
     "Cross-protocol",
     "Parallel multi-adapter state snapshot across Modbus, OPC UA, and MQTT.",
-    adapters="modbus mqtt opcua",
+    needs="modbus.read_input opcua.read_many mqtt.info",
     requirements="RD-001 CON-001",
 )
 async def parallel_snapshot(run: Repetition) -> None:
@@ -357,7 +357,7 @@ async def parallel_snapshot(run: Repetition) -> None:
     "X2p",
     "Cross-protocol",
     "Parallel coordinated multi-adapter control sequence.",
-    adapters="modbus mqtt opcua",
+    needs="modbus.write_holding opcua.write mqtt.publish",
     requirements="WR-001 WR-003 MQT-001",
 )
 async def parallel_control(run: Repetition) -> None:

@@ -28,7 +28,7 @@ def outage(protocol: str, operation: str, **inputs: Any) -> Steps:
     async def steps(run: Repetition) -> None:
         at = run.at(protocol)
         warm = await at.call(operation, **inputs)
-        run.succeeds(warm)
+        run.must_succeed(warm)
         stop_ms = await at.stop_device()
         failing = await at.call(operation, **inputs)
         run.fails(failing, *CONNECTION_FAULTS)
@@ -37,7 +37,7 @@ def outage(protocol: str, operation: str, **inputs: Any) -> Steps:
         attempts = await at.call_until_success(operation, window_s=WINDOW_S, **inputs)
         same_session = attempts[-1]
         run.succeeds(same_session)
-        accepting_ns = at.device.accepting_ns
+        accepting_ns = at.accepting_ns
 
         fresh = await at.fresh_session()
         first = await at.call(operation, **inputs)
@@ -62,17 +62,15 @@ def milliseconds(begin_ns: int, end_ns: int | None) -> float | None:
     return None if end_ns is None else (end_ns - begin_ns) / 1e6
 
 
-def declare(protocol: str, family: str, title: str) -> Callable[[Steps], Task]:
-    return RECOVERY.task(f"R-{protocol}", family, title, adapters=protocol, requirements="REC-001 REC-002 MCP-009")
+def declare(family: str, title: str, needs: str, **inputs: Any) -> None:
+    protocol, operation = needs.split(".")
+    task = RECOVERY.task(f"R-{protocol}", family, title, needs=needs, requirements="REC-001 REC-002 MCP-009")
+    task(outage(protocol, operation, **inputs))
 
 
-declare("modbus", "Modbus", "Recover from a restart of the Modbus device.")(
-    outage("modbus", "read_input", address=0, count=4)
-)
-declare("mqtt", "MQTT", "Recover from a restart of the MQTT broker.")(outage("mqtt", "info"))
-declare("opcua", "OPC UA", "Recover from a restart of the OPC UA server.")(
-    outage("opcua", "read", node="ns=2;s=Temperature")
-)
+declare("Modbus", "Recover from a restart of the Modbus device.", "modbus.read_input", address=0, count=4)
+declare("MQTT", "Recover from a restart of the MQTT broker.", "mqtt.info")
+declare("OPC UA", "Recover from a restart of the OPC UA server.", "opcua.read", node="ns=2;s=Temperature")
 
 
 @pytest.mark.parametrize("task", RECOVERY, ids=lambda task: task.id)

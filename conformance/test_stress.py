@@ -32,7 +32,7 @@ SENSORS = ("Temperature", "Pressure", "FlowRate", "TankLevel")
     "S1",
     "Modbus",
     "Four concurrent register reads.",
-    adapters="modbus",
+    needs="modbus.read_input",
     requirements="CON-001",
 )
 async def concurrent_register_reads(run: Repetition) -> None:
@@ -48,7 +48,7 @@ async def concurrent_register_reads(run: Repetition) -> None:
     "S2",
     "MQTT",
     "Four concurrent reads of received messages.",
-    adapters="mqtt",
+    needs="mqtt.subscribe mqtt.messages mqtt.info",
     requirements="CON-001 MQT-004",
 )
 async def concurrent_message_reads(run: Repetition) -> None:
@@ -71,7 +71,7 @@ async def the_adapter_listens(run: Repetition) -> None:
     "S3",
     "OPC UA",
     "Four concurrent node reads.",
-    adapters="opcua",
+    needs="opcua.read",
     requirements="CON-001",
 )
 async def concurrent_node_reads(run: Repetition) -> None:
@@ -89,7 +89,7 @@ async def concurrent_node_reads(run: Repetition) -> None:
     "S4",
     "Modbus",
     "Concurrent register read and write.",
-    adapters="modbus",
+    needs="modbus.read_holding modbus.write_holding",
     requirements="CON-004 WR-003",
 )
 async def concurrent_register_read_and_write(run: Repetition) -> None:
@@ -112,7 +112,7 @@ async def concurrent_register_read_and_write(run: Repetition) -> None:
     "S5",
     "MQTT",
     "Concurrent broker inspection and publish.",
-    adapters="mqtt",
+    needs="mqtt.info mqtt.publish",
     requirements="CON-004 WR-003",
 )
 async def concurrent_info_and_publish(run: Repetition) -> None:
@@ -131,7 +131,7 @@ async def concurrent_info_and_publish(run: Repetition) -> None:
     "S6",
     "OPC UA",
     "Concurrent node read and write.",
-    adapters="opcua",
+    needs="opcua.read opcua.write",
     requirements="CON-004 WR-003",
 )
 async def concurrent_node_read_and_write(run: Repetition) -> None:
@@ -154,7 +154,7 @@ async def concurrent_node_read_and_write(run: Repetition) -> None:
     "S7",
     "Modbus",
     "Fifty register reads in a row.",
-    adapters="modbus",
+    needs="modbus.read_input",
     requirements="CON-006",
 )
 async def rapid_register_reads(run: Repetition) -> None:
@@ -169,7 +169,7 @@ async def rapid_register_reads(run: Repetition) -> None:
     "S8",
     "MQTT",
     "Fifty broker inspections in a row.",
-    adapters="mqtt",
+    needs="mqtt.info",
     requirements="CON-006",
 )
 async def rapid_broker_inspections(run: Repetition) -> None:
@@ -182,7 +182,7 @@ async def rapid_broker_inspections(run: Repetition) -> None:
     "S9",
     "OPC UA",
     "Fifty node reads in a row.",
-    adapters="opcua",
+    needs="opcua.read",
     requirements="CON-006",
 )
 async def rapid_node_reads(run: Repetition) -> None:
@@ -209,7 +209,7 @@ async def survives_a_restart(run: Repetition, protocol: str, operation: str, **i
     "S10",
     "Modbus",
     "Endpoint restart between register reads.",
-    adapters="modbus",
+    needs="modbus.read_input modbus.recovery",
     requirements="REC-001 REC-002 RD-004",
 )
 async def modbus_restart(run: Repetition) -> None:
@@ -221,7 +221,7 @@ async def modbus_restart(run: Repetition) -> None:
     "S11",
     "MQTT",
     "Broker restart between broker inspections.",
-    adapters="mqtt",
+    needs="mqtt.info mqtt.recovery",
     requirements="REC-001 REC-002",
 )
 async def broker_restart(run: Repetition) -> None:
@@ -233,7 +233,7 @@ async def broker_restart(run: Repetition) -> None:
     "S12",
     "OPC UA",
     "Server restart between node reads.",
-    adapters="opcua",
+    needs="opcua.read opcua.recovery",
     requirements="REC-001 REC-002 RD-004",
 )
 async def opcua_restart(run: Repetition) -> None:

@@ -1,28 +1,53 @@
-"""What a conformance test may ask for."""
+"""Every fixture of the kit: ``otmcp_trial`` for the conformance suite, the others for a vendor's own tests.
+
+Nothing heavy is imported before a test asks for something.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 import pytest
 
-from .keys import RESULT, RUN
+from .collection import quiet
+from .errors import UsageError
+from .keys import NARROWING, RESULT, RUN, SETTINGS, WORKSHOP
 
 if TYPE_CHECKING:
+    from .devices import Broker, ModbusDevice, OpcUaPlant
+    from .fixture_bench import Desk, Workshop
+    from .fixture_session import SessionFactory
+    from .subject import Subject
     from .task import Task
 
-__all__ = ["otmcp_trial"]
+__all__ = [
+    "otmcp_broker",
+    "otmcp_desk",
+    "otmcp_modbus_device",
+    "otmcp_opcua_plant",
+    "otmcp_session",
+    "otmcp_subject",
+    "otmcp_trial",
+]
 
 
 @pytest.fixture
 def otmcp_trial(request: pytest.FixtureRequest) -> Callable[[Task], None]:
-    """A function that runs a task and makes the test fail, skip or err as the task's result says."""
+    """A function that runs a task of the conformance suite and makes the test fail, skip or err as its result says."""
 
     def run(task: Task) -> None:
         __tracebackhide__ = True
-        result = request.config.stash[RUN].execute(task)
+        from .integrity import replaced_functions
+
+        config = request.config
+        try:
+            with quiet():
+                result = config.stash[RUN].execute(task)
+        except UsageError as error:
+            pytest.exit(str(error), returncode=2)
         request.node.stash[RESULT] = result
+        config.stash[NARROWING].note(*replaced_functions())
         if result["status"] == "NOT_APPLICABLE":
             pytest.skip(f"{task.id}: the subject does not claim {' and '.join(task.adapters)}")
         if result["status"] != "PASS":
@@ -51,3 +76,61 @@ def explain(result: dict[str, object]) -> str:
     if len(bad) > 2:
         lines.append(f"  … and {len(bad) - 2} more repetitions; all are in run.json")
     return "\n".join(lines)
+
+
+@pytest.fixture
+def otmcp_modbus_device(otmcp_desk: Desk) -> ModbusDevice:
+    """A Modbus TCP device that keeps a journal of what reaches it; fresh for every test. See docs/fixtures.md."""
+    return otmcp_desk.modbus_device()
+
+
+@pytest.fixture
+def otmcp_broker(otmcp_desk: Desk) -> Broker:
+    """An MQTT broker with a Sparkplug B edge node that keeps a journal; fresh for every test. See docs/fixtures.md."""
+    return otmcp_desk.broker()
+
+
+@pytest.fixture
+def otmcp_opcua_plant(otmcp_desk: Desk) -> OpcUaPlant:
+    """An OPC UA server of a plant that keeps a journal; fresh for every test. See docs/fixtures.md."""
+    return otmcp_desk.opcua_plant()
+
+
+@pytest.fixture
+def otmcp_session(otmcp_desk: Desk, otmcp_subject: Subject) -> SessionFactory:
+    """``otmcp_session("modbus")`` starts the subject's adapter at the device of the test and opens an MCP session."""
+    return otmcp_desk.sessions(otmcp_subject)
+
+
+@pytest.fixture(scope="session")
+def otmcp_subject(request: pytest.FixtureRequest) -> Subject:
+    """The subject under test: ``--otmcp-subject``, else ``otmcp.toml``, else the shipped reference adapters."""
+    from .subject import load_subject, reference_subject
+
+    source = request.config.stash[SETTINGS].subject
+    try:
+        return reference_subject() if source is None else load_subject(source)
+    except UsageError as error:
+        pytest.fail(str(error), pytrace=False)
+
+
+@pytest.fixture
+def otmcp_desk(request: pytest.FixtureRequest) -> Iterator[Desk]:
+    """The devices and sessions of one test, from which the fixtures above are made."""
+    from .fixture_bench import Desk
+
+    desk = Desk(_workshop(request.config))
+    yield desk
+    desk.close()
+
+
+def _workshop(config: pytest.Config) -> Workshop:
+    """What this test process has in common, started by the first test that asks for any of it."""
+    if WORKSHOP not in config.stash:
+        from .fixture_bench import Workshop
+        from .station import BenchOptions
+
+        settings = config.stash[SETTINGS]
+        workshop = config.stash[WORKSHOP] = Workshop(BenchOptions(era=settings.era, time_scale=settings.time_scale))
+        config.add_cleanup(workshop.close)
+    return config.stash[WORKSHOP]

@@ -7,16 +7,22 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
+    from .fixture_bench import Workshop
     from .live import Live
+    from .narrowing import Narrowing
     from .run import Recorder, Run
     from .settings import RunSettings
-__all__ = ["LIVE", "RECORDER", "REQUIRED", "RESULT", "RUN", "SETTINGS"]
+
+__all__ = ["LIVE", "NARROWING", "RECORDER", "RESULT", "RUN", "SETTINGS", "STARTED", "WORKSHOP"]
 
 SETTINGS: pytest.StashKey[RunSettings] = pytest.StashKey()
 """On the config: the checked settings."""
 
-REQUIRED: pytest.StashKey[list[str]] = pytest.StashKey()
-"""On the config: ids of all items of the set, before anything was deselected."""
+STARTED: pytest.StashKey[float] = pytest.StashKey()
+"""On the config: monotonic time at which the session began."""
+
+NARROWING: pytest.StashKey[Narrowing] = pytest.StashKey()
+"""On the config of a process that has collected items of the suite: what narrowed or shadowed it."""
 
 RUN: pytest.StashKey[Run] = pytest.StashKey()
 """On the config of a process that executes items: its run."""
@@ -29,3 +35,6 @@ LIVE: pytest.StashKey[Live] = pytest.StashKey()
 
 RESULT: pytest.StashKey[dict[str, Any]] = pytest.StashKey()
 """On an item: what its task came to, as ``run.json`` has it."""
+
+WORKSHOP: pytest.StashKey[Workshop] = pytest.StashKey()
+"""On the config: what the public fixtures of this process share, once a test has asked for it."""

@@ -53,6 +53,13 @@ class LoopThread:
         except CancelledError:
             raise KeyboardInterrupt from None
 
+    async def wait(self, work: Coroutine[Any, Any, T]) -> T:
+        """Run ``work`` on the loop and await its result from another one, whosever that is.
+
+        When the waiting task is cancelled, so is the work.
+        """
+        return await asyncio.wrap_future(asyncio.run_coroutine_threadsafe(work, self._loop))
+
     @staticmethod
     async def _settle(finished: threading.Event) -> None:
         # One turn of the loop lets the cancelled task run its ``finally`` clauses up to their first wait.

@@ -1,103 +1,46 @@
-"""One MCP session with a subject, over a stdio transport that records every frame.
+"""One MCP session with a subject, over a transport that records every frame.
 
 The official SDK's client gives the semantics (both protocol eras, cancellation on timeout, schema validation as a
-host would do it); the transport below it is ours, because a judgement needs what an ordinary client throws away:
+host would do it); below it frames are recorded, because a judgement needs what an ordinary client throws away:
 raw bytes, the times of request and reply, stray output, stderr and the way in which the process ended.
 
-What this file does not do: judge. It turns calls into :class:`Exchange` records.
+What this file does not do: judge. It turns calls into :class:`~pytest_otmcp.recording.Exchange` records.
 """
 
 from __future__ import annotations
 
 import asyncio
-import itertools
 import time
-from collections.abc import Mapping, Sequence
-from contextlib import asynccontextmanager, suppress
-from dataclasses import dataclass, field
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
-import anyio
 from mcp import Client, MCPError
-from mcp.shared.message import SessionMessage
-from mcp.types import (
-    JSONRPCError,
-    JSONRPCNotification,
-    JSONRPCRequest,
-    JSONRPCResponse,
-    RequestParamsMeta,
-    jsonrpc_message_adapter,
-)
+from mcp.types import RequestParamsMeta
 from pydantic import ValidationError
 
 from .errors import SubjectError
-from .process import MAX_FRAME_BYTES, StopReport, SubjectProcess
-
-if TYPE_CHECKING:
-    from collections.abc import AsyncIterator
-
-    from mcp.client._transport import TransportStreams
+from .http_transport import HttpTransport
+from .process import MAX_FRAME_BYTES, StopReport
+from .recording import MAX_STRAY_LINES, META_KEY, Exchange, Recorder
+from .stdio_transport import StdioTransport
 
 __all__ = ["Exchange", "McpSession", "SessionOptions"]
-
-# Ties a tools/call frame to the call that caused it, also when several run at once. ``_meta`` is the place the
-# specification gives for such keys (basic, "General fields"), and servers must ignore unknown ones.
-_META_KEY = "pytest-otmcp/exchange"
-_MAX_STRAY_LINES = 1000
-_KEPT_STRAY_LINES = 5
-
-
-@dataclass(slots=True, kw_only=True)
-class Exchange:
-    """One ``tools/call``: what was sent, what came back, and when.
-
-    Attributes:
-        request: the request frame as written, without its newline.
-        response: the response frame as read, or None when none came.
-        sent_ns: monotonic time just before the request was written.
-        received_ns: monotonic time at which the response line had been read, or None.
-        failure: why there is no usable response (``timeout``, ``connection_closed``), or None.
-        client_complaint: what the official SDK client objected to in the response, or None.
-    """
-
-    tool: str
-    arguments: dict[str, Any]
-    request: bytes = b""
-    response: bytes | None = None
-    sent_ns: int = 0
-    received_ns: int | None = None
-    failure: str | None = None
-    client_complaint: str | None = None
-
-    @property
-    def latency_ms(self) -> float | None:
-        """From request written to response line read, in milliseconds."""
-        if self.received_ns is None or not self.sent_ns:
-            return None
-        return (self.received_ns - self.sent_ns) / 1e6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionOptions:
-    """How sessions are opened and closed. All times in seconds."""
+    """How sessions are opened and closed. All times in seconds.
+
+    Attributes:
+        url: of the subject's streamable HTTP endpoint; None for stdio.
+    """
 
     era: str = "auto"
     start_timeout_s: float = 30.0
     exit_grace_s: float = 3.0
-
-
-@dataclass(slots=True)
-class _Recorder:
-    """What the transport saw besides matched exchanges."""
-
-    pending: dict[int, Exchange] = field(default_factory=dict)
-    by_request_id: dict[Any, Exchange] = field(default_factory=dict)
-    stray_count: int = 0
-    stray: list[bytes] = field(default_factory=list)
-    unknown_ids: list[str] = field(default_factory=list)
-    known_ids: set[Any] = field(default_factory=set)
-    overflow: bool = False
+    url: str | None = None
 
 
 class McpSession:
@@ -105,23 +48,27 @@ class McpSession:
 
     def __init__(self, command: Sequence[str], env: Mapping[str, str], cwd: Path | None, options: SessionOptions):
         self._command = list(command)
-        self._env = dict(env)
-        self._cwd = cwd
         self._options = options
-        self._recorder = _Recorder()
-        self._tokens = itertools.count(1)
-        self._process: SubjectProcess | None = None
+        self._recorder = Recorder()
+        self._transport: StdioTransport | HttpTransport
+        if options.url is None:
+            self._transport = StdioTransport(command, env, cwd, self._recorder, options.exit_grace_s)
+        else:
+            self._transport = HttpTransport(command, env, cwd, options.url, self._recorder, options.exit_grace_s)
         self._client: Client | None = None
         self._owner: asyncio.Task[None] | None = None
         self._closing = asyncio.Event()
-        self._incoming: asyncio.Queue[SessionMessage | Exception | None] = asyncio.Queue()
         self.tools: dict[str, dict[str, Any]] = {}
         self.server_name = ""
         self.server_version = ""
         self.protocol_version = ""
         self.spawned_ns = 0
         self.ready_ns = 0
-        self.stop_report: StopReport | None = None
+
+    @property
+    def stop_report(self) -> StopReport | None:
+        """How the process ended; None while it runs."""
+        return self._transport.stop_report
 
     # -- life ---------------------------------------------------------------------------------------------
 
@@ -140,6 +87,9 @@ class McpSession:
         except TimeoutError:
             stderr = self._stderr_excerpt()
             await self.close()
+            # Nobody waits for it any more, and its end is no news.
+            if ready.done() and not ready.cancelled():
+                ready.exception()
             raise SubjectError(
                 "start_timeout",
                 f"the adapter did not finish its handshake within {self._options.start_timeout_s:g} s "
@@ -156,7 +106,7 @@ class McpSession:
         # anyio's cancel scopes must be left by the task that entered them: this task owns the client from
         # beginning to end, whoever opens and closes the session.
         try:
-            async with Client(self._transport(), cache=None, mode=self._options.era) as client:
+            async with Client(self._transport.streams(), cache=None, mode=self._options.era) as client:
                 await self._list_tools(client)
                 self._client = client
                 info = client.server_info
@@ -196,50 +146,69 @@ class McpSession:
                 await asyncio.wait({self._owner}, timeout=5.0)
             if not self._owner.cancelled():
                 self._owner.exception()
-        if self._process is not None and self.stop_report is None:
-            self.stop_report = await self._process.stop(grace_s=self._options.exit_grace_s)
-        return self.stop_report
+        return await self._transport.stop()
 
     # -- calls --------------------------------------------------------------------------------------------
 
     async def call(self, tool: str, arguments: Mapping[str, Any], *, timeout_s: float) -> Exchange:
         """Call a tool and record the exchange; every outcome is a record, none an exception."""
         exchange = Exchange(tool=tool, arguments=dict(arguments))
+        return await self._exchange(
+            exchange,
+            lambda client, meta: client.call_tool(tool, exchange.arguments, read_timeout_seconds=timeout_s, meta=meta),
+        )
+
+    async def read_resource(self, uri: str, *, timeout_s: float) -> Exchange:
+        """Read a resource and record the exchange, as :meth:`call` does."""
+        exchange = Exchange(tool=uri, arguments={})
+
+        async def read(client: Client, meta: RequestParamsMeta) -> Any:
+            async with asyncio.timeout(timeout_s):
+                return await client.read_resource(uri, meta=meta)
+
+        return await self._exchange(exchange, read)
+
+    async def _exchange(
+        self, exchange: Exchange, request: Callable[[Client, RequestParamsMeta], Awaitable[Any]]
+    ) -> Exchange:
         client = self._client
         if client is None or self.died:
             exchange.failure = "connection_closed"
             return exchange
-        token = next(self._tokens)
-        self._recorder.pending[token] = exchange
+        token = self._recorder.begin(exchange)
         try:
-            meta = cast(RequestParamsMeta, {_META_KEY: token})
-            await client.call_tool(tool, dict(arguments), read_timeout_seconds=timeout_s, meta=meta)
-        except MCPError as error:
+            await request(client, cast(RequestParamsMeta, {META_KEY: token}))
+        except (MCPError, TimeoutError) as error:
             if exchange.response is None:
-                timed_out = error.code == -32001 and not self.died
-                exchange.failure = "timeout" if timed_out else "connection_closed"
+                timed_out = isinstance(error, TimeoutError) or error.code == -32001
+                exchange.failure = "timeout" if timed_out and not self.died else "connection_closed"
         except (RuntimeError, ValidationError, ValueError) as error:
             exchange.client_complaint = str(error).splitlines()[0][:300]
             if exchange.response is None:
                 exchange.failure = "connection_closed"
         finally:
-            self._recorder.pending.pop(token, None)
+            self._recorder.end(token)
         return exchange
 
     @property
     def died(self) -> bool:
-        """The process has ended, or has closed its stdout, although nobody asked it to."""
-        process = self._process
-        return process is None or process.exited.is_set() or process.stdout_closed.is_set()
+        """The subject has left although nobody asked it to."""
+        return self._transport.died
 
     async def death_note(self) -> str:
         """One sentence on how the subject ended, with its last stderr lines."""
-        if self._process is None:
+        process = self._transport.process
+        if process is None:
             return "the adapter is not running"
-        await self._process.settle_stderr()
-        code = self._process.returncode
+        await process.settle_stderr()
+        code = process.returncode
         how = "closed its stdout" if code is None else _exit_words(code)
         return f"the adapter {how}{self._stderr_excerpt()}"
+
+    def stderr_tail(self) -> list[str]:
+        """The newest lines on stderr, oldest first."""
+        process = self._transport.process
+        return [] if process is None else process.stderr_tail()
 
     def stray_output(self) -> tuple[int, list[str]]:
         """Lines on stdout that are no MCP message: how many, and the first few."""
@@ -254,117 +223,29 @@ class McpSession:
         """A message longer than the kit accepts arrived; the session was ended because of it."""
         return self._recorder.overflow
 
-    # -- transport ----------------------------------------------------------------------------------------
-
-    @asynccontextmanager
-    async def _transport(self) -> AsyncIterator[TransportStreams]:
-        self._process = await SubjectProcess.start(
-            self._command, env=self._env, cwd=self._cwd, on_line=self._line, on_overflow=self._overflow
-        )
-        to_client, from_server = anyio.create_memory_object_stream[SessionMessage | Exception](256)
-        from_client, to_server = anyio.create_memory_object_stream[SessionMessage](16)
-        tasks = [
-            asyncio.create_task(self._pump_in(to_client), name="otmcp-pump-in"),
-            asyncio.create_task(self._pump_out(to_server), name="otmcp-pump-out"),
-            asyncio.create_task(self._watch_end(self._process), name="otmcp-watch"),
-        ]
-        try:
-            yield from_server, from_client
-        finally:
-            with anyio.CancelScope(shield=True):
-                self.stop_report = await self._process.stop(grace_s=self._options.exit_grace_s)
-                for task in tasks:
-                    task.cancel()
-                await asyncio.gather(*tasks, return_exceptions=True)
-                for stream in (to_client, from_server, from_client, to_server):
-                    await stream.aclose()
-
-    async def _watch_end(self, process: SubjectProcess) -> None:
-        await process.stdout_closed.wait()
-        self._incoming.put_nowait(None)
-
-    async def _pump_in(self, to_client: anyio.abc.ObjectSendStream[SessionMessage | Exception]) -> None:
-        async with to_client:
-            while (message := await self._incoming.get()) is not None:
-                with suppress(anyio.BrokenResourceError, anyio.ClosedResourceError):
-                    await to_client.send(message)
-
-    async def _pump_out(self, to_server: anyio.abc.ObjectReceiveStream[SessionMessage]) -> None:
-        async for outgoing in to_server:
-            message = outgoing.message
-            data = message.model_dump_json(by_alias=True, exclude_unset=True).encode()
-            if isinstance(message, JSONRPCRequest):
-                self._recorder.known_ids.add(message.id)
-                token = ((message.params or {}).get("_meta") or {}).get(_META_KEY)
-                exchange = self._recorder.pending.get(token) if isinstance(token, int) else None
-                if exchange is not None:
-                    self._recorder.by_request_id[message.id] = exchange
-                    exchange.request = data
-                    exchange.sent_ns = time.monotonic_ns()
-            process = self._process
-            try:
-                if process is None:
-                    return
-                process.write(data + b"\n")
-            except BrokenPipeError:
-                self._incoming.put_nowait(None)
-                return
-
-    def _line(self, now: int, line: bytes) -> None:
-        line = line.rstrip(b"\r")
-        try:
-            message = jsonrpc_message_adapter.validate_json(line)
-        except ValidationError as error:
-            self._stray(line)
-            if self._recorder.stray_count <= _MAX_STRAY_LINES:
-                self._incoming.put_nowait(error)
-            return
-        if isinstance(message, JSONRPCResponse | JSONRPCError):
-            exchange = self._recorder.by_request_id.pop(message.id, None)
-            if exchange is not None:
-                exchange.response = line
-                exchange.received_ns = now
-            elif message.id not in self._recorder.known_ids and len(self._recorder.unknown_ids) < _KEPT_STRAY_LINES:
-                self._recorder.unknown_ids.append(repr(message.id))
-        elif not isinstance(message, JSONRPCRequest | JSONRPCNotification):
-            return
-        self._incoming.put_nowait(SessionMessage(message))
-
-    def _stray(self, line: bytes) -> None:
-        self._recorder.stray_count += 1
-        if len(self._recorder.stray) < _KEPT_STRAY_LINES:
-            self._recorder.stray.append(line)
-        if self._recorder.stray_count == _MAX_STRAY_LINES:
-            # A flood is not waited out: the session ends here, and the finding says why.
-            self._incoming.put_nowait(None)
-
-    def _overflow(self, now: int) -> None:
-        self._recorder.overflow = True
-        self._incoming.put_nowait(None)
-
     # -- words --------------------------------------------------------------------------------------------
 
     def _command_line(self) -> str:
         return " ".join(self._command)
 
     def _stderr_excerpt(self) -> str:
-        tail = self._process.stderr_tail() if self._process is not None else []
+        tail = self.stderr_tail()
         return "; last stderr lines:\n    " + "\n    ".join(tail) if tail else "; it wrote nothing to stderr"
 
     def _why_not_started(self, error: BaseException) -> str:
         if isinstance(error, FileNotFoundError):
             return f"the command {self._command[0]!r} was not found; the launch command is: {self._command_line()}"
-        if isinstance(error, OSError):
-            return f"the command cannot be executed ({error.strerror or error}): {self._command_line()}"
         if self._recorder.overflow:
             return f"the adapter sent a line of more than {MAX_FRAME_BYTES // 2**20} MiB during its handshake"
-        if self._recorder.stray_count >= _MAX_STRAY_LINES:
+        if self._recorder.stray_count >= MAX_STRAY_LINES:
             first = self._recorder.stray[0][:120].decode("utf-8", "replace")
             return f"the adapter floods stdout with lines that are no MCP messages, the first: {first!r}"
         report = self.stop_report
         if report is not None and report.how == "exited":
             how = _exit_words(report.returncode)
             return f"the adapter {how} during its handshake ({self._command_line()}){self._stderr_excerpt()}"
+        if isinstance(error, OSError):
+            return f"the command cannot be executed ({error.strerror or error}): {self._command_line()}"
         reason = str(error).splitlines()[0][:300] if str(error) else type(error).__name__
         return f"the adapter's handshake failed: {reason} ({self._command_line()}){self._stderr_excerpt()}"
 

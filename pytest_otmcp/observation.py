@@ -12,6 +12,9 @@ from typing import Any
 
 from .envelope import check_result, parse_strict
 from .findings import Finding
+from .subject.answers import UNCLASSIFIED, extract, interpret, read_answer, synthesised
+from .subject.model import Answering, OutputRule
+from .subject.operations import OPERATIONS
 
 __all__ = ["Reply", "Wire", "observe"]
 
@@ -43,8 +46,10 @@ class Reply:
         adapter, variant: whose session it was, such as ``modbus`` and ``rw``.
         operation: the abstract operation, such as ``read_input``.
         role: ``task``, ``control``, ``setup``, ``warmup`` or ``recovery``; only ``task`` calls count for the benchmark.
-        envelope: the structured content when it is an object, else None.
-        outputs: the operation's outputs, read from the envelope by the binding.
+        envelope: the structured content when it is an object; for an adapter with answers of its own one that is made
+            from them; else None.
+        native: the envelope is the adapter's own.
+        outputs: the operation's outputs that the binding knows how to find.
         faults: what is wrong with the reply as such, whatever the task expected of it.
         ok: the call met its task's expectation; None until an oracle has judged it.
     """
@@ -59,6 +64,7 @@ class Reply:
     envelope: dict[str, Any] | None
     outputs: dict[str, Any]
     faults: list[Finding]
+    native: bool = True
     ok: bool | None = None
     group: int = 0
 
@@ -101,6 +107,8 @@ class Reply:
             "latency_ms": None if self.latency_ms is None else round(self.latency_ms, 4),
             "ok": bool(self.ok) and not self.faults,
             "envelope": self.envelope,
+            "native": self.native,
+            "outputs": self.outputs,
             "error_code": self.error_code,
             "frames_sha256": frames,
         }
@@ -116,8 +124,16 @@ def observe(
     arguments: Mapping[str, Any],
     role: str,
     deadline_s: float,
+    answering: Answering,
+    outputs: Mapping[str, OutputRule],
+    listed: bool,
 ) -> Reply:
-    """Read the frames strictly and note every fault of the reply as such."""
+    """Read the frames strictly and note every fault of the reply as such.
+
+    Args:
+        answering, outputs: the subject's rules for reading the answer.
+        listed: the session lists the tool; the read-only variant may do without its writing tools.
+    """
     faults: list[Finding] = []
     reply = Reply(
         adapter=adapter,
@@ -130,6 +146,7 @@ def observe(
         envelope=None,
         outputs={},
         faults=faults,
+        native=answering.native,
     )
     if wire.response is None:
         faults.append(_no_response(reply, deadline_s))
@@ -146,22 +163,14 @@ def observe(
             )
         )
         return reply
-    result = message.get("result")
-    if not isinstance(result, dict):
-        faults.append(
-            Finding(
-                code="json_rpc_error",
-                message=f"{reply.label}: answered with a JSON-RPC error instead of a tool result: {message.get('error')}",
-                requirement="MCP-007",
-                evidence=_excerpt(wire.response),
-            )
-        )
-        return reply
-    for fault in check_result(result, measured_latency_ms=reply.latency_ms):
-        faults.append(replace(fault, message=f"{reply.label}: {fault.message}"))
-    structured = result.get("structuredContent")
-    reply.envelope = structured if isinstance(structured, dict) else None
-    if wire.client_complaint is not None:
+    if reply.native and listed:
+        _read_envelope(reply, message)
+    else:
+        _read_answer(reply, message, answering, listed=listed)
+    if reply.envelope is not None:
+        document = reply.envelope if answering.native else read_answer(message, answering.form)[0]
+        reply.outputs = extract(outputs, document)
+    if wire.client_complaint is not None and "result" in message:
         faults.append(
             Finding(
                 code="client_rejects",
@@ -179,6 +188,44 @@ def observe(
             )
         )
     return reply
+
+
+def _read_envelope(reply: Reply, message: Mapping[str, Any]) -> None:
+    result = message.get("result")
+    if not isinstance(result, dict):
+        reply.faults.append(
+            Finding(
+                code="json_rpc_error",
+                message=f"{reply.label}: answered with a JSON-RPC error instead of a tool result: {message.get('error')}",
+                requirement="MCP-007",
+                evidence=_excerpt(reply.wire.response or b""),
+            )
+        )
+        return
+    for fault in check_result(result, measured_latency_ms=reply.latency_ms):
+        reply.faults.append(replace(fault, message=f"{reply.label}: {fault.message}"))
+    structured = result.get("structuredContent")
+    reply.envelope = structured if isinstance(structured, dict) else None
+
+
+def _read_answer(reply: Reply, message: Mapping[str, Any], answering: Answering, *, listed: bool) -> None:
+    """Make an envelope from an answer that has none, by the rules of the subject file."""
+    answer = interpret(message, answering)
+    if not listed and not answer.success and answer.code == UNCLASSIFIED:
+        # What is not there cannot be used: a guard as good as a refusal in words (requirement MCP-008).
+        answer = replace(answer, code="writes_disabled")
+    reply.native = False
+    writes = OPERATIONS[reply.adapter][reply.operation].writes
+    reply.envelope = synthesised(answer, protocol=reply.adapter, operation=reply.operation, writes=writes)
+    if answer.admission is not None:
+        reply.faults.append(
+            Finding(
+                code="not_from_the_device",
+                message=f"{reply.label}: claims success, but says itself that it is not the device's: {answer.admission}",
+                requirement="RD-004",
+                evidence=_excerpt(reply.wire.response or b""),
+            )
+        )
 
 
 def _no_response(reply: Reply, deadline_s: float) -> Finding:

@@ -12,12 +12,16 @@ from typing import Any
 from .envelope import same_json
 from .findings import Finding
 from .observation import Reply
+from .subject.answers import UNCLASSIFIED
 
 __all__ = ["failed", "succeeded"]
 
 
 def succeeded(reply: Reply, **outputs: Any) -> list[Finding]:
-    """The call claims success and its outputs equal ``outputs``."""
+    """The call claims success and its outputs equal ``outputs``.
+
+    An output that the subject's binding does not know how to find is not judged here; the device still is.
+    """
     if reply.success is not True:
         return [
             Finding(
@@ -34,7 +38,7 @@ def succeeded(reply: Reply, **outputs: Any) -> list[Finding]:
             evidence=_shown(reply.envelope),
         )
         for name, expected in outputs.items()
-        if not same_json(expected, reply.outputs.get(name))
+        if name in reply.outputs and not same_json(expected, reply.outputs[name])
     ]
 
 
@@ -50,6 +54,9 @@ def failed(
         codes: acceptable error codes.
         outcome: what ``error.outcome`` must be (one of, when a sequence).
         trace: members that ``meta.trace`` must have; a mapping is compared member by member.
+
+    Of an adapter without envelopes only what its answer can say is judged: that it is a refusal and, where the subject
+    file classifies it, the code.
     """
     if reply.success is not False:
         claim = "it claims success" if reply.success else f"got {_outcome(reply)}"
@@ -63,7 +70,7 @@ def failed(
         ]
     findings = []
     envelope = reply.envelope or {}
-    if reply.error_code not in codes:
+    if reply.error_code not in codes and (reply.native or reply.error_code != UNCLASSIFIED):
         findings.append(
             Finding(
                 code="wrong_error_code",
@@ -72,6 +79,8 @@ def failed(
                 evidence=_shown(envelope.get("error")),
             )
         )
+    if not reply.native:
+        return findings
     allowed = [outcome] if isinstance(outcome, str) else list(outcome or [])
     stated = (envelope.get("error") or {}).get("outcome")
     if allowed and stated not in allowed:

@@ -116,7 +116,8 @@ class MockDevice:
 
     async def launch(self) -> None:
         """Start the mock program and wait until its device accepts connections, with its simulation paused."""
-        command = [sys.executable, "-m", "pytest_otmcp.mocks", self.name, *self._arguments]
+        # A module of the working directory must not stand in for one that the mock imports.
+        command = [sys.executable, "-P", "-m", "pytest_otmcp.mocks", self.name, *self._arguments]
         self._launcher = await asyncio.create_subprocess_exec(
             *command,
             stdin=asyncio.subprocess.PIPE,

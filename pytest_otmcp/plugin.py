@@ -5,21 +5,45 @@ Without conformance items in a run the plugin does nothing and imports nothing h
 
 from __future__ import annotations
 
+import json
+import time
 from collections.abc import Generator
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from .collection import ShippedModule, is_shipped, names_suite, quiet, suite_by_default, task_of
 from .errors import UsageError
-from .fixtures import otmcp_trial
-from .keys import LIVE, RECORDER, REQUIRED, RESULT, RUN, SETTINGS
+from .fixtures import (
+    otmcp_broker,
+    otmcp_desk,
+    otmcp_modbus_device,
+    otmcp_opcua_plant,
+    otmcp_session,
+    otmcp_subject,
+    otmcp_trial,
+)
+from .keys import LIVE, NARROWING, RECORDER, RESULT, RUN, SETTINGS, STARTED
 from .settings import add_options, read_settings
 from .task import SUITES, Task
 
-__all__ = ["otmcp_trial"]
+__all__ = [
+    "otmcp_broker",
+    "otmcp_desk",
+    "otmcp_modbus_device",
+    "otmcp_opcua_plant",
+    "otmcp_session",
+    "otmcp_subject",
+    "otmcp_trial",
+]
 
 _FACTS = "otmcp_facts"
 _RESULT = "otmcp_result"
+_NARROWED = "otmcp_narrowed"
+
+
+# -- options and configuration ------------------------------------------------------------------------------------
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -27,133 +51,202 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    config.stash[STARTED] = time.monotonic()
     config.addinivalue_line("markers", "otmcp: a conformance item of pytest-otmcp")
     for suite in SUITES:
         config.addinivalue_line("markers", f"otmcp_{suite}: an item of the {suite} suite")
     for family in ("modbus", "mqtt", "opcua", "cross"):
         config.addinivalue_line("markers", f"otmcp_{family}: an item of this family of adapters")
+    if config.option.help or config.option.version:
+        # What is wrong with an ini must not keep anybody from reading how to correct it.
+        return
     try:
         config.stash[SETTINGS] = read_settings(config)
     except UsageError as error:
-        raise pytest.UsageError(str(error)) from None
+        _refuse(error)
+    suite_by_default(config)
 
 
-def _task(item: pytest.Item) -> Task | None:
-    callspec = getattr(item, "callspec", None)
-    task = callspec.params.get("task") if callspec is not None else None
-    return task if isinstance(task, Task) else None
-
-
-def _family_marker(task: Task) -> str:
-    return "otmcp_cross" if task.family == "Cross-protocol" else f"otmcp_{task.adapters[0]}"
-
-
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(session: pytest.Session, config: pytest.Config, items: list[pytest.Item]) -> None:
-    tasks = {item: task for item in items if (task := _task(item)) is not None}
-    if not tasks:
-        return
-    for item, task in tasks.items():
-        item.add_marker("otmcp")
-        item.add_marker(f"otmcp_{task.suite}")
-        item.add_marker(_family_marker(task))
-    config.stash[REQUIRED] = [task.id for task in tasks.values()]
-    # The suites run in the paper's order, among themselves: other tests stay where they are.
-    ordered = iter(sorted(tasks, key=lambda item: SUITES.index(tasks[item].suite)))
-    items[:] = [next(ordered) if item in tasks else item for item in items]
-    suites = config.stash[SETTINGS].suites
-    deselected = [item for item, task in tasks.items() if task.suite not in suites]
-    if deselected:
-        config.hook.pytest_deselected(items=deselected)
-        items[:] = [item for item in items if item not in deselected]
-
-
-@pytest.hookimpl(trylast=True)
-def pytest_collection_finish(session: pytest.Session) -> None:
-    config = session.config
-    tasks = [task for item in session.items if (task := _task(item)) is not None]
-    if not tasks or config.option.collectonly:
-        return
-    from .run import Run
-    from .subject import load_subject, reference_subject
-
-    settings = config.stash[SETTINGS]
-    try:
-        subject = reference_subject() if settings.subject is None else load_subject(settings.subject)
-    except UsageError as error:
-        raise pytest.UsageError(str(error)) from None
-    run = config.stash[RUN] = Run(settings, subject, tasks)
-    if not _is_worker(config):
-        _begin_recording(config, run, workers=0)
-    live = config.stash.get(LIVE, None)
-    if live is not None:
-        run.progress = live.repetition
+def _refuse(error: UsageError) -> None:
+    """End the run: one sentence, exit code 2."""
+    pytest.exit(str(error), returncode=2)
 
 
 def _is_worker(config: pytest.Config) -> bool:
     return hasattr(config, "workerinput")
 
 
-def _begin_recording(config: pytest.Config, run: Any, *, workers: int) -> None:
-    from .live import Live
-    from .run import Recorder
-
-    recorder = config.stash[RECORDER] = Recorder(run.settings, run.subject, workers=workers)
-    recorder.required = config.stash.get(REQUIRED, [task.id for task in run.tasks])
-    config.stash[LIVE] = Live(config, run.tasks, run.settings.repetitions)
-
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_node_collection_finished(node: Any, ids: list[str]) -> None:
-    """The controller collects nothing itself; it learns of conformance items from its first worker."""
-    config = node.config
-    if RECORDER in config.stash or not any("[" in identifier for identifier in ids):
-        return
-    from .run import Run
-    from .shipped import tasks_by_id
+def _load_subject(config: pytest.Config) -> Any:
     from .subject import load_subject, reference_subject
 
-    known = tasks_by_id()
-    wanted = [known[name] for identifier in ids if (name := identifier.rpartition("[")[2].rstrip("]")) in known]
-    if not wanted:
-        return
-    settings = config.stash[SETTINGS]
-    subject = reference_subject() if settings.subject is None else load_subject(settings.subject)
-    config.stash[REQUIRED] = list(known)
-    _begin_recording(config, Run(settings, subject, wanted), workers=config.getoption("numprocesses") or 1)
+    source = config.stash[SETTINGS].subject
+    try:
+        return reference_subject() if source is None else load_subject(source)
+    except UsageError as error:
+        _refuse(error)
 
 
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_makereport(
-    item: pytest.Item, call: pytest.CallInfo[None]
-) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    report = yield
-    result = item.stash.get(RESULT, None)
-    if result is not None and report.when == "call":
-        # Plain attributes with JSON-safe values survive the way from an xdist worker to the controller.
-        setattr(report, _RESULT, result)
-        setattr(report, _FACTS, item.config.stash[RUN].facts())
-    return report
-
-
-@pytest.hookimpl(trylast=True)
-def pytest_runtest_logreport(report: pytest.TestReport) -> None:
-    result = getattr(report, _RESULT, None)
-    config = _CONTROLLER.get("config")
-    if result is None or config is None or RECORDER not in config.stash:
-        return
-    worker = getattr(getattr(report, "node", None), "gateway", None)
-    config.stash[RECORDER].add(result, worker.id if worker is not None else "main", getattr(report, _FACTS))
-    config.stash[LIVE].finished(result)
+def pytest_sessionstart(session: pytest.Session) -> None:
+    config = session.config
+    if not _is_worker(config):
+        _CONTROLLER["config"] = config
+        if config.getoption("dist", "no") != "no" and names_suite(config):
+            # Said once and before there are workers, instead of by each of them.
+            _load_subject(config)
 
 
 _CONTROLLER: dict[str, pytest.Config] = {}
 """pytest_runtest_logreport is not told the config; this is the one of the controller of this process."""
 
 
-def pytest_sessionstart(session: pytest.Session) -> None:
-    if not _is_worker(session.config):
-        _CONTROLLER["config"] = session.config
+# -- collection ---------------------------------------------------------------------------------------------------
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_ignore_collect(collection_path: Path) -> bool | None:
+    return False if is_shipped(collection_path) else None
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> pytest.Module | None:
+    return ShippedModule.from_parent(parent, path=module_path) if is_shipped(module_path) else None
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collect_file(
+    file_path: Path, parent: pytest.Collector
+) -> Generator[None, list[pytest.Collector], list[pytest.Collector]]:
+    found = yield
+    if not found and is_shipped(file_path):
+        return [ShippedModule.from_parent(parent, path=file_path)]
+    return found
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_collection_modifyitems(
+    session: pytest.Session, config: pytest.Config, items: list[pytest.Item]
+) -> Generator[None, None, None]:
+    tasks = _shipped_tasks(items)
+    if not tasks and not names_suite(config):
+        return (yield)
+    from .narrowing import Narrowing
+    from .shipped import tasks_by_id
+
+    narrowing = config.stash[NARROWING] = Narrowing(config)
+    narrowing.before(items)
+    for item, task in tasks.items():
+        item.add_marker("otmcp")
+        item.add_marker(f"otmcp_{task.suite}")
+        item.add_marker("otmcp_cross" if task.family == "Cross-protocol" else f"otmcp_{task.adapters[0]}")
+    yield
+    settings = config.stash[SETTINGS]
+    with quiet():
+        shipped = list(tasks_by_id())
+        narrowing.after(items, shipped, settings)
+    left = {item: task for item, task in _shipped_tasks(items).items() if task.suite in settings.suites}
+    deselected = [item for item in items if item in tasks and item not in left]
+    if deselected:
+        config.hook.pytest_deselected(items=deselected)
+    # Items run in the suite's order, whoever sorts; other tests stay where they are. An item may be there twice.
+    ordered = iter(sorted((item for item in items if item in left), key=lambda item: shipped.index(left[item].id)))
+    items[:] = [next(ordered) if item in left else item for item in items if item not in deselected]
+
+
+def _shipped_tasks(items: list[pytest.Item]) -> dict[pytest.Item, Task]:
+    return {item: task for item in items if (task := task_of(item)) is not None and is_shipped(item.path)}
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_finish(session: pytest.Session) -> None:
+    config = session.config
+    narrowing = config.stash.get(NARROWING, None)
+    if narrowing is None or config.option.collectonly:
+        return
+    from .integrity import changed_files
+    from .run import Run
+
+    tasks = list(_shipped_tasks(session.items).values())
+    with quiet():
+        narrowing.note(*changed_files())
+        run = config.stash[RUN] = Run(config.stash[SETTINGS], _load_subject(config), tasks)
+        if not _is_worker(config):
+            _begin_recording(config, run.subject, tasks, workers=0)
+    live = config.stash.get(LIVE, None)
+    if live is not None:
+        run.progress = live.repetition
+
+
+def _begin_recording(config: pytest.Config, subject: Any, tasks: list[Task], *, workers: int) -> None:
+    from .live import Live
+    from .narrowing import Narrowing
+    from .run import Recorder
+    from .shipped import tasks_by_id
+
+    settings = config.stash[SETTINGS]
+    narrowing = config.stash.setdefault(NARROWING, Narrowing(config))
+    try:
+        config.stash[RECORDER] = Recorder(
+            settings,
+            subject,
+            required=list(tasks_by_id()),
+            narrowed=narrowing.sentences,
+            workers=workers,
+            begun=config.stash[STARTED],
+        )
+    except UsageError as error:
+        _refuse(error)
+    config.stash[LIVE] = Live(config, tasks, settings.repetitions)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_node_collection_finished(node: Any, ids: list[str]) -> None:
+    """The controller collects nothing itself; it learns of conformance items from its first worker."""
+    config = node.config
+    if RECORDER in config.stash or not (names_suite(config) or any("[" in identifier for identifier in ids)):
+        return
+    from .shipped import tasks_by_id
+
+    with quiet():
+        known = tasks_by_id()
+        wanted = [known[name] for identifier in ids if (name := identifier.rpartition("[")[2].rstrip("]")) in known]
+        if wanted or names_suite(config):
+            workers = config.getoption("numprocesses") or 1
+            _begin_recording(config, _load_subject(config), wanted, workers=workers)
+
+
+# -- execution ----------------------------------------------------------------------------------------------------
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_makereport(
+    item: pytest.Item, call: pytest.CallInfo[None]
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    report = yield
+    result = item.stash.get(RESULT, None)
+    if result is not None and report.when == "call":
+        # Attributes that are text survive the way from an xdist worker to the controller, whatever an adapter answered.
+        setattr(report, _RESULT, json.dumps(result))
+        setattr(report, _FACTS, json.dumps(item.config.stash[RUN].facts()))
+        del item.stash[RESULT]
+    elif report.when == "call" and NARROWING in item.config.stash and is_shipped(item.path):
+        item.config.stash[NARROWING].not_executed(item)
+    return report
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    content = getattr(report, _RESULT, None)
+    config = _CONTROLLER.get("config")
+    if content is None or config is None or RECORDER not in config.stash:
+        return
+    result, facts = json.loads(content), json.loads(getattr(report, _FACTS))
+    worker = getattr(getattr(report, "node", None), "gateway", None)
+    narrowing = config.stash[NARROWING]
+    narrowing.reported(result["id"], result["status"], report.outcome)
+    if config.stash[RECORDER].add(result, worker.id if worker is not None else "main", facts):
+        config.stash[LIVE].finished(result)
+    else:
+        narrowing.repeated(result["id"])
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -164,32 +257,65 @@ def pytest_report_teststatus(report: pytest.TestReport, config: pytest.Config) -
     return None
 
 
+# -- the end ------------------------------------------------------------------------------------------------------
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
     config = session.config
     run = config.stash.get(RUN, None)
     recorder = config.stash.get(RECORDER, None)
-    if run is not None:
-        if recorder is not None and run.unfinished is not None:
-            recorder.add(run.unfinished, "main", run.facts())
-        run.facts()
-        run.close()
-    if recorder is None:
-        return
-    from .verdict import Verdict
+    with quiet():
+        if run is not None:
+            if recorder is not None and run.unfinished is not None:
+                recorder.add(run.unfinished, "main", run.facts())
+            run.facts()
+            run.close()
+        narrowing = config.stash.get(NARROWING, None)
+        if narrowing is not None:
+            narrowing.finish()
+            if _is_worker(config):
+                config.workeroutput[_NARROWED] = narrowing.sentences
+        if recorder is None:
+            return
+        limit = config.getoption("maxfail", 0)
+        if limit and session.testsfailed >= limit and recorder.missing:
+            narrowing.note(f"the run ended at failure number {limit} (-x or --maxfail)")
+        recorder.finish(interrupted=exitstatus == pytest.ExitCode.INTERRUPTED)
+    session.exitstatus = _exit_status(exitstatus, recorder, session.testsfailed)
 
-    recorder.finish(interrupted=exitstatus == pytest.ExitCode.INTERRUPTED)
-    if recorder.verdict in (Verdict.NOT_CONFORMANT, Verdict.INDETERMINATE) and exitstatus == pytest.ExitCode.OK:
-        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+def _exit_status(exitstatus: int, recorder: Any, failures: int) -> int:
+    """The verdict's exit code, unless pytest has something else to say: interrupted, nothing to run, a broken run, or
+    failures beside those that the verdict is about."""
+    if exitstatus not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
+        return exitstatus
+    code: int = recorder.exit_code
+    if code == 0 and exitstatus != pytest.ExitCode.OK and failures > recorder.failures:
+        return exitstatus
+    return code
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: Any, error: object) -> None:
+    narrowing = node.config.stash.get(NARROWING, None)
+    if narrowing is not None:
+        narrowing.note(*getattr(node, "workeroutput", {}).get(_NARROWED, ()))
 
 
 def pytest_terminal_summary(terminalreporter: Any, exitstatus: int, config: pytest.Config) -> None:
     recorder = config.stash.get(RECORDER, None)
-    if recorder is None or not recorder.results:
+    if recorder is None:
+        return
+    if not recorder.results:
+        for sentence in config.stash[NARROWING].sentences:
+            terminalreporter.write_line(f"narrowed: {sentence}")
+        terminalreporter.write_line(f"VERDICT: {recorder.verdict} (no item of the suite ran)", red=True, bold=True)
         return
     from .report.render import render
 
-    render(recorder.path, terminalreporter, config.rootpath)
+    with quiet():
+        render(recorder.path, terminalreporter, config.rootpath)
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:

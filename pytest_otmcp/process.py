@@ -47,8 +47,9 @@ class StopReport:
 
     Attributes:
         how: ``exited`` (before it was asked), ``eof`` (after its stdin closed, as the MCP specification asks),
-            ``terminated`` (SIGTERM) or ``killed`` (SIGKILL).
-        seconds: from the closing of stdin to the exit.
+            ``terminated`` (SIGTERM, although its stdin was closed before), ``signalled`` (SIGTERM, the first that it was
+            asked by) or ``killed`` (SIGKILL).
+        seconds: from the first request to the exit.
         returncode: exit code, negative for a signal, as :mod:`subprocess` has it.
     """
 
@@ -185,12 +186,13 @@ class SubjectProcess:
             raise BrokenPipeError("the adapter's stdin is closed")
         cast(asyncio.WriteTransport, stdin).write(data)
 
-    async def stop(self, *, grace_s: float) -> StopReport:
+    async def stop(self, *, grace_s: float, reads_stdin: bool = True) -> StopReport:
         """End the process the way the MCP specification describes (stdio, shutdown): close stdin, wait, SIGTERM,
         wait, SIGKILL; then kill what is left of its process group.
 
         Args:
             grace_s: seconds given to each of the two polite steps.
+            reads_stdin: the end of its stdin tells it something; else SIGTERM is the first step.
         """
         begun = time.monotonic()
         if self._pipes.stdout_closed.is_set():
@@ -201,12 +203,12 @@ class SubjectProcess:
             stdin = self._transport.get_pipe_transport(0)
             if stdin is not None:
                 stdin.close()
-            if await self._ended(grace_s):
+            if reads_stdin and await self._ended(grace_s):
                 how = "eof"
             else:
                 self._signal(signal.SIGTERM)
                 if await self._ended(grace_s):
-                    how = "terminated"
+                    how = "terminated" if reads_stdin else "signalled"
         seconds = time.monotonic() - begun
         # Children of a gracefully ended subject may live on: the group gets SIGKILL in every case.
         self._signal(signal.SIGKILL if os.name == "posix" else signal.SIGTERM)

@@ -6,19 +6,20 @@ plain data on the test reports, and only the controller writes.
 
 from __future__ import annotations
 
-import hashlib
 import os
 import platform
 import time
+import traceback
 from contextlib import suppress
 from datetime import UTC, datetime
 from functools import partial
-from importlib import metadata, resources
+from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from . import __version__
-from .verdict import Status, Verdict, decide
+from .shipped import kit_digest, suite_digest
+from .verdict import DeviationReport, ExitCode, Status, Verdict, decide, exit_code, judge_deviations
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -51,7 +52,7 @@ class Run:
     def _start(self) -> tuple[LoopThread, Bench]:
         if self._loop is None or self._bench is None:
             from .bench import Bench, BenchOptions
-            from .errors import KitError
+            from .errors import KitError, UsageError
             from .loop import LoopThread
 
             options = BenchOptions(
@@ -63,6 +64,8 @@ class Run:
             # A mock that cannot be started is reported by every task that needs it.
             with suppress(KitError):
                 self._loop.run(self._bench.prepare(sorted(wanted)))
+            if drift := self._bench.drift():
+                raise UsageError(f"{self.subject.source}: " + "; ".join(drift))
         return self._loop, self._bench
 
     def execute(self, task: Task) -> dict[str, Any]:
@@ -78,6 +81,15 @@ class Run:
         except KeyboardInterrupt:
             self.unfinished = trial.interrupted()
             raise
+        except Exception as error:
+            # Whatever the trial does not know how to end with is a bug of the kit, and says nothing about the adapter.
+            finding = {
+                "code": "kit_error",
+                "message": f"{type(error).__name__}: {error}. This is the kit's fault; please file a bug.",
+                "requirement": None,
+                "evidence": "".join(traceback.format_exception(error))[-2000:],
+            }
+            return {**trial.interrupted(), "status": str(Status.KIT_ERROR), "findings": [finding]}
 
     def facts(self) -> dict[str, Any]:
         """What the controller wants to know of this process: its adapters and how its time was spent."""
@@ -95,19 +107,43 @@ class Run:
 
 
 class Recorder:
-    """Collects results on the controller and writes ``run.json``."""
+    """Collects results on the controller and writes ``run.json``.
 
-    def __init__(self, settings: RunSettings, subject: Subject, *, workers: int) -> None:
+    Args:
+        settings, subject: of the run.
+        required: ids of all items of the shipped suite, whatever was left of them after filters.
+        narrowed: what narrowed or shadowed the suite; may grow until :meth:`finish`.
+        workers: number of pytest-xdist workers, 0 for none.
+        begun: monotonic time at which the session began.
+
+    Raises:
+        UsageError: the subject knows a deviation of an item that the suite does not have.
+    """
+
+    def __init__(
+        self,
+        settings: RunSettings,
+        subject: Subject,
+        *,
+        required: list[str],
+        narrowed: list[str],
+        workers: int,
+        begun: float,
+    ) -> None:
         self.settings = settings
+        self.required = required
         self.results: dict[str, dict[str, Any]] = {}
         self.facts: dict[str, dict[str, Any]] = {}
         self.verdict: Verdict | None = None
-        self.required: list[str] = []
+        self.deviations: DeviationReport | None = None
         self._subject = subject
+        self._narrowed = narrowed
         self._workers = workers
-        self._begun = time.monotonic()
-        self._started_at = datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
+        self._begun = begun
+        self._started = datetime.now(UTC)
         self._writer: RunWriter | None = None
+        # A deviation that no item can have is said now, not after the run.
+        judge_deviations(subject.deviations, {}, required, self._started.date())
 
     @property
     def path(self) -> Path:
@@ -116,27 +152,42 @@ class Recorder:
 
     @property
     def elapsed_s(self) -> float:
-        """Seconds since the run began."""
+        """Seconds since the session began."""
         return time.monotonic() - self._begun
 
-    def add(self, result: dict[str, Any], worker: str, facts: dict[str, Any]) -> None:
-        """Take an item's result and write it at once."""
+    @property
+    def missing(self) -> list[str]:
+        """Items of the suite that have no result."""
+        return [identifier for identifier in self.required if identifier not in self.results]
+
+    @property
+    def failures(self) -> int:
+        """Items that pytest counts among its failures, if nobody interferes."""
+        return sum(result["status"] not in (Status.PASS, Status.NOT_APPLICABLE) for result in self.results.values())
+
+    def add(self, result: dict[str, Any], worker: str, facts: dict[str, Any]) -> bool:
+        """Take an item's result and write it at once; False when there is one already, which stays."""
         from .record import RunWriter
 
+        if result["id"] in self.results:
+            return False
         if self._writer is None:
             self.settings.report_dir.mkdir(parents=True, exist_ok=True)
             self._writer = RunWriter(self.path, self._header())
         self.results[result["id"]] = result
         self.facts[worker] = facts
         self._writer.append(result)
+        return True
 
     def finish(self, *, interrupted: bool) -> None:
         """Decide the verdict and complete the record."""
         statuses = {identifier: Status(result["status"]) for identifier, result in self.results.items()}
         self.verdict = decide(statuses, self.required)
+        known = self._subject.deviations
+        self.deviations = judge_deviations(known, statuses, self.required, self._started.date())
         if self._writer is None:
             return
-        missing = [identifier for identifier in self.required if identifier not in self.results]
+        missing = self.missing
         reason = None
         if interrupted:
             reason = "interrupted by the user"
@@ -160,6 +211,7 @@ class Recorder:
                 "samples": sum(len(result["samples"]) for result in self.results.values()),
                 "tool_calls": self._tool_calls(),
                 "verdict": str(self.verdict),
+                "deviations": self.deviations.as_record(),
                 "elapsed_s": round(elapsed, 3),
                 "breakdown_s": dict(sorted(spent.items())),
                 "timing_valid": not self._workers,
@@ -167,28 +219,43 @@ class Recorder:
             adapters,
         )
 
+    @property
+    def exit_code(self) -> ExitCode:
+        """What the run tells a shell, once it is finished."""
+        assert self.verdict is not None
+        return exit_code(self.verdict, self.deviations)
+
     def _tool_calls(self) -> dict[str, int]:
-        counts = dict.fromkeys(("task", "control", "setup", "warmup", "recovery"), 0)
-        for result in self.results.values():
-            calls = [call for sample in result["samples"] for call in sample["calls"]] + result["other_calls"]
-            for call in calls:
-                # The paper's count leaves the recovery suite out; so does the role "task".
-                role = "recovery" if result["suite"] == "recovery" and call["role"] == "task" else call["role"]
-                counts[role] += 1
-        return counts
+        from .record import count_calls
+
+        return count_calls(self.results.values())
 
     def _header(self) -> dict[str, Any]:
         settings = self.settings
         return {
             "schema": "otmcp-run/1",
-            "kit": {"name": "pytest-otmcp", "version": __version__, "suite_digest": suite_digest()},
-            "subject": {"name": self._subject.name, "version": self._subject.version, "adapters": {}},
+            "kit": {
+                "name": "pytest-otmcp",
+                "version": __version__,
+                "suite_digest": suite_digest(),
+                "digest": kit_digest(),
+            },
+            "subject": {
+                "name": self._subject.name,
+                "version": self._subject.version,
+                "digest": self._subject.digest,
+                "deviations": [
+                    {"item": entry.item, "reason": entry.reason, "expires": entry.expires.isoformat()}
+                    for entry in self._subject.deviations
+                ],
+                "adapters": {},
+            },
             "environment": {
                 "python": platform.python_version(),
                 "platform": f"{platform.system()} {platform.machine()}",
                 "cpu_count": os.cpu_count(),
                 "packages": {name: _version(name) for name in _PACKAGES},
-                "started_at": self._started_at,
+                "started_at": self._started.isoformat(timespec="seconds").replace("+00:00", "Z"),
             },
             "settings": {
                 "reps": settings.reps,
@@ -199,6 +266,8 @@ class Recorder:
                 "suites": list(settings.suites),
                 "xdist_workers": self._workers,
                 "broker": settings.broker or "embedded",
+                # The same list until the end: what is noted while the run goes on is in the finished record.
+                "narrowed": self._narrowed,
             },
         }
 
@@ -208,12 +277,3 @@ def _version(package: str) -> str | None:
         return metadata.version(package)
     except metadata.PackageNotFoundError:
         return None
-
-
-def suite_digest() -> str:
-    """SHA-256 over the conformance modules in this process's import path, so that a record tells which suite it ran."""
-    digest = hashlib.sha256()
-    root = resources.files("pytest_otmcp.conformance")
-    for module in sorted(path.name for path in root.iterdir() if path.name.endswith(".py")):
-        digest.update(module.encode() + b"\0" + (root / module).read_bytes() + b"\0")
-    return "sha256:" + digest.hexdigest()

@@ -30,6 +30,7 @@ class Task:
         family: ``Modbus``, ``MQTT``, ``OPC UA`` or ``Cross-protocol``.
         title: the paper's sentence for it, printed in its tables.
         adapters: the protocols it needs.
+        needs: facets that the subject must claim, such as ``modbus.write_holding`` or ``modbus.guard``.
         requirements: ids of the requirement catalogue that it exercises.
         steps: one repetition.
         begin: once before the repetitions, with the role ``setup``; or None.
@@ -42,6 +43,7 @@ class Task:
     family: str
     title: str
     adapters: tuple[str, ...]
+    needs: tuple[str, ...]
     requirements: tuple[str, ...]
     steps: Steps
     begin: Steps | None = None
@@ -67,24 +69,27 @@ class Suite(list[Task]):
         self.name = name
         self._warm_up = warm_up
 
-    def task(
-        self, id: str, family: str, title: str, *, adapters: str, requirements: str = ""
-    ) -> Callable[[Steps], Task]:
+    def task(self, id: str, family: str, title: str, *, needs: str, requirements: str = "") -> Callable[[Steps], Task]:
         """Decorator that turns the steps of one repetition into a task of this suite.
 
         Args:
             id, family, title: see :class:`Task`.
-            adapters: the protocols it needs, separated by blanks.
+            needs: facets, each with its protocol, separated by blanks. With a ``guard`` the task has the read-only
+                variant of that adapter, too, as ``protocol@ro``.
             requirements: catalogue ids, separated by blanks.
         """
 
         def declare(steps: Steps) -> Task:
+            facets = tuple(needs.split())
+            protocols = dict.fromkeys(facet.partition(".")[0] for facet in facets)
+            guarded = [f"{facet.partition('.')[0]}@ro" for facet in facets if facet.endswith(".guard")]
             declared = Task(
                 id=id,
                 suite=self.name,
                 family=family,
                 title=title,
-                adapters=tuple(adapters.split()),
+                adapters=(*protocols, *guarded),
+                needs=facets,
                 requirements=tuple(requirements.split()),
                 steps=steps,
                 warm_up=self._warm_up,

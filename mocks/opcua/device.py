@@ -4,21 +4,31 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from asyncua import ua
 
 from ..device import Device
+from .annex import Annex
 from .faults import FaultPlan
+from .limits import Limits
 from .plant import NAMESPACE, Plant
-from .server import PlantServer
-from .session import PlantSession
+from .values import to_json
+
+if TYPE_CHECKING:
+    from .server import PlantServer
+    from .session import PlantSession
 
 __all__ = ["OpcUaDevice"]
 
 
 class OpcUaDevice(Device):
-    """Serves ``urn:otmcp:plant`` without security, to anybody."""
+    """Serves ``urn:otmcp:plant`` without security, to anybody.
+
+    Attributes:
+        limits: what the server can take at once.
+        sessions: the open sessions of clients.
+    """
 
     protocol = "opcua"
 
@@ -26,16 +36,14 @@ class OpcUaDevice(Device):
         super().__init__()
         self.plant = plant
         self.faults = FaultPlan([])
+        self.limits = Limits()
+        self.sessions: set[PlantSession] = set()
         self._server = server
+        self._annex = Annex(server, plant)
 
     async def serve(self, listener: socket.socket) -> None:
-        class Session(PlantSession):
-            device = self
-
-        await self._server.listen(listener, Session, self._connection)
-
-    def _connection(self, made: bool) -> None:
-        self.journal.append(connection=0, direction="in", kind="CONNECTED" if made else "DISCONNECTED")
+        await self._advertise()
+        await self._server.listen(listener, self)
 
     async def aclose(self) -> None:
         """The process ends right after this; there is nothing to hand back."""
@@ -43,23 +51,40 @@ class OpcUaDevice(Device):
     def image(self) -> dict[str, Any]:
         plant = self.plant
         variables = {}
-        for node, about in plant.variables.items():
+        for node, variable in plant.variables.items():
             held = plant.data_value(node)
-            value = held.Value.Value if held.Value is not None else None
-            variables[node.to_string()] = {**about, "value": value, "status": held.StatusCode.name}
+            variables[node.to_string()] = {
+                "browse_name": variable.browse_name,
+                "parent": variable.parent.to_string(),
+                "data_type": variable.kind.name,
+                "writable": variable.writable,
+                "value": to_json(held.Value.Value if held.Value is not None else None),
+                "status": held.StatusCode.name,
+            }
         return {
             "namespace": {"index": plant.namespace, "uri": NAMESPACE},
             "variables": variables,
             "folders": {name: node.to_string() for name, node in plant.folders.items()},
             "methods": {node.to_string(): {"calls": calls} for node, calls in plant.calls.items()},
+            "clients": {
+                "sessions": len(self.sessions),
+                "continuation_points": sum(session.browser.open_points for session in self.sessions),
+            },
         }
 
     async def poke(self, params: Mapping[str, Any]) -> None:
-        """``{"node": browse name or node id, "value", "status" (symbol, default Good)}``."""
-        status = str(params.get("status", "Good"))
-        if not hasattr(ua.StatusCodes, status):
-            raise ValueError(f"unknown status code {status!r}")
-        await self.plant.put(str(params["node"]), params["value"], getattr(ua.StatusCodes, status))
+        """Set a value: ``{"node": browse name or node id, "value", "status" (symbol, default Good)}``; or add nodes,
+        see :class:`Annex`: ``{"create": […]}``; or change what the server can take: ``{"limits": {…}}``."""
+        if "limits" in params:
+            self.limits = self.limits.changed(params["limits"])
+            await self._advertise()
+        elif "create" in params:
+            await self._annex.create(params["create"])
+        else:
+            status = getattr(ua.StatusCodes, str(params.get("status", "Good")), None)
+            if not isinstance(status, int):
+                raise ValueError(f"unknown status code {params['status']!r}")
+            await self.plant.put(str(params["node"]), params["value"], status)
 
     def fault(self, rules: list[dict[str, Any]]) -> list[int]:
         plan = FaultPlan(rules)
@@ -68,7 +93,14 @@ class OpcUaDevice(Device):
 
     async def reset(self) -> None:
         self.faults = FaultPlan([])
+        self.limits = Limits()
+        await self._advertise()
+        await self._annex.clear()
         await self.plant.restore()
+
+    async def _advertise(self) -> None:
+        for number, value in self.limits.advertised().items():
+            await self._server.iserver.write_attribute_value(ua.NodeId(number), ua.DataValue(value))
 
     async def tick(self) -> None:
         await self.plant.tick()

@@ -7,14 +7,19 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any
 
 from asyncua import ua
 
-from .server import PlantServer
+from .values import finite, fits, variant
 
-__all__ = ["NAMESPACE", "Plant"]
+if TYPE_CHECKING:
+    from .server import PlantServer
+
+__all__ = ["NAMESPACE", "Method", "MethodRefusal", "Plant", "Variable"]
 
 NAMESPACE = "urn:otmcp:plant"
 
@@ -45,27 +50,73 @@ STATUS: dict[str, tuple[Any, ua.VariantType]] = {
     "BatchName": ("batch-1", ua.VariantType.String),
 }
 
-Method = Callable[..., Any]
+MAX_RATE = 1000.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Variable:
+    """What is fixed about a data variable.
+
+    Attributes:
+        start: its value when the plant starts.
+        rank, dimensions: ValueRank and ArrayDimensions (OPC 10000-3, 5.6.2).
+        range: lowest and highest number that a client may write; None for any.
+    """
+
+    browse_name: str
+    parent: ua.NodeId
+    kind: ua.VariantType
+    start: ua.Variant
+    writable: bool
+    rank: int = -1
+    dimensions: tuple[int, ...] = ()
+    range: tuple[float | None, float | None] = (None, None)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Method:
+    """A method: the object that it belongs to, the types of its arguments, and the function that performs it. The
+    function takes the values of the inputs, returns those of the outputs and may raise :class:`MethodRefusal`."""
+
+    owner: ua.NodeId
+    inputs: list[ua.VariantType]
+    outputs: list[ua.VariantType]
+    function: Callable[..., Awaitable[list[Any]]]
+
+
+class MethodRefusal(Exception):
+    """A call that is answered with a Bad status and was not performed."""
+
+    def __init__(self, code: int, arguments: Sequence[int] = ()) -> None:
+        super().__init__(code)
+        self._code = code
+        self._arguments = arguments
+
+    def result(self) -> ua.CallMethodResult:
+        """What the client is told; per argument, where it is an argument's fault (OPC 10000-4, 5.12.2.4)."""
+        return ua.CallMethodResult(
+            StatusCode=ua.StatusCode(self._code),
+            InputArgumentResults=[ua.StatusCode(code) for code in self._arguments],
+        )
 
 
 class Plant:
     """The nodes of the plant and their values.
 
     Attributes:
-        variables: node id to what is fixed about a data variable: browse name, parent, type, writable.
+        variables: the data variables by node id.
         folders: browse name to node id.
-        methods: node id to the variant types of its input arguments and the function that performs it.
+        methods: the methods by node id.
         calls: node id of a method to how often it was performed.
     """
 
     def __init__(self, server: PlantServer) -> None:
         self._server = server
         self.namespace = 0
-        self.variables: dict[ua.NodeId, dict[str, Any]] = {}
+        self.variables: dict[ua.NodeId, Variable] = {}
         self.folders: dict[str, ua.NodeId] = {}
-        self.methods: dict[ua.NodeId, tuple[list[ua.VariantType], Method]] = {}
+        self.methods: dict[ua.NodeId, Method] = {}
         self.calls: dict[ua.NodeId, int] = {}
-        self._start: dict[ua.NodeId, ua.Variant] = {}
         self._produced = 0.0
 
     async def build(self) -> None:
@@ -83,11 +134,12 @@ class Plant:
             await self._variable("Actuators", name, ua.Variant(value, kind), writable=True)
         for name, (value, kind) in STATUS.items():
             await self._variable("Status", name, ua.Variant(value, kind), writable=False)
+        double = ua.VariantType.Double
         await self._method("StartProduction", self._start_production)
         await self._method("StopProduction", self._stop_production)
         await self._method("TriggerEmergencyStop", self._emergency_stop)
         await self._method("ResetAlarms", self._reset_alarms)
-        await self._method("SetProductionRate", self._set_rate, ua.VariantType.Double, returns=ua.VariantType.Double)
+        await self._method("SetProductionRate", self._set_rate, [double], [double])
 
     def _id(self, name: str) -> ua.NodeId:
         return ua.NodeId(name, self.namespace)
@@ -100,22 +152,28 @@ class Plant:
         node = await parent.add_variable(self._id(name), self._name(name), value)
         if writable:
             await node.set_writable()
-        self._start[node.nodeid] = value
-        self.variables[node.nodeid] = {
-            "browse_name": name,
-            "parent": self.folders[folder].to_string(),
-            "data_type": value.VariantType.name,
-            "writable": writable,
-        }
+        self.variables[node.nodeid] = Variable(
+            browse_name=name, parent=parent.nodeid, kind=value.VariantType, start=value, writable=writable
+        )
 
     async def _method(
-        self, name: str, function: Method, *inputs: ua.VariantType, returns: ua.VariantType | None = None
+        self,
+        name: str,
+        function: Callable[..., Awaitable[list[Any]]],
+        inputs: Sequence[ua.VariantType] = (),
+        outputs: Sequence[ua.VariantType] = (),
     ) -> None:
-        parent = self._server.get_node(self.folders["Methods"])
-        outputs = [] if returns is None else [returns]
-        node = await parent.add_method(self._id(name), self._name(name), function, list(inputs), outputs)
-        self.methods[node.nodeid] = (list(inputs), function)
-        self.calls[node.nodeid] = 0
+        owner = self.folders["Methods"]
+        method = Method(owner=owner, inputs=list(inputs), outputs=list(outputs), function=function)
+        await self.add_method(self._id(name), self._name(name), method)
+
+    async def add_method(self, node: ua.NodeId, name: ua.QualifiedName, method: Method) -> ua.NodeId:
+        """Create the node of a method. Sessions perform it themselves, the library never does."""
+        parent = self._server.get_node(method.owner)
+        await parent.add_method(node, name, _never, method.inputs, method.outputs)
+        self.methods[node] = method
+        self.calls[node] = 0
+        return node
 
     # -- values -------------------------------------------------------------------------------------------
 
@@ -148,80 +206,99 @@ class Plant:
             ValueError: there is no such variable, or the value does not fit its type.
         """
         node = self.node(name)
-        kind = self._start[node].VariantType
-        if not _fits(value, kind):
-            raise ValueError(f"{name} is {kind.name}, {value!r} does not fit")
-        value = float(value) if kind == ua.VariantType.Double else value
-        data = ua.DataValue(ua.Variant(value, kind), StatusCode=ua.StatusCode(status))
+        variable = self.variables[node]
+        held = variant(value, variable.kind)
+        if not fits(held, variable.kind, variable.rank, list(variable.dimensions)):
+            raise ValueError(f"{name}: {value!r} does not fit the variable's rank and dimensions")
+        await self.hold(node, held, status)
+
+    async def hold(self, node: ua.NodeId, value: ua.Variant, status: int = ua.StatusCodes.Good) -> None:
+        """Set a value as it is, now."""
+        now = datetime.now(UTC)
+        data = ua.DataValue(value, ua.StatusCode(status), SourceTimestamp=now, ServerTimestamp=now)
         await self._server.iserver.write_attribute_value(node, data)
 
     async def restore(self) -> None:
-        """Start-up values everywhere."""
-        for node, value in self._start.items():
-            await self._server.iserver.write_attribute_value(node, ua.DataValue(value))
+        """Start-up values everywhere, no method called yet."""
+        for node, variable in self.variables.items():
+            await self.hold(node, variable.start)
+        for node in self.calls:
+            self.calls[node] = 0
         self._produced = 0.0
 
     # -- methods ------------------------------------------------------------------------------------------
 
-    async def _start_production(self, parent: ua.NodeId) -> None:
+    async def _start_production(self) -> list[Any]:
+        if self.value("EmergencyStop"):
+            raise MethodRefusal(ua.StatusCodes.BadInvalidState)
+        await self.put("Mode", "RUNNING")
+        return []
+
+    async def _stop_production(self) -> list[Any]:
+        # An emergency stop is left by ResetAlarms only.
         if not self.value("EmergencyStop"):
-            await self.put("Mode", "RUNNING")
+            await self.put("Mode", "STOPPED")
+        return []
 
-    async def _stop_production(self, parent: ua.NodeId) -> None:
-        await self.put("Mode", "STOPPED")
-
-    async def _emergency_stop(self, parent: ua.NodeId) -> None:
+    async def _emergency_stop(self) -> list[Any]:
         await self.put("EmergencyStop", True)
         await self.put("Mode", "EMERGENCY_STOP")
+        return []
 
-    async def _reset_alarms(self, parent: ua.NodeId) -> None:
-        await self.put("EmergencyStop", False)
+    async def _reset_alarms(self) -> list[Any]:
         await self.put("AlarmActive", False)
-        await self.put("Mode", "STOPPED")
+        if self.value("EmergencyStop"):
+            await self.put("EmergencyStop", False)
+            await self.put("Mode", "STOPPED")
+        return []
 
-    async def _set_rate(self, parent: ua.NodeId, rate: ua.Variant) -> list[ua.Variant]:
+    async def _set_rate(self, rate: float) -> list[Any]:
+        if not finite(rate) or not 0 <= rate <= MAX_RATE:
+            raise MethodRefusal(ua.StatusCodes.BadInvalidArgument, [ua.StatusCodes.BadOutOfRange])
         previous = self.value("ProductionRate")
-        await self.put("ProductionRate", rate.Value)
-        return [ua.Variant(previous, ua.VariantType.Double)]
+        await self.put("ProductionRate", rate)
+        return [previous]
 
     # -- dynamics -----------------------------------------------------------------------------------------
 
     async def tick(self) -> None:
         """One second: heater and fan to temperature, pump and valve to pressure, flow and level. Actuators are only
         read: what a client wrote stays."""
-        seconds = self.value("Uptime") + 1
+        seconds = (self._number("Uptime") + 1) % 2**32
         await self.put("Uptime", seconds)
         running = self.value("Mode") == "RUNNING"
         pumping = running and self.value("PumpEnabled")
-        valve = _percent(self.value("ValvePosition"))
-        conveyor = _percent(self.value("ConveyorSpeed"))
+        valve = self._share("ValvePosition")
+        conveyor = self._share("ConveyorSpeed")
         wave = math.sin(seconds / 10)
-        heating = 80 * _percent(self.value("HeaterPower")) if running else 0.0
-        target = 20.0 + heating - 10 * _percent(self.value("FanSpeed"))
-        temperature = self.value("Temperature")
+        heating = 80 * self._share("HeaterPower") if running else 0.0
+        target = 20.0 + heating - 10 * self._share("FanSpeed")
+        temperature = self._number("Temperature")
         await self.put("Temperature", temperature + (target - temperature) * 0.05)
         await self.put("Pressure", 1.0 + (0.5 if pumping else 0.0) + 0.05 * wave)
         await self.put("FlowRate", 120 * valve if pumping else 0.0)
-        level = self.value("TankLevel") + (0.4 if pumping else 0.0) - 0.4 * valve
+        level = self._number("TankLevel") + (0.4 if pumping else 0.0) - 0.4 * valve
         await self.put("TankLevel", min(100.0, max(0.0, level)))
         await self.put("Vibration", 1.0 + 0.2 * wave if running else 0.0)
         await self.put("PhLevel", 7.0 + 0.05 * wave)
         await self.put("Humidity", 45.0 + 2 * wave)
         await self.put("MotorSpeed", 1500 * conveyor if running else 0.0)
         if running:
-            self._produced += self.value("ProductionRate") / 60 * conveyor
-            await self.put("ProductionCount", int(self._produced))
+            self._produced += self._number("ProductionRate") / 60 * conveyor
+            whole = int(self._produced)
+            self._produced -= whole
+            await self.put("ProductionCount", (self._number("ProductionCount") + whole) % 2**32)
+
+    def _number(self, name: str) -> Any:
+        """What a variable holds or, when a Bad status or a poke took that away, what it started with."""
+        value = self.value(name)
+        usable = value is not None and math.isfinite(value)
+        return value if usable else self.variables[self._id(name)].start.Value
+
+    def _share(self, name: str) -> float:
+        """A percentage as a number from 0 to 1."""
+        return min(100.0, max(0.0, float(self._number(name)))) / 100
 
 
-def _percent(value: float) -> float:
-    return min(100.0, max(0.0, value)) / 100 if math.isfinite(value) else 0.0
-
-
-def _fits(value: Any, kind: ua.VariantType) -> bool:
-    if kind == ua.VariantType.Boolean:
-        return isinstance(value, bool)
-    if kind == ua.VariantType.String:
-        return isinstance(value, str)
-    if kind == ua.VariantType.Double:
-        return isinstance(value, int | float) and not isinstance(value, bool)
-    return isinstance(value, int) and not isinstance(value, bool)
+async def _never(parent: ua.NodeId, *arguments: ua.Variant) -> None:
+    raise NotImplementedError

@@ -1,32 +1,36 @@
-"""asyncua's server, bent in three places: it accepts on a socket that is given to it, its client sessions are ours, and
-connections are counted."""
+"""asyncua's server, bent in two places: it accepts on a socket that is given to it, and the sessions and connections of
+its clients are ours."""
 
 from __future__ import annotations
 
 import asyncio
+import itertools
 import socket
-from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from asyncua import Server
-from asyncua.server.binary_server_asyncio import BinaryServer, OPCUAProtocol
+from asyncua.server.binary_server_asyncio import BinaryServer
 from asyncua.server.internal_server import InternalServer
 from asyncua.server.internal_session import InternalSession
 
-__all__ = ["PlantServer"]
+from .processor import PlantProtocol
+from .session import PlantSession
 
-SessionFactory = Callable[..., InternalSession]
+if TYPE_CHECKING:
+    from .device import OpcUaDevice
+
+__all__ = ["PlantServer"]
 
 
 class _Internal(InternalServer):  # type: ignore[misc]
-    """Hands out sessions made by ``session_factory`` to clients from outside."""
+    """Hands out sessions of a device to clients from outside."""
 
-    session_factory: SessionFactory | None = None
+    session_type: type[PlantSession] | None = None
 
     def create_session(self, name: str, user: Any = None, external: bool = False) -> InternalSession:
-        if not external or self.session_factory is None:
+        if not external or self.session_type is None:
             return super().create_session(name, user=user, external=external)
-        return self.session_factory(self, self.aspace, self.subscription_service, name, user=user, external=True)
+        return self.session_type(self, self.aspace, self.subscription_service, name, user=user, external=True)
 
 
 class PlantServer(Server):  # type: ignore[misc]
@@ -37,35 +41,26 @@ class PlantServer(Server):  # type: ignore[misc]
         self._listener: asyncio.Server | None = None
         self.set_server_name("OT-MCP mock plant")
 
-    async def listen(
-        self, listener: socket.socket, session_factory: SessionFactory, on_connection: Callable[[bool], None]
-    ) -> None:
-        """Accept connections on ``listener``.
+    async def listen(self, listener: socket.socket, owner: OpcUaDevice) -> None:
+        """Accept connections on ``listener`` for a device."""
 
-        Args:
-            session_factory: makes the sessions of clients.
-            on_connection: called with True for a new connection and False for a lost one.
-        """
+        class Session(PlantSession):
+            device = owner
+
         host, port = listener.getsockname()[:2]
         self.set_endpoint(f"opc.tcp://{host}:{port}")
-        self.iserver.session_factory = session_factory
+        self.iserver.session_type = Session
         await self._setup_server_nodes()
         await self.iserver.start()
         self.bserver = BinaryServer(self.iserver, host, port, self.limits)
         self.bserver.set_policies(self._policies)
+        numbers = itertools.count(1)
 
-        class Counted(OPCUAProtocol):  # type: ignore[misc]
-            def connection_made(self, transport: asyncio.BaseTransport) -> None:
-                on_connection(True)
-                super().connection_made(transport)
-
-            def connection_lost(self, ex: BaseException | None) -> None:
-                on_connection(False)
-                super().connection_lost(ex)
-
-        def protocol() -> OPCUAProtocol:
+        def protocol() -> PlantProtocol:
             server = self.bserver
-            return Counted(
+            return PlantProtocol(
+                device=owner,
+                number=next(numbers),
                 iserver=server.iserver,
                 policies=server._policies,
                 clients=server.clients,

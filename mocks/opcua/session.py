@@ -1,18 +1,26 @@
 """A client's session: every service call on the journal, and the checks that the library leaves out.
 
-Checks follow OPC 10000-4: 5.11.4 (Write), 5.9.2 (Browse), 5.12.2 (Call).
+Checks follow OPC 10000-4: 5.9.2 (Browse), 5.9.3 (BrowseNext), 5.11.2 (Read), 5.11.4 (Write), 5.12.2 (Call).
 """
 
 from __future__ import annotations
 
-import asyncio
-import itertools
-from collections.abc import Awaitable, Callable, Iterable
+import re
+from collections.abc import Iterable
+from dataclasses import replace
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
 from asyncua import ua
+from asyncua.common.utils import ServiceError
 from asyncua.server.internal_session import InternalSession
-from asyncua.ua.uaerrors import BadShutdown
+
+from .browsing import Browser
+from .exchange import current
+from .faults import Rule
+from .limits import bounded
+from .plant import MethodRefusal
+from .values import finite, fits, to_json
 
 if TYPE_CHECKING:
     from .device import OpcUaDevice
@@ -20,213 +28,275 @@ if TYPE_CHECKING:
 __all__ = ["PlantSession"]
 
 Codes = ua.StatusCodes
+Ids = ua.AttributeIds
+Stamps = ua.TimestampsToReturn
 
-
-def _symbol(status: ua.StatusCode) -> str:
-    name: str = status.name
-    return name
-
-
-def _json(value: Any) -> Any:
-    if value is None or isinstance(value, bool | int | float | str):
-        return value
-    if isinstance(value, list):
-        return [_json(member) for member in value]
-    return str(value)
+_RANGE = re.compile(r"(\d{1,9})(?::(\d{1,9}))?")
+_SOURCE = (Stamps.Source, Stamps.Both)
+_SERVER = (Stamps.Server, Stamps.Both)
 
 
 class PlantSession(InternalSession):  # type: ignore[misc]
     """One session of one client."""
 
-    _numbers = itertools.count(1)
     device: OpcUaDevice
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        self.number = next(self._numbers)
+        self.browser = Browser(self.aspace, lambda: self.device.limits)
 
-    def _record(self, direction: str, kind: str, **fields: Any) -> None:
-        self.device.journal.append(connection=self.number, direction=direction, kind=kind, **fields)
-
-    async def _faulty(self, service: str, nodes: Iterable[ua.NodeId]) -> ua.StatusCode | None:
-        """Apply the fault plan; a status code is what every item is answered with."""
-        rule = self.device.faults.match(service, [node.to_string() for node in nodes])
-        if rule is None:
-            return None
-        if rule.delay_s:
-            await asyncio.sleep(rule.delay_s)
-        if rule.close:
-            for transport in list(self.iserver.asyncio_transports):
-                transport.abort()
-            raise BadShutdown
-        if rule.service_fault is not None:
-            raise ua.uaerrors.UaStatusCodeError(getattr(Codes, rule.service_fault))
-        return None if rule.status is None else ua.StatusCode(getattr(Codes, rule.status))
-
-    # -- session services ---------------------------------------------------------------------------------
-
-    async def create_session(self, params: Any, sockname: Any = None) -> Any:
-        self._record("in", "CreateSession", client_name=str(params.SessionName))
+    async def create_session(self, params: ua.CreateSessionParameters, sockname: Any = None) -> Any:
+        if self.device.limits.sessions and len(self.device.sessions) >= self.device.limits.sessions:
+            await super().close_session()
+            raise ServiceError(Codes.BadTooManySessions)
+        self.device.sessions.add(self)
         return await super().create_session(params, sockname=sockname)
 
-    def activate_session(self, params: Any, peer_certificate: bytes | None) -> Any:
-        self._record("in", "ActivateSession")
-        return super().activate_session(params, peer_certificate)
-
     async def close_session(self, delete_subs: bool = True) -> None:
-        self._record("in", "CloseSession")
+        # Also called when the connection is gone; the journal has what the client asked, and this may be nobody's wish.
+        self.device.sessions.discard(self)
+        self.browser.close()
         await super().close_session(delete_subs)
 
     # -- attribute services -------------------------------------------------------------------------------
 
     async def read(self, params: ua.ReadParameters) -> list[ua.DataValue]:
-        nodes = [
-            {"node_id": item.NodeId.to_string(), "attribute": ua.AttributeIds(item.AttributeId).name}
-            for item in params.NodesToRead
+        exchange, items = current(), params.NodesToRead or []
+        exchange.asked(
+            nodes=[{"node_id": item.NodeId.to_string(), "attribute": _attribute(item.AttributeId)} for item in items]
+        )
+        bounded(items, self.device.limits.nodes_per_read)
+        if params.MaxAge < 0:
+            raise ServiceError(Codes.BadMaxAgeInvalid)
+        if params.TimestampsToReturn not in (Stamps.Source, Stamps.Server, Stamps.Both, Stamps.Neither):
+            raise ServiceError(Codes.BadTimestampsToReturnInvalid)
+        rule = await exchange.suffer(_names(item.NodeId for item in items))
+        results = [_forced(rule) or self._read_one(item, params.TimestampsToReturn) for item in items]
+        exchange.answer["results"] = [
+            {"status": result.StatusCode.name, "value": to_json(result.Value.Value)} for result in results
         ]
-        self._record("in", "Read", nodes=nodes, state_changing=False)
-        status = await self._faulty("Read", (item.NodeId for item in params.NodesToRead))
-        if status is not None:
-            results = [ua.DataValue(StatusCode=status) for _ in nodes]
-        else:
-            results = await super().read(params)
-        answers = [
-            {"status": _symbol(result.StatusCode), "value": _json(result.Value.Value if result.Value else None)}
-            for result in results
-        ]
-        self._record("out", "Read", results=answers)
         return results
+
+    def _read_one(self, item: ua.ReadValueId, stamps: ua.TimestampsToReturn) -> ua.DataValue:
+        is_value = item.AttributeId == Ids.Value
+        held: ua.DataValue = self.aspace.read_attribute_value(item.NodeId, item.AttributeId)
+        if is_value and (refusal := self._access(item.NodeId, ua.AccessLevel.CurrentRead)) is not None:
+            return _bad(refusal)
+        if item.DataEncoding is not None and item.DataEncoding.Name and item.DataEncoding.Name != "Default Binary":
+            return _bad(Codes.BadDataEncodingUnsupported if is_value else Codes.BadDataEncodingInvalid)
+        value = held.Value
+        if item.IndexRange and not held.StatusCode.is_bad():
+            value = _slice(value, item.IndexRange)
+            if isinstance(value, int):
+                return _bad(value)
+        return replace(
+            held,
+            Value=value,
+            SourceTimestamp=held.SourceTimestamp if is_value and stamps in _SOURCE else None,
+            ServerTimestamp=held.ServerTimestamp if stamps in _SERVER else None,
+        )
+
+    def _access(self, node: ua.NodeId, right: ua.AccessLevel) -> int | None:
+        """Why a variable must not be accessed: nobody may, or this user may not."""
+        if node not in self.aspace:
+            return None
+        attributes = self.aspace[node].attributes
+        for attribute, refusal in (
+            (Ids.AccessLevel, Codes.BadNotReadable if right == ua.AccessLevel.CurrentRead else Codes.BadNotWritable),
+            (Ids.UserAccessLevel, Codes.BadUserAccessDenied),
+        ):
+            if attribute in attributes and not attributes[attribute].value.Value.Value & right.mask:
+                return int(refusal)
+        return None
 
     async def write(self, params: ua.WriteParameters) -> list[ua.StatusCode]:
-        items = params.NodesToWrite
-        nodes = [
-            {
-                "node_id": item.NodeId.to_string(),
-                "attribute": ua.AttributeIds(item.AttributeId).name,
-                "value": _json(item.Value.Value.Value if item.Value.Value else None),
-                "variant_type": item.Value.Value.VariantType.name if item.Value.Value else None,
-                "has_timestamp": item.Value.SourceTimestamp is not None,
-            }
-            for item in items
-        ]
-        self._record("in", "Write", nodes=nodes, state_changing=True)
-        status = await self._faulty("Write", (item.NodeId for item in items))
-        results: list[ua.StatusCode] = []
-        for item in items:
-            refusal = status or self._refusal(item)
-            if refusal is not None:
-                results.append(refusal)
-            else:
-                results += await super().write(ua.WriteParameters(NodesToWrite=[item]))
-        self._record("out", "Write", results=[{"status": _symbol(result)} for result in results])
+        exchange, items = current(), params.NodesToWrite or []
+        exchange.asked(nodes=[_written(item) for item in items])
+        bounded(items, self.device.limits.nodes_per_write)
+        rule = await exchange.suffer(_names(item.NodeId for item in items))
+        results = [await self._write_one(item, rule) for item in items]
+        exchange.answer["results"] = [{"status": result.name} for result in results]
         return results
 
-    def _refusal(self, item: ua.WriteValue) -> ua.StatusCode | None:
+    async def _write_one(self, item: ua.WriteValue, rule: Rule) -> ua.StatusCode:
+        if rule.status is not None:
+            return ua.StatusCode(getattr(Codes, rule.status))
+        if (refusal := self._refusal(item)) is not None:
+            return ua.StatusCode(refusal)
+        if rule.ack_only:
+            return ua.StatusCode()
+        value, status = item.Value.Value, Codes.Good
+        if rule.clamp is not None:
+            value, status = ua.Variant(rule.clamp, value.VariantType), Codes.GoodClamped
+        now = datetime.now(UTC)
+        # What a client says about status and time is on the journal; the plant keeps its own.
+        data = ua.DataValue(value, SourceTimestamp=now, ServerTimestamp=now)
+        await self.aspace.write_attribute_value(item.NodeId, Ids.Value, data)
+        return ua.StatusCode(status)
+
+    def _refusal(self, item: ua.WriteValue) -> int | None:
         """Why an item must not be written, in the order in which a server finds out."""
-        space = self.iserver.aspace
-        if item.NodeId not in space:
-            return ua.StatusCode(Codes.BadNodeIdUnknown)
-        if item.AttributeId != ua.AttributeIds.Value:
-            known = item.AttributeId in space[item.NodeId].attributes
-            return ua.StatusCode(Codes.BadNotWritable if known else Codes.BadAttributeIdInvalid)
-        about = self.device.plant.variables.get(item.NodeId)
-        if about is None or not about["writable"]:
-            return ua.StatusCode(Codes.BadNotWritable)
+        if item.NodeId not in self.aspace:
+            return int(Codes.BadNodeIdUnknown)
+        if item.AttributeId not in self.aspace[item.NodeId].attributes:
+            return int(Codes.BadAttributeIdInvalid)
+        if item.AttributeId != Ids.Value:
+            return int(Codes.BadNotWritable)
+        if (refusal := self._access(item.NodeId, ua.AccessLevel.CurrentWrite)) is not None:
+            return refusal
+        variable = self.device.plant.variables.get(item.NodeId)
+        if variable is None:
+            return int(Codes.BadNotWritable)
         if item.IndexRange:
-            return ua.StatusCode(Codes.BadIndexRangeInvalid)
-        variant = item.Value.Value
-        if variant is None or variant.VariantType.name != about["data_type"] or isinstance(variant.Value, list):
-            return ua.StatusCode(Codes.BadTypeMismatch)
-        return None
+            return int(Codes.BadWriteNotSupported)
+        value = item.Value.Value
+        if value is None or not fits(value, variable.kind, variable.rank, list(variable.dimensions)):
+            return int(Codes.BadTypeMismatch)
+        low, high = variable.range
+        inside = finite(value.Value) and (value.is_array or low is None or low <= value.Value <= high)
+        return None if inside else int(Codes.BadOutOfRange)
 
     # -- view services ------------------------------------------------------------------------------------
 
     async def browse(self, params: ua.BrowseParameters) -> list[ua.BrowseResult]:
-        nodes = [item.NodeId.to_string() for item in params.NodesToBrowse]
-        self._record("in", "Browse", nodes=nodes, state_changing=False)
-        status = await self._faulty("Browse", (item.NodeId for item in params.NodesToBrowse))
-        results: list[ua.BrowseResult] = await super().browse(params)
-        for item, result in zip(params.NodesToBrowse, results, strict=True):
-            if status is not None:
-                result.StatusCode, result.References = status, []
-            elif item.NodeId not in self.iserver.aspace:
-                result.StatusCode = ua.StatusCode(Codes.BadNodeIdUnknown)
-        counts = [len(result.References) for result in results]
-        statuses = [{"status": _symbol(result.StatusCode)} for result in results]
-        self._record("out", "Browse", counts=counts, results=statuses)
+        exchange, items = current(), params.NodesToBrowse or []
+        nodes = _names(item.NodeId for item in items)
+        exchange.asked(nodes=nodes, most=params.RequestedMaxReferencesPerNode)
+        bounded(items, self.device.limits.nodes_per_browse)
+        if not params.View.ViewId.is_null():
+            raise ServiceError(Codes.BadViewIdUnknown)
+        forced = _forced(await exchange.suffer(nodes))
+        if forced is not None:
+            return self._browsed([ua.BrowseResult(StatusCode=forced.StatusCode) for _ in items])
+        return self._browsed([self.browser.browse(item, params.RequestedMaxReferencesPerNode) for item in items])
+
+    async def browse_next(self, parameters: ua.BrowseNextParameters) -> list[ua.BrowseResult]:
+        exchange, points = current(), parameters.ContinuationPoints or []
+        exchange.asked(points=len(points), release=parameters.ReleaseContinuationPoints)
+        bounded(points, 0)
+        forced = _forced(await exchange.suffer())
+        if forced is not None:
+            return self._browsed([ua.BrowseResult(StatusCode=forced.StatusCode) for _ in points])
+        release = parameters.ReleaseContinuationPoints
+        results = [self.browser.next(point, release=release) for point in points]
+        # Table 37: whoever releases gets no results.
+        return self._browsed([] if release else results)
+
+    def _browsed(self, results: list[ua.BrowseResult]) -> list[ua.BrowseResult]:
+        current().answer |= {
+            "counts": [len(result.References) for result in results],
+            "results": [{"status": result.StatusCode.name} for result in results],
+        }
         return results
 
     async def translate_browsepaths_to_nodeids(self, params: list[ua.BrowsePath]) -> list[ua.BrowsePathResult]:
-        nodes = [path.StartingNode.to_string() for path in params]
-        self._record("in", "TranslateBrowsePaths", nodes=nodes, state_changing=False)
+        exchange = current()
+        nodes = _names(path.StartingNode for path in params or [])
+        exchange.asked(nodes=nodes)
+        bounded(params, 0)
+        await exchange.suffer(nodes)
         results: list[ua.BrowsePathResult] = await super().translate_browsepaths_to_nodeids(params)
+        for path, result in zip(params, results, strict=True):
+            if path.StartingNode not in self.aspace:
+                result.StatusCode = ua.StatusCode(Codes.BadNodeIdUnknown)
+        exchange.answer["results"] = [{"status": result.StatusCode.name} for result in results]
         return results
 
     # -- methods ------------------------------------------------------------------------------------------
 
     async def call(self, params: list[ua.CallMethodRequest]) -> list[ua.CallMethodResult]:
+        exchange = current()
+        nodes = _names(request.MethodId for request in params or [])
         methods = [
             {
                 "object_id": request.ObjectId.to_string(),
                 "method_id": request.MethodId.to_string(),
-                "arguments": [_json(argument.Value) for argument in request.InputArguments],
-                "types": [argument.VariantType.name for argument in request.InputArguments],
+                "arguments": [to_json(argument.Value) for argument in request.InputArguments or []],
+                "types": [argument.VariantType.name for argument in request.InputArguments or []],
             }
-            for request in params
+            for request in params or []
         ]
-        nodes = [request.MethodId.to_string() for request in params]
-        self._record("in", "Call", nodes=nodes, methods=methods, state_changing=True)
-        status = await self._faulty("Call", (request.MethodId for request in params))
+        exchange.asked(nodes=nodes, methods=methods)
+        bounded(params, self.device.limits.methods_per_call)
+        forced = _forced(await exchange.suffer(nodes))
         results = []
         for request in params:
-            refused = ua.CallMethodResult(StatusCode=status) if status is not None else self._invalid(request)
-            if refused is None:
-                results += await super().call([request])
-                self.device.plant.calls[request.MethodId] += 1
-            else:
-                results.append(refused)
-        self._record("out", "Call", results=[{"status": _symbol(result.StatusCode)} for result in results])
+            if forced is not None:
+                results.append(ua.CallMethodResult(StatusCode=forced.StatusCode))
+                continue
+            try:
+                results.append(await self._perform(request))
+            except MethodRefusal as refusal:
+                results.append(refusal.result())
+        exchange.answer["results"] = [
+            {"status": result.StatusCode.name, "outputs": [to_json(output.Value) for output in result.OutputArguments]}
+            for result in results
+        ]
         return results
 
-    def _invalid(self, request: ua.CallMethodRequest) -> ua.CallMethodResult | None:
-        def refuse(code: int) -> ua.CallMethodResult:
-            return ua.CallMethodResult(StatusCode=ua.StatusCode(code))
-
-        if request.ObjectId not in self.iserver.aspace:
-            return refuse(Codes.BadNodeIdUnknown)
+    async def _perform(self, request: ua.CallMethodRequest) -> ua.CallMethodResult:
+        if request.ObjectId not in self.aspace:
+            raise MethodRefusal(Codes.BadNodeIdUnknown)
         method = self.device.plant.methods.get(request.MethodId)
-        if method is None or request.ObjectId != self.device.plant.folders["Methods"]:
-            return refuse(Codes.BadMethodInvalid)
-        expected, given = method[0], request.InputArguments
-        if len(given) < len(expected):
-            return refuse(Codes.BadArgumentsMissing)
-        if len(given) > len(expected):
-            return refuse(Codes.BadTooManyArguments)
-        kinds = [
-            Codes.Good
-            if argument.VariantType == kind and not isinstance(argument.Value, list)
-            else Codes.BadTypeMismatch
-            for argument, kind in zip(given, expected, strict=True)
-        ]
-        if any(kind != Codes.Good for kind in kinds):
-            result = refuse(Codes.BadInvalidArgument)
-            result.InputArgumentResults = [ua.StatusCode(kind) for kind in kinds]
-            return result
-        return None
-
-    # -- everything else ----------------------------------------------------------------------------------
-
-    async def _other(self, kind: str, call: Callable[[], Awaitable[Any]], *, changing: bool = False) -> Any:
-        self._record("in", kind, nodes=[], state_changing=changing)
-        return await call()
-
-    async def add_nodes(self, params: Any) -> Any:
-        return await self._other("AddNodes", lambda: InternalSession.add_nodes(self, params), changing=True)
-
-    async def delete_nodes(self, params: Any) -> Any:
-        return await self._other("DeleteNodes", lambda: InternalSession.delete_nodes(self, params), changing=True)
-
-    async def create_subscription(self, *args: Any, **kwargs: Any) -> Any:
-        return await self._other(
-            "CreateSubscription", lambda: InternalSession.create_subscription(self, *args, **kwargs)
+        if method is None or request.ObjectId != method.owner:
+            raise MethodRefusal(Codes.BadMethodInvalid)
+        given = request.InputArguments or []
+        if len(given) < len(method.inputs):
+            raise MethodRefusal(Codes.BadArgumentsMissing)
+        if len(given) > len(method.inputs):
+            raise MethodRefusal(Codes.BadTooManyArguments)
+        wrong = [not fits(argument, kind, -1, []) for argument, kind in zip(given, method.inputs, strict=True)]
+        if any(wrong):
+            arguments = [Codes.BadTypeMismatch if each else Codes.Good for each in wrong]
+            raise MethodRefusal(Codes.BadInvalidArgument, arguments)
+        outputs = await method.function(*(argument.Value for argument in given))
+        self.device.plant.calls[request.MethodId] += 1
+        return ua.CallMethodResult(
+            InputArgumentResults=[ua.StatusCode() for _ in given],
+            OutputArguments=[ua.Variant(value, kind) for value, kind in zip(outputs, method.outputs, strict=True)],
         )
+
+
+def _names(nodes: Iterable[ua.NodeId]) -> list[str]:
+    return [node.to_string() for node in nodes]
+
+
+def _attribute(number: int) -> str:
+    try:
+        name: str = Ids(number).name
+    except ValueError:
+        return str(number)
+    return name
+
+
+def _bad(code: int) -> ua.DataValue:
+    return ua.DataValue(StatusCode=ua.StatusCode(code))
+
+
+def _forced(rule: Rule) -> ua.DataValue | None:
+    return None if rule.status is None else _bad(getattr(Codes, rule.status))
+
+
+def _written(item: ua.WriteValue) -> dict[str, Any]:
+    value = item.Value.Value
+    return {
+        "node_id": item.NodeId.to_string(),
+        "attribute": _attribute(item.AttributeId),
+        "value": to_json(value.Value),
+        "variant_type": value.VariantType.name,
+        "has_timestamp": item.Value.SourceTimestamp is not None or item.Value.ServerTimestamp is not None,
+    }
+
+
+def _slice(value: ua.Variant, text: str) -> ua.Variant | int:
+    """A part of a one-dimensional array (NumericRange, 7.27), or the status code that says why there is none."""
+    bounds = _RANGE.fullmatch(text)
+    if bounds is None:
+        return int(Codes.BadIndexRangeInvalid)
+    low = int(bounds[1])
+    high = low if bounds[2] is None else int(bounds[2])
+    if bounds[2] is not None and high <= low:
+        return int(Codes.BadIndexRangeInvalid)
+    if value is None or not value.is_array or value.Dimensions or low >= len(value.Value):
+        return int(Codes.BadIndexRangeNoData)
+    return ua.Variant(value.Value[low : high + 1], value.VariantType, is_array=True)

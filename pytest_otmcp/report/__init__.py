@@ -1,1 +1,105 @@
-"""Everything that is made from a run record: terminal summary, LaTeX tables, figures. Nothing here judges."""
+"""Everything that is made from a run record: terminal summary, LaTeX tables, figures. Nothing here judges.
+
+What the reports have to count alike is counted here, so that no two of them disagree.
+"""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterable, Mapping
+from itertools import count
+from typing import Any
+
+from ..statistics import lower_bound
+from ..task import SUITES, repetitions
+
+__all__ = [
+    "Item",
+    "Run",
+    "applies",
+    "command",
+    "durations",
+    "least",
+    "phases",
+    "recovered",
+    "tally",
+    "task_calls",
+    "timing_valid",
+]
+
+Run = Mapping[str, Any]
+"""A run record, as :func:`pytest_otmcp.record.load` returns it."""
+Item = Mapping[str, Any]
+"""One of its items."""
+
+
+def applies(item: Item) -> bool:
+    """Whether the subject claims what the item is about."""
+    return bool(item["status"] != "NOT_APPLICABLE")
+
+
+def tally(items: Iterable[Item]) -> tuple[int, int]:
+    """Repetitions that passed, of those planned of the items that apply: what did not run did not pass."""
+    counted = [item for item in items if applies(item)]
+    good = sum(sample["ok"] for item in counted for sample in item["samples"])
+    return good, sum(item["planned"] for item in counted)
+
+
+def least(item: Item) -> float | None:
+    """With 95 % confidence, the least rate at which the item passes; None when it says nothing about the subject."""
+    return lower_bound(*tally([item])) if item["samples"] else None
+
+
+def timing_valid(run: Run) -> bool:
+    """Whether the run's latencies say something about the subject: those of a parallel run measure the neighbours."""
+    return bool(run["footer"].get("timing_valid", True))
+
+
+def durations(run: Run, items: Iterable[Item]) -> list[float]:
+    """Milliseconds of every repetition of the items; none when the run's latencies are withheld."""
+    return [sample["duration_ms"] for item in items for sample in item["samples"]] if timing_valid(run) else []
+
+
+def phases(run: Run, item: Item, name: str) -> list[float]:
+    """Milliseconds of a phase of recovery, where it happened; none when the run's latencies are withheld."""
+    if not timing_valid(run):
+        return []
+    found = [sample["phases"][name] for sample in item["samples"] if sample["phases"]]
+    return [value for value in found if value is not None]
+
+
+def recovered(items: Iterable[Item], way: str) -> tuple[int, int]:
+    """Outages after which ``way`` (``same_session`` or ``fresh_session``) succeeded, of those planned."""
+    counted = [item for item in items if applies(item)]
+    samples = [sample for item in counted for sample in item["samples"]]
+    good = sum(bool(sample["phases"] and sample["phases"][f"{way}_ok"]) for sample in samples)
+    return good, sum(item["planned"] for item in counted)
+
+
+def task_calls(items: Iterable[Item]) -> list[Mapping[str, Any]]:
+    """The calls that the tasks of these items are about; neither set-up nor what came before a recovery."""
+    return [call for item in items for sample in item["samples"] for call in sample["calls"] if call["role"] == "task"]
+
+
+def command(run: Run, item: Item | None = None, repetition: int = 0) -> str:
+    """The shell command that makes a run like this one, or only one item of it up to one of its repetitions.
+
+    It works from any directory. Values depend on seed and repetition alone, so they are the same again.
+    """
+    settings = run["settings"]
+    options = ["--pyargs", "pytest_otmcp.conformance"]
+    if item is None:
+        options.append(f"--otmcp-reps={settings['reps']}")
+        if list(settings.get("suites", SUITES)) != list(SUITES):
+            options.append(f"--otmcp-suite={','.join(settings['suites'])}")
+    else:
+        # A suite's share of N decides how large N has to be for this repetition to be among its own.
+        reps = next(reps for reps in count(1) if repetitions(reps)[item["suite"]] > repetition)
+        options += [f"--otmcp-reps={reps}", "-k", f"[{item['id']}]"]
+    usual = {"seed": 0, "era": "auto", "time_scale": 1.0, "broker": "embedded"}
+    for name, value in usual.items():
+        if settings.get(name, value) != value:
+            options.append(f"--otmcp-{name.replace('_', '-')}={settings[name]}")
+    if settings.get("subject"):
+        options.append(f"--otmcp-subject={settings['subject']}")
+    return shlex.join(["pytest", *options])

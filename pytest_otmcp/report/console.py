@@ -1,18 +1,27 @@
-"""The summary of a run as lines of text. Pure: a run record in, lines with a style out."""
+"""The summary of a run as lines of text. Pure: a run record in, lines with a style out.
+
+Lines hold printable characters only: what an adapter puts into its messages can neither colour the terminal nor start
+a line of its own that looks like a verdict. Our own words are ASCII, for terminals that have nothing else.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import Any
+import textwrap
+from collections.abc import Iterator
 
-from ..statistics import lower_bound, mean, mean_interval, percentile
+from ..record import count_calls
+from ..statistics import mean, mean_interval, percentile
+from ..task import SUITES
+from . import Item, Run, applies, durations, least, phases, recovered, tally, timing_valid
+from .text import printable
 
 __all__ = ["summary"]
 
 Line = tuple[str, str]
-Run = Mapping[str, Any]
 
-_SUITES = ("normal", "fault", "stress", "recovery")
+_SHOWN_FINDINGS = 3
+_WIDE = 120
+"""From this width on there is room for mean and interval; a narrower terminal rather shows what the task is."""
 
 
 def summary(run: Run, width: int = 100) -> list[Line]:
@@ -20,59 +29,75 @@ def summary(run: Run, width: int = 100) -> list[Line]:
 
     Args:
         run: a run record.
-        width: columns of the terminal.
+        width: columns of the terminal; below 80 lines are longer than it.
 
     Returns:
         Lines with a style: ``ok``, ``bad``, ``head`` or ``plain``.
     """
+    width = max(80, width)
     lines: list[Line] = []
-    for suite in _SUITES:
+    for suite in SUITES:
         items = [item for item in run["items"] if item["suite"] == suite]
         if items:
-            lines += [("", "plain"), *_suite(suite, items, run["footer"].get("timing_valid", True), width)]
-    lines += [("", "plain"), *_findings(run, width), *_counts(run), *_verdict(run)]
-    return lines
+            table = _recovery(run, items, width) if suite == "recovery" else _suite(run, suite, items, width)
+            lines += [("", "plain"), *table]
+    return [*lines, ("", "plain"), *_findings(run, width), *_counts(run, width), *_narrowed(run, width), _verdict(run)]
 
 
-def _suite(suite: str, items: list[Mapping[str, Any]], timing: bool, width: int) -> Iterator[Line]:
-    if suite == "recovery":
-        yield f"{'recovery':<10}{'same session':>16}{'median ms':>11}{'fresh session':>16}{'median ms':>11}", "head"
-        for item in items:
-            phases = [sample["phases"] for sample in item["samples"] if sample["phases"]]
-            row = f"  {item['id']:<10}"
-            for way in ("same_session", "fresh_session"):
-                good = sum(bool(phase[f"{way}_ok"]) for phase in phases)
-                times = [phase[way] for phase in phases if phase[way] is not None]
-                row += f"{good}/{len(phases)}".rjust(14) + _number(percentile(times, 50) if timing else None, 13)
-            yield row, _style(item)
-        return
-    # Mean and its interval are in the LaTeX tables too; a narrow terminal rather shows what the task is.
-    wide = width >= 120
-    more = f"{'mean ms':>9}{'95 % CI':>17}" if wide else ""
-    yield f"{suite:<10}{'passed':>9}{'at least':>10}{'median ms':>11}{'p95 ms':>9}{more}   task", "head"
+def _suite(run: Run, suite: str, items: list[Item], width: int) -> Iterator[Line]:
+    more = f"{'mean ms':>9}{'95 % CI':>17}" if width >= _WIDE else ""
+    yield f"{suite:<9}{'passed':>9}{'at least':>10}{'median ms':>11}{'p95 ms':>9}{more}   task", "head"
     for item in items:
-        times = [sample["duration_ms"] for sample in item["samples"]] if timing else []
-        good = sum(sample["ok"] for sample in item["samples"])
-        bound = lower_bound(good, len(item["samples"]))
-        row = (
-            f"  {item['id']:<8}{good:>5}/{item['planned']:<3}"
-            + (f"{100 * bound:>8.1f} %" if bound is not None else f"{'---':>10}")
-            + _number(percentile(times, 50), 11)
-            + _number(percentile(times, 95), 9)
-        )
-        if wide:
+        times = durations(run, [item])
+        rate = least(item)
+        row = f"  {item['id']:<7}{_count(*tally([item])):>9}"
+        row += f"{'---' if rate is None else f'{100 * rate:.1f} %':>10}"
+        row += f"{_number(percentile(times, 50)):>11}{_number(percentile(times, 95)):>9}"
+        if more:
             interval = mean_interval(times)
-            row += _number(mean(times), 9)
+            row += f"{_number(mean(times)):>9}"
             row += f"{f'{interval[0]:.2f}..{interval[1]:.2f}' if interval else '---':>17}"
-        yield f"{row}   {item['title']}"[:width], _style(item)
+        yield _clip(f"{row}   {_title(item)}", width), _style(item)
 
 
-def _number(value: float | None, columns: int) -> str:
-    return ("---" if value is None else f"{value:.2f}").rjust(columns)
+def _recovery(run: Run, items: list[Item], width: int) -> Iterator[Line]:
+    same, fresh = "same session", "fresh session"
+    yield f"{'recovery':<11}{'detect ms':>10}{same:>14}{'median ms':>11}{fresh:>15}{'median ms':>11}", "head"
+    for item in items:
+        row = f"  {item['id']:<9}{_number(percentile(phases(run, item, 'detect'), 50)):>10}"
+        for way, columns in (("same_session", 14), ("fresh_session", 15)):
+            row += f"{_count(*recovered([item], way)):>{columns}}"
+            row += f"{_number(percentile(phases(run, item, way), 50)):>11}"
+        note = "" if item["status"] == "PASS" else f"   {item['status']}"
+        yield _clip(row + note, width), _style(item)
 
 
-def _style(item: Mapping[str, Any]) -> str:
-    return {"PASS": "plain", "NOT_APPLICABLE": "plain"}.get(item["status"], "bad")
+def _count(good: int, total: int) -> str:
+    return "---" if total == 0 else f"{good}/{total}"
+
+
+def _number(value: float | None) -> str:
+    return "---" if value is None else f"{value:.2f}"
+
+
+def _title(item: Item) -> str:
+    return str(item["title"] if item["status"] == "PASS" else f"{item['status']}: {item['title']}")
+
+
+def _style(item: Item) -> str:
+    return "plain" if item["status"] in ("PASS", "NOT_APPLICABLE") else "bad"
+
+
+def _clip(text: str, width: int) -> str:
+    text = printable(text)
+    return text if len(text) <= width else text[: width - 3].rstrip() + "..."
+
+
+def _wrapped(text: str, width: int, indent: str) -> Iterator[str]:
+    # The lines of a text, such as the last ones of an adapter's stderr, stay lines, but none begins where ours do.
+    for number, line in enumerate(text.splitlines() or [""]):
+        first = indent if number else ""
+        yield from textwrap.wrap(printable(line), width, initial_indent=first, subsequent_indent=indent) or [""]
 
 
 def _findings(run: Run, width: int) -> Iterator[Line]:
@@ -81,40 +106,54 @@ def _findings(run: Run, width: int) -> Iterator[Line]:
         return
     yield "findings", "head"
     for item in failing:
-        yield f"  {item['id']} {item['status']}: {item['title']}"[:width], "bad"
+        yield _clip(f"  {item['id']} {item['status']}: {item['title']}", width), "bad"
         shown = [("", finding) for finding in item["findings"]]
         for sample in item["samples"]:
             where = f"rep {sample['repetition'] + 1}/{item['planned']}: "
             shown += [(where, finding) for finding in sample["findings"]]
-        for where, finding in shown[:3]:
-            yield f"      {where}{finding['message']}", "plain"
-        if len(shown) > 3:
-            yield f"      and {len(shown) - 3} more in run.json", "plain"
+        for where, finding in shown[:_SHOWN_FINDINGS]:
+            rule = f" [{finding['requirement']}]" if finding.get("requirement") else ""
+            for line in _wrapped(f"      {where}{finding['message']}{rule}", width, "        "):
+                yield line, "plain"
+        if len(shown) > _SHOWN_FINDINGS:
+            yield f"      and {len(shown) - _SHOWN_FINDINGS} more in run.json", "plain"
     yield "", "plain"
 
 
-def _counts(run: Run) -> Iterator[Line]:
+def _counts(run: Run, width: int) -> Iterator[Line]:
     footer = run["footer"]
-    calls = footer["tool_calls"]
+    calls = count_calls(run["items"])
+    samples = sum(len(item["samples"]) for item in run["items"])
     others = ", ".join(f"{calls[role]} {role}" for role in ("recovery", "control", "setup", "warmup"))
-    yield f"{footer['samples']} runs, {calls['task']} tool calls ({others} calls counted apart)", "plain"
-    spent = footer["breakdown_s"]
-    total = sum(spent.values()) or 1.0
-    parts = ", ".join(
-        f"{what} {seconds:.1f} s ({100 * seconds / total:.0f} %)"
-        for what, seconds in sorted(spent.items(), key=lambda entry: -entry[1])
-    )
-    yield f"{footer['elapsed_s']:.1f} s: {parts}", "plain"
-    if not footer["timing_valid"]:
-        yield "latencies withheld: the run was parallel, so they measure the neighbours too", "plain"
+    texts = [f"{samples} runs, {calls['task']} tool calls ({others} calls counted apart)"]
+    # A run that was killed has neither.
+    if spent := footer.get("breakdown_s"):
+        total = sum(spent.values()) or 1.0
+        parts = (
+            f"{what} {seconds:.1f} s ({100 * seconds / total:.0f} %)"
+            for what, seconds in sorted(spent.items(), key=lambda entry: -entry[1])
+        )
+        texts.append(f"{footer['elapsed_s']:.1f} s: {', '.join(parts)}")
+    if not timing_valid(run):
+        texts.append("latencies withheld: the run was parallel, so they measure the neighbours too")
+    for text in texts:
+        for line in _wrapped(text, width, "  "):
+            yield line, "plain"
 
 
-def _verdict(run: Run) -> Iterator[Line]:
-    footer = run["footer"]
-    items = run["items"]
-    passed = sum(sample["ok"] for item in items for sample in item["samples"])
-    planned = sum(item["planned"] for item in items if item["status"] != "NOT_APPLICABLE")
-    note = f"{passed}/{planned} runs passed in {len(items)} items"
+def _narrowed(run: Run, width: int) -> Iterator[Line]:
+    for sentence in run["settings"].get("narrowed", ()):
+        for line in _wrapped(f"narrowed: {sentence}", width, "  "):
+            yield line, "bad"
+
+
+def _verdict(run: Run) -> Line:
+    footer, items = run["footer"], run["items"]
+    good, planned = tally(items)
+    note = f"{good}/{planned} runs passed in {len(items)} items"
+    if unclaimed := sum(not applies(item) for item in items):
+        note += f", {unclaimed} of them not applicable"
     if footer.get("reason"):
         note += f"; {footer['reason']}"
-    yield f"VERDICT: {footer['verdict']} ({note})", "ok" if footer["verdict"] == "CONFORMANT" else "bad"
+    verdict = footer.get("verdict", "INCOMPLETE")
+    return printable(f"VERDICT: {verdict} ({note})"), "ok" if verdict == "CONFORMANT" else "bad"

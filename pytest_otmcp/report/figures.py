@@ -6,19 +6,17 @@ A figure for which a run has no data is not drawn, and one left by an earlier ru
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..statistics import percentile, proportion_interval
+from . import Item, Run, durations, phases, recovered, timing_valid
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 __all__ = ["write_figures"]
-
-Run = Mapping[str, Any]
-Item = Mapping[str, Any]
 
 _WIDTH_IN = 3.5
 # Okabe and Ito's palette: distinguishable with every common kind of colour blindness.
@@ -54,6 +52,8 @@ _OTHER_PROTOCOLS = {
 }
 _NAMES = {"modbus": "Modbus", "mqtt": "MQTT", "opcua": "OPC UA"}
 
+_SHOWN_CODES = 6
+
 Draw = Callable[[Run, "Axes"], bool]
 
 
@@ -88,15 +88,11 @@ def _items(run: Run, suite: str) -> list[Item]:
     return [item for item in run["items"] if item["suite"] == suite and item["samples"]]
 
 
-def _timed(run: Run) -> bool:
-    return bool(run["footer"].get("timing_valid", True))
-
-
 def _latency_boxplot(run: Run, axes: Axes) -> bool:
     items = _items(run, "normal")
-    if not items or not _timed(run):
+    if not items or not timing_valid(run):
         return False
-    times = [[sample["duration_ms"] for sample in item["samples"]] for item in items]
+    times = [durations(run, [item]) for item in items]
     boxes = axes.boxplot(
         times,
         patch_artist=True,
@@ -108,7 +104,7 @@ def _latency_boxplot(run: Run, axes: Axes) -> bool:
         flierprops={"marker": ".", "markersize": 2.5, "markerfacecolor": "0.3", "markeredgecolor": "none"},
     )
     for box, item in zip(boxes["boxes"], items, strict=True):
-        box.set_facecolor(_FAMILY_COLOURS[item["family"]])
+        box.set_facecolor(_colour(item["family"]))
     axes.set_yscale("log")
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.yaxis.set_minor_formatter(lambda value, _: f"{value:g}" if value in (2, 5, 20, 50) else "")
@@ -118,7 +114,7 @@ def _latency_boxplot(run: Run, axes: Axes) -> bool:
     axes.grid(axis="y", which="both", linewidth=0.3, color="0.88")
     axes.set_axisbelow(True)
     families = dict.fromkeys(item["family"] for item in items)
-    _legend(axes, [(family, _FAMILY_COLOURS[family]) for family in families])
+    _legend(axes, [(family, _colour(family)) for family in families])
     return True
 
 
@@ -138,23 +134,37 @@ def _legend(axes: Axes, entries: list[tuple[str, str]]) -> None:
     )
 
 
+def _colour(family: str) -> str:
+    return _FAMILY_COLOURS.get(family, "0.6")
+
+
+def _label(text: str) -> str:
+    """A text that matplotlib neither takes for mathematics nor lacks letters for; an adapter may make up any code."""
+    return ascii(text)[1:-1].replace("_", " ").replace("$", r"\$")[:40]
+
+
 def _error_classes(run: Run, axes: Axes) -> bool:
     items = _items(run, "fault")
     counts: dict[str, list[int]] = {}
     for index, item in enumerate(items):
         for sample in item["samples"]:
-            for code in sorted({call["error_code"] for call in sample["calls"] if call["error_code"]}):
+            codes = {call["error_code"] for call in sample["calls"] if call["role"] == "task"} - {None}
+            for code in codes:
                 counts.setdefault(code, [0] * len(items))[index] += 1
     if not counts:
         return False
     colours = [_BLUE, _ORANGE, _GREEN, _RED, _PURPLE, _SKY, _YELLOW]
     bottom = [0] * len(items)
     entries = []
-    for index, (code, values) in enumerate(sorted(counts.items())):
+    frequent = sorted(counts, key=lambda code: (-sum(counts[code]), code))[:_SHOWN_CODES]
+    shown = {code: counts.pop(code) for code in sorted(frequent)}
+    if counts:
+        shown["other codes"] = [sum(column) for column in zip(*counts.values(), strict=True)]
+    for index, (code, values) in enumerate(shown.items()):
         colour = colours[index % len(colours)]
         axes.bar(range(len(items)), values, 0.65, bottom=bottom, color=colour)
         bottom = [low + value for low, value in zip(bottom, values, strict=True)]
-        entries.append((code.replace("_", " "), colour))
+        entries.append((_label(code), colour))
     axes.set_xticks(range(len(items)), [item["id"] for item in items])
     axes.tick_params(axis="x", length=0)
     axes.set_ylabel("runs with this error code")
@@ -168,8 +178,7 @@ def _recovery_modes(run: Run, axes: Axes) -> bool:
         return False
     for offset, (way, colour) in zip((-0.18, 0.18), (("same_session", _BLUE), ("fresh_session", _ORANGE)), strict=True):
         for index, item in enumerate(items):
-            phases = [sample["phases"] for sample in item["samples"] if sample["phases"]]
-            good, total = sum(bool(phase[f"{way}_ok"]) for phase in phases), len(item["samples"])
+            good, total = recovered([item], way)
             low, high = proportion_interval(good, total) or (0.0, 1.0)
             rate = 100 * good / total
             error = [[rate - 100 * low], [100 * high - rate]]
@@ -186,7 +195,7 @@ def _recovery_modes(run: Run, axes: Axes) -> bool:
 
 def _recovery_phases(run: Run, axes: Axes) -> bool:
     items = _items(run, "recovery")
-    if not items or not _timed(run):
+    if not items or not timing_valid(run):
         return False
     names = {
         "detect": ("detect", _RED),
@@ -197,9 +206,7 @@ def _recovery_phases(run: Run, axes: Axes) -> bool:
     height = 0.8 / len(names)
     for row, (phase, (_, colour)) in enumerate(names.items()):
         for index, item in enumerate(items):
-            values = [sample["phases"][phase] for sample in item["samples"] if sample["phases"]]
-            found = [value for value in values if value is not None]
-            median = percentile(found, 50)
+            median = percentile(phases(run, item, phase), 50)
             if median is None:
                 continue
             at = index + (row - 1.5) * height

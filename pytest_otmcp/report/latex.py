@@ -6,19 +6,17 @@ compiles with them. A figure that a run does not have is printed as ``---``. Pur
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
 
-from ..statistics import lower_bound, mean, mean_interval, percentile, standard_deviation
+from ..record import count_calls
+from ..statistics import mean, mean_interval, median_interval, outliers, percentile, standard_deviation
+from ..task import SUITES
+from . import Item, Run, applies, command, durations, least, phases, recovered, tally, task_calls
 
 __all__ = ["escape", "write_tables"]
 
-Run = Mapping[str, Any]
-Item = Mapping[str, Any]
-
 _FAMILIES = ("Modbus", "MQTT", "OPC UA", "Cross-protocol")
-_SUITE_MACROS = {"normal": "totalNormalRuns", "fault": "totalFaultRuns", "stress": "totalStressRuns"}
 _SPECIAL = {
     "\\": r"\textbackslash{}",
     "_": r"\_",
@@ -35,8 +33,12 @@ NONE = "---"
 
 
 def escape(text: str) -> str:
-    """Text as LaTeX prints it; ``<`` and ``>`` stay, as in the paper's own tables."""
-    return "".join(_SPECIAL.get(character, character) for character in text)
+    """Text as LaTeX prints it.
+
+    ``<`` and ``>`` stay, as in the paper's own tables. What pdfLaTeX cannot set, such as a control character in an error
+    code that an adapter made up, is shown by its code point.
+    """
+    return "".join(_SPECIAL.get(letter, letter if " " <= letter <= "~" else f"U+{ord(letter):04X}") for letter in text)
 
 
 def write_tables(run: Run, directory: Path) -> None:
@@ -52,26 +54,23 @@ def write_tables(run: Run, directory: Path) -> None:
         "tab_statistics": _statistics(run),
     }
     for name, lines in tables.items():
-        text = "\n".join([_origin(run), *lines]) + "\n"
-        (directory / f"{name}.tex").write_text(text, encoding="utf-8")
+        (directory / f"{name}.tex").write_text("\n".join([*_origin(run), *lines]) + "\n", encoding="utf-8")
 
 
-def _origin(run: Run) -> str:
+def _origin(run: Run) -> list[str]:
     kit, footer = run["kit"], run["footer"]
-    state = "complete" if footer.get("complete") else "INCOMPLETE"
-    command = f"pytest --otmcp-reps={run['settings']['reps']}"
-    return f"% {kit['name']} {kit['version']}, {state} run {footer.get('digest', 'without digest')}, made by: {command}"
+    state = "complete" if footer["complete"] else "INCOMPLETE"
+    lines = [
+        f"{kit['name']} {kit['version']}, {state} run {footer.get('digest', 'without digest')}",
+        f"subject: {run['subject'].get('name')} {run['subject'].get('version')}",
+        f"made by: {command(run)}",
+    ]
+    # A subject's name may hold anything; a comment must stay one line.
+    return ["% " + " ".join(line.split()) for line in lines]
 
 
 def _items(run: Run, suite: str, family: str | None = None) -> list[Item]:
     return [item for item in run["items"] if item["suite"] == suite and family in (None, item["family"])]
-
-
-def _times(run: Run, items: Iterable[Item]) -> list[float]:
-    # Latencies of a parallel run measure the neighbours too and are not printed.
-    if not run["footer"].get("timing_valid", True):
-        return []
-    return [sample["duration_ms"] for item in items for sample in item["samples"]]
 
 
 def _ms(value: float | None) -> str:
@@ -82,40 +81,40 @@ def _rate(good: int, total: int) -> str:
     return NONE if total == 0 else f"{100 * good / total:.1f}"
 
 
-def _task_calls(items: Iterable[Item]) -> list[Mapping[str, Any]]:
-    return [call for item in items for sample in item["samples"] for call in sample["calls"] if call["role"] == "task"]
+def _count(good: int, total: int) -> str:
+    return NONE if total == 0 else f"{good}/{total}"
 
 
-def _passed(items: Iterable[Item]) -> tuple[int, int]:
-    """Samples that passed, of those that were planned: what did not run did not pass."""
-    items = list(items)
-    good = sum(sample["ok"] for item in items for sample in item["samples"])
-    return good, sum(item["planned"] for item in items)
+def _median_p95(run: Run, items: Iterable[Item]) -> tuple[str, str]:
+    times = durations(run, items)
+    return _ms(percentile(times, 50)), _ms(percentile(times, 95))
 
 
 # -- the paper's files ------------------------------------------------------------------------------------
 
 
 def _exact_counts(run: Run) -> list[str]:
-    samples = {
-        suite: sum(len(item["samples"]) for item in _items(run, suite)) for suite in (*_SUITE_MACROS, "recovery")
+    suites = {suite: _items(run, suite) for suite in SUITES}
+    samples = {suite: sum(len(item["samples"]) for item in items) for suite, items in suites.items()}
+    calls = {suite: len(task_calls(items)) for suite, items in suites.items()}
+    every = count_calls(run["items"])
+    adapters = run["subject"]["adapters"]
+    macros = {
+        "totalNormalRuns": samples["normal"],
+        "totalFaultRuns": samples["fault"],
+        "totalStressRuns": samples["stress"],
+        "totalRecoveryTrials": samples["recovery"],
+        "totalRuns": sum(samples.values()),
+        # The paper counts the calls of three suites; those of the recovery suite and those around the tasks follow.
+        "totalToolCalls": every["task"],
+        "normalToolCalls": calls["normal"],
+        "faultToolCalls": calls["fault"],
+        "stressToolCalls": calls["stress"],
+        "recoveryToolCalls": every["recovery"],
+        "otherToolCalls": every["control"] + every["setup"] + every["warmup"],
+        **{f"{name}ToolCount": adapters.get(name, {}).get("tools", NONE) for name in ("modbus", "mqtt", "opcua")},
     }
-    calls = {suite: len(_task_calls(_items(run, suite))) for suite in (*_SUITE_MACROS, "recovery")}
-    tools = {name: adapter.get("tools", 0) for name, adapter in run["subject"]["adapters"].items()}
-    macros: list[tuple[str, Any]] = [(macro, samples[suite]) for suite, macro in _SUITE_MACROS.items()]
-    macros += [
-        ("totalRecoveryTrials", samples["recovery"]),
-        ("totalRuns", sum(samples.values())),
-        ("totalToolCalls", calls["normal"] + calls["fault"] + calls["stress"]),
-        ("normalToolCalls", calls["normal"]),
-        ("faultToolCalls", calls["fault"]),
-        ("stressToolCalls", calls["stress"]),
-        ("recoveryToolCalls", run["footer"].get("tool_calls", {}).get("recovery", calls["recovery"])),
-        ("modbusToolCount", tools.get("modbus", NONE)),
-        ("mqttToolCount", tools.get("mqtt", NONE)),
-        ("opcuaToolCount", tools.get("opcua", NONE)),
-    ]
-    return [f"\\newcommand{{\\{name}}}{{{value}}}" for name, value in macros]
+    return [f"\\newcommand{{\\{name}}}{{{value}}}" for name, value in macros.items()]
 
 
 def _tabular(columns: str, head: Sequence[str], rows: Sequence[str], width: str | None = None) -> list[str]:
@@ -135,12 +134,11 @@ def _results(run: Run) -> list[str]:
         items = _items(run, "normal", family)
         if not items:
             continue
-        times, calls = _times(run, items), _task_calls(items)
+        calls = task_calls(items)
         tool = _rate(sum(call["ok"] for call in calls), len(calls))
-        median, p95 = _ms(percentile(times, 50)), _ms(percentile(times, 95))
-        phases = [sample["phases"] for item in _items(run, "recovery", family) for sample in item["samples"]]
-        recovered = _rate(sum(bool(phase and phase["same_session_ok"]) for phase in phases), len(phases))
-        rows.append(_row(family, str(len(items)), _rate(*_passed(items)), tool, median, p95, recovered))
+        same_session = _rate(*recovered(_items(run, "recovery", family), "same_session"))
+        count = str(sum(map(applies, items)))
+        rows.append(_row(family, count, _rate(*tally(items)), tool, *_median_p95(run, items), same_session))
     head = [
         _row("Family", "Tasks", "Task", "Tool", "Med.", "p95", "Rec."),
         r"& & (\%) & (\%) & (ms) & (ms) & (\%) \\",
@@ -154,10 +152,7 @@ def _task_breakdown(run: Run) -> list[str]:
         items = _items(run, "normal", family)
         if rows and items:
             rows.append("\\midrule")
-        for item in items:
-            times = _times(run, [item])
-            p95 = _ms(percentile(times, 95))
-            rows.append(_row(item["id"], family, escape(item["title"]), _ms(percentile(times, 50)), p95))
+        rows += [_row(item["id"], family, escape(item["title"]), *_median_p95(run, [item])) for item in items]
     head = [_row("ID", "Family", "Operation", "Median (ms)", "p95 (ms)")]
     return _tabular("@{}llYcc@{}", head, rows, r"\textwidth")
 
@@ -165,11 +160,10 @@ def _task_breakdown(run: Run) -> list[str]:
 def _fault_results(run: Run) -> list[str]:
     rows = []
     for item in _items(run, "fault"):
-        codes = sorted({call["error_code"] for call in _task_calls([item]) if call["error_code"]})
-        label = ", ".join(code.replace("_", " ") for code in codes) or NONE
-        median = _ms(percentile(_times(run, [item]), 50))
-        cells = (item["id"], item["family"], escape(item["title"]), _rate(*_passed([item])), median, escape(label))
-        rows.append(_row(*cells))
+        codes = sorted({call["error_code"] for call in task_calls([item]) if call["error_code"]})
+        label = ", ".join(escape(code.replace("_", " ")) for code in codes) or NONE
+        median, _ = _median_p95(run, [item])
+        rows.append(_row(item["id"], item["family"], escape(item["title"]), _rate(*tally([item])), median, label))
     head = [_row("ID", "Family", "Fault scenario", r"EH\%", "Med. (ms)", "Error class")]
     return _tabular("@{}llYccc@{}", head, rows, r"\columnwidth")
 
@@ -177,17 +171,11 @@ def _fault_results(run: Run) -> list[str]:
 # -- the kit's own ----------------------------------------------------------------------------------------
 
 
-def _count(item: Item) -> str:
-    good = sum(sample["ok"] for sample in item["samples"])
-    return f"{good}/{item['planned']}"
-
-
 def _stress(run: Run) -> list[str]:
     rows = []
     for item in _items(run, "stress"):
-        times = _times(run, [item])
-        cells = (item["id"], item["family"], escape(item["title"]), _count(item), _ms(percentile(times, 50)))
-        rows.append(_row(*cells, _ms(percentile(times, 95))))
+        passed = _count(*tally([item]))
+        rows.append(_row(item["id"], item["family"], escape(item["title"]), passed, *_median_p95(run, [item])))
     head = [_row("ID", "Family", "Stress scenario", "Passed", "Med. (ms)", "p95 (ms)")]
     return _tabular("@{}llYccc@{}", head, rows, r"\columnwidth")
 
@@ -195,37 +183,56 @@ def _stress(run: Run) -> list[str]:
 def _recovery(run: Run) -> list[str]:
     rows = []
     for item in _items(run, "recovery"):
-        phases = [sample["phases"] for sample in item["samples"] if sample["phases"]]
-        cells = [item["family"]]
-        for way in ("same_session", "fresh_session"):
-            good = sum(bool(phase[f"{way}_ok"]) for phase in phases)
-            cells += [f"{good}/{item['planned']}", _phase(run, phases, way)]
-        rows.append(_row(*cells, _phase(run, phases, "detect")))
+        medians = {
+            name: _ms(percentile(phases(run, item, name), 50))
+            for name in ("detect", "restart", "same_session", "fresh_session")
+        }
+        same, fresh = (_count(*recovered([item], way)) for way in ("same_session", "fresh_session"))
+        cells = (medians["detect"], medians["restart"], same, medians["same_session"], fresh, medians["fresh_session"])
+        rows.append(_row(item["family"], *cells))
     head = [
-        r"& \multicolumn{2}{c}{Same session} & \multicolumn{2}{c}{Fresh session} & Detect \\",
-        _row("Family", "ok", "Med. (ms)", "ok", "Med. (ms)", "Med. (ms)"),
+        r"& Detect & Restart & \multicolumn{2}{c}{Same session} & \multicolumn{2}{c}{Fresh session} \\",
+        _row("Family", "(ms)", "(ms)", "ok", "Med. (ms)", "ok", "Med. (ms)"),
     ]
-    return _tabular("@{}lccccc@{}", head, rows)
-
-
-def _phase(run: Run, phases: Iterable[Mapping[str, Any]], name: str) -> str:
-    if not run["footer"].get("timing_valid", True):
-        return NONE
-    return _ms(percentile([phase[name] for phase in phases if phase[name] is not None], 50))
+    return _tabular("@{}lcccccc@{}", head, rows)
 
 
 def _statistics(run: Run) -> list[str]:
-    rows = []
-    for item in run["items"]:
-        times = _times(run, [item])
-        interval = mean_interval(times)
-        good = sum(sample["ok"] for sample in item["samples"])
-        bound = lower_bound(good, item["planned"])
-        spread = f"{interval[0]:.2f}--{interval[1]:.2f}" if interval else NONE
-        numbers = (mean(times), standard_deviation(times))
-        shown = [NONE if number is None else f"{number:.2f}" for number in numbers]
-        rest = [NONE if value is None else f"{value:.2f}" for value in (percentile(times, 50), percentile(times, 95))]
-        least = NONE if bound is None else f"{100 * bound:.1f}"
-        rows.append(_row(item["id"], _count(item), least, *shown, spread, *rest))
-    head = [_row("ID", "Passed", r"$\geq$ (\%)", "Mean", "SD", r"95\,\% CI", "Med.", "p95")]
-    return _tabular("@{}lccccccc@{}", head, rows)
+    rows: list[str] = []
+    for suite in SUITES:
+        items = _items(run, suite)
+        if rows and items:
+            rows.append("\\midrule")
+        rows += [_statistics_row(run, item) for item in items]
+    interval = r"95\,\% CI"
+    head = [
+        r"& & At least & \multicolumn{3}{c}{Mean (ms)} & \multicolumn{2}{c}{Median (ms)} & p95 & Out- \\",
+        _row("ID", "Passed", r"(\%)", "", "SD", interval, "", interval, "(ms)", "liers"),
+    ]
+    return _tabular("@{}lccccccccc@{}", head, rows)
+
+
+def _statistics_row(run: Run, item: Item) -> str:
+    times = durations(run, [item])
+    rate = least(item)
+    outside = outliers(times)
+    return _row(
+        item["id"],
+        _count(*tally([item])),
+        NONE if rate is None else f"{100 * rate:.1f}",
+        _figure(mean(times)),
+        _figure(standard_deviation(times)),
+        _interval(mean_interval(times)),
+        _figure(percentile(times, 50)),
+        _interval(median_interval(times)),
+        _figure(percentile(times, 95)),
+        NONE if outside is None else str(outside),
+    )
+
+
+def _figure(value: float | None) -> str:
+    return NONE if value is None else f"{value:.2f}"
+
+
+def _interval(bounds: tuple[float, float] | None) -> str:
+    return NONE if bounds is None else f"{bounds[0]:.2f}--{bounds[1]:.2f}"

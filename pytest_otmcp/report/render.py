@@ -2,32 +2,110 @@
 
 from __future__ import annotations
 
+import shutil
 import time
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from ..record import RecordError, load
-from .console import summary
-from .figures import write_figures
-from .latex import write_tables
+from . import Run
 
-__all__ = ["render"]
+__all__ = ["NAMES", "render", "write_all"]
 
 _MARKUP = {"ok": {"green": True, "bold": True}, "bad": {"red": True, "bold": True}, "head": {"bold": True}, "plain": {}}
 
+Writer = Callable[[Run, Path], None]
+
+# Each is imported by its own writer: a library that is missing or broken costs the reports that need it, no others.
+
+
+def _html(run: Run, path: Path) -> None:
+    from .html import write_html
+
+    write_html(run, path)
+
+
+def _markdown(run: Run, path: Path) -> None:
+    from .markdown import write_markdown
+
+    write_markdown(run, path)
+
+
+def _tables(run: Run, path: Path) -> None:
+    from .latex import write_tables
+
+    write_tables(run, path)
+
+
+def _figures(run: Run, path: Path) -> None:
+    from .figures import write_figures
+
+    write_figures(run, path)
+
+
+_WRITERS: Mapping[str, Writer] = {
+    "report.html": _html,
+    "summary.md": _markdown,
+    "tables": _tables,
+    "figures": _figures,
+}
+NAMES = tuple(_WRITERS)
+"""What :func:`write_all` writes: files and folders, by their names in the report directory."""
+
+
+def write_all(run: Run, directory: Path) -> dict[str, str]:
+    """Write every report of a run below ``directory``.
+
+    A report that cannot be written does not keep the others from being, and the one that an earlier run left in its
+    place is removed: it would tell of another run.
+
+    Args:
+        run: a run record, as :func:`pytest_otmcp.record.load` returns it.
+        directory: where they go; made when it is not there.
+
+    Returns:
+        What could not be written, each with its reason; empty when all went well.
+
+    Raises:
+        OSError: ``directory`` cannot be made.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    failed: dict[str, str] = {}
+    for name, write in _WRITERS.items():
+        path = directory / name
+        try:
+            write(run, path)
+        except Exception as error:
+            # Whatever it is: a record may be strange in ways that nobody thought of, and the others are still wanted.
+            failed[name] = f"{type(error).__name__}: {error}"
+            _remove(path)
+    return failed
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)
+
 
 def render(path: Path, terminal: Any, root: Path) -> None:
-    """Write tables and figures beside ``path`` and the summary to pytest's terminal."""
+    """Write every report beside the record ``path``, and the summary to pytest's terminal."""
     try:
         run = load(path, allow_incomplete=True)
     except RecordError as error:
         terminal.write_line(f"no reports were written: {error}", red=True)
         return
+    from .console import summary
+
     begun = time.monotonic()
-    write_tables(run, path.parent / "tables")
-    write_figures(run, path.parent / "figures")
+    failed = write_all(run, path.parent)
     seconds = time.monotonic() - begun
     for line, style in summary(run, width=terminal._tw.fullwidth):
         terminal.write_line(line, **_MARKUP[style])
+    for name, reason in failed.items():
+        terminal.write_line(f"{name} was not written: {reason}", red=True)
     where = path.parent.relative_to(root) if path.is_relative_to(root) else path.parent
-    terminal.write_line(f"run.json, tables/ and figures/ are in {where} (tables and figures took {seconds:.1f} s)")
+    written = ", ".join(name for name in ("run.json", *NAMES) if name not in failed)
+    terminal.write_line(f"{written} are in {where} (reports took {seconds:.1f} s)")

@@ -2,7 +2,20 @@
 
 from __future__ import annotations
 
+from .functions import Refused, ToolAnswer, Tools
 from .load import load_subject, reference_subject
-from .model import Adapter, Binding, Subject, Variant
+from .model import Adapter, Binding, Deviation, Function, Subject, Variant
 
-__all__ = ["Adapter", "Binding", "Subject", "Variant", "load_subject", "reference_subject"]
+__all__ = [
+    "Adapter",
+    "Binding",
+    "Deviation",
+    "Function",
+    "Refused",
+    "Subject",
+    "ToolAnswer",
+    "Tools",
+    "Variant",
+    "load_subject",
+    "reference_subject",
+]

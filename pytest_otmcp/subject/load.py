@@ -1,29 +1,42 @@
-"""Reads a subject file (TOML) into a :class:`~pytest_otmcp.subject.model.Subject`.
-
-Every objection is one sentence: file, key, what was expected, and the nearest known name.
-"""
+"""Reads a subject file (TOML) into a :class:`~pytest_otmcp.subject.model.Subject`."""
 
 from __future__ import annotations
 
-import difflib
+import hashlib
+import os
 import tomllib
-from collections.abc import Iterable, Mapping
+from functools import cache
 from importlib import resources
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
-
-import jmespath
+from urllib.parse import urlsplit
 
 from .. import __version__
 from ..errors import UsageError
-from .model import Adapter, Binding, Subject, Variant
-from .operations import OPERATIONS, PROTOCOLS
+from .functions import load_functions
+from .load_bindings import BindingReader
+from .model import Adapter, Answering, Binding, Connect, Deviation, Function, Subject, Variant, environment_names
+from .operations import PROTOCOLS, RECOVERY, facets
+from .reading import Reader, kind
 
 __all__ = ["load_subject", "reference_subject"]
 
-_DEFAULT_DEADLINE_S = 5.0
+_DEADLINE_S = 5.0
+_START_TIMEOUT_S = 30.0
+
+_ADAPTER_KEYS = (
+    "command cwd env files secrets transport url era start_timeout_s deadline_s rw ro unclaimed connect recovery answer "
+    "outcome errors probes bindings bind"
+).split()
+_RECOVERY = ("same_session", "connect_step", "new_session")
+_PROBES: dict[str, dict[str, Any]] = {
+    "modbus": {"missing_address": 9999},
+    "mqtt": {"bad_qos": 5},
+    "opcua": {"missing_node": "ns=2;i=99999"},
+}
 
 
+@cache
 def reference_subject() -> Subject:
     """The shipped reference adapters, described the way a vendor describes his."""
     with resources.as_file(resources.files(__package__) / "reference.toml") as path:
@@ -33,129 +46,156 @@ def reference_subject() -> Subject:
 def load_subject(path: Path) -> Subject:
     """Read and check ``path``.
 
-    An adapter without a ``bind`` table gets the reference bindings: it has the same tools as a reference adapter.
+    An adapter that says nothing about its tools (no ``bind``, ``bindings`` or ``answer``) gets the reference bindings: it
+    has the same tools as a reference adapter.
 
     Raises:
         UsageError: the file cannot be read or says something that the kit does not understand.
     """
     try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
+        content = path.read_bytes()
+        document = tomllib.loads(content.decode("utf-8"))
     except FileNotFoundError:
         raise UsageError(f"{path}: there is no such subject file") from None
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError(f"{path}: the subject file cannot be read ({error})") from None
     except tomllib.TOMLDecodeError as error:
         raise UsageError(f"{path}: not valid TOML: {error}") from None
-    return _Reader(path).subject(document)
+    return _SubjectReader(path).subject(document, content)
 
 
-class _Reader:
+class _SubjectReader(Reader):
     def __init__(self, path: Path) -> None:
-        self._path = path
+        super().__init__(path)
+        self._sources: list[Path] = []
 
-    def _refuse(self, key: str, message: str) -> UsageError:
-        return UsageError(f"{self._path}: {key}: {message}")
-
-    def _table(self, value: Any, key: str, known: Iterable[str] | None = None) -> dict[str, Any]:
-        if not isinstance(value, dict):
-            raise self._refuse(key, f"expected a table, found {_kind(value)}")
-        for name in value if known is not None else ():
-            if name not in (names := sorted(known or ())):
-                near = difflib.get_close_matches(name, names, 1)
-                hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(names)}"
-                raise self._refuse(f"{key}.{name}" if key else name, f"unknown key; {hint}")
-        return value
-
-    def _text(self, table: Mapping[str, Any], name: str, key: str) -> str:
-        value = table.get(name)
-        if not isinstance(value, str) or not value:
-            raise self._refuse(f"{key}.{name}", f"expected a non-empty string, found {_kind(value)}")
-        return value
-
-    def _texts(self, value: Any, key: str) -> dict[str, str]:
-        table = self._table(value, key)
-        for name, entry in table.items():
-            if not isinstance(entry, str):
-                raise self._refuse(f"{key}.{name}", f"expected a string, found {_kind(entry)}")
-        return table
-
-    def subject(self, document: dict[str, Any]) -> Subject:
-        self._table(document, "", ("subject", "adapter"))
-        about = self._table(document.get("subject"), "subject", ("name", "version"))
-        adapters = self._table(document.get("adapter"), "adapter", PROTOCOLS)
+    def subject(self, document: dict[str, Any], content: bytes) -> Subject:
+        self.table(document, "", ("subject", "adapter", "deviation"))
+        about = self.table(document.get("subject"), "subject", ("name", "version"))
+        adapters = self.table(document.get("adapter"), "adapter", PROTOCOLS)
         if not adapters:
-            raise self._refuse("adapter", f"expected at least one of {', '.join(PROTOCOLS)}")
+            raise self.refuse("adapter", f"expected at least one of {', '.join(PROTOCOLS)}")
+        read = {protocol: self._adapter(protocol, table) for protocol, table in adapters.items()}
+        digest = hashlib.sha256(content)
+        for source in self._sources:
+            digest.update(b"\0" + source.name.encode() + b"\0" + source.read_bytes())
         return Subject(
-            name=self._text(about, "name", "subject"),
-            version=self._text(about, "version", "subject").replace("{kit_version}", __version__),
-            adapters={protocol: self._adapter(protocol, table) for protocol, table in adapters.items()},
-            source=self._path,
+            name=self.text(about, "name", "subject"),
+            version=self.text(about, "version", "subject").replace("{kit_version}", __version__),
+            adapters=read,
+            source=self.path,
+            deviations=self._deviations(document.get("deviation", [])),
+            digest=f"sha256:{digest.hexdigest()}",
         )
+
+    def _deviations(self, value: Any) -> tuple[Deviation, ...]:
+        if not isinstance(value, list):
+            raise self.refuse("deviation", f"expected [[deviation]] tables, found {kind(value)}")
+        deviations = []
+        for index, entry in enumerate(value):
+            key = f"deviation[{index}]"
+            table = self.table(entry, key, ("item", "reason", "expires"))
+            item, reason = self.text(table, "item", key), self.text(table, "reason", key)
+            deviations.append(Deviation(item=item, reason=reason, expires=self.date(table, "expires", key)))
+        if twice := {entry.item for entry in deviations if sum(other.item == entry.item for other in deviations) > 1}:
+            raise self.refuse("deviation", f"more than one for the item {', '.join(sorted(twice))}")
+        return tuple(deviations)
 
     def _adapter(self, protocol: str, value: Any) -> Adapter:
         key = f"adapter.{protocol}"
-        known = ("command", "cwd", "env", "rw_env", "ro_env", "deadline_s", "bind")
-        table = self._table(value, key, known)
-        command = table.get("command")
+        table = self.table(value, key, _ADAPTER_KEYS)
+        recovery = self.choice(table.get("recovery", "same_session"), f"{key}.recovery", _RECOVERY)
+        connect = self._connect(table["connect"], f"{key}.connect", recovery) if "connect" in table else None
+        if recovery == "connect_step" and connect is None:
+            raise self.refuse(f"{key}.recovery", "'connect_step' needs a 'connect' table")
+        unclaimed = self.texts(table.get("unclaimed", {}), f"{key}.unclaimed")
+        self.table(unclaimed, f"{key}.unclaimed", facets(protocol))
+        for facet, reason in unclaimed.items():
+            if not reason.strip():
+                raise self.refuse(f"{key}.unclaimed.{facet}", "expected the reason")
+        if recovery == "new_session":
+            unclaimed = {RECOVERY: "needs a new session after an outage", **unclaimed}
+        bindings = BindingReader(self, protocol)
+        answering = bindings.answering(table, key)
+        transport, url = self._transport(table, key)
+        return Adapter(
+            protocol=protocol,
+            directory=self.path.parent.resolve(),
+            variants={name: self._variant(table, name, key) for name in ("rw", "ro")},
+            operations=self._operations(bindings, protocol, table, key, answering),
+            answering=answering,
+            unclaimed=unclaimed,
+            connect=connect,
+            recovery=recovery,
+            probes=_PROBES[protocol] | self.table(table.get("probes", {}), f"{key}.probes", _PROBES[protocol]),
+            secrets=self.text_list(table.get("secrets", []), f"{key}.secrets", "names of environment variables"),
+            transport=transport,
+            url=url,
+            era=self.choice(table["era"], f"{key}.era", ("auto", "legacy")) if "era" in table else None,
+            deadline_s=self.seconds(table, "deadline_s", key, _DEADLINE_S),
+            start_timeout_s=self.seconds(table, "start_timeout_s", key, _START_TIMEOUT_S),
+        )
+
+    def _variant(self, adapter: dict[str, Any], name: str, adapter_key: str) -> Variant:
+        key = f"{adapter_key}.{name}"
+        table = self.table(adapter.get(name, {}), key, ("command", "args", "env", "files"))
+        owner, owner_key = (table, key) if "command" in table else (adapter, adapter_key)
+        command = owner.get("command")
         if not isinstance(command, list) or not command or not all(isinstance(part, str) for part in command):
-            raise self._refuse(f"{key}.command", "expected a non-empty list of strings, the argument vector")
-        cwd = self._path.parent / self._text(table, "cwd", key) if "cwd" in table else None
-        if cwd is not None and not cwd.is_dir():
-            raise self._refuse(f"{key}.cwd", f"{cwd} is not a directory")
-        env = self._texts(table.get("env", {}), f"{key}.env")
-        variants = {
-            name: Variant(
-                command=tuple(command),
-                env=env | self._texts(table.get(f"{name}_env", {}), f"{key}.{name}_env"),
-                cwd=cwd,
-            )
-            for name in ("rw", "ro")
-        }
-        deadline_s = table.get("deadline_s", _DEFAULT_DEADLINE_S)
-        if isinstance(deadline_s, bool) or not isinstance(deadline_s, int | float) or not 0 < deadline_s <= 300:
-            raise self._refuse(f"{key}.deadline_s", f"expected seconds above 0 and up to 300, found {deadline_s!r}")
+            raise self.refuse(f"{owner_key}.command", "expected a non-empty list of strings, the argument vector")
+        more = self.text_list(table.get("args", []), f"{key}.args", "further arguments")
+        env = self.texts(adapter.get("env", {}), f"{adapter_key}.env")
+        files = self.texts(adapter.get("files", {}), f"{adapter_key}.files")
+        files = files | self.texts(table.get("files", {}), f"{key}.files")
+        for file in files:
+            if PurePosixPath(file).is_absolute() or ".." in PurePosixPath(file).parts:
+                raise self.refuse(f"{adapter_key}.files", f"{file!r} must be a name below {{work}}")
+        env = env | self.texts(table.get("env", {}), f"{key}.env")
+        for text in (*command, *more, *env.values(), *files.values()):
+            if unset := sorted(environment_names(text) - os.environ.keys()):
+                raise self.refuse(key, f"the environment variable {unset[0]} is not set; {{env:{unset[0]}}} needs it")
+        return Variant(command=(*command, *more), env=env, cwd=self._directory(adapter, adapter_key), files=files)
+
+    def _directory(self, table: dict[str, Any], key: str) -> Path | None:
+        if "cwd" not in table:
+            return None
+        cwd = self.path.parent / self.text(table, "cwd", key)
+        if not cwd.is_dir():
+            raise self.refuse(f"{key}.cwd", f"{cwd} is not a directory")
+        return cwd
+
+    def _transport(self, table: dict[str, Any], key: str) -> tuple[str, str | None]:
+        transport = self.choice(table.get("transport", "stdio"), f"{key}.transport", ("stdio", "http"))
+        if transport == "stdio":
+            if "url" in table:
+                raise self.refuse(f"{key}.url", 'only an adapter with transport = "http" has a URL')
+            return transport, None
+        url = self.text(table, "url", key)
+        parts = urlsplit(url.replace("{http_port}", "1"))
+        if parts.scheme != "http" or parts.hostname not in ("127.0.0.1", "localhost", "::1"):
+            raise self.refuse(f"{key}.url", f"expected http:// with a loopback address, found {url!r}")
+        return transport, url
+
+    def _connect(self, value: Any, key: str, recovery: str) -> Connect:
+        table = self.table(value, key, ("tool", "arguments"))
+        arguments = self.table(table.get("arguments", {}), f"{key}.arguments")
+        return Connect(tool=self.text(table, "tool", key), arguments=arguments, again=recovery == "connect_step")
+
+    def _operations(
+        self, bindings: BindingReader, protocol: str, table: dict[str, Any], key: str, answering: Answering
+    ) -> dict[str, tuple[Binding, ...] | Function]:
+        operations: dict[str, tuple[Binding, ...] | Function] = {}
         if "bind" in table:
-            bindings = self._bindings(protocol, table["bind"], f"{key}.bind")
-        else:
-            bindings = dict(reference_subject().adapters[protocol].bindings)
-        return Adapter(protocol=protocol, variants=variants, bindings=bindings, deadline_s=float(deadline_s))
-
-    def _bindings(self, protocol: str, value: Any, key: str) -> dict[str, Binding]:
-        operations = OPERATIONS[protocol]
-        bindings = {}
-        for name, entry in self._table(value, key, operations).items():
-            table = self._table(entry, f"{key}.{name}", ("tool", "arguments", "result"))
-            operation = operations[name]
-            arguments = self._table(table.get("arguments", {}), f"{key}.{name}.arguments")
-            self._check_template(arguments, operation.inputs, f"{key}.{name}.arguments")
-            outputs = self._texts(table.get("result", {}), f"{key}.{name}.result")
-            self._table(outputs, f"{key}.{name}.result", operation.outputs)
-            for output, expression in outputs.items():
-                try:
-                    jmespath.compile(expression)
-                except jmespath.exceptions.JMESPathError as error:
-                    reason = str(error).splitlines()[0]
-                    raise self._refuse(
-                        f"{key}.{name}.result.{output}", f"not a JMESPath expression: {reason}"
-                    ) from None
-            bindings[name] = Binding(
-                tool=self._text(table, "tool", f"{key}.{name}"), arguments=arguments, outputs=outputs
-            )
-        return bindings
-
-    def _check_template(self, template: Any, inputs: tuple[str, ...], key: str) -> None:
-        if isinstance(template, str) and template.startswith("$") and template[1:] not in inputs:
-            known = ", ".join(f"${name}" for name in inputs) or "none"
-            raise self._refuse(key, f"{template} is no input of this operation; its inputs are: {known}")
-        if isinstance(template, dict):
-            for name, value in template.items():
-                self._check_template(value, inputs, f"{key}.{name}")
-        elif isinstance(template, list):
-            for value in template:
-                self._check_template(value, inputs, key)
-
-
-def _kind(value: Any) -> str:
-    if value is None:
-        return "nothing"
-    return {dict: "a table", list: "a list", str: "a string", bool: "a boolean"}.get(type(value), "a number")
+            operations |= bindings.operations(table["bind"], f"{key}.bind", answering)
+        if "bindings" in table:
+            path = self.path.parent / self.text(table, "bindings", key)
+            functions = load_functions(path, protocol, f"{self.path}: {key}.bindings")
+            if both := sorted(functions.keys() & operations.keys()):
+                raise self.refuse(f"{key}.bind.{both[0]}", f"{path.name} has a function for this operation as well")
+            operations |= functions
+            self._sources.append(path)
+        if not {"bind", "bindings"} & table.keys():
+            if not answering.native:
+                raise self.refuse(key, "expected 'bind' tables, which say what tool performs which operation")
+            operations |= reference_subject().adapters[protocol].operations
+        return operations

@@ -1,49 +1,241 @@
-"""What a subject file says, as frozen data. Reading the file is ``load``'s job; running it is the session's."""
+"""What a subject file says, as frozen data. Reading the file is ``load``'s job; running it is the bench's."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import datetime
+import hashlib
+import json
+import os
+import re
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import jmespath
+from .operations import GUARD, OPERATIONS, RECOVERY
 
-__all__ = ["Adapter", "Binding", "Subject", "Variant"]
+__all__ = [
+    "Adapter",
+    "Answering",
+    "Binding",
+    "Connect",
+    "Deviation",
+    "ErrorRule",
+    "Function",
+    "OutcomeRule",
+    "OutputRule",
+    "Subject",
+    "Variant",
+    "environment_names",
+    "placeholders",
+    "replace_placeholders",
+    "replace_template",
+]
+
+_PLACEHOLDER = re.compile(r"\{(?:env:(?P<env>\w+)|(?P<name>\w+)(?::(?P<int>int))?)\}")
+
+_SECRET_NAME = re.compile(
+    r"(^|_)(PASSWORD|PASSWD|PASSPHRASE|PWD|SECRET|TOKEN|API_?KEY|ACCESS_KEY|PRIVATE_KEY|CREDENTIALS?|PSK)$",
+    re.IGNORECASE,
+)
+
+
+def replace_placeholders(text: str, values: Mapping[str, str]) -> Any:
+    """``{host}`` and its like, and ``{env:NAME}``, replaced; a text that is nothing but ``{port:int}`` becomes a number."""
+    whole = _PLACEHOLDER.fullmatch(text)
+    if whole is not None and whole["int"] and whole["name"] in values:
+        return int(values[whole["name"]])
+
+    def value(match: re.Match[str]) -> str:
+        if match["env"] is not None:
+            return os.environ.get(match["env"], "")
+        return values.get(match["name"], match[0])
+
+    return _PLACEHOLDER.sub(value, text)
+
+
+def environment_names(text: str) -> set[str]:
+    """Names of the environment variables that a text takes its parts from."""
+    return {match["env"] for match in _PLACEHOLDER.finditer(text) if match["env"] is not None}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OutputRule:
+    """Where an output is in the document, applied in the order of the attributes.
+
+    Attributes:
+        path: JMESPath over the document; None for the document itself.
+        regex: searched in the text found so far; its first group (or the whole match) is the value.
+        split: separator that cuts the text into a list.
+        strip: prefix that is taken off, as ``2:`` off a browse name.
+        convert: ``int``, ``float``, ``bool``, ``string``, ``json``, ``python`` or ``hex``; of a list, each element.
+        then: JMESPath over what ``convert`` made.
+        wrap: the value becomes a list of one.
+    """
+
+    path: str | None = None
+    regex: str | None = None
+    split: str | None = None
+    strip: str | None = None
+    convert: str | None = None
+    then: str | None = None
+    wrap: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OutcomeRule:
+    """What an answer that looks like this means; all conditions that are given must hold.
+
+    Attributes:
+        success: the meaning.
+        is_error: the result's ``isError``.
+        text: regular expression, searched in the answer's whole text.
+        path: JMESPath over the document; holds when it finds something true in JMESPath's sense.
+    """
+
+    success: bool
+    is_error: bool | None = None
+    text: str | None = None
+    path: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ErrorRule:
+    """A failure whose text matches has this code of the registry."""
+
+    text: str
+    code: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answering:
+    """How an adapter's answers are read.
+
+    Attributes:
+        form: ``envelope`` (the kit's own envelope), else where the document is that outcome rules and outputs are
+            about: ``structured`` (``structuredContent``), ``json`` (the text of all blocks, as JSON), ``text`` (the same,
+            as it is), ``texts`` (the list of the blocks, each decoded where it is JSON).
+        outcome: first match wins; without a match ``isError`` decides.
+        errors: first match wins; without a match the code is ``unclassified``.
+    """
+
+    form: str = "envelope"
+    outcome: tuple[OutcomeRule, ...] = ()
+    errors: tuple[ErrorRule, ...] = ()
+
+    @property
+    def native(self) -> bool:
+        """The adapter answers in the kit's envelope."""
+        return self.form == "envelope"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Binding:
-    """How one adapter performs one abstract operation.
+    """How one tool performs an abstract operation, or one case of it.
 
     Attributes:
         tool: name of the MCP tool.
-        arguments: template; a string ``"$name"`` stands for the operation's input of that name, keeping its type.
-        outputs: output name to JMESPath expression over the envelope.
+        arguments: template; a string ``"$name"`` stands for the operation's input of that name, keeping its type, and
+            ``{host}`` and its like are replaced as in a launch command.
+        outputs: output name to where it is.
+        when: input values for which this binding is the one; empty for all.
+        offset: number added to an input.
+        names: input name to the vendor's name for each of its values.
+        convert: input name to the type in which the tool wants it.
+        answering: how the tool's answers are read.
     """
 
     tool: str
     arguments: Mapping[str, Any]
-    outputs: Mapping[str, str]
+    outputs: Mapping[str, OutputRule]
+    answering: Answering
+    when: Mapping[str, Any]
+    offset: Mapping[str, float]
+    names: Mapping[str, Mapping[str, Any]]
+    convert: Mapping[str, str]
 
-    def fill(self, inputs: Mapping[str, Any]) -> dict[str, Any]:
+    def fill(self, inputs: Mapping[str, Any], endpoint: Mapping[str, str]) -> dict[str, Any]:
         """The tool's arguments for these inputs."""
-        filled: dict[str, Any] = _fill(self.arguments, inputs)
+        prepared = {name: self._prepared(name, value) for name, value in inputs.items()}
+        filled: dict[str, Any] = replace_template(self.arguments, prepared, endpoint)
         return filled
 
-    def read(self, envelope: Mapping[str, Any]) -> dict[str, Any]:
-        """The operation's outputs from an envelope; an output that is not there is None."""
-        return {name: jmespath.search(path, envelope) for name, path in self.outputs.items()}
+    def _prepared(self, name: str, value: Any) -> Any:
+        if isinstance(value, list) and name in self.names:
+            return [self._prepared(name, element) for element in value]
+        if name in self.offset:
+            value = value + self.offset[name]
+        if name in self.names:
+            value = self.names[name].get(str(value), value)
+        if name in self.convert:
+            value = _CONVERSIONS[self.convert[name]](value)
+        return value
+
+    def mentions(self, name: str) -> bool:
+        """The template has a place for this input."""
+        return name in placeholders(self.arguments)
 
 
-def _fill(template: Any, inputs: Mapping[str, Any]) -> Any:
-    if isinstance(template, str) and template.startswith("$"):
-        return inputs[template[1:]]
+def _text(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value)
+
+
+_CONVERSIONS: Mapping[str, Callable[[Any], Any]] = {
+    "string": _text,
+    "int": int,
+    "float": float,
+    "bool": bool,
+    "hex": lambda value: f"{int(value):04x}",
+    "json": json.loads,
+    "list": lambda value: [value],
+}
+
+
+def replace_template(template: Any, inputs: Mapping[str, Any], endpoint: Mapping[str, str]) -> Any:
+    """A template with inputs and endpoint filled in."""
+    if isinstance(template, str):
+        return inputs[template[1:]] if template.startswith("$") else replace_placeholders(template, endpoint)
     if isinstance(template, Mapping):
-        return {key: _fill(value, inputs) for key, value in template.items()}
+        return {key: replace_template(value, inputs, endpoint) for key, value in template.items()}
     if isinstance(template, list):
-        return [_fill(value, inputs) for value in template]
+        return [replace_template(value, inputs, endpoint) for value in template]
     return template
+
+
+def placeholders(template: Any) -> set[str]:
+    """Names of the inputs that a template has a place for."""
+    if isinstance(template, str):
+        return {template[1:]} if template.startswith("$") else set()
+    if isinstance(template, Mapping):
+        return set().union(*map(placeholders, template.values()))
+    if isinstance(template, list):
+        return set().union(*map(placeholders, template))
+    return set()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Function:
+    """An operation performed by a Python function of the subject's bindings file.
+
+    Attributes:
+        call: ``async def operation(tools, **inputs) -> outputs``; see :mod:`pytest_otmcp.subject.functions`.
+    """
+
+    name: str
+    call: Callable[..., Awaitable[Mapping[str, Any]]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Connect:
+    """A tool call that has to come before all others.
+
+    Attributes:
+        again: it has to be repeated after an outage.
+    """
+
+    tool: str
+    arguments: Mapping[str, Any]
+    again: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,27 +243,28 @@ class Variant:
     """One way to launch an adapter.
 
     Attributes:
-        command: argument vector; ``{host} {port} {url} {python}`` are replaced.
+        command: argument vector; ``{host} {port} {url} {python} {dir} {work}`` are replaced.
         env: environment beyond the kit's allow-list, with the same replacements.
         cwd: working directory, or None for the kit's.
+        files: name below ``{work}``, a fresh directory, to content with the same replacements.
     """
 
     command: tuple[str, ...]
     env: Mapping[str, str]
     cwd: Path | None
+    files: Mapping[str, str]
 
     def for_endpoint(self, values: Mapping[str, str]) -> Variant:
         """This variant with the placeholders replaced."""
 
-        def replace(text: str) -> str:
-            for name, value in values.items():
-                text = text.replace("{" + name + "}", value)
-            return text
+        def texts(table: Mapping[str, str]) -> dict[str, str]:
+            return {name: str(replace_placeholders(value, values)) for name, value in table.items()}
 
         return Variant(
-            command=tuple(replace(part) for part in self.command),
-            env={name: replace(value) for name, value in self.env.items()},
+            command=tuple(str(replace_placeholders(part, values)) for part in self.command),
+            env=texts(self.env),
             cwd=self.cwd,
+            files=texts(self.files),
         )
 
 
@@ -81,15 +274,112 @@ class Adapter:
 
     Attributes:
         protocol: ``modbus``, ``mqtt`` or ``opcua``.
+        directory: of the subject file.
         variants: ``rw`` (writes enabled) and ``ro`` (writes disabled).
-        bindings: abstract operation name to binding.
+        operations: abstract operation name to the bindings that perform it, in the order in which they are tried, or to a
+            function.
+        answering: how answers are read where a binding does not say otherwise.
+        unclaimed: facet to the reason why the adapter does not have it.
+        connect: what comes before the first call, or None.
+        recovery: after an outage work goes on in the ``same_session``, after the ``connect_step``, or in a ``new_session``.
+        probes: what to ask for where something must be refused, by name.
+        secrets: names of environment variables whose values must not be shown.
+        transport: ``stdio`` or ``http``.
+        url: of the MCP endpoint, when the transport is ``http``.
+        era: MCP protocol era the adapter has to be addressed in, or None for what the run asks for.
         deadline_s: the time within which every call must have answered.
+        start_timeout_s: the time within which the adapter must have finished its handshake.
     """
 
     protocol: str
+    directory: Path
     variants: Mapping[str, Variant]
-    bindings: Mapping[str, Binding]
+    operations: Mapping[str, tuple[Binding, ...] | Function]
+    answering: Answering
+    unclaimed: Mapping[str, str]
+    connect: Connect | None
+    recovery: str
+    probes: Mapping[str, Any]
+    secrets: tuple[str, ...]
+    transport: str
+    url: str | None
+    era: str | None
     deadline_s: float
+    start_timeout_s: float
+
+    def why_not_claimed(self, facet: str) -> str | None:
+        """The reason why the subject does not claim a facet; None when it does."""
+        if facet in self.unclaimed:
+            return self.unclaimed[facet]
+        operation = facet.partition(".")[0]
+        return self.unclaimed.get(operation)
+
+    def why_not_testable(self, facet: str) -> str | None:
+        """What is missing for a claimed facet to be exercised; None when nothing is."""
+        operation, _, optional = facet.partition(".")
+        if operation in (GUARD, RECOVERY):
+            return None
+        bound = self.operations.get(operation)
+        if bound is None:
+            return f"no tool is bound to the operation {operation!r}"
+        if optional and isinstance(bound, tuple) and not any(binding.mentions(optional) for binding in bound):
+            return f"no binding of {operation!r} has a place for ${optional}"
+        return None
+
+    def secret_values(self) -> set[str]:
+        """Values that must not be shown: of environment variables that are declared secret or are named like secrets."""
+        found: set[str] = set()
+        for variant in self.variants.values():
+            named = {name: str(replace_placeholders(value, {})) for name, value in variant.env.items()}
+            texts = (*variant.command, *variant.env.values(), *variant.files.values())
+            named |= {name: os.environ.get(name, "") for name in set().union(*map(environment_names, texts))}
+            found |= {value for name, value in named.items() if name in self.secrets or _SECRET_NAME.search(name)}
+        return found
+
+    def facts(self) -> dict[str, Any]:
+        """What ``run.json`` says about how this adapter was tested."""
+        return {
+            "command": list(self.variants["rw"].command),
+            "envelope": "native" if self.answering.native else "synthesised",
+            "recovery": self.recovery,
+            "probes": dict(self.probes),
+            "lacks": sorted(self._lacks()),
+            "unclaimed": dict(self.unclaimed),
+            "unjudged": sorted(self._unjudged()),
+        }
+
+    def _lacks(self) -> set[str]:
+        return {
+            f"{name}.{optional}"
+            for name, operation in OPERATIONS[self.protocol].items()
+            for optional in operation.optional
+            if self.why_not_testable(f"{name}.{optional}") is not None
+        }
+
+    def _unjudged(self) -> set[str]:
+        """Outputs that tasks would judge if the subject said where they are."""
+        return {
+            f"{name}.{output}"
+            for name, bound in self.operations.items()
+            if isinstance(bound, tuple)
+            for output in OPERATIONS[self.protocol][name].outputs
+            if any(output not in binding.outputs for binding in bound)
+        }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Deviation:
+    """A failure that the vendor knows of.
+
+    Attributes:
+        item: id of the item that fails.
+        reason: why.
+        expires: the last day on which it is excused.
+    """
+
+    item: str
+    reason: str
+    expires: datetime.date
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,9 +390,13 @@ class Subject:
         name, version: as printed in reports.
         adapters: protocol to adapter.
         source: where the description was read from.
+        deviations: known ones.
+        digest: ``sha256:…`` of what describes the subject: its file, and its bindings files.
     """
 
     name: str
     version: str
     adapters: Mapping[str, Adapter]
     source: Path
+    deviations: tuple[Deviation, ...] = ()
+    digest: str = "sha256:" + hashlib.sha256(b"").hexdigest()

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import secrets
 import time
-import uuid
 from datetime import UTC, datetime
 from typing import Any
 
@@ -111,7 +111,7 @@ class Call:
             "started_at": started,
             "latency_ms": round((time.monotonic() - self._started) * 1000, 3),
             "attempts": self.attempts,
-            "request_id": uuid.uuid4().hex,
+            "request_id": secrets.token_hex(16),
             "source": self.source,
             # A call that did not get as far as the connection reports what the others know about it.
             "connection": self._used or {"state": self._shared.state, "generation": self._shared.generation},

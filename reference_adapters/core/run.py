@@ -7,6 +7,7 @@ Environment: ``MCP_TRANSPORT`` (``stdio`` or ``streamable-http``), ``MCP_HTTP_HO
 from __future__ import annotations
 
 import asyncio
+import gc
 import logging
 import socket
 import sys
@@ -39,6 +40,10 @@ def serve(server: AdapterServer) -> int:
         return 2
     mode = "ENABLED" if server.writes_enabled else "disabled"
     print(f"{server.name}: {server.endpoint}, writes {mode}", file=sys.stderr, flush=True)
+    # What is built by now stays, and a call leaves next to nothing behind that is cyclic: to look for it after every
+    # other call costs more than it finds (measured: 45 of 1700 us of a read).
+    gc.freeze()
+    gc.set_threshold(20_000)
     if transport == "stdio":
         asyncio.run(serve_stdio(server.mcp))
         return 0

@@ -9,8 +9,7 @@ from __future__ import annotations
 import asyncio
 import ipaddress
 import socket
-from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import asynccontextmanager
+from collections.abc import Awaitable, Callable
 
 from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.exceptions import ModbusException
@@ -62,19 +61,23 @@ class _Connection:
             trace_pdu=self._pdu,
         )
 
-    @asynccontextmanager
-    async def exchange(self, call: Call) -> AsyncIterator[None]:
-        """What is sent inside belongs to this call.
+    async def exchange(self, call: Call, send: Send) -> ModbusPDU:
+        """Send one request, which belongs to this call, and return its reply.
 
         Raises:
+            ModbusException: there is none that pymodbus understands.
+            BadReply: it is not the one to the request.
             TimeoutError: the connection ended. pymodbus would wait for the reply until its own timeout.
         """
         self._call, self.request, self.received, self.answered = call, None, b"", False
         try:
             async with asyncio.timeout(None) as self._patience:
-                yield
+                pdu = await send(self.client)
         finally:
             self._call = None
+        assert self.request is not None
+        reply_pdu(self.request, self.received)
+        return pdu
 
     def _connect(self, connected: bool) -> None:
         if connected:
@@ -95,15 +98,6 @@ class _Connection:
             self._call.sending()
             trace["pdus"] = self._call.attempts
         return data
-
-    def check(self) -> None:
-        """Make sure that the reply is the one to the request.
-
-        Raises:
-            BadReply: it is not.
-        """
-        assert self.request is not None
-        reply_pdu(self.request, self.received)
 
     def _pdu(self, sending: bool, pdu: ModbusPDU) -> ModbusPDU:
         self.answered = not sending
@@ -149,9 +143,7 @@ class Link:
     async def _attempt(self, call: Call, send: Send) -> ModbusPDU:
         connection = await self._connected(call)
         try:
-            async with connection.exchange(call):
-                pdu = await send(connection.client)
-            connection.check()
+            pdu = await connection.exchange(call, send)
         except (ModbusException, TimeoutError, BadReply, asyncio.CancelledError) as error:
             # Whatever still arrives for this request must not meet the next one.
             self._drop()

@@ -1,20 +1,25 @@
 """One network connection to the broker, from CONNECT to its end.
 
-Every connection is a paho client of its own. paho keeps unacknowledged QoS 1 and 2 messages and sends them again after a
-reconnect: a command that was reported as failed would be executed minutes later. A client that never reconnects cannot.
+Every connection is a paho client of its own. paho keeps unacknowledged messages of QoS 1 and 2 and sends them again after
+a reconnect: a command that was reported as failed would be executed minutes later. A client that never reconnects cannot.
 
-paho runs on the event loop through its socket callbacks; no thread, no locks, and an acknowledgement wakes its caller
-directly.
+paho runs on the event loop: no thread, no locks, and an acknowledgement wakes its caller directly. It has callbacks for
+that, ``on_socket_register_write`` and its like, of which only ``on_socket_close`` is used: with the others paho would
+hand every packet to the loop, where without them it writes it at once, and the caller knows whether it has left.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
+import select
 import socket
-from collections.abc import Callable
+import ssl
+import struct
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import paho.mqtt.client as paho
 from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode
@@ -22,11 +27,19 @@ from paho.mqtt.reasoncodes import ReasonCode
 
 from ..core import AdapterError
 
-__all__ = ["Connection", "ConnectionLostError", "Endpoint", "Message", "Will"]
+__all__ = ["Connection", "ConnectionLostError", "Delivery", "Endpoint", "Message", "Will"]
 
-KEEPALIVE_S = 10
+# Half-open connections are found after two of these.
+KEEPALIVE_S = 5
+# Leaving in an orderly way must not hold up the end of the process.
+_FAREWELL_S = 0.2
+# Packets that are read before one is sent; a flood of messages must not keep us from speaking.
+_CATCH_UP = 100
 
-# CONNACK return codes of 3.1.1 as paho names them (MQTT 5.0, 3.2.2.2).
+_ABORT = struct.pack("ii", 1, 0)
+_PROTOCOL_ERROR = 0x82
+
+# CONNACK return codes of 3.1.1 as paho names them (MQTT 5.0, section 3.2.2.2).
 _REFUSALS = {
     0x84: "config_error",
     0x85: "config_error",
@@ -35,14 +48,20 @@ _REFUSALS = {
     0x88: "connect_failed",
 }
 
+log = logging.getLogger(__name__)
+
 
 class ConnectionLostError(Exception):
-    """The connection ended before the broker's answer came."""
+    """The connection ended before what was wanted had happened."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Endpoint:
-    """Where the broker is and who we are."""
+    """Where the broker is and who we are.
+
+    Attributes:
+        timeout_s: seconds for connecting, and for each answer of the broker.
+    """
 
     host: str
     port: int
@@ -52,53 +71,93 @@ class Endpoint:
     password: str | None
     timeout_s: float
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Will:
-    """What the broker publishes when the connection breaks."""
-
-    topic: str
-    payload: bytes
+    @property
+    def uri(self) -> str:
+        """The endpoint without credentials."""
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"{'mqtts' if self.tls else 'mqtt'}://{host}:{self.port}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Message:
-    """A received message."""
+    """A message received, or to be published."""
 
     topic: str
     payload: bytes
-    qos: int
-    retain: bool
+    qos: int = 0
+    retain: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Will:
+    """What the broker publishes, with QoS 1 and not retained, when the connection breaks."""
+
+    topic: str
+    payload: bytes
+
+
+class Delivery:
+    """A message on its way.
+
+    Attributes:
+        packet_id: of QoS 1 and 2; paho numbers the others, too.
+        done: None when it was written (QoS 0) at once, else set when it is written, or acknowledged (QoS 1 and 2).
+    """
+
+    __slots__ = ("_info", "done", "packet_id")
+
+    def __init__(self, info: paho.MQTTMessageInfo, loop: asyncio.AbstractEventLoop) -> None:
+        self._info = info
+        self.packet_id = info.mid
+        self.done: asyncio.Future[None] | None = None if info.is_published() else loop.create_future()
+
+    def settle(self) -> bool:
+        """Wake who waits, if paho has been told by the broker, or has written it; whether that is so."""
+        if not self._info.is_published():
+            return False
+        if self.done is not None and not self.done.done():
+            self.done.set_result(None)
+        return True
 
 
 class Connection:
-    """A connection that is open until :attr:`lost` is set."""
+    """A connection that lasts until :attr:`lost` is set, and is never opened again.
+
+    Attributes:
+        lost: it has ended.
+        introduced: a CONNECT was sent.
+    """
 
     def __init__(self, endpoint: Endpoint, on_message: Callable[[Message], None]) -> None:
+        self.lost = asyncio.Event()
+        self.introduced = False
         self._endpoint = endpoint
         self._on_message = on_message
         self._loop = asyncio.get_running_loop()
         self._opened: asyncio.Future[ReasonCode] = self._loop.create_future()
-        self._answers: dict[int, asyncio.Future[list[ReasonCode]]] = {}
-        self._early: dict[int, list[ReasonCode]] = {}
+        self._answers: dict[int, asyncio.Future[Any]] = {}
+        self._deliveries: list[Delivery] = []
         self._housekeeping: asyncio.Task[None] | None = None
-        self.lost = asyncio.Event()
-        client = paho.Client(CallbackAPIVersion.VERSION2, client_id=endpoint.client_id, protocol=paho.MQTTv311)
+        self._poll = select.poll()
+        self._descriptor = -1
+        self._writing = False
+        # Without reconnect_on_failure=False paho answers a refusal of 3.1.1 by a blocking attempt with 3.1.
+        client = paho.Client(
+            CallbackAPIVersion.VERSION2, endpoint.client_id, protocol=paho.MQTTv311, reconnect_on_failure=False
+        )
         client.connect_timeout = endpoint.timeout_s
+        # paho's limit of 20 would hold messages back and send them later, perhaps after their failure was reported.
+        client.max_inflight_messages_set(0)
         if endpoint.username is not None:
             client.username_pw_set(endpoint.username, endpoint.password)
         if endpoint.tls:
             client.tls_set()
-        client.on_connect = lambda c, u, flags, reason, p: self._set(self._opened, reason)
-        client.on_disconnect = lambda c, u, flags, reason, p: self._end()
+        client.on_connect = lambda c, u, flags, reason, p: self._accepted(reason)
+        client.on_disconnect = lambda c, u, flags, reason, p: self._ended(reason)
         client.on_message = lambda c, u, message: self._received(message)
-        client.on_publish = lambda c, u, mid, reason, p: self._answer(mid, [reason])
         client.on_subscribe = lambda c, u, mid, reasons, p: self._answer(mid, reasons)
         client.on_unsubscribe = lambda c, u, mid, reasons, p: self._answer(mid, reasons)
-        client.on_socket_open = self._socket_open
-        client.on_socket_close = self._socket_close
-        client.on_socket_register_write = lambda c, u, sock: self._soon(self._watch_write, sock)
-        client.on_socket_unregister_write = lambda c, u, sock: self._soon(self._unwatch_write, sock)
+        client.on_socket_close = lambda c, u, sock: self._unwatch()
         self._client = client
 
     # -- life ---------------------------------------------------------------------------------------------
@@ -107,7 +166,7 @@ class Connection:
         """Connect and wait for the CONNACK.
 
         Raises:
-            AdapterError: no connection, or the broker refuses.
+            AdapterError: no connection, or the broker refuses; outcome ``not_sent``.
         """
         endpoint = self._endpoint
         if will is not None:
@@ -115,146 +174,224 @@ class Connection:
         try:
             # The TCP and TLS handshakes block; everything after them runs on the loop.
             await asyncio.to_thread(self._client.connect, endpoint.host, endpoint.port, KEEPALIVE_S)
-            reason = await asyncio.wait_for(self._opened, endpoint.timeout_s)
-        except socket.gaierror:
-            raise AdapterError("dns_error", "the broker's host name cannot be resolved", outcome="not_sent") from None
-        except (OSError, ConnectionLostError):
-            self._end()
-            raise AdapterError(
-                "connect_failed", "no connection to the broker could be made", outcome="not_sent"
-            ) from None
-        except TimeoutError:
-            await self.close()
-            raise AdapterError("timeout", "the broker did not answer CONNECT", outcome="not_sent") from None
+            self.introduced = True
+            self._watch()
+            async with asyncio.timeout(endpoint.timeout_s):
+                reason = await self._opened
+        except (OSError, ConnectionLostError) as error:
+            self.abort()
+            raise self._no_connection(error) from None
+        except BaseException:
+            self.abort()
+            raise
         if reason.is_failure:
-            await self.close()
+            self.abort()
             code = _REFUSALS.get(reason.value, "connect_failed")
-            raise AdapterError(code, f"the broker refuses the connection ({reason})", outcome="not_sent")
+            raise AdapterError(code, "the broker refuses the connection", outcome="not_sent")
         self._housekeeping = asyncio.create_task(self._keep_alive())
 
+    def _no_connection(self, error: Exception) -> AdapterError:
+        code, message = "connect_failed", f"no connection to {self._endpoint.uri}; is the broker running there?"
+        if isinstance(error, socket.gaierror):
+            code, message = "dns_error", "the broker's host name cannot be resolved"
+        elif isinstance(error, ssl.SSLError):
+            code, message = "tls_error", "the TLS handshake with the broker failed"
+        elif isinstance(error, TimeoutError) and self.introduced:
+            code, message = "timeout", "the broker did not answer CONNECT"
+        return AdapterError(code, message, outcome="not_sent")
+
     async def _keep_alive(self) -> None:
-        # paho sends its keep-alive, and finds out that the broker is silent, only when it is called.
-        while self._client.loop_misc() == MQTTErrorCode.MQTT_ERR_SUCCESS:  # noqa: ASYNC110
+        # paho sends its PINGREQ, and finds out that the broker is silent, only when it is called.
+        while self._client.loop_misc() == MQTTErrorCode.MQTT_ERR_SUCCESS:
+            self._flush()
             await asyncio.sleep(1.0)
+
+    def abort(self) -> None:
+        """End the connection now, without DISCONNECT, so that the broker publishes the will.
+
+        Nothing that was handed over before is sent any more: neither what paho holds nor what the kernel does.
+        """
+        sock = self._socket()
+        if sock is not None:
+            with contextlib.suppress(OSError):
+                sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _ABORT)
+        # Closes the socket and forgets every message.
+        self._client.reinitialise()
         self._end()
 
     async def close(self) -> None:
         """Leave in an orderly way: the broker discards the will."""
-        if self._housekeeping is not None:
-            self._housekeeping.cancel()
         self._client.disconnect()
-        # Bytes of the DISCONNECT may still wait for the socket.
+        self._flush()
         with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(self.lost.wait(), 0.2)
+            async with asyncio.timeout(_FAREWELL_S):
+                await self.lost.wait()
+        self.abort()
+
+    def is_live(self) -> bool:
+        """The connection exists, as far as can be known from everything that has arrived up to this moment."""
+        for _ in range(_CATCH_UP):
+            if self.lost.is_set() or not self._poll.poll(0):
+                break
+            self._read()
+        return not self.lost.is_set()
+
+    def _accepted(self, reason: ReasonCode) -> None:
+        if not self._opened.done():
+            self._opened.set_result(reason)
+
+    def _ended(self, reason: ReasonCode) -> None:
+        if reason.value == _PROTOCOL_ERROR and not self._opened.done():
+            # So paho reports return code 1, unacceptable protocol version, and everything else that it does not expect.
+            message = "what answers there is no broker for MQTT 3.1.1"
+            self._opened.set_exception(AdapterError("config_error", message, outcome="not_sent"))
         self._end()
 
     def _end(self) -> None:
         self.lost.set()
         if self._housekeeping is not None:
             self._housekeeping.cancel()
-        pending: list[asyncio.Future[Any]] = [self._opened, *self._answers.values()]
-        for waiting in pending:
-            if not waiting.done():
+        self._settle()
+        for waiting in (self._opened, *self._answers.values(), *(one.done for one in self._deliveries)):
+            if waiting is not None and not waiting.done():
                 waiting.set_exception(ConnectionLostError())
                 # Whoever gave up waiting must not cause a warning.
                 waiting.exception()
         self._answers.clear()
+        self._deliveries.clear()
 
     # -- paho on the loop ---------------------------------------------------------------------------------
 
-    def _soon(self, function: Callable[[Any], None], sock: Any) -> None:
-        # While connecting, paho calls from a worker thread.
-        self._loop.call_soon_threadsafe(function, sock)
+    def _socket(self) -> socket.socket | None:
+        # paho also has WebSockets, and therefore a type of its own for what it returns here.
+        return cast(socket.socket | None, self._client.socket())
 
-    def _socket_open(self, client: Any, userdata: Any, sock: Any) -> None:
+    def _watch(self) -> None:
+        sock = self._socket()
+        if sock is None:
+            raise ConnectionLostError
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._soon(self._watch_read, sock)
+        self._descriptor = sock.fileno()
+        self._poll.register(self._descriptor, select.POLLIN)
+        self._loop.add_reader(self._descriptor, self._read)
 
-    def _watch_read(self, sock: Any) -> None:
-        if sock.fileno() >= 0:
-            self._loop.add_reader(sock, self._client.loop_read)
-
-    def _watch_write(self, sock: Any) -> None:
-        if sock.fileno() >= 0:
-            self._loop.add_writer(sock, self._client.loop_write)
-
-    def _unwatch_write(self, sock: Any) -> None:
-        if sock.fileno() >= 0:
-            self._loop.remove_writer(sock)
-
-    def _socket_close(self, client: Any, userdata: Any, sock: Any) -> None:
+    def _unwatch(self) -> None:
         # Must happen before the descriptor is closed and can be given to another socket.
-        self._loop.remove_reader(sock)
-        self._loop.remove_writer(sock)
+        if self._descriptor >= 0:
+            self._loop.remove_reader(self._descriptor)
+            self._loop.remove_writer(self._descriptor)
 
-    def _set(self, future: asyncio.Future[Any], value: Any) -> None:
-        if not future.done():
-            future.set_result(value)
+    def _read(self) -> None:
+        sock = self._socket()
+        try:
+            self._client.loop_read()
+            # What TLS has already decrypted does not make the socket readable.
+            while isinstance(sock, ssl.SSLSocket) and self._socket() is sock and sock.pending():
+                self._client.loop_read()
+        except Exception:
+            # paho raises for some packets that no broker may send.
+            log.warning("the broker sent what is not MQTT; the connection is dropped", exc_info=True)
+            self.abort()
+        self._flush()
+
+    def _flush(self) -> None:
+        """Write what paho still holds: now what is possible, the rest when the socket can take it."""
+        if self._client.want_write():
+            self._client.loop_write()
+        self._settle()
+        if self._client.socket() is None or self._client.want_write() == self._writing:
+            return
+        self._writing = not self._writing
+        if self._writing:
+            self._loop.add_writer(self._descriptor, self._flush)
+        else:
+            self._loop.remove_writer(self._descriptor)
+
+    def _settle(self) -> None:
+        # paho's on_publish would tell the same, but doubles the cost of a publish with QoS 0.
+        if self._deliveries:
+            self._deliveries = [one for one in self._deliveries if not one.settle()]
 
     def _received(self, message: Any) -> None:
         self._on_message(
             Message(topic=message.topic, payload=message.payload, qos=message.qos, retain=bool(message.retain))
         )
 
+    def _answer(self, mid: int, reasons: Sequence[ReasonCode]) -> None:
+        waiting = self._answers.pop(mid, None)
+        if waiting is not None and not waiting.done():
+            waiting.set_result(reasons)
+
     # -- exchanges ----------------------------------------------------------------------------------------
 
-    def _answer(self, mid: int, reasons: list[ReasonCode]) -> None:
-        waiting = self._answers.pop(mid, None)
-        if waiting is None:
-            # A QoS 0 message is "published" before publish() has returned its number.
-            self._early[mid] = reasons
-        else:
-            self._set(waiting, reasons)
-
-    async def _await_answer(self, mid: int) -> list[ReasonCode]:
-        if mid in self._early:
-            return self._early.pop(mid)
-        waiting = self._answers[mid] = self._loop.create_future()
-        if self.lost.is_set():
-            raise ConnectionLostError
-        try:
-            return await asyncio.wait_for(waiting, self._endpoint.timeout_s)
-        except TimeoutError:
-            raise AdapterError("timeout", f"no acknowledgement within {self._endpoint.timeout_s:g} s") from None
-        finally:
-            self._answers.pop(mid, None)
-
-    def send(self, topic: str, payload: bytes, qos: int, retain: bool) -> int:
-        """Hand a message to the socket and return its number; nothing is kept when the connection is down.
+    def send(self, message: Message) -> Delivery:
+        """Hand a message to the socket, now or never.
 
         Raises:
-            ConnectionLostError: the connection is down; the message has not been sent.
+            ConnectionLostError: the connection broke.
         """
-        if self.lost.is_set() or not self._client.is_connected():
-            raise ConnectionLostError
-        info = self._client.publish(topic, payload, qos, retain)
+        info = self._client.publish(message.topic, message.payload, message.qos, message.retain)
         if info.rc != MQTTErrorCode.MQTT_ERR_SUCCESS:
+            self.abort()
             raise ConnectionLostError
-        return int(info.mid)
+        delivery = Delivery(info, self._loop)
+        if delivery.done is not None:
+            self._deliveries.append(delivery)
+            self._flush()
+        return delivery
 
-    async def sent(self, mid: int) -> None:
-        """Wait until the message is written (QoS 0) or acknowledged (QoS 1 and 2).
+    async def delivered(self, deliveries: Sequence[Delivery]) -> None:
+        """Wait until the messages are written (QoS 0) or acknowledged (QoS 1 and 2).
 
         Raises:
             ConnectionLostError: the connection broke first.
             AdapterError: ``timeout``.
         """
-        await self._await_answer(mid)
+        pending = [one.done for one in deliveries if one.done is not None]
+        if not pending:
+            return
+        try:
+            async with asyncio.timeout(self._endpoint.timeout_s):
+                for done in pending:
+                    await done
+        except TimeoutError:
+            # What is not yet written, and the PUBREL of a QoS 2 message, would follow after the failure was reported.
+            self.abort()
+            raise self._silence() from None
+        except asyncio.CancelledError:
+            self.abort()
+            raise
 
-    async def subscribe(self, text: str, qos: int) -> int:
-        """Subscribe and return the granted QoS.
+    def _silence(self) -> AdapterError:
+        return AdapterError("timeout", f"the broker did not answer within {self._endpoint.timeout_s:g} s")
+
+    async def _answered(self, request: tuple[MQTTErrorCode, int | None]) -> Sequence[ReasonCode]:
+        code, mid = request
+        if code != MQTTErrorCode.MQTT_ERR_SUCCESS or mid is None:
+            self.abort()
+            raise ConnectionLostError
+        answer = self._answers[mid] = self._loop.create_future()
+        self._flush()
+        try:
+            async with asyncio.timeout(self._endpoint.timeout_s):
+                reasons: Sequence[ReasonCode] = await answer
+                return reasons
+        except TimeoutError:
+            # Whoever does not answer is not there, whatever TCP believes.
+            self.abort()
+            raise self._silence() from None
+        finally:
+            self._answers.pop(mid, None)
+
+    async def subscribe(self, filters: Mapping[str, int]) -> list[int | None]:
+        """Subscribe to filters with the QoS asked for; the granted QoS of each, None where it is refused.
 
         Raises:
             ConnectionLostError: the connection broke.
-            AdapterError: the broker refuses, or ``timeout``.
+            AdapterError: ``timeout``.
         """
-        code, mid = self._client.subscribe(text, qos)
-        if code != MQTTErrorCode.MQTT_ERR_SUCCESS or mid is None:
-            raise ConnectionLostError
-        (reason,) = await self._await_answer(mid)
-        if reason.is_failure:
-            raise AdapterError("access_denied", "the broker refuses the subscription", outcome="rejected")
-        return int(reason.value)
+        reasons = await self._answered(self._client.subscribe(list(filters.items())))
+        return [None if reason.is_failure else int(reason.value) for reason in reasons]
 
     async def unsubscribe(self, text: str) -> None:
         """Unsubscribe and wait for the UNSUBACK; the broker answers for a filter that was never subscribed, too.
@@ -263,7 +400,4 @@ class Connection:
             ConnectionLostError: the connection broke.
             AdapterError: ``timeout``.
         """
-        code, mid = self._client.unsubscribe(text)
-        if code != MQTTErrorCode.MQTT_ERR_SUCCESS or mid is None:
-            raise ConnectionLostError
-        await self._await_answer(mid)
+        await self._answered(self._client.unsubscribe(text))

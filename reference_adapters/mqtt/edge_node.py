@@ -1,133 +1,178 @@
 """The adapter's own Sparkplug edge node: births before data, one sequence counter, bdSeq with the will.
 
+It composes messages and does not send them. Composing takes sequence numbers, so what is composed has to be sent, or the
+connection to end. What the node has said becomes what it is (:meth:`EdgeNode.live`, :meth:`EdgeNode.remember`) only when
+it was delivered: a call that failed changes nothing, and a later birth does not say behind its back what it could not.
+
 Rules quoted by their identifiers in the Sparkplug 3.0 specification (``tck-id-…``).
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 from ..core import AdapterError
-from .connection import Will
-from .payload import Datatype, Metric, check_value, encode
+from .connection import Message, Will
+from .payload import REBIRTH, Metric, check_value, encode
+from .topics import NAMESPACE
 
-__all__ = ["EdgeNode"]
+__all__ = ["EdgeNode", "Life", "declared"]
+
+Metrics = Mapping[str, Metric]
+
+_BD_SEQ = "bdSeq"
+_OWN = (_BD_SEQ, REBIRTH)
+
+
+def declared(metrics: Sequence[Metric], own: tuple[str, ...] = _OWN) -> dict[str, Metric]:
+    """The metrics of a birth or command by name.
+
+    Args:
+        own: names that an edge node declares itself.
+
+    Raises:
+        AdapterError: ``invalid_input``: a name is there twice, or is one of these.
+    """
+    by_name: dict[str, Metric] = {}
+    for index, metric in enumerate(metrics):
+        if metric.name in by_name or metric.name in own:
+            reason = "is there twice" if metric.name in by_name else "is declared by the edge node itself"
+            raise AdapterError("invalid_input", f"a metric {reason}", field=f"/metrics/{index}/name")
+        by_name[metric.name] = metric
+    return by_name
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Life:
+    """What the births of a living node declare: its own metrics, and those of its devices."""
+
+    node: Metrics = field(default_factory=dict)
+    devices: Mapping[str, Metrics] = field(default_factory=dict)
+
+    def with_node(self, metrics: Metrics) -> Life:
+        """The same devices below a node with other metrics."""
+        return Life(node=metrics, devices=self.devices)
+
+    def with_device(self, device: str, metrics: Metrics) -> Life:
+        """A device more, or another birth of one."""
+        return Life(node=self.node, devices={**self.devices, device: metrics})
+
+    def without_device(self, device: str) -> Life:
+        """A device less."""
+        return Life(node=self.node, devices={name: told for name, told in self.devices.items() if name != device})
+
+    def metrics_of(self, device: str | None) -> Metrics:
+        """What the node (None) or a device has declared.
+
+        Raises:
+            AdapterError: ``not_born``: the device has not been born.
+        """
+        if device is None:
+            return self.node
+        if device not in self.devices:
+            raise AdapterError("not_born", "the device has not been born; call publish_device_birth first")
+        return self.devices[device]
 
 
 class EdgeNode:
-    """What the node has declared, and its counters. It knows what to publish, not how."""
+    """What the node has declared, and its counters.
+
+    Attributes:
+        life: what it is born with; None while it is not born. Births of a life are repeated after a reconnect.
+    """
 
     def __init__(self, group: str, name: str) -> None:
         self.group = group
         self.name = name
-        self.wanted = False
-        """The node has been born at somebody's wish: births are repeated after a reconnect."""
-        self.born = False
-        self._bd_seq = -1
-        self._seq = 0
-        self._node: dict[str, Metric] = {}
-        self._devices: dict[str, dict[str, Metric]] = {}
+        self.life: Life | None = None
+        self.bd_seq = -1
+        self.seq = 0
+
+    @property
+    def alive(self) -> bool:
+        """It was born and did not die since."""
+        return self.life is not None
 
     def topic(self, kind: str, device: str | None = None) -> str:
         """The topic of a message of this node."""
-        return f"spBv1.0/{self.group}/{kind}/{self.name}" + ("" if device is None else f"/{device}")
+        return f"{NAMESPACE}/{self.group}/{kind}/{self.name}" + ("" if device is None else f"/{device}")
 
-    def new_connection(self) -> Will:
-        """The will of the next CONNECT; bdSeq is one more than that of the last (payloads-ndeath-bdseq)."""
-        self._bd_seq = (self._bd_seq + 1) % 256
-        self.born = False
-        return Will(topic=self.topic("NDEATH"), payload=self.death())
+    # -- deaths -------------------------------------------------------------------------------------------
 
-    def death(self) -> bytes:
-        """NDEATH holds bdSeq alone and has no sequence number (topics-ndeath-payload, topics-ndeath-seq)."""
-        return encode([self._bd_seq_metric()], None)
+    def will(self) -> Will:
+        """The will of the next CONNECT; its bdSeq is one more than that of the last (topics-nbirth-bdseq-increment)."""
+        return Will(topic=self.topic("NDEATH"), payload=self._death((self.bd_seq + 1) % 256))
 
-    def _bd_seq_metric(self) -> Metric:
-        return ("bdSeq", "Int64", self._bd_seq)
+    def connect_sent(self) -> None:
+        """The CONNECT left: its bdSeq is used up."""
+        self.bd_seq = (self.bd_seq + 1) % 256
+
+    def death(self) -> Message:
+        """NDEATH of this connection, with QoS 1 as the will has it."""
+        return Message(topic=self.topic("NDEATH"), payload=self._death(self.bd_seq), qos=1)
+
+    @staticmethod
+    def _death(bd_seq: int) -> bytes:
+        # bdSeq alone and no sequence number (topics-ndeath-payload, topics-ndeath-seq).
+        return encode([Metric(name=_BD_SEQ, datatype="Int64", value=bd_seq)], None)
 
     # -- births -------------------------------------------------------------------------------------------
 
-    def declare_node(self, metrics: list[Metric]) -> None:
-        """The metrics of the node's next birth."""
-        self._node = {metric[0]: metric for metric in metrics}
+    def births(self, life: Life | None = None) -> list[Message]:
+        """NBIRTH and every DBIRTH of a life, by default the present one, in the order in which they have to be sent.
 
-    def declare_device(self, device: str, metrics: list[Metric]) -> None:
-        """The metrics of a device's next birth."""
-        self._devices[device] = {metric[0]: metric for metric in metrics}
-
-    def undeclare_device(self, device: str) -> None:
-        """A device died; it is born again only by a new declaration."""
-        self._devices.pop(device, None)
-
-    def declared(self, device: str) -> bool:
-        """The device has been born."""
-        return device in self._devices
-
-    def node_birth(self) -> bytes:
-        """NBIRTH: sequence number 0, bdSeq as in the will, and the rebirth control (topics-nbirth-*)."""
-        self._seq = 0
-        control: Metric = ("Node Control/Rebirth", "Boolean", False)
-        return encode([self._bd_seq_metric(), control, *self._node.values()], 0)
-
-    def all_births(self) -> list[tuple[str, bytes]]:
-        """Topic and payload of NBIRTH and every DBIRTH, in the order in which they have to be sent."""
-        births = [(self.topic("NBIRTH"), self.node_birth())]
-        births += [(self.topic("DBIRTH", device), self.device_birth(device)) for device in self._devices]
-        return births
-
-    def device_birth(self, device: str) -> bytes:
-        """DBIRTH of a declared device."""
-        return self._numbered(list(self._devices[device].values()))
+        NBIRTH has the sequence number 0, the will's bdSeq, and the rebirth control (topics-nbirth-seq-num,
+        -bdseq-matching, -rebirth-metric).
+        """
+        life = life or self.life
+        assert life is not None
+        own = (
+            Metric(name=_BD_SEQ, datatype="Int64", value=self.bd_seq),
+            Metric(name=REBIRTH, datatype="Boolean", value=False),
+        )
+        self.seq = 255
+        node = self.numbered("NBIRTH", None, [*own, *life.node.values()])
+        return [node, *(self.numbered("DBIRTH", name, told.values()) for name, told in life.devices.items())]
 
     # -- data ---------------------------------------------------------------------------------------------
 
-    def node_metrics(self, values: list[tuple[str, Any]]) -> list[Metric]:
-        """Values for NDATA with the datatypes of the birth; see :meth:`device_metrics`."""
-        if not self.born:
-            raise AdapterError("not_born", "the edge node has not been born; call publish_node_birth first")
-        return self._typed(self._node, values)
-
-    def device_metrics(self, device: str, values: list[tuple[str, Any]]) -> list[Metric]:
-        """Values for DDATA with the datatypes of the birth.
+    def new_values(self, device: str | None, values: Sequence[tuple[str, Any]]) -> list[Metric]:
+        """Values for NDATA or DDATA with the datatypes of the birth (operational-behavior-data-publish-dbirth).
 
         Raises:
-            AdapterError: the device is not born, a metric was not declared, or a value does not fit.
+            AdapterError: not born, a metric was not declared or is there twice, or a value does not fit.
         """
-        if not self.born or device not in self._devices:
-            raise AdapterError("not_born", "the device has not been born; call publish_device_birth first")
-        return self._typed(self._devices[device], values)
-
-    @staticmethod
-    def _typed(declared: dict[str, Metric], values: list[tuple[str, Any]]) -> list[Metric]:
-        metrics: list[Metric] = []
+        told = self.living().metrics_of(device)
+        metrics: dict[str, Metric] = {}
         for index, (name, value) in enumerate(values):
-            if name not in declared:
+            if name not in told:
                 message = "the birth did not declare this metric"
                 raise AdapterError("illegal_address", message, outcome="not_sent", field=f"/metrics/{index}/name")
-            datatype: Datatype = declared[name][1]
-            check_value(datatype, value, f"/metrics/{index}/value")
-            metrics.append((name, datatype, value))
-        return metrics
+            if name in metrics:
+                raise AdapterError("invalid_input", "a metric is there twice", field=f"/metrics/{index}/name")
+            check_value(told[name].datatype, value, f"/metrics/{index}/value")
+            metrics[name] = Metric(name=name, datatype=told[name].datatype, value=value)
+        return list(metrics.values())
 
-    def data(self, metrics: list[Metric]) -> bytes:
-        """A data or death message with the next sequence number."""
-        return self._numbered(metrics)
+    def remember(self, device: str | None, metrics: Sequence[Metric]) -> None:
+        """These values were delivered; the next birth has them (operational-behavior-data-publish-dbirth-values)."""
+        life = self.living()
+        told = {**life.metrics_of(device), **{metric.name: metric for metric in metrics}}
+        self.life = life.with_node(told) if device is None else life.with_device(device, told)
 
-    def not_sent(self) -> None:
-        """The message built last did not leave: its sequence number is used again."""
-        self._seq = (self._seq - 1) % 256
+    def living(self) -> Life:
+        """The present life.
 
-    @property
-    def seq(self) -> int:
-        """The sequence number that was used last."""
-        return self._seq
+        Raises:
+            AdapterError: ``not_born``: there is none.
+        """
+        if self.life is None:
+            raise AdapterError("not_born", "the edge node has not been born; call publish_node_birth first")
+        return self.life
 
-    @property
-    def bd_seq(self) -> int:
-        """The bdSeq of the connection."""
-        return self._bd_seq
-
-    def _numbered(self, metrics: list[Metric]) -> bytes:
-        # One counter for all messages of the node, modulo 256 (payloads-sequence-num-incrementing).
-        self._seq = (self._seq + 1) % 256
-        return encode(metrics, self._seq)
+    def numbered(self, kind: str, device: str | None, metrics: Any) -> Message:
+        """A message with the next number of the one sequence of the node (payloads-sequence-num-incrementing)."""
+        self.seq = (self.seq + 1) % 256
+        return Message(topic=self.topic(kind, device), payload=encode(metrics, self.seq))

@@ -2,59 +2,76 @@
 
 from __future__ import annotations
 
-import base64
 from collections import deque
+from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any
 
 from .connection import Message
 from .topics import matches
 
-__all__ = ["Inbox"]
+__all__ = ["Inbox", "Received"]
 
-CAPACITY = 5000
+MAX_MESSAGES = 5000
+MAX_BYTES = 16 * 1024 * 1024
+MAX_TAKEN_BYTES = 4 * 1024 * 1024
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Received:
+    """A message and the moment of its arrival, UTC."""
+
+    message: Message
+    at: datetime
+
+    @property
+    def size(self) -> int:
+        """Bytes it occupies."""
+        return len(self.message.payload) + len(self.message.topic)
 
 
 class Inbox:
-    """Messages in the order of their arrival."""
+    """Messages in the order of their arrival; the oldest give way when there are too many, or they are too large."""
 
-    def __init__(self, capacity: int = CAPACITY) -> None:
-        self._messages: deque[tuple[str, Message]] = deque()
-        self._capacity = capacity
+    def __init__(self) -> None:
+        self._messages: deque[Received] = deque()
+        self._bytes = 0
         self._dropped = 0
 
     def add(self, message: Message) -> None:
-        """Keep a message; the oldest gives way when the capacity is reached."""
-        if len(self._messages) == self._capacity:
-            self._messages.popleft()
+        """Keep a message."""
+        received = Received(message=message, at=datetime.now(UTC))
+        self._messages.append(received)
+        self._bytes += received.size
+        while len(self._messages) > MAX_MESSAGES or self._bytes > MAX_BYTES:
+            self._bytes -= self._messages.popleft().size
             self._dropped += 1
-        moment = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-        self._messages.append((moment, message))
 
-    def take(self, text: str, limit: int) -> dict[str, Any]:
-        """Remove and return the oldest messages that a filter selects, and how many were dropped since the last time."""
-        taken: list[dict[str, Any]] = []
-        kept: deque[tuple[str, Message]] = deque()
-        for moment, message in self._messages:
-            if len(taken) < limit and matches(text, message.topic):
-                taken.append(_described(moment, message))
+    def take(self, text: str, limit: int) -> tuple[list[Received], int]:
+        """Remove and return the oldest messages that a filter selects, and how many it selects beyond these.
+
+        No more than :data:`MAX_TAKEN_BYTES` at once, but at least one message.
+        """
+        taken: list[Received] = []
+        kept: deque[Received] = deque()
+        size = remaining = 0
+        selected: dict[str, bool] = {}
+        for received in self._messages:
+            topic = received.message.topic
+            if topic not in selected:
+                selected[topic] = matches(text, topic)
+            if not selected[topic]:
+                kept.append(received)
+            elif remaining or len(taken) == limit or (taken and size + received.size > MAX_TAKEN_BYTES):
+                kept.append(received)
+                remaining += 1
             else:
-                kept.append((moment, message))
+                taken.append(received)
+                size += received.size
         self._messages = kept
+        self._bytes -= size
+        return taken, remaining
+
+    def take_dropped(self) -> int:
+        """How many messages were dropped since this was asked last."""
         dropped, self._dropped = self._dropped, 0
-        return {"messages": taken, "dropped": dropped}
-
-
-def _described(moment: str, message: Message) -> dict[str, Any]:
-    try:
-        payload, encoding = message.payload.decode("utf-8"), "utf-8"
-    except UnicodeDecodeError:
-        payload, encoding = base64.b64encode(message.payload).decode(), "base64"
-    return {
-        "topic": message.topic,
-        "payload": payload,
-        "encoding": encoding,
-        "qos": message.qos,
-        "retain": message.retain,
-        "received_at": moment,
-    }
+        return dropped

@@ -7,22 +7,42 @@ there again whether or not a tool is called. Nothing that failed is ever sent ag
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
-from typing import Any, TypeVar
+import logging
+import secrets
+from collections.abc import Awaitable, Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TypeVar
 
 from ..core import AdapterError, Call
 from .connection import Connection, ConnectionLostError, Endpoint, Message
 from .edge_node import EdgeNode
 from .inbox import Inbox
 from .nodes import NodeTracker
-from .payload import decode
+from .payload import is_rebirth_command
 from .topics import matches
 
-__all__ = ["Link"]
+__all__ = ["Link", "Subscription"]
 
 T = TypeVar("T")
 
-_FIRST_RETRY_S, _LAST_RETRY_S = 0.05, 0.25
+_FIRST_RETRY_S, _LAST_RETRY_S = 0.05, 0.2
+# A connection that keeps ending at once is probably taken over by another client with our identifier [MQTT-3.1.4-2];
+# two adapters must not throw each other out for ever.
+_SHORT_LIVED_S, _TAKEN_OVER_RETRY_S = 0.5, 5.0
+_FAREWELL_S = 0.5
+# Repeating these in the background would only lock an account.
+_PERMANENT = ("auth_failed", "access_denied", "config_error", "tls_error")
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(slots=True, kw_only=True)
+class Subscription:
+    """A subscription that somebody asked for; ``granted`` is None while the broker refuses it."""
+
+    qos: int
+    granted: int | None
 
 
 class Link:
@@ -32,6 +52,11 @@ class Link:
         endpoint: the broker.
         edge_node: the adapter's own edge node.
         may_write: without it no will is armed: a broker that publishes an NDEATH for us is a write, too.
+
+    Attributes:
+        subscriptions: those of the tools, by filter.
+        needed: filters and QoS that the adapter itself needs.
+        publishing: held while something is published as edge node, so that the sequence is one.
     """
 
     def __init__(self, endpoint: Endpoint, edge_node: EdgeNode, *, may_write: bool) -> None:
@@ -39,136 +64,224 @@ class Link:
         self.edge_node = edge_node
         self.inbox = Inbox()
         self.nodes = NodeTracker()
-        self.subscriptions: dict[str, int] = {}
+        self.subscriptions: dict[str, Subscription] = {}
+        self.needed: dict[str, int] = {}
+        self.publishing = asyncio.Lock()
         self.generation = 0
         self._may_write = may_write
-        self._lock = asyncio.Lock()
+        self._nobodys_filter = f"otmcp/ping/{secrets.token_hex(8)}"
         self._connection: Connection | None = None
-        self._supervisor: asyncio.Task[None] | None = None
-        self._rebirths: set[asyncio.Task[None]] = set()
+        self._attempt: asyncio.Task[Connection] | None = None
+        self._keeper: asyncio.Task[None] | None = None
+        self._rebirth: asyncio.Task[None] | None = None
 
     @property
     def connected(self) -> bool:
-        """There is a connection that is not known to be broken."""
-        return self._connection is not None and not self._connection.lost.is_set()
+        """There is a connection."""
+        return self._connection is not None and self._connection.is_live()
+
+    # -- what the tools do --------------------------------------------------------------------------------
 
     async def exchange(self, call: Call, request: Callable[[Connection], Awaitable[T]]) -> T:
-        """Do something that the broker answers. What changes nothing is repeated once over a new connection.
+        """Do something that the broker answers and that changes nothing; repeated once over a new connection.
 
         Raises:
-            AdapterError: no connection, it broke, or no answer.
+            AdapterError: no connection, it broke twice, or no answer.
         """
-        for attempt in (1, 2):
-            connection = await self._use(call)
-            call.sending()
-            try:
-                return await request(connection)
-            except ConnectionLostError:
-                call.disconnected()
-                if call.writes or attempt == 2:
-                    break
-        raise AdapterError("connection_lost", "the connection to the broker broke during the call")
+        try:
+            return await self._exchange_once(call, request)
+        except ConnectionLostError:
+            pass
+        try:
+            return await self._exchange_once(call, request)
+        except ConnectionLostError:
+            raise AdapterError("connection_lost", "the connection to the broker broke during the call") from None
 
-    async def publish(
-        self, call: Call, topic: str, payload: Callable[[], bytes], *, qos: int = 0, retain: bool = False
-    ) -> str:
-        """Publish once. ``payload`` is asked for at the moment of sending, so that a sequence number is only taken by
-        what is sent. Returns ``acknowledged`` or ``unacknowledged``.
+    async def _exchange_once(self, call: Call, request: Callable[[Connection], Awaitable[T]]) -> T:
+        connection = await self._use(call)
+        call.sending(changes_state=False)
+        try:
+            result = await request(connection)
+        except (ConnectionLostError, AdapterError):
+            call.disconnected()
+            raise
+        call.answered()
+        return result
+
+    async def ask(self, call: Call) -> None:
+        """Have the broker answer something. It has then also handed over whatever it had for us.
+
+        Unsubscribing what was never subscribed changes nothing, and the broker has to answer [MQTT-3.10.4-5]. paho's
+        public interface cannot send a PINGREQ.
 
         Raises:
-            AdapterError: not sent, or sent and not acknowledged (outcome unknown).
+            AdapterError: as :meth:`exchange`.
+        """
+        await self.exchange(call, lambda connection: connection.unsubscribe(self._nobodys_filter))
+
+    async def publish(self, call: Call, compose: Callable[[], list[Message]]) -> None:
+        """Publish messages, once each. They are composed when the connection is known to be there: what cannot be sent
+        uses up no sequence number.
+
+        Whenever this fails after something was sent, the connection has ended with it.
+
+        Raises:
+            AdapterError: nothing was sent, or it is unknown what became of it.
         """
         connection = await self._use(call)
-        data = payload()
-        try:
-            mid = connection.send(topic, data, qos, retain)
-        except ConnectionLostError:
+        if connection.lost.is_set():
             call.disconnected()
-            raise AdapterError(
-                "connection_lost", "the connection is down; nothing was sent", outcome="not_sent"
-            ) from None
-        call.sending()
+            raise AdapterError("connection_lost", "the connection broke before anything was sent")
+        # From here to the last send() nobody else gets to run.
+        deliveries = []
         try:
-            await connection.sent(mid)
+            for message in compose():
+                call.sending()
+                call.trace.update(topic=message.topic, qos=message.qos, retain=message.retain)
+                deliveries.append(connection.send(message))
+            await connection.delivered(deliveries)
         except ConnectionLostError:
             call.disconnected()
             raise AdapterError("connection_lost", "the connection broke; the broker may have the message") from None
-        return "acknowledged" if qos else "unacknowledged"
+        except AdapterError:
+            call.disconnected()
+            raise
+        call.trace["delivery"] = "acknowledged" if message.qos else "unacknowledged"
+        if message.qos:
+            call.answered(packet_id=deliveries[-1].packet_id)
+
+    async def subscribe(self, call: Call, text: str, qos: int) -> int:
+        """Subscribe for the tools, now and on every later connection; returns the granted QoS.
+
+        Raises:
+            AdapterError: as :meth:`exchange`, or the broker refuses.
+        """
+        asked = max(qos, self.needed.get(text, 0))
+        (granted,) = await self.exchange(call, lambda connection: connection.subscribe({text: asked}))
+        if granted is None:
+            # Where there was a subscription with this filter, the broker has kept it (MQTT 3.1.1, section 3.8.4).
+            raise _refused(call, "the broker refuses the subscription")
+        self.subscriptions[text] = Subscription(qos=qos, granted=granted)
+        return granted
+
+    async def unsubscribe(self, call: Call, text: str) -> None:
+        """End a subscription of the tools; the broker goes on sending what the adapter itself needs.
+
+        Raises:
+            AdapterError: as :meth:`exchange`.
+        """
+        if text in self.needed:
+            await self.exchange(call, lambda connection: connection.subscribe({text: self.needed[text]}))
+        else:
+            await self.exchange(call, lambda connection: connection.unsubscribe(text))
+        self.subscriptions.pop(text, None)
+
+    async def need(self, call: Call, filters: Mapping[str, int]) -> None:
+        """Subscribe to what the adapter itself needs, unless it is, and on every later connection.
+
+        Raises:
+            AdapterError: as :meth:`exchange`, or the broker refuses.
+        """
+        missing = {text: qos for text, qos in filters.items() if text not in self.needed}
+        if not missing:
+            return
+        granted = await self.exchange(call, lambda connection: connection.subscribe(missing))
+        if None in granted:
+            raise _refused(call, "the broker refuses a subscription that this tool needs")
+        self.needed.update(missing)
 
     # -- connecting ---------------------------------------------------------------------------------------
 
     async def _use(self, call: Call) -> Connection:
         before = self.generation
-        connection = await self.connect()
+        try:
+            connection = await self._connected()
+        except AdapterError:
+            call.disconnected()
+            raise
         call.connection(generation=self.generation, fresh=self.generation != before)
         return connection
 
-    async def connect(self) -> Connection:
+    async def _connected(self) -> Connection:
         """The connection, made now if there is none.
 
         Raises:
             AdapterError: it cannot be made.
         """
-        async with self._lock:
-            if self._connection is not None and not self._connection.lost.is_set():
-                return self._connection
-            self._connection = None
-            connection = Connection(self.endpoint, self._received)
-            await connection.open(self.edge_node.new_connection() if self._may_write else None)
-            self.generation += 1
-            try:
-                await self._restore(connection)
-            except ConnectionLostError:
-                raise AdapterError("connect_failed", "the broker closed the connection", outcome="not_sent") from None
-            self._connection = connection
-            if self._supervisor is None or self._supervisor.done():
-                self._supervisor = asyncio.create_task(self._supervise())
-            return connection
+        if self._connection is not None and self._connection.is_live():
+            return self._connection
+        if self._attempt is None or self._attempt.done():
+            self._attempt = asyncio.create_task(self._connect())
+            # If everybody who waits for it is cancelled, nobody asks how it ended.
+            self._attempt.add_done_callback(lambda task: task.cancelled() or task.exception())
+        if self._keeper is None or self._keeper.done():
+            self._keeper = asyncio.create_task(self._keep_connected())
+        # One attempt serves all calls, and does not end with the one that began it.
+        return await asyncio.shield(self._attempt)
+
+    async def _connect(self) -> Connection:
+        connection = Connection(self.endpoint, self._received)
+        try:
+            await connection.open(self.edge_node.will() if self._may_write else None)
+        finally:
+            if connection.introduced:
+                self.edge_node.connect_sent()
+        self.generation += 1
+        try:
+            await self._restore(connection)
+        except ConnectionLostError:
+            raise AdapterError("connect_failed", "the broker closed the connection", outcome="not_sent") from None
+        self._connection = connection
+        return connection
 
     async def _restore(self, connection: Connection) -> None:
         """Subscriptions and births, before anybody may use the connection."""
-        for text, qos in self.subscriptions.items():
-            await connection.subscribe(text, qos)
-        if self.nodes.wanted:
-            await connection.subscribe("spBv1.0/#", 0)
-        if self.edge_node.wanted:
-            await self.announce(connection)
+        self.nodes.interrupted()
+        filters = dict(self.needed)
+        for text, subscription in self.subscriptions.items():
+            filters[text] = max(subscription.qos, filters.get(text, 0))
+        if filters:
+            granted = dict(zip(filters, await connection.subscribe(filters), strict=True))
+            for text, subscription in self.subscriptions.items():
+                subscription.granted = granted.get(text, subscription.granted)
+            for text in [text for text in self.needed if granted.get(text, 0) is None]:
+                log.warning("the broker refuses a subscription that it granted before")
+                del self.needed[text]
+        if self.edge_node.alive:
+            await connection.delivered([connection.send(birth) for birth in self.edge_node.births()])
 
-    async def announce(self, connection: Connection) -> None:
-        """NBIRTH and every DBIRTH; commands are subscribed to before (message-flow-edge-node-ncmd-subscribe)."""
-        node = self.edge_node
-        await connection.subscribe(node.topic("NCMD"), 1)
-        await connection.subscribe(node.topic("DCMD") + "/#", 1)
-        for topic, data in node.all_births():
-            await connection.sent(connection.send(topic, data, 0, False))
-        node.born = True
-
-    async def _supervise(self) -> None:
-        """Wait for the loss of the connection and make a new one, as often as it takes."""
-        while self._connection is not None:
-            await self._connection.lost.wait()
-            delay = _FIRST_RETRY_S
-            while True:
+    async def _keep_connected(self) -> None:
+        """Make a new connection whenever there is none, as often as it takes."""
+        loop, delay, short_lived = asyncio.get_running_loop(), _FIRST_RETRY_S, 0
+        while True:
+            try:
+                connection = await self._connected()
+            except AdapterError as error:
+                if error.code in _PERMANENT:
+                    return
                 await asyncio.sleep(delay)
-                try:
-                    await self.connect()
-                    break
-                except AdapterError:
-                    delay = min(2 * delay, _LAST_RETRY_S)
+                delay = min(2 * delay, _LAST_RETRY_S)
+                continue
+            since = loop.time()
+            await connection.lost.wait()
+            short_lived = short_lived + 1 if loop.time() - since < _SHORT_LIVED_S else 0
+            delay = _FIRST_RETRY_S
+            if short_lived > 4:
+                log.warning("the connection never lasts; does another client use the identifier of this one?")
+            await asyncio.sleep(min(_FIRST_RETRY_S * 2 ** max(0, short_lived - 4), _TAKEN_OVER_RETRY_S))
 
     async def close(self) -> None:
         """Leave: NDEATH first, because a DISCONNECT discards the will (intentional-disconnect-ndeath)."""
-        if self._supervisor is not None:
-            self._supervisor.cancel()
-        connection, self._connection = self._connection, None
-        if connection is None or connection.lost.is_set():
+        for task in (self._keeper, self._rebirth, self._attempt):
+            if task is not None:
+                task.cancel()
+        connection = self._connection
+        if connection is None or not connection.is_live():
             return
-        if self.edge_node.born and self._may_write:
-            try:
-                mid = connection.send(self.edge_node.topic("NDEATH"), self.edge_node.death(), 1, False)
-                await connection.sent(mid)
-            except (ConnectionLostError, AdapterError):
-                pass
+        if self.edge_node.alive:
+            with suppress(ConnectionLostError, AdapterError, TimeoutError):
+                async with asyncio.timeout(_FAREWELL_S):
+                    await connection.delivered([connection.send(self.edge_node.death())])
         await connection.close()
 
     # -- receiving ----------------------------------------------------------------------------------------
@@ -176,22 +289,23 @@ class Link:
     def _received(self, message: Message) -> None:
         if any(matches(text, message.topic) for text in self.subscriptions):
             self.inbox.add(message)
-        if message.topic.startswith("spBv1.0/"):
-            self.nodes.received(message)
-            if message.topic == self.edge_node.topic("NCMD"):
-                self._command(message)
+        self.nodes.received(message)
+        asked = message.topic == self.edge_node.topic("NCMD") and is_rebirth_command(message.payload)
+        # A host that asks again while the births are on their way gets them.
+        if asked and (self._rebirth is None or self._rebirth.done()):
+            self._rebirth = asyncio.create_task(self._be_born_again())
 
-    def _command(self, message: Message) -> None:
-        """Rebirth: births again, same bdSeq, no reconnect (data-commands-rebirth-action-1 to -3)."""
-        try:
-            metrics: list[dict[str, Any]] = decode(message.payload)["metrics"]
-        except AdapterError:
-            return
-        wanted = any(metric["name"] == "Node Control/Rebirth" and metric["value"] is True for metric in metrics)
-        if wanted and self.edge_node.born and self._connection is not None:
-            # Sent in one go, without a wait in between: no data can come between the births.
-            for topic, data in self.edge_node.all_births():
-                try:
-                    self._connection.send(topic, data, 0, False)
-                except ConnectionLostError:
-                    return
+    async def _be_born_again(self) -> None:
+        """Births again, same bdSeq, no reconnect (data-commands-rebirth-action-1 to -3)."""
+        async with self.publishing:
+            connection = self._connection
+            if connection is None or not connection.is_live() or not self.edge_node.alive:
+                return
+            # After a loss the next connection begins with births anyway.
+            with suppress(ConnectionLostError, AdapterError):
+                await connection.delivered([connection.send(birth) for birth in self.edge_node.births()])
+
+
+def _refused(call: Call, message: str) -> AdapterError:
+    outcome = "not_sent" if call.writes else "not_applicable"
+    return AdapterError("access_denied", message, outcome=outcome, details={"by": "device"})

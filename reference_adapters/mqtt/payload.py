@@ -9,7 +9,11 @@ from __future__ import annotations
 
 import base64
 import math
+import re
+import sys
 import time
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any, Literal
 
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto as Field
@@ -17,10 +21,25 @@ from google.protobuf.descriptor_pb2 import FileDescriptorProto
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message import DecodeError
 from google.protobuf.message_factory import GetMessageClass
+from typing_extensions import TypedDict
 
 from ..core import AdapterError
 
-__all__ = ["Datatype", "Metric", "check_value", "decode", "encode"]
+__all__ = [
+    "REBIRTH",
+    "Datatype",
+    "DecodedMetric",
+    "Metric",
+    "Payload",
+    "check_value",
+    "decode",
+    "encode",
+    "exact",
+    "is_rebirth_command",
+]
+
+REBIRTH = "Node Control/Rebirth"
+"""The metric with which a host asks an edge node for its births (operational-behavior-data-commands-rebirth-name)."""
 
 Datatype = Literal[
     "Int8",
@@ -40,8 +59,16 @@ Datatype = Literal[
     "UUID",
     "Bytes",
 ]
-Metric = tuple[str, Datatype, Any]
-"""Name, datatype and value; None is null."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Metric:
+    """A metric to be published; the value None is null."""
+
+    name: str
+    datatype: Datatype
+    value: Any
+
 
 _NUMBERS: dict[str, int] = {
     **{name: index for index, name in enumerate(("Int8", "Int16", "Int32", "Int64"), 1)},
@@ -50,10 +77,17 @@ _NUMBERS: dict[str, int] = {
     **{name: index for index, name in enumerate(("DateTime", "Text", "UUID"), 13)},
     "Bytes": 17,
 }
-_NAMES = {number: name for name, number in _NUMBERS.items()}
+# Sparkplug 3.0, section 6.4.16. Those without a number of their own above are only received, as bytes.
+_NAMES = {
+    **{number: name for name, number in _NUMBERS.items()},
+    **dict(enumerate(("DataSet", "Bytes", "File", "Template", "PropertySet", "PropertySetList"), 16)),
+    **dict(enumerate((f"{name}Array" for name in (*_NUMBERS,)[:13]), 22)),
+}
+_SIGNED = ("Int8", "Int16", "Int32", "Int64")
 _BITS = {"Int8": 8, "Int16": 16, "Int32": 32, "Int64": 64, "UInt8": 8, "UInt16": 16, "UInt32": 32, "UInt64": 64}
 _LARGEST_FLOAT = 3.4028234663852886e38
 _EXACT_IN_JSON = 2**53 - 1
+_UUID = re.compile(r"[0-9a-fA-F]{8}(-[0-9a-fA-F]{4}){3}-[0-9a-fA-F]{12}")
 
 _TABLE = """
 Payload  1 uint64 timestamp   3 uint64 seq   4 string uuid   5 bytes body
@@ -63,6 +97,29 @@ Value    10 uint32 int_value   11 uint64 long_value   12 float float_value   13 
 Value    14 bool boolean_value   15 string string_value   16 bytes bytes_value   17 bytes dataset_value
 Value    18 bytes template_value
 """
+
+
+MAX_TEXT = 65_535
+"""Characters of a text, or of the base64 of bytes, in one metric that is published."""
+
+MAX_METRICS = 5000
+"""Metrics of one received payload that are looked at; a megabyte can hold half a million empty ones."""
+
+
+class DecodedMetric(TypedDict):
+    """A metric that was received.
+
+    ``special`` is set where ``value`` is null because JSON has no word for it (NaN, infinities); ``encoding`` is base64
+    where ``value`` stands for bytes. Whole numbers that JSON readers would round are decimal strings.
+    """
+
+    name: str | None
+    alias: int | str | None
+    datatype: str | None
+    value: Any
+    special: str | None
+    is_null: bool
+    encoding: str | None
 
 
 def _message_class() -> Any:
@@ -93,7 +150,7 @@ def check_value(datatype: Datatype, value: Any, field: str) -> None:
     """The value is of the datatype and within its range; nothing is coerced.
 
     Raises:
-        AdapterError: ``type_mismatch`` or ``range_overflow``.
+        AdapterError: ``type_mismatch``, ``range_overflow``, or ``limit_exceeded`` for a text.
     """
 
     def mismatch(needed: str) -> AdapterError:
@@ -107,7 +164,7 @@ def check_value(datatype: Datatype, value: Any, field: str) -> None:
     elif datatype in ("Float", "Double"):
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise mismatch("a number")
-        if not math.isfinite(value) or (datatype == "Float" and abs(value) > _LARGEST_FLOAT):
+        if abs(value) > (_LARGEST_FLOAT if datatype == "Float" else sys.float_info.max):
             raise AdapterError("range_overflow", f"the value does not fit into {datatype}", field=field)
     elif datatype in _BITS or datatype == "DateTime":
         if isinstance(value, bool) or not isinstance(value, int):
@@ -119,6 +176,11 @@ def check_value(datatype: Datatype, value: Any, field: str) -> None:
             raise AdapterError("range_overflow", f"{datatype} holds {low} to {high}", field=field, allowed=allowed)
     elif not isinstance(value, str):
         raise mismatch("a string")
+    elif len(value) > MAX_TEXT:
+        raise AdapterError("limit_exceeded", f"a text has at most {MAX_TEXT} characters", field=field)
+    elif datatype == "UUID":
+        if not _UUID.fullmatch(value):
+            raise mismatch("text as 123e4567-e89b-12d3-a456-426614174000")
     elif datatype == "Bytes":
         try:
             base64.b64decode(value, validate=True)
@@ -126,14 +188,15 @@ def check_value(datatype: Datatype, value: Any, field: str) -> None:
             raise mismatch("base64 text") from None
 
 
-def encode(metrics: list[Metric], seq: int | None) -> bytes:
+def encode(metrics: Iterable[Metric], seq: int | None) -> bytes:
     """The bytes of a payload with checked metrics; ``seq`` is None where the specification has none."""
     now = time.time_ns() // 1_000_000
     payload = _Payload(timestamp=now)
     if seq is not None:
         payload.seq = seq
-    for name, datatype, value in metrics:
-        metric = payload.metrics.add(name=name, timestamp=now, datatype=_NUMBERS[datatype])
+    for told in metrics:
+        datatype, value = told.datatype, told.value
+        metric = payload.metrics.add(name=told.name, timestamp=now, datatype=_NUMBERS[datatype])
         if value is None:
             metric.is_null = True
         elif datatype in ("Int64", "UInt64", "DateTime"):
@@ -155,8 +218,27 @@ def encode(metrics: list[Metric], seq: int | None) -> bytes:
     return data
 
 
-def decode(data: bytes) -> dict[str, Any]:
-    """A payload as JSON.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Payload:
+    """A payload that was received.
+
+    Attributes:
+        seq, timestamp: None where the payload has none.
+        metrics: the first :data:`MAX_METRICS`, in their order.
+        total: how many metrics it holds.
+    """
+
+    seq: int | None
+    timestamp: int | None
+    metrics: list[DecodedMetric]
+    total: int
+
+
+def decode(data: bytes, births: Mapping[str | int, DecodedMetric] | None = None) -> Payload:
+    """Decode a payload.
+
+    Args:
+        births: what a birth declared, by name and by alias: names and datatypes that data messages may leave out.
 
     Raises:
         AdapterError: ``invalid_input``: not a Sparkplug payload.
@@ -166,34 +248,52 @@ def decode(data: bytes) -> dict[str, Any]:
         payload.ParseFromString(data)
     except DecodeError:
         raise AdapterError("invalid_input", "not a Sparkplug B payload", field="/payload") from None
-    return {
-        "seq": payload.seq if payload.HasField("seq") else None,
-        "timestamp": payload.timestamp if payload.HasField("timestamp") else None,
-        "metrics": [_decoded(metric) for metric in payload.metrics],
-    }
+    return Payload(
+        seq=payload.seq if payload.HasField("seq") else None,
+        timestamp=payload.timestamp if payload.HasField("timestamp") else None,
+        metrics=[_decoded(metric, births or {}) for metric in payload.metrics[:MAX_METRICS]],
+        total=len(payload.metrics),
+    )
 
 
-def _decoded(metric: Any) -> dict[str, Any]:
-    datatype = _NAMES.get(metric.datatype)
+def is_rebirth_command(data: bytes) -> bool:
+    """The payload of an NCMD asks for the births; what is no payload asks for nothing."""
+    try:
+        metrics = decode(data).metrics
+    except AdapterError:
+        return False
+    return any(metric["name"] == REBIRTH and metric["value"] is True for metric in metrics)
+
+
+def _decoded(metric: Any, births: Mapping[str | int, DecodedMetric]) -> DecodedMetric:
+    name = metric.name if metric.HasField("name") else None
+    alias = metric.alias if metric.HasField("alias") else None
+    born = births.get(alias if name is None and alias is not None else name or "")
+    datatype = _NAMES.get(metric.datatype) if metric.HasField("datatype") else born and born["datatype"]
     member = metric.WhichOneof("value")
     value = None if member is None or metric.is_null else getattr(metric, member)
-    special = None
+    special = encoding = None
     if isinstance(value, bytes):
-        value = base64.b64encode(value).decode()
+        value, encoding = base64.b64encode(value).decode(), "base64"
     elif isinstance(value, float) and not math.isfinite(value):
         special = "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"
         value = None
     elif isinstance(value, int) and not isinstance(value, bool):
         bits = 64 if member == "long_value" else 32
-        if datatype is not None and datatype.startswith("Int") and value >= 2 ** (bits - 1):
+        if datatype in _SIGNED and value >= 2 ** (bits - 1):
             value -= 2**bits
-        if abs(value) > _EXACT_IN_JSON:
-            value = str(value)
+        value = exact(value)
     return {
-        "name": metric.name if metric.HasField("name") else None,
-        "alias": metric.alias if metric.HasField("alias") else None,
+        "name": born["name"] if name is None and born else name,
+        "alias": exact(alias),
         "datatype": datatype,
         "value": value,
         "special": special,
         "is_null": bool(metric.is_null),
+        "encoding": encoding,
     }
+
+
+def exact(number: int | None) -> int | str | None:
+    """A whole number as JSON can carry it: a decimal string where other readers would round it."""
+    return str(number) if number is not None and abs(number) > _EXACT_IN_JSON else number

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from ..core import AdapterError
 
-__all__ = ["check_filter", "check_name", "matches"]
+__all__ = ["NAMESPACE", "check_filter", "check_name", "matches"]
 
-MAX_BYTES = 65535
+NAMESPACE = "spBv1.0"
+"""First level of every Sparkplug B topic (Sparkplug 3.0, section 4.1.1)."""
+
+_MAX_BYTES = 65535
 
 
 def _refuse(message: str) -> AdapterError:
@@ -16,13 +19,13 @@ def _refuse(message: str) -> AdapterError:
 def _check_text(text: str) -> None:
     if not text:
         raise _refuse("the topic is empty")
-    if "\0" in text or any("\ud800" <= character <= "\udfff" for character in text):
-        raise _refuse("the topic holds a character that MQTT does not allow")
-    if len(text.encode()) > MAX_BYTES:
-        raise _refuse("the topic is longer than 65535 bytes")
+    if "\0" in text:
+        raise _refuse("the topic holds U+0000, which MQTT does not allow")
+    if len(text.encode()) > _MAX_BYTES:
+        raise _refuse(f"the topic is longer than {_MAX_BYTES} bytes")
 
 
-def check_name(topic: str) -> None:
+def check_name(topic: str) -> str:
     """A topic to publish on.
 
     Raises:
@@ -33,9 +36,13 @@ def check_name(topic: str) -> None:
         raise _refuse("a topic to publish on must not hold the wildcards + or #")
     if topic.startswith("$"):
         raise _refuse("topics beginning with $ belong to the broker")
+    if topic.split("/", 1)[0] == NAMESPACE:
+        # Whatever is published there by hand breaks the sequence of some edge node.
+        raise _refuse("topics of Sparkplug are published by the tools for edge nodes, devices and commands")
+    return topic
 
 
-def check_filter(text: str) -> None:
+def check_filter(text: str) -> str:
     """A topic filter to subscribe to.
 
     Raises:
@@ -43,16 +50,18 @@ def check_filter(text: str) -> None:
     """
     _check_text(text)
     levels = text.split("/")
-    for index, level in enumerate(levels):
-        if ("#" in level and (level != "#" or index != len(levels) - 1)) or ("+" in level and level != "+"):
-            raise _refuse("wildcards stand alone in their level, and # only in the last")
+    if any(level not in ("+", "#") and ("+" in level or "#" in level) for level in levels) or "#" in levels[:-1]:
+        raise _refuse("the wildcards + and # stand alone in their level, and # only in the last")
+    if levels[0] == "$share":
+        raise _refuse("a shared subscription would take messages away from whom they are meant for")
+    return text
 
 
 def matches(text: str, topic: str) -> bool:
     """The filter selects the topic."""
-    if topic.startswith("$") and text[:1] in ("+", "#"):
-        return False
     wanted, levels = text.split("/"), topic.split("/")
+    if topic.startswith("$") and wanted[0] in ("+", "#"):
+        return False
     for index, level in enumerate(wanted):
         if level == "#":
             return True

@@ -5,44 +5,160 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Awaitable, Callable
-from dataclasses import dataclass
+import socket
+from collections.abc import Awaitable, Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
+from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from asyncua import Client, ua
 from asyncua.client.ua_client import UaClient, UaClientState
-from asyncua.ua.uaerrors import UaError, UaStatusCodeError
+from asyncua.observer import Observer
+from asyncua.ua.uaerrors import UaStatusCodeError
 
 from ..core import AdapterError, Call
 from .status import refusal, trace_status
 
-__all__ = ["Link", "NodeFacts"]
+__all__ = ["Link", "NodeFacts", "Session"]
 
 T = TypeVar("T")
 
 # The library logs refusals, which are answers here, and endpoints, which may carry credentials.
 logging.getLogger("asyncua").setLevel(logging.CRITICAL)
 
+_FAREWELL_S = 0.5
 _GONE = {
     "BadSessionIdInvalid",
     "BadSessionClosed",
+    "BadSessionNotActivated",
     "BadSecureChannelIdInvalid",
     "BadSecureChannelClosed",
     "BadConnectionClosed",
     "BadShutdown",
 }
 
+_calling: ContextVar[Call] = ContextVar("calling")
+
+
+class _Wire(Observer):  # type: ignore[misc]
+    """Notes the handle of every request that is made for a tool call."""
+
+    @contextmanager
+    def observe_request(self, request: Any) -> Iterator[None]:
+        try:
+            yield
+        finally:
+            call = _calling.get(None)
+            if call is not None:
+                call.trace.setdefault("request_handles", []).append(request.RequestHeader.RequestHandle)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NodeFacts:
-    """What must be known of a node before it can be written: its built-in type and value rank."""
+    """What must be known of a variable before it can be written.
+
+    Attributes:
+        kind: its built-in type.
+        rank, dimensions: its ValueRank and ArrayDimensions (OPC 10000-3, 5.6.2).
+    """
 
     kind: ua.VariantType
-    rank: int
+    rank: int = -1
+    dimensions: Sequence[int] = ()
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class Session:
+    """One session, and what was learnt in it about the server.
+
+    What was learnt is valid for this session only: after a restart the same identifier may mean another node, and the
+    same namespace may have another index. So a request that was prepared in one session is never sent in another.
+    """
+
+    client: Client
+    timeout_s: float
+    generation: int
+    facts: dict[ua.NodeId, NodeFacts] = field(default_factory=dict)
+    types: dict[ua.NodeId, ua.VariantType] = field(default_factory=dict)
+    inputs: dict[ua.NodeId, list[NodeFacts]] = field(default_factory=dict)
+    leaves: set[ua.NodeId] = field(default_factory=set)
+    namespaces: list[str] | None = None
+    limits: dict[str, int] | None = None
+
+    @property
+    def alive(self) -> bool:
+        """Whether requests can be sent."""
+        return bool(self.client.uaclient.state == UaClientState.CONNECTED)
+
+    async def request(
+        self, call: Call, request: Callable[[UaClient], Awaitable[list[T]]], *, items: int, changes: bool = False
+    ) -> list[T]:
+        """Make one service call.
+
+        Args:
+            call: the tool call it is made for.
+            request: makes the service call.
+            items: so many results there have to be.
+            changes: it is a Write or Call.
+
+        Raises:
+            AdapterError: a service fault, no answer, or one that is not understood.
+            LostError: the session ended.
+        """
+        if not self.alive:
+            raise LostError(AdapterError("connection_lost", "the connection broke"), sent=False)
+        token = _calling.set(call)
+        call.sending(changes_state=changes)
+        try:
+            results = await request(self.client.uaclient)
+            if len(results) != items:
+                raise ValueError
+        except UaStatusCodeError as fault:
+            status = ua.StatusCode(fault.code)
+            call.answered(status_code=trace_status(status))
+            error = refusal(status, writes=call.writes, changes=changes)
+            if status.name in _GONE:
+                raise LostError(error, sent=changes) from None
+            raise error from None
+        except TimeoutError:
+            # Whoever is silent may be gone for good, so the next call begins with a new connection.
+            error = AdapterError("timeout", f"the server did not answer within {self.timeout_s:g} s")
+            raise LostError(error, sent=True) from None
+        except OSError:
+            error = AdapterError("connection_lost", "the connection broke during the call")
+            raise LostError(error, sent=changes) from None
+        except Exception:
+            # Whatever the decoder trips over: struct.error, KeyError, UaError, UnicodeDecodeError, …
+            error = AdapterError("protocol_error", "the server's answer is not the answer to the request")
+            raise LostError(error, sent=True) from None
+        finally:
+            _calling.reset(token)
+        return results
+
+
+class LostError(Exception):
+    """The session cannot be used any longer.
+
+    Attributes:
+        error: what the caller is told if the work is not done again.
+        sent: it must not be done again.
+    """
+
+    def __init__(self, error: AdapterError, *, sent: bool) -> None:
+        super().__init__(error.message)
+        self.error = error
+        self.sent = sent
 
 
 class Link:
-    """One session, and what was learnt in it about the server."""
+    """One session at a time with an OPC UA server.
+
+    Args:
+        url: ``opc.tcp://host:port``.
+        timeout_s: for each step of connecting, and for each service call.
+        username, password: of the user; anonymous without.
+    """
 
     def __init__(self, url: str, timeout_s: float, username: str | None, password: str | None) -> None:
         self._url = url
@@ -50,101 +166,93 @@ class Link:
         self._username = username
         self._password = password
         self._lock = asyncio.Lock()
-        self._client: Client | None = None
-        self._ending: asyncio.Task[None] | None = None
-        self.generation = 0
-        # Valid for one session only: after a restart the same identifier may mean another node.
-        self.facts: dict[ua.NodeId, NodeFacts] = {}
-        self.inputs: dict[ua.NodeId, list[ua.VariantType]] = {}
+        self._session: Session | None = None
+        self._farewells: set[asyncio.Task[None]] = set()
+        self._generation = 0
 
-    async def service(self, call: Call, request: Callable[[UaClient], Awaitable[T]], *, changes: bool = False) -> T:
-        """Perform one service call.
-
-        Args:
-            call: the tool call it is made for.
-            request: makes the service call on a connected client.
-            changes: it is a Write or Call: never repeated.
+    async def perform(self, call: Call, work: Callable[[Session], Awaitable[T]]) -> T:
+        """Do something in a session. Once more in a new one, if the session was lost before anything was changed.
 
         Raises:
-            AdapterError: no connection, no answer, or a service fault.
+            AdapterError: no connection, or what ``work`` raised.
         """
         try:
-            return await self._attempt(call, request)
-        except _LostError:
-            if changes:
-                raise AdapterError("connection_lost", "the connection broke while the request was under way") from None
+            return await self._attempt(call, work)
+        except LostError as lost:
+            if lost.sent:
+                raise lost.error from None
         try:
-            return await self._attempt(call, request)
-        except _LostError:
-            raise AdapterError("connection_lost", "the connection broke during the call") from None
+            return await self._attempt(call, work)
+        except LostError as lost:
+            raise lost.error from None
 
-    async def _attempt(self, call: Call, request: Callable[[UaClient], Awaitable[T]]) -> T:
-        client, fresh = await self._connected()
-        call.connection(generation=self.generation, fresh=fresh)
-        call.sending()
+    async def _attempt(self, call: Call, work: Callable[[Session], Awaitable[T]]) -> T:
+        session = await self._connected(call)
         try:
-            return await request(client.uaclient)
-        except UaStatusCodeError as fault:
-            status = ua.StatusCode(fault.code)
-            if status.name in _GONE:
-                await self._drop(call)
-                raise _LostError from fault
-            call.answered(status_code=trace_status(status))
-            raise refusal(status, writes=call.writes) from fault
-        except (ConnectionError, UaError, OSError) as fault:
-            await self._drop(call)
-            raise _LostError from fault
-        except TimeoutError:
-            await self._drop(call)
-            raise AdapterError("timeout", f"no answer within {self._timeout_s:g} s") from None
-
-    async def _connected(self) -> tuple[Client, bool]:
-        async with self._lock:
-            client = self._client
-            if client is not None and client.uaclient.state == UaClientState.CONNECTED:
-                return client, False
-            await self._drop(None)
-            # The watchdog must not mistake a slow answer for a lost connection: far above the tool's timeout.
-            client = Client(self._url, timeout=self._timeout_s, watchdog_intervall=60.0)
-            if self._username is not None:
-                client.set_user(self._username)
-                client.set_password(self._password or "")
-            try:
-                await client.connect()
-            except UaStatusCodeError as fault:
-                raise refusal(ua.StatusCode(fault.code), writes=False) from None
-            except (OSError, TimeoutError, UaError):
-                raise AdapterError(
-                    "connect_failed", "no connection to the server could be made", outcome="not_sent"
-                ) from None
-            self._client = client
-            self.generation += 1
-            return client, True
-
-    async def _drop(self, call: Call | None) -> None:
-        client, self._client = self._client, None
-        self.facts.clear()
-        self.inputs.clear()
-        if call is not None:
+            return await work(session)
+        except LostError:
+            self._drop(session)
             call.disconnected()
-        if client is not None:
-            # A lost connection cannot be closed politely, and trying to must not cost the call its time.
-            self._ending = asyncio.create_task(_quietly(client.disconnect()))
+            raise
+
+    async def _connected(self, call: Call) -> Session:
+        session, fresh = self._session, False
+        if session is None or not session.alive:
+            async with self._lock:
+                session, fresh = self._session, False
+                if session is None or not session.alive:
+                    if session is not None:
+                        self._drop(session)
+                    call.disconnected()
+                    session, fresh = await self._connect(call), True
+        call.connection(generation=session.generation, fresh=fresh)
+        return session
+
+    async def _connect(self, call: Call) -> Session:
+        # The watchdog must not mistake a slow answer for a lost connection: far above the tools' timeout.
+        client = Client(self._url, timeout=self._timeout_s, watchdog_intervall=60.0)
+        client.uaclient.observer = _Wire()
+        if self._username is not None:
+            client.set_user(self._username)
+            client.set_password(self._password or "")
+        try:
+            await client.connect()
+        except BaseException as fault:
             client.disconnect_socket()
+            if isinstance(fault, Exception):
+                raise _not_connected(call, fault) from None
+            raise
+        self._generation += 1
+        self._session = Session(client=client, timeout_s=self._timeout_s, generation=self._generation)
+        return self._session
+
+    def _drop(self, session: Session) -> None:
+        if self._session is session:
+            self._session = None
+            # Nobody waits for it: the server may be gone.
+            task = asyncio.create_task(_leave(session.client))
+            self._farewells.add(task)
+            task.add_done_callback(self._farewells.discard)
 
     async def close(self) -> None:
         """Close the session at the server, too."""
-        client, self._client = self._client, None
-        if client is not None:
-            await asyncio.wait({asyncio.create_task(_quietly(client.disconnect()))}, timeout=1.0)
+        if self._session is not None:
+            self._drop(self._session)
+        if self._farewells:
+            await asyncio.wait(self._farewells)
 
 
-class _LostError(Exception):
-    """The connection or session ended during the call."""
+async def _leave(client: Client) -> None:
+    with suppress(Exception):
+        async with asyncio.timeout(_FAREWELL_S):
+            await client.disconnect()
+    client.disconnect_socket()
 
 
-async def _quietly(work: Awaitable[Any]) -> None:
-    try:
-        await work
-    except (OSError, UaError, TimeoutError, asyncio.CancelledError):
-        return
+def _not_connected(call: Call, fault: Exception) -> AdapterError:
+    if isinstance(fault, UaStatusCodeError):
+        return refusal(ua.StatusCode(fault.code), writes=call.writes)
+    if isinstance(fault, socket.gaierror):
+        return AdapterError("dns_error", "the server's host name cannot be resolved", outcome="not_sent")
+    message = "no connection to the server could be made; is it on, and is the address right?"
+    return AdapterError("connect_failed", message, outcome="not_sent")

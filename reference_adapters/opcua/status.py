@@ -29,6 +29,8 @@ _CODES: dict[str, tuple[str, str]] = {
     "BadIdentityTokenRejected": ("auth_failed", "not_sent"),
     "BadSecurityChecksFailed": ("tls_error", "not_sent"),
     "BadCertificateUntrusted": ("tls_error", "not_sent"),
+    "BadCertificateTimeInvalid": ("tls_error", "not_sent"),
+    "BadCertificateHostNameInvalid": ("tls_error", "not_sent"),
     "BadSecurityPolicyRejected": ("tls_error", "not_sent"),
     "BadMethodInvalid": ("illegal_address", "rejected"),
     "BadArgumentsMissing": ("invalid_input", "rejected"),
@@ -38,6 +40,7 @@ _CODES: dict[str, tuple[str, str]] = {
     "BadNothingToDo": ("invalid_input", "rejected"),
     "BadRequestTooLarge": ("limit_exceeded", "rejected"),
     "BadResponseTooLarge": ("limit_exceeded", "rejected"),
+    "BadEncodingLimitsExceeded": ("limit_exceeded", "not_sent"),
     "BadInvalidState": ("device_busy", "rejected"),
     "BadResourceUnavailable": ("device_busy", "rejected"),
     "BadTooManySessions": ("device_busy", "not_sent"),
@@ -54,10 +57,13 @@ _CODES: dict[str, tuple[str, str]] = {
     "BadOutOfService": ("bad_quality", "rejected"),
     "BadSessionIdInvalid": ("session_error", "rejected"),
     "BadSessionClosed": ("session_error", "rejected"),
+    "BadSessionNotActivated": ("session_error", "rejected"),
     "BadSecureChannelIdInvalid": ("session_error", "rejected"),
     "BadSecureChannelClosed": ("session_error", "unknown"),
     "BadDecodingError": ("protocol_error", "unknown"),
     "BadUnknownResponse": ("protocol_error", "unknown"),
+    "BadNoContinuationPoints": ("device_busy", "rejected"),
+    "BadContinuationPointInvalid": ("session_error", "rejected"),
 }
 
 
@@ -71,12 +77,27 @@ def quality(status: ua.StatusCode) -> str:
     return ("good", "uncertain", "bad", "bad")[status.value >> 30]
 
 
-def refusal(status: ua.StatusCode, *, writes: bool, field: str | None = None) -> AdapterError:
-    """The error of an operation that the server answered with a Bad status."""
+def refusal(
+    status: ua.StatusCode,
+    *,
+    writes: bool,
+    changes: bool = False,
+    field: str | None = None,
+    details: dict[str, Any] | None = None,
+) -> AdapterError:
+    """The error of an operation that the server answered with a Bad status.
+
+    Args:
+        writes: it was asked for a tool that changes something,
+        changes: and was the Write or Call itself, not one of the questions before it.
+        field: JSON Pointer to the argument that named the operation's target.
+        details: what else the server said.
+    """
     code, outcome = _CODES.get(status.name, ("device_failure", "unknown"))
     return AdapterError(
         code,
         f"the server answered {status.name}",
-        outcome=outcome if writes else "not_applicable",
+        outcome=outcome if changes else "not_sent" if writes else "not_applicable",
         field=field,
+        details=details,
     )

@@ -195,6 +195,7 @@ class Mock:
     def _connect(self) -> None:
         ready = self._event("ready")
         self.port: int = ready["port"]
+        self.pid: int = ready["pid"]
         self._control = socket.create_connection(("127.0.0.1", ready["control"]), timeout=5.0)
         self._lines = self._control.makefile("rb")
 
@@ -224,6 +225,21 @@ class Mock:
         """Journal entries with these fields."""
         entries: list[dict[str, Any]] = self("journal", since=mark)["entries"]
         return [entry for entry in entries if all(entry.get(name) == value for name, value in fields.items())]
+
+    def wait(self, mark: int, count: int = 1, timeout_s: float = 2.0, **fields: Any) -> list[dict[str, Any]]:
+        """Journal entries with these fields, as soon as there are so many; there have to be."""
+        entries = self._wait(mark, count, timeout_s, fields)
+        assert len(entries) >= count, f"{fields} happened {len(entries)} time(s)"
+        return entries
+
+    def within(self, seconds: float, mark: int, **fields: Any) -> list[dict[str, Any]]:
+        """Journal entries with these fields that there are after so many seconds."""
+        return self._wait(mark, 1 << 30, seconds, fields)
+
+    def _wait(self, mark: int, count: int, timeout_s: float, fields: Mapping[str, Any]) -> list[dict[str, Any]]:
+        found = self("wait", since=mark, match=fields, count=count, timeout_s=timeout_s)
+        entries: list[dict[str, Any]] = found["entries"]
+        return entries
 
     def stop(self) -> None:
         assert self.launcher.stdin

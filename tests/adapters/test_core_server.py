@@ -353,6 +353,35 @@ def test_both_eras_give_the_same_results(sessions: Any, toy: Any) -> None:
     assert legacy.call("take", [1]).error == toy.call("take", [1]).error
     assert "resultType" not in one.result
     assert other.result["resultType"] == "complete"
+    # The SDK completes what it answers itself; calls are answered without it.
+    assert other.result["_meta"] == toy.request("tools/list", {})["result"]["_meta"]
+
+
+@pytest.mark.parametrize("era", [LEGACY, MODERN])
+def test_a_notification_calls_no_tool(sessions: Any, era: str) -> None:
+    client = sessions([sys.executable, __file__], era=era)
+    client.write({"jsonrpc": "2.0", "method": "tools/call", "params": {"name": "noisy", "arguments": {}}})
+    assert client.call("null").data == {}
+    client.close()
+    assert b"a stray line" not in client.stderr
+
+
+def test_calls_of_a_client_that_has_not_introduced_itself_are_refused(toy: Any) -> None:
+    request = {"jsonrpc": "2.0", "id": "nobody", "method": "tools/call", "params": {"name": "null", "arguments": {}}}
+    toy.write(request)
+    assert toy.answer("nobody")["error"]["code"] == -32602
+    with subprocess.Popen(
+        [sys.executable, __file__], stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0
+    ) as legacy:
+        source, sink = legacy.stdout, legacy.stdin
+        assert source is not None
+        assert sink is not None
+        sink.write(json.dumps(request).encode() + b"\n")
+        assert json.loads(source.readline())["error"]["code"] == -32602
+        # Before 2026-07-28 this alone opens the session, and the SDK knows nothing about the client.
+        sink.write(b'{"jsonrpc":"2.0","method":"notifications/initialized"}\n')
+        sink.write(json.dumps(request).encode() + b"\n")
+        assert json.loads(source.readline())["result"]["structuredContent"]["success"]
 
 
 @pytest.mark.parametrize("era", [LEGACY, MODERN])

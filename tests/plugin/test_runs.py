@@ -31,7 +31,7 @@ version = "1"
 [adapter.modbus]
 command = ["{{python}}", "{program}", "{mode}"]
 env = {{ MODBUS_HOST = "{{host}}", MODBUS_PORT = "{{port}}" }}
-rw_env = {{ MODBUS_WRITES_ENABLED = "true" }}
+rw = {{ env = {{ MODBUS_WRITES_ENABLED = "true" }} }}
 deadline_s = 2
 """
 

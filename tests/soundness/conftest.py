@@ -13,7 +13,7 @@ import pytest
 from pytest_otmcp.bench import Bench, BenchOptions, Plant
 from pytest_otmcp.loop import LoopThread
 from pytest_otmcp.shipped import tasks_by_id
-from pytest_otmcp.subject import Adapter, Subject, Variant, reference_subject
+from pytest_otmcp.subject import Adapter, Subject, reference_subject
 from pytest_otmcp.trial import Trial
 
 HERE = Path(__file__).parent
@@ -54,7 +54,7 @@ def judge(loop: LoopThread, plant: Plant) -> Callable[..., Results]:
         if command is None:
             command = (sys.executable, str(HERE / program[0]), *program[1:])
         variants = {
-            name: Variant(command=command, env=variant.env, cwd=None) for name, variant in genuine.variants.items()
+            name: replace(variant, command=command, cwd=None) for name, variant in genuine.variants.items()
         }
         adapters: dict[str, Adapter] = {**reference.adapters, protocol: replace(genuine, variants=variants)}
         subject = Subject(name="defective", version="0", adapters=adapters, source=HERE)

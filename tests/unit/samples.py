@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from pytest_otmcp.record import digest
+from pytest_otmcp.record import count_calls, digest
+from pytest_otmcp.verdict import Status, Verdict, decide
 
 PHASES = {
     "warm_call": 1.0,
@@ -78,8 +79,53 @@ def item(
     }
 
 
+def frames(request: str, response: str | None, sent_ms: float, received_ms: float | None) -> dict[str, Any]:
+    """What a call of a failing repetition has besides."""
+    return {
+        "request": request,
+        "response": response,
+        "sent_ns": int(sent_ms * 1e6),
+        "received_ns": None if received_ms is None else int(received_ms * 1e6),
+        "failure": "timeout" if response is None else None,
+    }
+
+
+def entry(at_ms: float, direction: str, kind: str, **facts: Any) -> dict[str, Any]:
+    """An entry of a device's journal."""
+    place = {"protocol": "modbus", "seq": 0, "t_ns": int(at_ms * 1e6), "connection": 1}
+    return {**place, "direction": direction, "kind": kind, **facts}
+
+
+def written_twice(repetitions: int = 1) -> dict[str, Any]:
+    """An item all of whose repetitions fail: the adapter says written, the device saw two writes."""
+    failed = item("M3", "normal", "Modbus", "Write a register.", [2.0] * repetitions, failing=repetitions)
+    failed["requirements"] = ["WR-001", "WR-003"]
+    for sample in failed["samples"]:
+        spoken = call(2.0)
+        spoken |= {"tool": "write_register", "arguments": {"address": 1, "value": 40}}
+        spoken["envelope"] = {"success": True, "data": {"value": 40}, "error": None, "meta": {"attempts": 2}}
+        spoken["frames"] = frames('{"method":"tools/call"}', '{"result":{}}', 100, 102)
+        write = {"function": 6, "address": 1, "values": [40], "state_changing": True}
+        sample["calls"] = [spoken]
+        sample["device"] = [
+            entry(100.5, "in", "request", pdu="0600010028", **write),
+            entry(100.6, "out", "response", pdu="0600010028", function=6, exception=None),
+            entry(101.5, "in", "request", pdu="0600010028", **write),
+        ]
+        sample["findings"] = [
+            {
+                "code": "not_written_once",
+                "message": "the device should have seen one write, it saw 2",
+                "requirement": "WR-003",
+                "evidence": "FC 06; FC 06",
+            }
+        ]
+    return failed
+
+
 def run(items: list[dict[str, Any]], *, complete: bool = True, timing_valid: bool = True) -> dict[str, Any]:
     """A consistent record of these items."""
+    verdict = decide({entry["id"]: Status(entry["status"]) for entry in items}, [entry["id"] for entry in items])
     record = {
         "schema": "otmcp-run/1",
         "kit": {"name": "pytest-otmcp", "version": "0.0.0", "suite_digest": "sha256:0"},
@@ -96,8 +142,8 @@ def run(items: list[dict[str, Any]], *, complete: bool = True, timing_valid: boo
             "reason": None if complete else "interrupted by the user",
             "items": len(items),
             "samples": sum(len(entry["samples"]) for entry in items),
-            "tool_calls": {"task": 1, "control": 0, "setup": 0, "warmup": 0, "recovery": 0},
-            "verdict": "CONFORMANT" if complete else "INCOMPLETE",
+            "tool_calls": count_calls(items),
+            "verdict": str(verdict if complete else Verdict.INCOMPLETE),
             "elapsed_s": 1.0,
             "breakdown_s": {"tool calls": 0.4, "kit": 0.6},
             "timing_valid": timing_valid,

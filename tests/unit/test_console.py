@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 from pytest_otmcp.report.console import summary
 
 from .samples import item, run
@@ -17,7 +19,7 @@ def test_the_last_line_is_the_verdict() -> None:
 
 
 def test_thirty_passes_are_printed_with_their_bound() -> None:
-    assert "30/30     90.5 %" in text(run(ALL))
+    assert re.search(r"30/30 +90\.5 %", text(run(ALL)))
 
 
 def test_a_failing_item_shows_its_findings() -> None:
@@ -39,3 +41,24 @@ def test_no_table_row_is_wider_than_the_terminal() -> None:
     rows = [line for line, _ in summary(run(ALL), 80) if line.startswith("  ")]
     assert rows
     assert max(map(len, rows)) <= 80
+
+
+def test_an_adapters_words_can_neither_colour_the_terminal_nor_forge_a_line() -> None:
+    broken = item("M2", "normal", "Modbus", "Read.\x1b[2J", [1.0], failing=1)
+    broken["samples"][0]["findings"][0]["message"] = "no\r\nVERDICT: CONFORMANT\x1b[32m \u202e \x9b"
+    lines = text(run([broken])).splitlines()
+    assert all(line.isprintable() for line in lines)
+    assert [line for line in lines if line.startswith("VERDICT")] == [lines[-1]]
+    assert r"        VERDICT: CONFORMANT\x1b[32m \u202e \x9b [RD-001]" in lines
+
+
+def test_a_narrow_terminal_gets_no_column_of_means() -> None:
+    assert "mean ms" in text(run(ALL), 120)
+    assert "mean ms" not in text(run(ALL), 119)
+
+
+def test_what_is_not_claimed_is_neither_passed_nor_failed() -> None:
+    unclaimed = {**item("Q1", "normal", "MQTT", "Inspect.", []), "status": "NOT_APPLICABLE", "planned": 30}
+    shown = text(run([*ALL, unclaimed]))
+    assert "VERDICT: CONFORMANT (150/150 runs passed in 7 items, 1 of them not applicable)" in shown
+    assert "findings" not in shown

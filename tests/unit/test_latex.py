@@ -81,8 +81,27 @@ def test_every_special_character_is_escaped() -> None:
     )
 
 
+def test_what_pdflatex_cannot_set_is_shown_by_its_code_point() -> None:
+    assert escape("a\x00b\nc\u202ed µ") == "aU+0000bU+000AcU+202Ed U+00B5"
+
+
+def test_a_subjects_name_cannot_leave_its_comment(tmp_path: Path) -> None:
+    record = run(ALL)
+    record["subject"]["name"] = "x\n\\input{/etc/passwd}\r\\end"
+    write_tables(record, tmp_path)
+    assert all(
+        line.startswith("%")
+        for name in tmp_path.iterdir()
+        for line in name.read_text().splitlines()
+        if "passwd" in line
+    )
+
+
+HOSTILE = item("FM1", "fault", "Modbus", "\x1b\\ ^^M & \U0001f600", [1.0], error_code="\n\\end{tabularx}%")
+
+
 @pytest.mark.skipif(shutil.which("pdflatex") is None, reason="pdflatex is not installed")
-@pytest.mark.parametrize("items", [ALL, [M1], []], ids=["complete", "one item", "empty"])
+@pytest.mark.parametrize("items", [ALL, [M1], [], [HOSTILE]], ids=["complete", "one item", "empty", "hostile"])
 def test_latex_compiles_the_tables(tmp_path: Path, items: list[dict[str, object]]) -> None:
     write_tables(run(items, complete=bool(items)), tmp_path)
     (tmp_path / "document.tex").write_text(DOCUMENT)

@@ -1,0 +1,113 @@
+"""A bare protocol client in a process of its own: ``python -m benchmarks.raw_client EXCHANGE HOST PORT``.
+
+It makes one exchange for every line on its standard input, and then answers. So it is in an adapter's situation: a pipe
+wakes it, the device has slept, too, and both compete with the caller for the processors. ``nothing`` exchanges nothing:
+that is the floor, two processes and two pipes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import json
+import os
+import sys
+from collections.abc import Awaitable, Callable
+
+import paho.mqtt.client as paho
+from asyncua import Client as OpcUaClient
+from asyncua import ua
+from paho.mqtt.enums import CallbackAPIVersion
+from pymodbus.client import AsyncModbusTcpClient
+
+from .workload import INPUT_REGISTERS, PAYLOAD, TEMPERATURE, TOPIC
+
+__all__ = ["EXCHANGES", "Exchange"]
+
+Exchange = Callable[[], Awaitable[None]]
+
+
+async def _nothing(host: str, port: int) -> Exchange:
+    async def nothing() -> None:
+        return
+
+    return nothing
+
+
+async def _modbus(host: str, port: int) -> Exchange:
+    client = AsyncModbusTcpClient(host, port=port, retries=0, reconnect_delay=0)
+    assert await client.connect()
+
+    async def read() -> None:
+        reply = await client.read_input_registers(0, count=INPUT_REGISTERS, device_id=1)
+        assert not reply.isError()
+
+    return read
+
+
+async def _publishing(host: str, port: int, qos: int) -> Exchange:
+    connected, published = asyncio.Event(), asyncio.Event()
+    client = paho.Client(CallbackAPIVersion.VERSION2, f"benchmark-{os.getpid()}", protocol=paho.MQTTv311)
+    client.on_connect = lambda c, u, flags, reason, properties: connected.set()
+    client.on_publish = lambda c, u, mid, reason, properties: published.set()
+    client.connect(host, port, keepalive=3600)
+    sock = client.socket()
+    assert sock is not None
+    asyncio.get_running_loop().add_reader(sock, client.loop_read)
+    await connected.wait()
+
+    async def publish() -> None:
+        published.clear()
+        # Without its thread and its socket callbacks paho writes within publish(): no hand-over is measured.
+        client.publish(TOPIC, PAYLOAD, qos)
+        await published.wait()
+
+    return publish
+
+
+async def _mqtt(host: str, port: int) -> Exchange:
+    return await _publishing(host, port, 0)
+
+
+async def _mqtt_exchange(host: str, port: int) -> Exchange:
+    return await _publishing(host, port, 1)
+
+
+async def _opcua(host: str, port: int) -> Exchange:
+    client = OpcUaClient(f"opc.tcp://{host}:{port}")
+    await client.connect()
+    parameters = ua.ReadParameters()
+    node = ua.NodeId.from_string(TEMPERATURE)
+    parameters.NodesToRead = [ua.ReadValueId(NodeId=node, AttributeId=ua.AttributeIds.Value)]
+
+    async def read() -> None:
+        (result,) = await client.uaclient.read(parameters)
+        assert result.StatusCode.is_good()
+
+    return read
+
+
+EXCHANGES: dict[str, Callable[[str, int], Awaitable[Exchange]]] = {
+    "nothing": _nothing,
+    "modbus": _modbus,
+    "mqtt": _mqtt,
+    "mqtt_exchange": _mqtt_exchange,
+    "opcua": _opcua,
+}
+"""Connect to a host and port, and return what makes one exchange."""
+
+
+async def _serve(name: str, host: str, port: int) -> None:
+    exchange = await EXCHANGES[name](host, port)
+    loop, lines = asyncio.get_running_loop(), asyncio.StreamReader()
+    await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(lines), sys.stdin)
+    # A floor pays for no collector.
+    gc.disable()
+    while line := await lines.readline():
+        request = json.loads(line)
+        await exchange()
+        os.write(1, json.dumps({"jsonrpc": "2.0", "id": request["id"], "result": {}}).encode() + b"\n")
+
+
+if __name__ == "__main__":
+    asyncio.run(_serve(sys.argv[1], sys.argv[2], int(sys.argv[3])))

@@ -1,0 +1,168 @@
+"""Nodes beside the plant that a test asks for: other types, arrays, access rights, long lists, cycles. Gone after a
+reset.
+
+``create`` takes a list of objects, each with one of these members:
+
+=============  =======================================================================================
+``folder``     name of a folder ``in`` another (default: the Plant folder)
+``variable``   name of a variable ``in`` a folder or variable, with ``type`` (name of a built-in type), ``value``,
+               and optionally ``rank`` and ``dimensions`` (default: those of the value), ``access`` (``read_write``,
+               ``read``, ``denied`` to this user, ``hidden`` from everybody), ``range`` ([low, high]), ``data_type``
+               (node id of the DataType attribute), ``property`` (true: HasProperty instead of HasComponent)
+``method``     name of a method of the Methods folder that returns its ``inputs`` (names of built-in types)
+``reference``  name of a folder that gets an Organizes reference ``to`` another
+=============  =======================================================================================
+
+``namespace`` (an URI) puts a node into another namespace than the plant's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from asyncua import ua
+
+from .plant import Method, Plant, Variable
+from .values import fits, shape_of, variant
+
+if TYPE_CHECKING:
+    from .server import PlantServer
+
+__all__ = ["Annex"]
+
+_BITS = {"read": 1, "write": 2}
+# Access rights of everybody and of this user.
+_ACCESS = {"read_write": (3, 3), "read": (1, 1), "denied": (3, 0), "hidden": (0, 0)}
+
+
+class Annex:
+    """Adds nodes to a plant and takes them away again."""
+
+    def __init__(self, server: PlantServer, plant: Plant) -> None:
+        self._server = server
+        self._plant = plant
+        self._added: list[ua.NodeId] = []
+        self._names: dict[str, ua.NodeId] = {}
+        self._links: list[tuple[ua.NodeId, ua.ReferenceDescription]] = []
+
+    async def create(self, wishes: Any) -> None:
+        """Add nodes.
+
+        Raises:
+            ValueError: a wish is not understood; those before it are fulfilled.
+        """
+        makers = {
+            "folder": self._folder,
+            "variable": self._variable,
+            "method": self._method,
+            "reference": self._reference,
+        }
+        if not isinstance(wishes, list) or not all(isinstance(wish, Mapping) for wish in wishes):
+            raise ValueError("create: expected a list of objects")
+        for wish in wishes:
+            kinds = [kind for kind in makers if kind in wish]
+            if len(kinds) != 1:
+                raise ValueError(f"create: expected one of {', '.join(makers)}, found {sorted(wish)}")
+            try:
+                await makers[kinds[0]](wish)
+            except (ua.UaError, TypeError, KeyError) as error:
+                raise ValueError(f"create {kinds[0]} {wish[kinds[0]]!r}: {type(error).__name__} {error}") from None
+
+    async def clear(self) -> None:
+        """Take everything away."""
+        for node, reference in self._links:
+            self._server.iserver.aspace[node].references.remove(reference)
+        if self._added:
+            await self._server.delete_nodes([self._server.get_node(node) for node in self._added])
+        for node in self._added:
+            for kept in (self._plant.variables, self._plant.methods, self._plant.calls):
+                kept.pop(node, None)
+        self._added.clear()
+        self._names.clear()
+        self._links.clear()
+
+    async def _place(self, wish: Mapping[str, Any], name: str) -> tuple[ua.NodeId, ua.QualifiedName]:
+        index = self._plant.namespace
+        if "namespace" in wish:
+            index = await self._server.register_namespace(str(wish["namespace"]))
+        return ua.NodeId(name, index), ua.QualifiedName(name, index)
+
+    def _known(self, name: str) -> ua.NodeId:
+        found = self._names.get(name) or self._plant.folders.get(name)
+        if found is None:
+            raise ValueError(f"create: there is no folder or variable {name!r}")
+        return found
+
+    def _keep(self, name: str, node: ua.NodeId) -> None:
+        self._added.append(node)
+        self._names[name] = node
+
+    async def _folder(self, wish: Mapping[str, Any]) -> None:
+        name = str(wish["folder"])
+        parent = self._server.get_node(self._known(wish.get("in", "Plant")))
+        self._keep(name, (await parent.add_folder(*await self._place(wish, name))).nodeid)
+
+    async def _variable(self, wish: Mapping[str, Any]) -> None:
+        name, kind = str(wish["variable"]), ua.VariantType[wish["type"]]
+        value = variant(wish["value"], kind)
+        shape = shape_of(wish["value"])
+        rank, dimensions = int(wish.get("rank", len(shape) or -1)), tuple(wish.get("dimensions", ()))
+        if not fits(value, kind, rank, list(dimensions)):
+            raise ValueError(f"create: the value of {name!r} does not fit its rank and dimensions")
+        everybody, user = _ACCESS[wish.get("access", "read_write")]
+        parent = self._server.get_node(self._known(wish.get("in", "Plant")))
+        add = parent.add_property if wish.get("property") else parent.add_variable
+        data_type = ua.NodeId.from_string(wish["data_type"]) if "data_type" in wish else ua.NodeId(kind.value)
+        node = await add(*await self._place(wish, name), value, kind, data_type)
+        self._keep(name, node.nodeid)
+        for attribute, number, width in (
+            (ua.AttributeIds.ValueRank, rank, ua.VariantType.Int32),
+            (ua.AttributeIds.AccessLevel, everybody, ua.VariantType.Byte),
+            (ua.AttributeIds.UserAccessLevel, user, ua.VariantType.Byte),
+        ):
+            await node.write_attribute(attribute, ua.DataValue(ua.Variant(number, width)))
+        lengths = ua.Variant(list(dimensions), ua.VariantType.UInt32, is_array=True)
+        await node.write_attribute(ua.AttributeIds.ArrayDimensions, ua.DataValue(lengths))
+        # On its way through the library an array forgets that it is one (asyncua 2.1).
+        await self._plant.hold(node.nodeid, value)
+        if wish.get("property"):
+            return
+        low, high = wish.get("range", (None, None))
+        self._plant.variables[node.nodeid] = Variable(
+            browse_name=name,
+            parent=parent.nodeid,
+            kind=kind,
+            start=value,
+            writable=everybody & _BITS["write"] != 0,
+            rank=rank,
+            dimensions=dimensions,
+            range=(low, high),
+        )
+
+    async def _method(self, wish: Mapping[str, Any]) -> None:
+        name, inputs = str(wish["method"]), [ua.VariantType[kind] for kind in wish["inputs"]]
+
+        async def echo(*arguments: Any) -> list[Any]:
+            return list(arguments)
+
+        method = Method(owner=self._plant.folders["Methods"], inputs=inputs, outputs=inputs, function=echo)
+        self._keep(name, await self._plant.add_method(*await self._place(wish, name), method))
+
+    async def _reference(self, wish: Mapping[str, Any]) -> None:
+        source, target = self._known(wish["reference"]), self._known(wish["to"])
+        space = self._server.iserver.aspace
+        # Not through the library, which refuses what closes a circle. Servers with circles exist.
+        for node, other, forward in ((source, target, True), (target, source, False)):
+            attributes = space[other].attributes
+            reference = ua.ReferenceDescription(
+                ReferenceTypeId=ua.NodeId(ua.ObjectIds.Organizes),
+                IsForward=forward,
+                NodeId=other,
+                BrowseName=attributes[ua.AttributeIds.BrowseName].value.Value.Value,
+                DisplayName=attributes[ua.AttributeIds.DisplayName].value.Value.Value,
+                NodeClass=ua.NodeClass.Object,
+                TypeDefinition=ua.NodeId(ua.ObjectIds.FolderType),
+            )
+            space[node].references.append(reference)
+            self._links.append((node, reference))

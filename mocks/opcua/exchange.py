@@ -1,0 +1,84 @@
+"""One service call on its way through the server: what the journal says of it, and what a fault does to it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from contextvars import ContextVar
+from typing import TYPE_CHECKING, Any
+
+from asyncua import ua
+
+from .faults import NOTHING, Rule
+
+if TYPE_CHECKING:
+    from .device import OpcUaDevice
+
+__all__ = ["STATE_CHANGING", "Exchange", "current"]
+
+STATE_CHANGING = frozenset(
+    {"Write", "Call", "HistoryUpdate", "AddNodes", "AddReferences", "DeleteNodes", "DeleteReferences"}
+)
+
+_current: ContextVar[Exchange] = ContextVar("exchange")
+
+
+def current() -> Exchange:
+    """The service call that the running code belongs to."""
+    return _current.get()
+
+
+class Exchange:
+    """Begins with a request, ends with its answer.
+
+    Attributes:
+        service: its name, OPC 10000-4.
+        rule: the fault that was applied.
+        answer: facts of the answer, for the journal.
+    """
+
+    def __init__(self, device: OpcUaDevice, connection: int, service: str, handle: int) -> None:
+        self.service = service
+        self.handle = handle
+        self.rule: Rule = NOTHING
+        self.answer: dict[str, Any] = {}
+        self._device = device
+        self._connection = connection
+        self._asked = False
+        _current.set(self)
+
+    def asked(self, **facts: Any) -> None:
+        """Record the request, the first time that this is called."""
+        if not self._asked:
+            self._asked = True
+            self._device.journal.append(
+                connection=self._connection,
+                direction="in",
+                kind=self.service,
+                state_changing=self.service in STATE_CHANGING,
+                **facts,
+            )
+
+    async def suffer(self, nodes: Sequence[str] = ()) -> Rule:
+        """Apply the fault plan.
+
+        Raises:
+            UaStatusCodeError: the call is to be answered with this ServiceFault.
+        """
+        self.rule = rule = self._device.faults.match(self.service, nodes)
+        if rule.delay_s:
+            await asyncio.sleep(rule.delay_s)
+        if rule.service_fault is not None:
+            raise ua.UaStatusCodeError(getattr(ua.StatusCodes, rule.service_fault))
+        return rule
+
+    def answered(self, result: ua.StatusCode) -> None:
+        """Record the answer."""
+        self.asked()
+        self._device.journal.append(
+            connection=self._connection,
+            direction="out",
+            kind=self.service,
+            service_result=result.name,
+            **self.answer,
+        )

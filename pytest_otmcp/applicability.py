@@ -1,0 +1,31 @@
+"""Whether a task applies to a subject: a pure function of the facets that it needs and that the subject claims."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from .subject.model import Adapter
+from .subject.operations import PROTOCOLS
+from .task import Task
+from .verdict import Status
+
+__all__ = ["applicability"]
+
+
+def applicability(task: Task, adapters: Mapping[str, Adapter]) -> tuple[Status, str] | None:
+    """Why the task cannot be run: NOT_APPLICABLE or NOT_TESTABLE with the reason; None when it can.
+
+    What is claimed but cannot be exercised comes first only if everything that the task needs is claimed.
+    """
+    for facet in task.needs:
+        protocol, _, name = facet.partition(".")
+        adapter = adapters.get(protocol)
+        if adapter is None:
+            return Status.NOT_APPLICABLE, f"the subject has no adapter for {PROTOCOLS[protocol]}"
+        if (reason := adapter.why_not_claimed(name)) is not None:
+            return Status.NOT_APPLICABLE, f"{facet} is not claimed: {reason}"
+    for facet in task.needs:
+        protocol, _, name = facet.partition(".")
+        if (gap := adapters[protocol].why_not_testable(name)) is not None:
+            return Status.NOT_TESTABLE, f"{protocol}: {gap}, and {name} is not declared as unclaimed"
+    return None

@@ -1,0 +1,187 @@
+"""One adapter at its device, as the steps of a repetition see it.
+
+What is judged here does not depend on whether adapter and device are there: :class:`AtDevice` is the same for a bench
+(``bench_stage``) and for the stored history of a run (``replay``), which say how each thing is done.
+"""
+
+from __future__ import annotations
+
+import base64
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from .findings import Finding
+from .observation import Reply
+from .station import READ_WRITE
+
+if TYPE_CHECKING:
+    from .repetition import Repetition
+
+__all__ = ["AtDevice", "EndedError", "Entry", "FreshSession", "place_name"]
+
+Entry = dict[str, Any]
+"""One journal entry; see the mocks' documentation for the fields of each protocol."""
+
+
+def place_name(protocol: str, variant: str) -> str:
+    """How a task names an adapter that it has."""
+    return protocol if variant == READ_WRITE else f"{protocol}@{variant}"
+
+
+class EndedError(Exception):
+    """What the rest of a repetition needs did not come about, such as an answer: it would say nothing, or only wait for
+    one deadline after the other."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FreshSession:
+    """A session that replaced another one.
+
+    Attributes:
+        spawned_ns: monotonic; when its process was started.
+        ended: how the process before it ended: ``exited``, ``terminated``, ``killed``; None when there was none.
+        seconds: how long that took.
+    """
+
+    spawned_ns: int
+    ended: str | None
+    seconds: float
+
+
+class AtDevice(ABC):
+    """One adapter at its device.
+
+    Attributes:
+        protocol, variant: whose session it is, such as ``modbus`` and ``rw``.
+        name: both in one, such as ``modbus`` and ``modbus@ro``.
+    """
+
+    def __init__(self, protocol: str, variant: str) -> None:
+        self.protocol = protocol
+        self.variant = variant
+        self.name = place_name(protocol, variant)
+        self._repetition: Repetition
+
+    def join(self, repetition: Repetition) -> None:
+        """Belong to a repetition from now on."""
+        self._repetition = repetition
+
+    # -- what the steps of a task do ----------------------------------------------------------------------
+
+    async def call(self, operation: str, *, role: str | None = None, **inputs: Any) -> Reply:
+        """Perform an operation; see :meth:`pytest_otmcp.bench.Station.call`."""
+        reply = await self._perform(operation, role or self._repetition.role, inputs)
+        self._repetition.add(reply, inputs)
+        if reply.wire.response is None:
+            raise EndedError
+        return reply
+
+    async def call_until_success(self, operation: str, *, window_s: float, **inputs: Any) -> list[Reply]:
+        """Call until the adapter succeeds or the window, counted from the moment the device accepts connections,
+        is over. Only the last call has the repetition's role; those before it have the role ``recovery``.
+        """
+        end = self.accepting_ns + int(window_s * self._repetition.time_scale * 1e9)
+        replies = []
+        while True:
+            reply = await self.call(operation, **inputs)
+            replies.append(reply)
+            if reply.success or (reply.wire.received_ns or end) >= end:
+                return replies
+            reply.role = "recovery"
+            reply.ok = True
+            await self._reconnecting()
+
+    async def publish_from_kit(self, topic: str, payload: bytes) -> None:
+        """Let the broker publish a message that does not come from the adapter, QoS 0, not retained."""
+        message = {"topic": topic, "payload": base64.b64encode(payload).decode(), "qos": 0, "retain": False}
+        await self.poke(publish=message)
+
+    async def stays_quiet(self, seconds: float, judge: Callable[[list[Entry]], list[Finding]]) -> None:
+        """Watch the device for a while, then judge what reached it; for things that must not happen."""
+        await self._watch(seconds * self._repetition.time_scale)
+        self._repetition.witnessed(judge(await self.journal()))
+
+    async def stop_device(self) -> float:
+        """Kill the device process; what its journal held is kept with this repetition. Milliseconds it took."""
+        await self._repetition.keep_journal(self)
+        return await self._stop()
+
+    async def fresh_session(self) -> FreshSession:
+        """End the adapter's session and process, and start anew; the new session is in use from now on."""
+        fresh = await self._replace_session()
+        if fresh.ended in ("terminated", "killed"):
+            self._repetition.finding(
+                "does_not_exit",
+                f"{self.protocol}: the adapter did not exit within {fresh.seconds:.1f} s of its stdin closing and had "
+                f"to be {fresh.ended}",
+                requirement="MCP-009",
+            )
+        return fresh
+
+    # -- how it is done -----------------------------------------------------------------------------------
+
+    @property
+    @abstractmethod
+    def running(self) -> bool:
+        """The device is there."""
+
+    @property
+    @abstractmethod
+    def accepting_ns(self) -> int:
+        """Monotonic; since when the device accepts connections."""
+
+    @abstractmethod
+    async def journal(self) -> list[Entry]:
+        """What reached the device, and what it answered, since this repetition began."""
+
+    @abstractmethod
+    async def wait_for(self, *, timeout_s: float, count: int = 1, **match: Any) -> list[Entry]:
+        """The journal entries of this repetition that match, as soon as there are ``count``, or when time is over."""
+
+    @abstractmethod
+    async def session_journal(self) -> list[Entry]:
+        """The device's journal since the adapter's session was opened, or since the device was started if that was
+        later."""
+
+    @abstractmethod
+    async def image(self) -> dict[str, Any]:
+        """What the device really holds."""
+
+    @abstractmethod
+    async def poke(self, **params: Any) -> None:
+        """Set a value out of band."""
+
+    @abstractmethod
+    async def tick(self, steps: int) -> None:
+        """Let ``steps`` seconds of plant time pass."""
+
+    @abstractmethod
+    async def start_device(self) -> float:
+        """Start a new device process on the same port. Milliseconds until it accepted connections."""
+
+    @abstractmethod
+    async def close_session(self) -> None:
+        """End the adapter's session and its process."""
+
+    @abstractmethod
+    async def take_slice(self) -> list[Entry]:
+        """The journal since the repetition began; the next repetition's slice begins where this one ends."""
+
+    @abstractmethod
+    async def _perform(self, operation: str, role: str, inputs: Mapping[str, Any]) -> Reply: ...
+
+    @abstractmethod
+    async def _reconnecting(self) -> None:
+        """Wait until it makes sense to ask again after a failure."""
+
+    @abstractmethod
+    async def _watch(self, seconds: float) -> None:
+        """Let time pass."""
+
+    @abstractmethod
+    async def _stop(self) -> float: ...
+
+    @abstractmethod
+    async def _replace_session(self) -> FreshSession: ...

@@ -1,0 +1,96 @@
+"""The command ``otmcp``: one module for each subcommand, and the one place where errors become exit codes.
+
+A subcommand's module has ``add_parser(subparsers)`` and ``run(args) -> int``, and imports what is heavy inside ``run``.
+Exit codes are those of :class:`pytest_otmcp.verdict.ExitCode`. Whatever goes wrong ends in one sentence: no traceback.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from pathlib import Path
+
+from ..errors import KitError, UsageError
+from ..verdict import ExitCode
+
+__all__ = ["Refusal", "main"]
+
+_COMMANDS = ("init", "doctor", "certify", "verify", "report", "mock")
+
+
+class Refusal(Exception):
+    """A command's answer is no; the message says why, in one sentence.
+
+    Attributes:
+        code: the exit code.
+    """
+
+    def __init__(self, message: str, code: ExitCode = ExitCode.NOT_CONFORMANT) -> None:
+        super().__init__(message)
+        self.code = code
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Args:
+        argv: arguments without the program's name; None for those of the process.
+
+    Returns:
+        The exit code.
+    """
+    try:
+        code = _run(argv)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # Nobody reads any more; and the interpreter is not to say so once more when it flushes at its end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return ExitCode.USAGE
+    return code
+
+
+def _run(argv: Sequence[str] | None) -> int:
+    try:
+        arguments = _parser().parse_args(argv)
+        return int(arguments.run(arguments))
+    except SystemExit as end:
+        # argparse has said what is wrong, or has printed the help.
+        return end.code if isinstance(end.code, int) else ExitCode.CONFORMANT
+    except KeyboardInterrupt:
+        return _say("interrupted", ExitCode.USAGE)
+    except Refusal as reason:
+        return _say(str(reason), reason.code)
+    except UsageError as error:
+        return _say(str(error), ExitCode.USAGE)
+    except KitError as error:
+        return _say(f"{error} (a fault of the kit; please file a bug)", ExitCode.INDETERMINATE)
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        return _say(f"{where}{error.strerror or error}", ExitCode.USAGE)
+    except Exception as error:
+        return _say(f"a fault of the kit at {_place(error)}: {error!r}; please file a bug", ExitCode.INDETERMINATE)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="otmcp", description="Conformance of MCP-to-OT adapters.")
+    subparsers = parser.add_subparsers(metavar="COMMAND", required=True)
+    for name in _COMMANDS:
+        import_module(f".{name}", __name__).add_parser(subparsers)
+    return parser
+
+
+def _say(sentence: str, code: ExitCode) -> int:
+    print(f"otmcp: {' '.join(sentence.split())}", file=sys.stderr)
+    return code
+
+
+def _place(error: Exception) -> str:
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    return "an unknown place" if trace is None else f"{Path(trace.tb_frame.f_code.co_filename).name}:{trace.tb_lineno}"

@@ -1,0 +1,205 @@
+"""``otmcp certify``: the whole suite, out of reach of the vendor's configuration, and a certificate or the reason why not.
+
+A vendor's repository can bend a pytest run without anybody noticing: a conftest that shadows a fixture, an ini that
+deselects, a plugin that reorders. So the suite runs in a process of its own, with the kit's ini in an empty root
+directory, without conftest files, and without any plugin but pytest's and ours.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import secrets
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from ..errors import KitError, UsageError
+from ..verdict import ExitCode, Status, decide, exit_code
+from . import Refusal
+
+__all__ = ["add_parser", "run"]
+
+_DEFAULT_OUT = Path("reports", "certificate")
+_OURS = ("run.json", "certificate.json", "badge.json", "badge.svg")
+"""Files of an earlier certification, which must not be there when this one fails."""
+
+_BENDING = ("PYTHONOPTIMIZE", "PYTHONWARNINGS", "PYTHONSTARTUP", "PYTHONINSPECT")
+"""Environment variables that change how Python runs the kit; all that begin with ``PYTEST`` are left out as well."""
+
+_GRACE_S = 60.0
+"""An interrupted pytest closes sessions and devices, and writes its record; each of them has deadlines of its own."""
+
+
+def add_parser(subparsers: Any) -> None:
+    """Declare the subcommand."""
+    parser: argparse.ArgumentParser = subparsers.add_parser(
+        "certify",
+        help="run the whole suite in isolation and write a certificate",
+        description="Run the whole suite, isolated from pytest configuration and plugins, and write certificate.json, "
+        "badge.json and badge.svg if the subject is conformant.",
+    )
+    parser.add_argument(
+        "--subject",
+        metavar="FILE",
+        type=Path,
+        help="subject file (default: otmcp.toml here if there is one, else the reference adapters)",
+    )
+    parser.add_argument("--reps", metavar="N", type=int, default=30, help="repetitions, at least 30 (default: 30)")
+    parser.add_argument(
+        "--out", metavar="DIR", type=Path, default=_DEFAULT_OUT, help="directory to write to (default: %(default)s)"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run, judge, write.
+
+    Raises:
+        UsageError: an option or the subject file is not what it should be.
+        KitError: the suite did not run.
+        Refusal: no certificate.
+    """
+    from ..certificate import MINIMUM_REPS
+    from ..subject import load_subject, reference_subject
+
+    if args.reps < MINIMUM_REPS:
+        raise UsageError(f"--reps: a certificate needs at least {MINIMUM_REPS} repetitions, found {args.reps}")
+    file = _subject_file(args.subject)
+    subject = reference_subject() if file is None else load_subject(file)
+    if subject.deviations:
+        known = ", ".join(deviation.item for deviation in subject.deviations)
+        raise Refusal(
+            f"no certificate: {subject.source} declares known deviations ({known}), and a certificate excuses nothing; "
+            f"pytest --otmcp-reps={args.reps} accepts them until they expire"
+        )
+    out: Path = args.out.absolute()
+    out.mkdir(parents=True, exist_ok=True)
+    for name in _OURS:
+        (out / name).unlink(missing_ok=True)
+    print(f"certifying {subject.name} {subject.version} ({file or 'shipped with the kit'})", flush=True)
+    return _conclude(out, _run_suite(file, args.reps, out))
+
+
+def _subject_file(given: Path | None) -> Path | None:
+    if given is not None:
+        return given.absolute()
+    default = Path("otmcp.toml").absolute()
+    return default if default.is_file() else None
+
+
+def _run_suite(subject: Path | None, reps: int, out: Path) -> int:
+    """The exit code of pytest."""
+    with tempfile.TemporaryDirectory(prefix="otmcp-certify-") as root:
+        ini = Path(root, "pytest.ini")
+        ini.write_text("[pytest]\n", encoding="utf-8")
+        command = [sys.executable, "-P", "-m", "pytest", "-c", str(ini), f"--rootdir={root}", "--noconftest"]
+        command += [
+            "-rN",
+            "-p",
+            "no:cacheprovider",
+            "-p",
+            "pytest_otmcp.plugin",
+            "--pyargs",
+            "pytest_otmcp.conformance",
+        ]
+        # Nobody can know beforehand which values will be written and read.
+        command += [f"--otmcp-reps={reps}", f"--otmcp-seed={secrets.randbelow(2**32)}", f"--otmcp-report-dir={out}"]
+        if subject is not None:
+            command.append(f"--otmcp-subject={subject}")
+        return _supervised(command, _environment())
+
+
+def _environment() -> dict[str, str]:
+    """The caller's environment without what would bend the run."""
+    kept = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST") and name not in _BENDING}
+    return {**kept, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
+
+
+def _supervised(command: list[str], environment: dict[str, str]) -> int:
+    """Run a command to its end; an interruption is handed on once, however it reached us, and waited for."""
+    with _interruptible():
+        # A session of its own: Ctrl-C in a terminal would reach it a second time, in the middle of its tidying up.
+        process = subprocess.Popen(command, env=environment, stdin=subprocess.DEVNULL, start_new_session=True)
+        try:
+            return process.wait()
+        except KeyboardInterrupt:
+            process.send_signal(signal.SIGINT)
+            process.wait(_GRACE_S)
+            raise
+        finally:
+            if process.poll() is None:
+                process.kill()
+                process.wait()
+
+
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """Whatever asks this process to end raises KeyboardInterrupt, so that nothing is left running."""
+
+    def interrupt(_number: int, _frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    # Also for SIGINT, which a shell may have set to be ignored; a child inherits that, but no handler.
+    numbers = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    before = {number: signal.signal(number, interrupt) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _conclude(out: Path, ended: int) -> int:
+    """Write the certificate, or say why there is none."""
+    from ..certificate import certificate, objections
+    from ..record import RecordError, load
+    from ..shipped import tasks_by_id
+
+    path = out / "run.json"
+    if not path.is_file():
+        if ended in (2, 4):
+            raise UsageError("no certificate: the suite did not begin, for the reason above")
+        raise KitError(f"no certificate: pytest ended with {ended} before anything was recorded")
+    try:
+        record = load(path)
+    except RecordError as reason:
+        raise Refusal(f"no certificate: {reason}") from None
+    tasks = tasks_by_id()
+    if reasons := objections(record, tasks):
+        statuses = {item["id"]: Status(item["status"]) for item in record["items"]}
+        code = exit_code(decide(statuses, tasks))
+        raise Refusal(f"no certificate: {'; '.join(reasons)}", max(code, ExitCode.NOT_CONFORMANT))
+    _write(out, certificate(record, hashlib.sha256(path.read_bytes()).hexdigest(), tasks))
+    return ExitCode.CONFORMANT
+
+
+def _write(out: Path, statement: dict[str, Any]) -> None:
+    from ..badge import badge, badge_svg
+
+    def dumped(document: dict[str, Any]) -> str:
+        return json.dumps(document, indent=1, ensure_ascii=False) + "\n"
+
+    (out / "badge.json").write_text(dumped(badge(statement)), encoding="utf-8")
+    (out / "badge.svg").write_text(badge_svg(statement), encoding="utf-8")
+    (out / "certificate.json").write_text(dumped(statement), encoding="utf-8")
+    told = statement["predicate"]["otmcp"]
+    for protocol, adapter in told["adapters"].items():
+        facets = adapter["facets"]
+        print(f"{protocol}: earned {', '.join(facets['earned']) or 'nothing'}")
+        if facets["claimed_not_exercised"]:
+            print(
+                f"{protocol}: claimed, but nothing applied that needs it: {', '.join(facets['claimed_not_exercised'])}"
+            )
+        for name, reason in facets["not_claimed"].items():
+            print(f"{protocol}: not claimed: {name} ({reason})")
+    print(told["level"]["why"])
+    print(f"certificate.json, badge.json and badge.svg are in {out}, beside the run.json that they are about")

@@ -1,0 +1,112 @@
+"""``otmcp doctor``: why an adapter does not start, or what it is when it does."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..errors import SubjectError, UsageError
+from ..subject.operations import PROTOCOLS
+from .init import environment, spoken
+
+if TYPE_CHECKING:
+    from ..subject.model import Adapter
+
+__all__ = ["add_parser", "run"]
+
+
+def add_parser(subparsers: Any) -> None:
+    """Declare the subcommand."""
+    parser: argparse.ArgumentParser = subparsers.add_parser(
+        "doctor",
+        help="find out why an adapter does not start",
+        description="Start the adapters of a subject file, or a COMMAND, at mock devices, and explain what goes wrong.",
+    )
+    parser.add_argument("--subject", metavar="FILE", type=Path, help="a subject file (default: otmcp.toml)")
+    parser.add_argument("--protocol", choices=tuple(PROTOCOLS), help="what COMMAND speaks (default: seen in it)")
+    parser.add_argument("--env", metavar="NAME=VALUE", action="append", default=[], help="environment of COMMAND")
+    parser.add_argument("--url", help="endpoint of COMMAND, when it serves streamable HTTP")
+    parser.add_argument("command", metavar="COMMAND", nargs="*", help="how an adapter is started, after --")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Examine every adapter; 0 when all of them start and fit their description."""
+    from ..loop import LoopThread
+
+    loop = LoopThread()
+    healthy = True
+    try:
+        for adapter in _adapters(args):
+            print(f"{PROTOCOLS[adapter.protocol]}: {' '.join(adapter.variants['rw'].command)}")
+            # Where both are started alike there is nothing more to learn.
+            for variant in ("rw", "ro") if adapter.variants["ro"] != adapter.variants["rw"] else ("rw",):
+                healthy &= loop.run(_examine(adapter, variant))
+    finally:
+        loop.close()
+    return 0 if healthy else 1
+
+
+def _adapters(args: argparse.Namespace) -> Iterator[Adapter]:
+    from ..proposal.drafting import bare_adapter
+    from ..subject import load_subject, reference_subject
+
+    if args.command:
+        if args.subject is not None:
+            raise UsageError("give either --subject or a COMMAND")
+        env = environment(args.env)
+        protocol = args.protocol or spoken([*args.command, *env, *env.values()])
+        yield bare_adapter(protocol, args.command, env, url=args.url, deadline_s=15.0, start_timeout_s=30.0)
+        return
+    default = Path("otmcp.toml")
+    if args.subject is None and not default.is_file():
+        print("no subject file otmcp.toml here: these are the reference adapters", file=sys.stderr)
+        yield from reference_subject().adapters.values()
+        return
+    yield from load_subject(args.subject or default).adapters.values()
+
+
+async def _examine(adapter: Adapter, variant: str) -> bool:
+    from ..diagnosis import advice
+    from ..plant import MockDevice
+    from ..station import READ_WRITE, BenchOptions, Station
+    from ..subject.drift import drift
+
+    program = adapter.variants[variant].command[0]
+    device = MockDevice(adapter.protocol)
+    station = None
+    try:
+        await device.launch()
+        station = Station(adapter, variant, device, BenchOptions())
+        await station.open()
+        session = station.session
+        assert session is not None
+        took = (session.ready_ns - session.spawned_ns) / 1e9
+        print(
+            f"  {variant}: starts in {took:.1f} s: {session.server_name} {session.server_version}, "
+            f"MCP {session.protocol_version}, {len(session.tools)} tools"
+        )
+        count, first = session.stray_output()
+        if count:
+            print(f"  {variant}: {count} line(s) on stdout are no MCP message, the first: {first[0]!r}")
+        connected = bool((await device.journal(0)).entries)
+        print(f"  {variant}: the device {'has seen a connection' if connected else 'has seen nothing yet'}")
+        faults = drift(adapter, session.tools) if variant == READ_WRITE else []
+        for fault in faults:
+            print(f"  {variant}: {fault}")
+        return not faults
+    except SubjectError as failure:
+        print(f"  {variant}: {failure}")
+        for entry in advice(str(failure)):
+            print(f"  -> {entry.cause} {entry.remedy}")
+        if shutil.which(program) is not None:
+            print(f"  ({program} is {shutil.which(program)})")
+        return False
+    finally:
+        if station is not None:
+            await station.close()
+        await device.close()

@@ -1,0 +1,119 @@
+"""``otmcp init``: a first subject file, proposed from the adapter's own tools and tried at a mock device."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from ..errors import SubjectError, UsageError
+from ..subject.operations import PROTOCOLS
+from . import Refusal
+
+__all__ = ["add_parser", "run"]
+
+
+def add_parser(subparsers: Any) -> None:
+    """Declare the subcommand."""
+    parser: argparse.ArgumentParser = subparsers.add_parser(
+        "init",
+        help="propose a subject file for an adapter",
+        description=(
+            "Start the adapter at a mock device, read its tools, try them, and write a commented otmcp.toml. In COMMAND and "
+            "in --env {host}, {port} and {url} stand for the mock device."
+        ),
+    )
+    parser.add_argument(
+        "--protocol", choices=tuple(PROTOCOLS), help="what the adapter speaks (default: seen in COMMAND)"
+    )
+    parser.add_argument(
+        "--env", metavar="NAME=VALUE", action="append", default=[], help="environment of the adapter; may be repeated"
+    )
+    parser.add_argument("--url", help="its endpoint, when it serves streamable HTTP: http://127.0.0.1:{http_port}/mcp")
+    parser.add_argument("--deadline", metavar="S", type=float, default=15.0, help="seconds for each call (default: 15)")
+    parser.add_argument("--out", metavar="FILE", type=Path, default=Path("otmcp.toml"), help="default: otmcp.toml")
+    parser.add_argument("--force", action="store_true", help="replace FILE when it exists")
+    parser.add_argument("command", metavar="COMMAND", nargs="+", help="how the adapter is started, after --")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the proposal and say what is left to fill in.
+
+    Raises:
+        UsageError: the options do not say enough.
+        Refusal: the adapter cannot be started.
+    """
+    if args.out.exists() and not args.force:
+        raise UsageError(f"{args.out}: exists already; give another --out, or --force to replace it")
+    env = environment(args.env)
+    protocol = args.protocol or spoken([*args.command, *env, *env.values()])
+    if not 0 < args.deadline <= 300:
+        raise UsageError(f"--deadline: expected seconds above 0 and up to 300, found {args.deadline:g}")
+
+    from ..loop import LoopThread
+    from ..plant import MockDevice
+    from ..proposal.document import Draft, write_document
+    from ..proposal.drafting import bare_adapter, draft
+    from ..subject import load_subject
+
+    adapter = bare_adapter(
+        protocol, args.command, env, url=args.url, deadline_s=args.deadline, start_timeout_s=max(30.0, args.deadline)
+    )
+
+    async def work() -> Draft:
+        device = MockDevice(protocol)
+        try:
+            await device.launch()
+            return await draft(adapter, device, lambda line: print(line, flush=True))
+        finally:
+            await device.close()
+
+    loop = LoopThread()
+    try:
+        drafted = loop.run(work())
+    except SubjectError as failure:
+        raise Refusal(f"no proposal: {failure}; 'otmcp doctor' may know why") from None
+    finally:
+        loop.close()
+    args.out.write_text(write_document(drafted), encoding="utf-8")
+    # What cannot be loaded would be a fault of ours, and better found here than by whoever edits it.
+    load_subject(args.out)
+    print(f"\n{args.out} is written. What is left to fill in:")
+    for line in drafted.left:
+        print(f"  - {line}")
+    print(f"Then: pytest --otmcp-subject={args.out} --otmcp-reps=1", file=sys.stdout)
+    return 0
+
+
+def environment(options: Sequence[str]) -> Mapping[str, str]:
+    """The options ``--env NAME=VALUE`` as a table.
+
+    Raises:
+        UsageError: one of them is something else.
+    """
+    table = {}
+    for option in options:
+        name, found, value = option.partition("=")
+        if not found or not name:
+            raise UsageError(f"--env: expected NAME=VALUE, found {option!r}")
+        table[name] = value
+    return table
+
+
+def spoken(words: Sequence[str]) -> str:
+    """The one protocol that is named in these words.
+
+    Raises:
+        UsageError: none, or more than one.
+    """
+    text = " ".join(words).lower()
+    patterns = {"modbus": r"modbus", "mqtt": r"mqtt|sparkplug", "opcua": r"opc[-_ ]?ua"}
+    named = [protocol for protocol, pattern in patterns.items() if re.search(pattern, text)]
+    if len(named) != 1:
+        what = "names no protocol" if not named else f"names {' and '.join(named)}"
+        raise UsageError(f"the command {what}; say --protocol {', '.join(PROTOCOLS)}, one at a time")
+    return named[0]

@@ -1,0 +1,47 @@
+"""``otmcp report``: everything that is made from a run record, made again without measuring."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from ..errors import UsageError
+from . import Refusal
+
+__all__ = ["add_parser", "run"]
+
+
+def add_parser(subparsers: Any) -> None:
+    """Declare the subcommand."""
+    parser: argparse.ArgumentParser = subparsers.add_parser(
+        "report",
+        help="make every report from a record again",
+        description="Make tables, figures and reports from a run record again, without measuring.",
+    )
+    parser.add_argument("record", metavar="RUN", type=Path, help="a run.json")
+    parser.add_argument("--out", metavar="DIR", type=Path, help="directory to write to (default: that of RUN)")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the reports, also those of a run that is not complete.
+
+    Raises:
+        UsageError: there is no such file.
+        Refusal: it is no record that can be believed.
+    """
+    from ..record import RecordError, load
+    from ..report.render import write_all
+
+    if not args.record.is_file():
+        raise UsageError(f"{args.record}: there is no such file")
+    try:
+        record = load(args.record, allow_incomplete=True)
+    except RecordError as reason:
+        raise Refusal(f"no reports: {reason}") from None
+    directory: Path = args.out if args.out is not None else args.record.parent
+    directory.mkdir(parents=True, exist_ok=True)
+    write_all(record, directory)
+    print(f"the reports of {args.record} are in {directory}")
+    return 0

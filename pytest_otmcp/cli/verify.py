@@ -1,0 +1,125 @@
+"""``otmcp verify``: whether a certificate follows from its run, and the run's judgement from its history.
+
+Refused is what was edited, torn or is incomplete, and also what is in order but was judged by another kit: only the kit
+that judged a history can judge it again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from ..errors import UsageError
+from . import Refusal
+
+__all__ = ["add_parser", "run", "verify"]
+
+_SHOWN = 3
+
+
+def add_parser(subparsers: Any) -> None:
+    """Declare the subcommand."""
+    parser: argparse.ArgumentParser = subparsers.add_parser(
+        "verify",
+        help="check a certificate against its record, and judge the record again",
+        description="Check that a certificate says what its run record says, and judge the record's history again.",
+    )
+    parser.add_argument("certificate", metavar="CERT", type=Path, help="a certificate.json")
+    parser.add_argument("record", metavar="RUN", type=Path, help="the run.json that it is about")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Verify, and say so.
+
+    Raises:
+        UsageError: one of the files is not there.
+        Refusal: something does not hold.
+    """
+    told = verify(args.certificate, args.record)
+    counts = told["predicate"]["otmcp"]["counts"]["total"]
+    print(
+        f"verified: {told['subject'][0]['name']} is {told['predicate']['otmcp']['verdict']}; {counts['passed']} of "
+        f"{counts['planned']} repetitions passed in {counts['items']} items, and judging them again found the same"
+    )
+    print("the certificate is not signed: who ran the kit, and at which adapter, it cannot prove")
+    return 0
+
+
+def verify(certificate_path: Path, record_path: Path) -> dict[str, Any]:
+    """The certificate, once everything in it has been derived again.
+
+    Raises:
+        UsageError: one of the files is not there.
+        Refusal: something does not hold; one sentence.
+    """
+    from ..certificate import certificate, differences, objections
+    from ..record import RecordError, load
+    from ..replay import rejudge
+    from ..shipped import tasks_by_id
+
+    told = _statement(certificate_path)
+    if not record_path.is_file():
+        raise UsageError(f"{record_path}: there is no such file")
+    try:
+        record = load(record_path)
+    except RecordError as reason:
+        raise Refusal(f"refused: {reason}") from None
+    digest = hashlib.sha256(record_path.read_bytes()).hexdigest()
+    if digest not in _bound(told):
+        raise Refusal(f"refused: {certificate_path} is about another run.json than {record_path}")
+    _check_kit(record_path, record["kit"])
+    tasks = tasks_by_id()
+    _refuse(f"{record_path} earns no certificate", objections(record, tasks))
+    expected = certificate(record, digest, tasks)
+    _refuse(f"{certificate_path} does not say what the run says", list(differences(told, expected)))
+    _refuse(f"{record_path} was not judged as its history deserves", rejudge(record))
+    return expected
+
+
+def _statement(path: Path) -> Any:
+    from ..certificate import PREDICATE_TYPE, STATEMENT_TYPE
+    from ..envelope import parse_strict
+
+    if not path.is_file():
+        raise UsageError(f"{path}: there is no such file")
+    try:
+        statement = parse_strict(path.read_bytes())
+    except ValueError as reason:
+        raise Refusal(f"refused: {path}: not strict JSON: {reason}") from None
+    types = (statement.get("_type"), statement.get("predicateType")) if isinstance(statement, dict) else None
+    if types != (STATEMENT_TYPE, PREDICATE_TYPE):
+        raise Refusal(f"refused: {path}: not an in-toto statement about a test result")
+    return statement
+
+
+def _bound(statement: Any) -> list[Any]:
+    """The digests of the records that a statement is about."""
+    try:
+        about = statement["predicate"]["configuration"]
+        return [entry["digest"]["sha256"] for entry in about if entry["name"] == "run.json"]
+    except (KeyError, TypeError):
+        return []
+
+
+def _check_kit(path: Path, judged_by: Mapping[str, Any]) -> None:
+    from .. import __version__
+    from ..shipped import kit_digest, suite_digest
+
+    found = tuple(judged_by.get(name) for name in ("version", "suite_digest", "digest"))
+    if found == (__version__, suite_digest(), kit_digest()):
+        return
+    if found[0] == __version__:
+        why = f"a pytest-otmcp {__version__} with other files than this one (one of the two has been changed)"
+    else:
+        why = f"pytest-otmcp {found[0]}, and this is {__version__}; install that version to judge it again"
+    raise Refusal(f"refused: {path} was judged by {why}")
+
+
+def _refuse(what: str, reasons: list[str]) -> None:
+    if reasons:
+        more = f" (and {len(reasons) - _SHOWN} more)" if len(reasons) > _SHOWN else ""
+        raise Refusal(f"refused: {what}: {'; '.join(reasons[:_SHOWN])}{more}")

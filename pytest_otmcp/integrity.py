@@ -1,0 +1,106 @@
+"""Whether the kit that runs is the kit that was installed: its files, and its functions in memory.
+
+Nothing here can keep a determined person from bending a run; it makes a bent run say so.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import re
+import sys
+from collections.abc import Iterator
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+from types import FunctionType, ModuleType
+
+__all__ = ["changed_files", "replaced_functions"]
+
+_KIT = Path(__file__).resolve().parent
+_LIBRARY = Path(hashlib.__file__).resolve().parent
+_JUDGES = (
+    "bench collection envelope fixtures integrity mcp_session narrowing observation oracle plant plugin process record run "
+    "shipped station taxonomy trial verdict witness.modbus_oracle witness.mqtt_oracle witness.opcua_oracle "
+    "witness.sparkplug_oracle"
+).split()
+"""Modules whose functions decide what a run comes to."""
+
+_DEFINED = re.compile(r"^(?:async def|def|class) (\w+)", re.MULTILINE)
+
+
+def changed_files() -> list[str]:
+    """A sentence about files of the installed kit that are not those of its wheel; of a source checkout nothing."""
+    try:
+        distribution = metadata.distribution("pytest-otmcp")
+    except metadata.PackageNotFoundError:
+        return [f"the kit is not installed; it was imported from {_KIT}"]
+    recorded = [file for file in distribution.files or () if file.parts[0] == _KIT.name and file.hash is not None]
+    if not recorded:
+        return []
+    installed = Path(str(distribution.locate_file(_KIT.name))).resolve()
+    if installed != _KIT:
+        return [f"the kit was imported from {_KIT}, it is installed in {installed}"]
+    changed = [str(file) for file in recorded if not _as_recorded(Path(str(file.locate())), file.hash)]
+    if not changed:
+        return []
+    return [f"files of the installed kit were changed: {', '.join(changed[:5])}{' …' if changed[5:] else ''}"]
+
+
+def _as_recorded(path: Path, recorded: metadata.FileHash | None) -> bool:
+    if recorded is None:
+        return True
+    try:
+        digest = hashlib.new(recorded.mode, path.read_bytes()).digest()
+    except OSError:
+        return False
+    return base64.urlsafe_b64encode(digest).rstrip(b"=").decode() == recorded.value
+
+
+def replaced_functions() -> list[str]:
+    """A sentence for each function of the kit that somebody has put something else in the place of."""
+    found = []
+    for name in _JUDGES:
+        module = sys.modules.get(f"{__package__}.{name}")
+        if module is not None and module.__file__ is not None:
+            found += [
+                f"{module.__name__}.{what} was replaced by something from {where}" for what, where in _foreign(module)
+            ]
+    return found
+
+
+@cache
+def _names(file: str) -> tuple[str, ...]:
+    return tuple(_DEFINED.findall(Path(file).read_text(encoding="utf-8")))
+
+
+def _foreign(module: ModuleType) -> Iterator[tuple[str, str]]:
+    for name in _names(str(module.__file__)):
+        value = vars(module).get(name)
+        if isinstance(value, type) and value.__module__ == module.__name__:
+            for member, held in vars(value).items():
+                function = getattr(held, "__func__", getattr(held, "fget", held))
+                if isinstance(function, FunctionType) and not _ours(function):
+                    yield f"{name}.{member}", function.__code__.co_filename
+        elif isinstance(value, FunctionType):
+            if not _ours(value):
+                yield name, value.__code__.co_filename
+        elif not _defined_here(value, module):
+            yield name, repr(type(value))
+
+
+def _ours(function: FunctionType) -> bool:
+    return _own_file(function.__code__.co_filename)
+
+
+@cache
+def _own_file(file: str) -> bool:
+    # What dataclasses and enums generate has no file; what decorators add is the standard library's.
+    path = Path(file).resolve()
+    return file.startswith("<") or path.is_relative_to(_KIT) or path.parent == _LIBRARY
+
+
+def _defined_here(value: object, module: ModuleType) -> bool:
+    # Fixtures are objects of pytest; whatever else stands under the name of a function is none of the kit's.
+    wrapped = getattr(value, "__wrapped__", value)
+    return getattr(wrapped, "__module__", None) == module.__name__

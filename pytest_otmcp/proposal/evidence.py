@@ -1,0 +1,197 @@
+"""Finds a value that is known in an answer whose shape is not: where it is becomes the rule of a subject file. Pure."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ..subject.answers import extract, interpret, read_answer
+from ..subject.model import Answering, OutcomeRule, OutputRule
+
+__all__ = ["Found", "failure_rules", "find", "known_errors", "lists_in"]
+
+_PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Found:
+    """Where a value is in an answer.
+
+    Attributes:
+        form: ``structured``, ``json`` or ``text``.
+        rule: table as a subject file has it below ``result``.
+    """
+
+    form: str
+    rule: Mapping[str, Any]
+
+
+def find(
+    message: Mapping[str, Any], expected: Any, forms: Sequence[str] = ("structured", "json", "text")
+) -> Found | None:
+    """Where ``expected`` (a value, or a list of them) is; every proposal has been tried on the answer."""
+    for form in forms:
+        document = read_answer(message, form)[0]
+        if document is None:
+            continue
+        for rule in _rules(document, expected):
+            output = OutputRule(**{{"as": "convert"}.get(name, name): value for name, value in rule.items()})
+            if _same(extract({"x": output}, document)["x"], expected):
+                return Found(form=form, rule=rule)
+    return None
+
+
+def _same(found: Any, expected: Any) -> bool:
+    if isinstance(expected, list):
+        return isinstance(found, list) and len(found) == len(expected) and all(map(_same, found, expected))
+    if isinstance(expected, bool) or isinstance(found, bool):
+        return found is expected
+    if isinstance(expected, float) and isinstance(found, int | float):
+        return abs(found - expected) < 1e-9
+    return bool(found == expected)
+
+
+def _rules(document: Any, expected: Any) -> Iterator[dict[str, Any]]:
+    if isinstance(document, str):
+        yield from _in_text(document, expected)
+        return
+    for path, value in _places(document, ""):
+        yield {"path": path}
+        if isinstance(expected, list):
+            yield {"path": path, "wrap": True}
+        if isinstance(value, str):
+            try:
+                inner = json.loads(value)
+            except ValueError:
+                inner = None
+            if isinstance(inner, dict | list):
+                yield from ({"path": path, "as": "json", "then": place} for place, _ in _places(inner, "") if place)
+            for rule in _in_text(value, expected):
+                yield {"path": path, **rule}
+        elif isinstance(value, list) and value and all(isinstance(entry, str) for entry in value):
+            yield from ({"path": path, "strip": prefix} for prefix in ("2:",))
+
+
+def _places(value: Any, path: str) -> Iterator[tuple[str, Any]]:
+    """JMESPath to every value, also through all elements of a list of objects."""
+    if path:
+        yield path, value
+    if isinstance(value, Mapping):
+        for name, member in value.items():
+            step = name if _PLAIN.fullmatch(name) else json.dumps(name)
+            yield from _places(member, f"{path}.{step}" if path else step)
+    elif isinstance(value, list) and value:
+        inner = value[0]
+        if isinstance(inner, Mapping):
+            for place, _ in _places(inner, ""):
+                yield f"{path}[].{place}", None
+            for place, member in _places(inner, ""):
+                yield f"{path}[0].{place}", member
+        elif path == "":
+            yield "[0]", inner
+
+
+def _in_text(text: str, expected: Any) -> Iterator[dict[str, Any]]:
+    if isinstance(expected, list):
+        kind = _kind(expected[0]) if expected else "string"
+        yield {"split": ",", "as": kind}
+        yield {"regex": r"\[([^\]]*)\]", "split": ",", "as": kind}
+        yield {"regex": r":\s*([-\d.,\s]+)$", "split": ",", "as": kind}
+        return
+    kind = _kind(expected)
+    yield {"as": kind}
+    shown = json.dumps(expected) if not isinstance(expected, str) else expected
+    for written in dict.fromkeys((shown, str(expected))):
+        position = text.find(written)
+        if position < 0:
+            continue
+        anchor = re.search(r"[A-Za-z_]+\W*$", text[:position])
+        before = "" if anchor is None else re.escape(anchor[0]).replace(r"\ ", r"\s*")
+        pattern = {"int": r"(-?\d+)", "float": r"(-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?)", "bool": r"(\w+)"}.get(
+            kind, r"([^\s,;]+)"
+        )
+        yield {"regex": before + pattern, "as": kind}
+
+
+def _kind(value: Any) -> str:
+    if isinstance(value, bool):
+        return "bool"
+    return {int: "int", float: "float"}.get(type(value), "string")
+
+
+def lists_in(message: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any], list[Any]]]:
+    """Every list of texts in an answer, with its form and its rule; with and without a namespace prefix such as ``2:``."""
+    for form in ("structured", "json"):
+        document = read_answer(message, form)[0]
+        if document is None:
+            continue
+        for path, _ in _places(document, ""):
+            for rule in ({"path": path}, {"path": path, "strip": "2:"}):
+                output = OutputRule(path=path, strip=rule.get("strip"))
+                value = extract({"x": output}, document)["x"]
+                if isinstance(value, list) and value and all(isinstance(entry, str) for entry in value):
+                    yield form, rule, value
+
+
+_FAILING_WORDS = re.compile(
+    r"^\W*(error|failed|failure|cannot|could not|unable|exception|invalid|not connected)\b", re.IGNORECASE
+)
+_FAILING_PATHS = (
+    "success == `false`",
+    "ok == `false`",
+    "error",
+    "errors",
+    "status == 'error'",
+    "result.error",
+    "result[?status && status != 'Good']",
+    "[?status && status != 'Good']",
+    "status && !starts_with(status, 'Good') && status != 'ok' && status != 'success'",
+)
+
+
+def failure_rules(
+    failure: Mapping[str, Any], successes: Sequence[Mapping[str, Any]], form: str
+) -> list[dict[str, Any]]:
+    """Outcome rules that tell this failed answer from the successful ones; none when ``isError`` already does."""
+    document, text, is_error = read_answer(failure, form)
+    if is_error:
+        return []
+    rules: list[dict[str, Any]] = []
+    first = _FAILING_WORDS.match(text)
+    if first is not None:
+        rules.append({"text": f"(?i)^\\W*{first[1].lower()}", "then": "failure"})
+    if document is not None and not isinstance(document, str):
+        rules += [{"path": path, "then": "failure"} for path in _FAILING_PATHS]
+    for rule in rules:
+        answering = Answering(
+            form=form, outcome=(OutcomeRule(success=False, text=rule.get("text"), path=rule.get("path")),)
+        )
+        if not interpret(failure, answering).success and all(interpret(good, answering).success for good in successes):
+            return [rule]
+    return []
+
+
+_KNOWN: Mapping[str, tuple[tuple[str, str], ...]] = {
+    "illegal_address": (
+        (r"0x0?2\b|exception[ _]code\W{0,4}2\b|[Ii]llegal.?[Dd]ata.?[Aa]ddress|ILLEGAL_DATA_ADDRESS", "modbus"),
+        (r"BadNodeIdUnknown|BadNodeIdInvalid|0x8034", "opcua"),
+    ),
+    "type_mismatch": ((r"BadTypeMismatch|[Tt]ype.?[Mm]ismatch|could not convert", "opcua"),),
+    "range_overflow": ((r"(?i)out of range|number <= 65535|less than or equal to 65535|overflow|must be between", "modbus"),),
+    "invalid_input": ((r"(?i)invalid|validation error|must not be empty|empty topic", "mqtt"),),
+    "connect_failed": ((r"(?i)refused|unreachable|not connected|no connection|connection.{0,20}(failed|lost|closed|reset)|offline", "*"),),
+    "writes_disabled": ((r"(?i)writes? (are|is) disabled|read.?only|not allowed to write", "*"),),
+    "timeout": ((r"(?i)timed? ?out", "*"),),
+}  # fmt: skip
+
+
+def known_errors(protocol: str, code: str, text: str) -> list[dict[str, str]]:
+    """Error rules that give this failure's text the code it should have."""
+    return [
+        {"text": pattern, "code": code}
+        for pattern, whose in _KNOWN.get(code, ())
+        if whose in (protocol, "*") and re.search(pattern, text)
+    ]

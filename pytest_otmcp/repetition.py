@@ -1,0 +1,210 @@
+"""One execution of a task's steps, and everything it showed.
+
+The judging itself is done by the pure functions of ``oracle`` and ``witness``; a repetition only collects what they say.
+It does not know whether it runs on a bench or on stored history: see :class:`~pytest_otmcp.at_device.AtDevice`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from collections.abc import Coroutine, Iterable, Mapping
+from typing import Any
+
+from . import oracle
+from .at_device import AtDevice, EndedError, Entry
+from .envelope import same_json
+from .findings import Finding
+from .observation import Reply
+from .station import READ_ONLY, READ_WRITE
+
+__all__ = ["Repetition"]
+
+
+class Repetition:
+    """One execution of a task's steps.
+
+    Args:
+        task_id: id of the task.
+        rep: number of the repetition, from 0.
+        role: what calls count as when the steps do not say otherwise.
+        seed: of the run.
+        time_scale: factor on windows and deadlines.
+        places: every adapter at its device that the task has.
+
+    Attributes:
+        rng: random numbers that only depend on the arguments above.
+        replies, inputs: the calls, in the order of their replies, and what was asked for in each.
+        journal: every entry of this repetition that has been kept so far.
+        observations: what was looked at; see :mod:`pytest_otmcp.history`.
+        notes: whatever the steps want to remember.
+        phases: of a recovery trial.
+    """
+
+    def __init__(
+        self, task_id: str, rep: int, role: str, *, seed: int, time_scale: float, places: Iterable[AtDevice]
+    ) -> None:
+        self.rep = rep
+        self.role = role
+        self.time_scale = time_scale
+        # The same seed gives the same nonces, whatever else ran before.
+        self.rng = random.Random(f"{seed}/{task_id}/{role}/{rep}")
+        self.replies: list[Reply] = []
+        self.inputs: list[Mapping[str, Any]] = []
+        self.findings: list[Finding] = []
+        self.observations: list[dict[str, Any]] = []
+        self.phases: dict[str, Any] | None = None
+        self.notes: dict[str, Any] = {}
+        self.journal: list[Entry] = []
+        self._group = 0
+        self._together = False
+        self._at = {(at.protocol, at.variant): at for at in places}
+        for at in self.all:
+            at.join(self)
+
+    # -- who there is -------------------------------------------------------------------------------------
+
+    @property
+    def modbus(self) -> AtDevice:
+        """The Modbus adapter with writes enabled."""
+        return self._at["modbus", READ_WRITE]
+
+    @property
+    def modbus_ro(self) -> AtDevice:
+        """The Modbus adapter with writes disabled, at a device of its own."""
+        return self._at["modbus", READ_ONLY]
+
+    @property
+    def mqtt(self) -> AtDevice:
+        """The MQTT adapter."""
+        return self._at["mqtt", READ_WRITE]
+
+    @property
+    def opcua(self) -> AtDevice:
+        """The OPC UA adapter."""
+        return self._at["opcua", READ_WRITE]
+
+    def at(self, protocol: str) -> AtDevice:
+        """The adapter of ``protocol`` with writes enabled."""
+        return self._at[protocol, READ_WRITE]
+
+    @property
+    def all(self) -> Iterable[AtDevice]:
+        """Every adapter at its device that this task has."""
+        return self._at.values()
+
+    # -- collecting ---------------------------------------------------------------------------------------
+
+    def add(self, reply: Reply, inputs: Mapping[str, Any]) -> None:
+        """Note a reply and its faults."""
+        if not self._together:
+            self._group += 1
+        reply.group = self._group
+        self.replies.append(reply)
+        self.inputs.append(inputs)
+        self.findings.extend(reply.faults)
+
+    def observed(self, at: AtDevice, what: str, seen: Any) -> None:
+        """Note that a device was looked at; see :mod:`pytest_otmcp.history`."""
+        self.observations.append({"at": at.name, what: seen})
+
+    async def in_order(self, *calls: Coroutine[Any, Any, Reply]) -> list[Reply]:
+        """Perform calls one after the other."""
+        replies = []
+        for index, call in enumerate(calls):
+            try:
+                replies.append(await call)
+            except BaseException:
+                for unused in calls[index + 1 :]:
+                    unused.close()
+                raise
+        return replies
+
+    async def together(self, *calls: Coroutine[Any, Any, Reply]) -> list[Reply]:
+        """Perform calls concurrently; their time counts once, from the first request to the last reply."""
+        self._group += 1
+        self._together = True
+        try:
+            replies = await asyncio.gather(*calls, return_exceptions=True)
+        finally:
+            self._together = False
+        for reply in replies:
+            if isinstance(reply, BaseException):
+                raise reply
+        return [reply for reply in replies if isinstance(reply, Reply)]
+
+    async def keep_journal(self, at: AtDevice) -> None:
+        """Keep what a device's journal holds before its process ends."""
+        # The read-only variant has a device of its own, whose entries count from 0 as well.
+        variant = {} if at.variant == READ_WRITE else {"variant": at.variant}
+        self.journal.extend({"protocol": at.protocol, **variant, **entry} for entry in await at.take_slice())
+
+    async def close_journals(self) -> None:
+        """Keep what the journals hold at the end."""
+        for at in self.all:
+            if at.running:
+                await self.keep_journal(at)
+
+    # -- judging ------------------------------------------------------------------------------------------
+
+    def succeeds(self, reply: Reply, **outputs: Any) -> None:
+        """Expect success with these outputs."""
+        self._judge(reply, oracle.succeeded(reply, **outputs))
+
+    def must_succeed(self, reply: Reply, **outputs: Any) -> None:
+        """Expect success with these outputs; without it the repetition ends here."""
+        self.succeeds(reply, **outputs)
+        if not reply.ok:
+            raise EndedError
+
+    def fails(self, reply: Reply, *codes: str, **expected: Any) -> None:
+        """Expect a refusal with one of these codes; see :func:`pytest_otmcp.oracle.failed`."""
+        self._judge(reply, oracle.failed(reply, *codes, **expected))
+
+    def one_of(self, reply: Reply, output: str, *values: Any) -> None:
+        """Expect an output to be one of several values, where concurrency makes each of them right."""
+        found = reply.outputs.get(output)
+        if reply.success and not any(same_json(value, found) for value in values):
+            reply.ok = False
+            shown = " or ".join(map(repr, values))
+            self.finding(
+                "wrong_value", f"{reply.label}: {output} should be {shown}, the reply says {found!r}", "CON-004"
+            )
+
+    def _judge(self, reply: Reply, findings: list[Finding]) -> None:
+        reply.ok = not findings and not reply.faults
+        # A reply that never came, or is no envelope, has been reported as such.
+        if not (reply.envelope is None and reply.faults):
+            self.findings.extend(findings)
+
+    def witnessed(self, *findings: list[Finding]) -> None:
+        """Take over what the device witnesses."""
+        for group in findings:
+            self.findings.extend(group)
+
+    def finding(self, code: str, message: str, requirement: str | None = None, evidence: str | None = None) -> None:
+        """Note a finding of the task itself."""
+        self.findings.append(Finding(code=code, message=message, requirement=requirement, evidence=evidence))
+
+    @property
+    def unanswered(self) -> bool:
+        """Some call got no response at all."""
+        return any(reply.wire.response is None for reply in self.replies)
+
+    @property
+    def duration_ms(self) -> float:
+        """Time of the task's calls: the sum over sequential calls, concurrent ones counted once."""
+        return sum(self._spans("task")) / 1e6
+
+    def calls_s(self) -> float:
+        """Seconds spent in calls of any role."""
+        return sum(self._spans(None)) / 1e9
+
+    def _spans(self, role: str | None) -> Iterable[int]:
+        groups: dict[int, list[Reply]] = {}
+        for reply in self.replies:
+            if (role is None or reply.role == role) and reply.wire.received_ns is not None:
+                groups.setdefault(reply.group, []).append(reply)
+        for replies in groups.values():
+            last = max(reply.wire.received_ns or 0 for reply in replies)
+            yield last - min(reply.wire.sent_ns for reply in replies)

@@ -1,0 +1,146 @@
+"""The pictures of the HTML report, as SVG that follows the page's colours. Pure.
+
+Hand-made, so that letters stay letters and dark pages get dark pictures; what is drawn, and how quartiles, whiskers and
+medians are worked out, is that of the figures. All texts pass through markupsafe's escaping.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from markupsafe import Markup
+
+from ..statistics import percentile
+from . import Item, Run, durations, phases
+from .text import printable
+
+__all__ = ["latencies", "recovery", "strip"]
+
+_WIDTH, _RIGHT = 720, 70
+_ROW, _AXIS = 22, 34
+_CELLS = 60
+_PHASES = {
+    "detect": "detect the outage",
+    "restart": "restart of the endpoint",
+    "same_session": "answer in the same session",
+    "fresh_session": "answer in a fresh session",
+}
+_CLASSES = {"Modbus": "modbus", "MQTT": "mqtt", "OPC UA": "opcua", "Cross-protocol": "cross"}
+
+
+def strip(item: Item) -> Markup:
+    """The repetitions of an item from left to right, at most sixty marks: a mark is bad when any of its own is."""
+    planned = max(item["planned"], len(item["samples"]))
+    marks = min(planned, _CELLS)
+    # One path for each kind: hundreds of items with thirty marks each are still a small page.
+    paths = {"good": "", "bad": "", "open": ""}
+    for mark in range(marks):
+        first, last = mark * planned // marks, (mark + 1) * planned // marks
+        own = item["samples"][first:last]
+        kind = "open" if len(own) < last - first else "good" if all(sample["ok"] for sample in own) else "bad"
+        # What failed is lower as well as of another colour.
+        paths[kind] += f"M{mark * 4} {'6h3v6' if kind == 'bad' else '1h3v8'}h-3z"
+    shapes = Markup().join(Markup('<path class="{}" d="{}"/>').format(*path) for path in paths.items() if path[1])
+    good = sum(sample["ok"] for sample in item["samples"])
+    return Markup('<svg class="strip" role="img" width="{0}" height="13" viewBox="0 0 {0} 13">{1}{2}</svg>').format(
+        4 * marks, Markup("<title>{} of {} repetitions passed</title>").format(good, item["planned"]), shapes
+    )
+
+
+class _Scale:
+    """A logarithmic axis of milliseconds."""
+
+    def __init__(self, values: Sequence[float], left: int) -> None:
+        # Nothing is faster than a microsecond, and a clock that says so must not break the picture.
+        found = [max(value, 0.001) for value in values]
+        self._low = math.floor(2 * math.log10(min(found))) / 2
+        self._high = max(math.ceil(2 * math.log10(max(found))) / 2, self._low + 0.5)
+        self.left = left
+        self._width = _WIDTH - _RIGHT - left
+
+    def x(self, value: float) -> float:
+        share = (math.log10(max(value, 0.001)) - self._low) / (self._high - self._low)
+        return round(self.left + share * self._width, 1)
+
+    def axis(self, bottom: int) -> Markup:
+        """Grid and numbers."""
+        marks = Markup()
+        for power in range(math.floor(self._low), math.ceil(self._high) + 1):
+            for digit in (1, 2, 5):
+                value = digit * 10.0**power
+                if self._low - 1e-9 <= math.log10(value) <= self._high + 1e-9:
+                    at = self.x(value)
+                    marks += Markup('<line class="grid" x1="{0}" y1="4" x2="{0}" y2="{1}"/>').format(at, bottom)
+                    marks += _text(at, bottom + 14, f"{value:g}", "middle")
+        return marks + _text(self.left + self._width / 2, bottom + 29, "milliseconds, logarithmic", "middle")
+
+
+def _text(x: float, y: float, text: str, anchor: str) -> Markup:
+    return Markup('<text x="{}" y="{}" text-anchor="{}">{}</text>').format(round(x, 1), y, anchor, printable(text))
+
+
+def _picture(title: str, height: int, content: Markup) -> Markup:
+    return Markup('<svg class="plot" role="img" viewBox="0 0 {} {}"><title>{}</title>{}</svg>').format(
+        _WIDTH, height, title, content
+    )
+
+
+def latencies(run: Run) -> Markup | None:
+    """Box plots of the normal suite: quartiles, whiskers within 1.5 interquartile ranges, and every outlier."""
+    rows = [(item, durations(run, [item])) for item in run["items"] if item["suite"] == "normal"]
+    rows = [(item, times) for item, times in rows if times]
+    if not rows:
+        return None
+    scale = _Scale([time for _, times in rows for time in times], left=90)
+    bottom = 8 + _ROW * len(rows)
+    content = scale.axis(bottom)
+    for index, (item, times) in enumerate(rows):
+        content += _box(scale, 8 + _ROW * index + _ROW // 2, item, times)
+    return _picture("Latency of the normal suite's tasks: box plots", bottom + _AXIS, content)
+
+
+def _box(scale: _Scale, y: int, item: Item, times: Sequence[float]) -> Markup:
+    low, middle, high = (percentile(times, percent) or 0.0 for percent in (25, 50, 75))
+    reach = 1.5 * (high - low)
+    inside = [time for time in times if low - reach <= time <= high + reach]
+    marks = Markup('<line class="ink" x1="{}" y1="{y}" x2="{}" y2="{y}"/>').format(
+        scale.x(min(inside)), scale.x(max(inside)), y=y
+    )
+    marks += Markup('<rect class="box {}" x="{}" y="{}" width="{}" height="12"/>').format(
+        _CLASSES.get(item["family"], "cross"), scale.x(low), y - 6, round(max(1.0, scale.x(high) - scale.x(low)), 1)
+    )
+    marks += Markup('<line class="median" x1="{0}" y1="{1}" x2="{0}" y2="{2}"/>').format(scale.x(middle), y - 7, y + 7)
+    for time in times:
+        if not low - reach <= time <= high + reach:
+            marks += Markup('<circle class="ink" cx="{}" cy="{}" r="1.6"/>').format(scale.x(time), y)
+    return marks + _text(scale.left - 8, y + 4, item["id"], "end") + _text(_WIDTH - 4, y + 4, f"{middle:.2f}", "end")
+
+
+def recovery(run: Run) -> Markup | None:
+    """The median of each phase of the recovery items, as bars."""
+    items = [item for item in run["items"] if item["suite"] == "recovery"]
+    medians = {(item["id"], name): percentile(phases(run, item, name), 50) for item in items for name in _PHASES}
+    known = [median for median in medians.values() if median is not None]
+    if not known:
+        return None
+    scale = _Scale([min(known) / 2, *known], left=200)
+    bars, y = Markup(), 0
+    for item in items:
+        bars += Markup('<g class="head">{}</g>').format(_text(4, y + 16, item["family"], "start"))
+        y += _ROW
+        for name, label in _PHASES.items():
+            bars += _text(scale.left - 8, y + 12, label, "end") + _bar(scale, y, name, medians[item["id"], name])
+            y += 17
+    bottom = y + 8
+    return _picture("Recovery from an outage: median of each phase", bottom + _AXIS, scale.axis(bottom) + bars)
+
+
+def _bar(scale: _Scale, y: int, name: str, median: float | None) -> Markup:
+    if median is None:
+        return _text(scale.left + 6, y + 12, "did not happen", "start")
+    width = round(scale.x(median) - scale.left, 1)
+    bar = Markup('<rect class="{}" x="{}" y="{}" width="{}" height="12"/>').format(
+        name.replace("_", "-"), scale.left, y + 2, width
+    )
+    return bar + _text(_WIDTH - 4, y + 12, f"{median:.1f}", "end")

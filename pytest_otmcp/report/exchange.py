@@ -1,0 +1,204 @@
+"""One repetition as a conversation: what host and adapter said, and what the device saw, in one order of time. Pure.
+
+The clock of the frames is that of the journals, the machine's monotonic one. A call without recorded frames (of a
+repetition that passed, of an older record) has no place in time: its events come first.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from .text import clipped
+
+__all__ = ["Event", "conversation"]
+
+_FUNCTIONS = {
+    1: "read coils",
+    2: "read discrete inputs",
+    3: "read holding registers",
+    4: "read input registers",
+    5: "write single coil",
+    6: "write single register",
+    15: "write multiple coils",
+    16: "write multiple registers",
+    22: "mask write register",
+    23: "read/write multiple registers",
+}
+"""Names of the Modbus Application Protocol Specification V1.1b3, section 6."""
+
+_HEAD, _TAIL, _BAD, _AROUND = 40, 10, 10, 3
+"""Events shown of a long conversation: how it began, how it ended, and what was not as required, with those around it."""
+
+_DETAILED = 12
+"""Calls shown with envelope and frames."""
+
+_SHORT, _LONG = 300, 3_000
+"""Characters of a line, and of an envelope or a frame."""
+
+_ROLES = {
+    "task": "",
+    "control": "closing check",
+    "setup": "set-up",
+    "warmup": "warm-up",
+    "recovery": "while recovering",
+}
+_PLACED = ("protocol", "variant", "seq", "t_ns", "direction", "kind", "connection", "state_changing")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Event:
+    """Something that was said or seen.
+
+    Attributes:
+        at_ms: milliseconds since the first event whose time is known; None when it is not.
+        lane: ``adapter`` (between host and adapter) or ``device`` (on the device's wire).
+        towards: it goes in the direction of the device.
+        who: adapter or device, with variant and role where they matter.
+        what: a word or two.
+        text: one line.
+        bad: it was not what the item expected, as far as this is known of a single call.
+        changes: the device counts it as a request that changes its state.
+        more: name and text of what is too long for a line.
+    """
+
+    at_ms: float | None
+    lane: str
+    towards: bool
+    who: str
+    what: str
+    text: str
+    bad: bool = False
+    changes: bool = False
+    more: tuple[tuple[str, str], ...] = ()
+
+
+def conversation(calls: Sequence[Mapping[str, Any]], entries: Iterable[Mapping[str, Any]]) -> list[Event | int]:
+    """The events in their order; a number stands for so many that are left out."""
+    # Envelopes and frames of what went wrong are wanted more than those of how it began.
+    ranked = sorted(range(len(calls)), key=lambda index: (calls[index]["ok"], index))
+    detailed = set(ranked[:_DETAILED])
+    timed: list[tuple[int | None, Event]] = []
+    for index, call in enumerate(calls):
+        timed += _call(call, detailed=index in detailed)
+    timed += [(_whole(entry.get("t_ns")), _entry(entry)) for entry in entries]
+    begun = min((at for at, _ in timed if at is not None), default=0)
+    # The sort is stable: what has the same time, or none, stays in the order of the record.
+    timed.sort(key=lambda pair: (pair[0] is not None, pair[0] or 0))
+    return _cut([_at(event, at, begun) for at, event in timed])
+
+
+def _cut(events: list[Event]) -> list[Event | int]:
+    bad = [index for index, event in enumerate(events) if event.bad and event.lane == "adapter"][:_BAD]
+    kept = {*range(_HEAD), *range(len(events) - _TAIL, len(events))}
+    kept |= {near for index in bad for near in range(index - _AROUND, index + _AROUND + 1)}
+    shown: list[Event | int] = []
+    for index, event in enumerate(events):
+        if index in kept:
+            shown.append(event)
+        elif shown and isinstance(shown[-1], int):
+            shown[-1] += 1
+        else:
+            shown.append(1)
+    return shown
+
+
+def _at(event: Event, at: int | None, begun: int) -> Event:
+    return event if at is None else replace(event, at_ms=(at - begun) / 1e6)
+
+
+def _whole(value: Any) -> int | None:
+    return value if isinstance(value, int) else None
+
+
+def _call(call: Mapping[str, Any], *, detailed: bool) -> list[tuple[int | None, Event]]:
+    frames = call.get("frames") or {}
+    who = str(call.get("adapter", "adapter"))
+    if call.get("variant", "rw") != "rw":
+        who += " (writes disabled)"
+    if role := _ROLES.get(call["role"], call["role"]):
+        who += f", {role}"
+    request = Event(
+        at_ms=None,
+        lane="adapter",
+        towards=True,
+        who=who,
+        what=str(call.get("tool")),
+        text=clipped(_json(call.get("arguments")), _SHORT),
+        more=_more(detailed, ("request frame", frames.get("request"))),
+    )
+    what, text = _answer(call, frames)
+    envelope = call.get("envelope")
+    reply = Event(
+        at_ms=None,
+        lane="adapter",
+        towards=False,
+        who=who,
+        what=what,
+        text=text,
+        bad=not call["ok"],
+        more=_more(
+            detailed,
+            ("envelope", None if envelope is None else _json(envelope, indent=2)),
+            ("response frame", frames.get("response")),
+        ),
+    )
+    sent, received = _whole(frames.get("sent_ns")), _whole(frames.get("received_ns"))
+    return [(sent, request), (sent if received is None else received, reply)]
+
+
+def _answer(call: Mapping[str, Any], frames: Mapping[str, Any]) -> tuple[str, str]:
+    latency = call.get("latency_ms")
+    if latency is None:
+        return "no reply", str(frames.get("failure") or "").replace("_", " ")
+    after = f"after {latency:.2f} ms"
+    envelope = call.get("envelope")
+    if not isinstance(envelope, Mapping):
+        return "no envelope", after
+    if envelope.get("success") is True:
+        return "success", f"{clipped(_json(envelope.get('data')), _SHORT)}, {after}"
+    error = envelope.get("error")
+    message = error.get("message") if isinstance(error, Mapping) else None
+    return str(call.get("error_code") or "failure"), f"{clipped(str(message or ''), _SHORT)}, {after}"
+
+
+def _more(wanted: bool, *pairs: tuple[str, Any]) -> tuple[tuple[str, str], ...]:
+    return tuple((name, clipped(str(text), _LONG)) for name, text in pairs if wanted and text is not None)
+
+
+def _entry(entry: Mapping[str, Any]) -> Event:
+    who = f"{entry.get('protocol', '')} device, connection {entry.get('connection')}"
+    if entry.get("variant"):
+        who += " (writes disabled)"
+    what = str(entry.get("kind"))
+    if (name := _FUNCTIONS.get(entry.get("function", 0))) is not None:
+        what += f": {name}"
+    facts = [f"{key}={_fact(key, value)}" for key, value in entry.items() if key not in _PLACED and value is not None]
+    return Event(
+        at_ms=None,
+        lane="device",
+        towards=entry.get("direction") == "in",
+        who=who,
+        what=what,
+        text=clipped(" ".join(facts), _SHORT),
+        bad=entry.get("exception") is not None,
+        changes=entry.get("state_changing") is True,
+    )
+
+
+def _fact(key: str, value: Any) -> str:
+    if key == "payload" and isinstance(value, str):
+        try:
+            text = base64.b64decode(value, validate=True).decode()
+        except (binascii.Error, UnicodeDecodeError):
+            return value
+        return _json(text) if text.isprintable() else value
+    return value if isinstance(value, str) else _json(value)
+
+
+def _json(value: Any, indent: int | None = None) -> str:
+    return json.dumps(value, ensure_ascii=False, indent=indent)

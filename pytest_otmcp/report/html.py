@@ -1,0 +1,123 @@
+"""The HTML report of a run: one file that needs nothing but a browser, and no network. Pure but for the writing.
+
+Whatever an adapter wrote is shown, never interpreted: jinja2 escapes every value, letters that do not print are replaced
+by their escapes, and the page's Content-Security-Policy allows one style sheet, known by its hash, and nothing else: no
+script, no request. ``report.html.jinja`` is the page.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import re
+from collections.abc import Iterable
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, StrictUndefined
+from markupsafe import Markup
+
+from ..task import SUITES
+from . import Item, Run, command, overview, tally, timing_valid
+from .capabilities import earned, families
+from .drawings import latencies, recovery, strip
+from .evidence import failures
+from .limits import narrowed
+from .text import clipped, printable
+
+__all__ = ["page", "write_html"]
+
+_STATUSES = {
+    "PASS": "passed",
+    "FAIL": "failed",
+    "NOT_APPLICABLE": "not claimed",
+    "NOT_TESTABLE": "cannot be tested",
+    "KIT_ERROR": "fault of the kit",
+    "INTERRUPTED": "interrupted",
+}
+_QUESTIONS = {
+    "normal": "Does it do what it is asked?",
+    "fault": "Does it refuse what is wrong, and change nothing?",
+    "stress": "Does it keep answers apart, and survive a lost endpoint?",
+    "recovery": "How soon does it notice an outage, and how soon is it back?",
+}
+_SENTENCES = {
+    "CONFORMANT": "Every item passed every repetition, and the devices agree with what the adapter said.",
+    "NOT CONFORMANT": "The adapter failed. Each failure is below: what was asked, what was said, what the device saw.",
+    "INDETERMINATE": "This run says nothing about the adapter: the kit itself failed, or nothing applied.",
+    "INCOMPLETE": "Not everything ran, so this run proves nothing yet.",
+}
+_LONGEST = 4_000
+"""Letters of any one value on the page."""
+_TONES = {"CONFORMANT": "good", "NOT CONFORMANT": "bad"}
+
+
+def write_html(run: Run, path: Path) -> None:
+    """Write the report of a run to ``path``."""
+    path.write_text(page(run), encoding="utf-8", newline="\n")
+
+
+def page(run: Run) -> str:
+    """The report of a run as HTML."""
+    style = _resource("report.css")
+    verdict = run["footer"].get("verdict", "INCOMPLETE")
+    good, planned = tally(run["items"])
+    anchors = _anchors(run["items"])
+    failing = failures(run)
+    html: str = _template().render(
+        run=run,
+        style=Markup(style),  # noqa: S704  (our own file)
+        style_hash=base64.b64encode(hashlib.sha256(style.encode()).digest()).decode(),
+        verdict=verdict,
+        tone=_TONES.get(verdict, "open"),
+        sentence=_SENTENCES.get(verdict, ""),
+        good=good,
+        planned=planned,
+        narrowed=narrowed(run),
+        deviations=run["subject"].get("deviations", []),
+        families=families(run),
+        capabilities=earned(run),
+        failures=failing,
+        anchors=anchors,
+        # Who follows the id of an item that failed wants to see why.
+        targets={**anchors, **{one.item["id"]: f"failed-{anchors[one.item['id']]}" for one in failing}},
+        statuses=_STATUSES,
+        suites=[(suite, _QUESTIONS.get(suite, ""), rows) for suite in SUITES if (rows := overview.tasks(run, suite))],
+        requirements=overview.requirements(run),
+        latencies=latencies(run),
+        recovery=recovery(run),
+        strip=strip,
+        recovery_rows=overview.recovery_rows(run),
+        statistics=overview.statistics(run),
+        timing_valid=timing_valid(run),
+        facts=overview.facts(run),
+        rerun=command(run),
+    )
+    return html
+
+
+def _template() -> Any:
+    # The template is ours and what fills it is not: everything that is put in is escaped.
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, finalize=_shown, trim_blocks=True, lstrip_blocks=True
+    )
+    return environment.from_string(_resource("report.html.jinja"))
+
+
+def _resource(name: str) -> str:
+    return (resources.files(__package__) / name).read_text(encoding="utf-8")
+
+
+def _shown(value: Any) -> Any:
+    if not isinstance(value, str) or isinstance(value, Markup):
+        return value
+    return printable(clipped(value, _LONGEST), keep="\n\t")
+
+
+def _anchors(items: Iterable[Item]) -> dict[str, str]:
+    """Item id to the page's id of it; an item may be called anything, an anchor may not."""
+    return {
+        item["id"]: f"item-{item['id']}" if re.fullmatch(r"[A-Za-z0-9.-]+", item["id"]) else f"item_{index}"
+        for index, item in enumerate(items)
+    }

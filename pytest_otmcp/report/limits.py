@@ -1,0 +1,44 @@
+"""What narrowed a run, in sentences for whoever has to decide upon it. Pure."""
+
+from __future__ import annotations
+
+from ..statistics import lower_bound
+from ..task import SUITES
+from . import Run, applies, timing_valid
+
+__all__ = ["narrowed"]
+
+_FULL = 30
+"""Repetitions of the whole matrix."""
+
+
+def narrowed(run: Run) -> list[str]:
+    """Every reason why a run says less than a full one of its kind; empty when there is none."""
+    settings, footer = run["settings"], run["footer"]
+    reasons = []
+    if not footer["complete"]:
+        reasons.append(f"The run is not complete: {footer.get('reason')}.")
+    if missing := [suite for suite in SUITES if suite not in settings.get("suites", SUITES)]:
+        reasons.append(f"These suites were left out: {', '.join(missing)}.")
+    # What an option of the kit asked for has its own sentence here.
+    noted = [sentence for sentence in settings.get("narrowed", ()) if "(--otmcp-" not in sentence]
+    reasons += [f"{sentence[0].upper()}{sentence[1:]}." for sentence in noted]
+    reps = settings.get("reps", _FULL)
+    if reps < _FULL and (bound := lower_bound(reps, reps)) is not None:
+        reasons.append(
+            f"With N = {reps} instead of {_FULL}, an item that passes every time is shown to pass at least "
+            f"{100 * bound:.0f} % of the time, not more."
+        )
+    if unclaimed := sorted({item["family"] for item in run["items"] if not applies(item)}):
+        reasons.append(f"Not claimed by the subject, so not tested: {', '.join(unclaimed)}.")
+    if settings.get("time_scale", 1.0) != 1.0:
+        reasons.append(f"Every deadline and window was multiplied by {settings['time_scale']}.")
+    if settings.get("era", "auto") != "auto":
+        reasons.append(f"The session was held in the {settings['era']} era of the Model Context Protocol only.")
+    if settings.get("broker", "embedded") != "embedded":
+        reasons.append(
+            f"The MQTT broker was a foreign one, {settings['broker']}; the kit recorded what passed between."
+        )
+    if not timing_valid(run):
+        reasons.append("Items ran in parallel: latencies would measure the neighbours too, and are withheld.")
+    return reasons

@@ -1,0 +1,146 @@
+"""The summary of a run for the page of a CI job, in GitHub Flavored Markdown. Pure but for the writing.
+
+What an adapter wrote stands in code spans, where Markdown, mentions and links mean nothing; what else comes from the
+record has its punctuation escaped. GitHub takes one MiB; long runs of findings are cut, and say so.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from ..task import SUITES
+from . import Item, Run, command, tally
+from .capabilities import earned, families
+from .evidence import failures, findings_of
+from .limits import narrowed
+from .overview import tasks
+from .text import printable
+
+__all__ = ["code", "escape", "summary", "write_markdown"]
+
+_ITEMS = 40
+_FINDINGS = 3
+_LETTERS = 400
+_SIGNS = {
+    "PASS": "✅",
+    "NOT_APPLICABLE": "⚪",
+    "earned": "✅",
+    "not claimed": "⚪",
+    "not tested": "⚪",
+    "undecided": "⚪",
+}
+
+
+def escape(text: str) -> str:
+    """Text that Markdown prints as it is, on one line, in a table too."""
+    escaped = re.sub(r"[\\`*_{}\[\]<>#!|~&@:$]|(?<=www)\.", r"\\\g<0>", _line(text))
+    # GitHub looks for mentions and references after Markdown is done; a joiner of no width is between what they need.
+    return re.sub(r"([@#])(?=\w)", "\\1\u200d", escaped)
+
+
+def code(text: str) -> str:
+    """A code span of one line; not for a table, which is cut at its bars before code is looked for."""
+    line = _line(text)
+    if len(line) > _LETTERS:
+        line = line[:_LETTERS] + "…"
+    fence = "`" * (1 + max((len(run) for run in re.findall("`+", line)), default=0))
+    return f"{fence} {line} {fence}"
+
+
+def _line(text: str) -> str:
+    return printable(" ".join(text.split()))
+
+
+def write_markdown(run: Run, path: Path) -> None:
+    """Write the summary of a run to ``path``."""
+    path.write_text(summary(run), encoding="utf-8", newline="\n")
+
+
+def summary(run: Run) -> str:
+    """The summary of a run as Markdown."""
+    footer, items = run["footer"], run["items"]
+    good, planned = tally(items)
+    verdict = footer.get("verdict", "INCOMPLETE")
+    name = f"{run['subject'].get('name')} {run['subject'].get('version')}"
+    lines = [
+        f"## {'✅' if verdict == 'CONFORMANT' else '❌'} {escape(verdict)}: {code(name)}",
+        "",
+        f"**{good}** of **{planned}** repetitions passed in {len(items)} items.",
+        "",
+        *(f"- {escape(reason)}" for reason in narrowed(run)),
+        "",
+        *_earned(run),
+        *_findings(run),
+    ]
+    for suite in SUITES:
+        lines += _suite(run, suite)
+    kit = run["kit"]
+    lines += [
+        f"{escape(str(kit.get('name')))} {escape(str(kit.get('version')))}, record {code(footer.get('digest', 'unfinished'))},"
+        f" made by {code(command(run))}",
+        "",
+    ]
+    return re.sub(r"\n{3,}", "\n\n", "\n".join(lines))
+
+
+def _table(head: list[str], rows: list[list[str]]) -> list[str]:
+    return [f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *rows)] + [""]
+
+
+def _earned(run: Run) -> list[str]:
+    columns = families(run)
+    rows = []
+    for capability, by_family in earned(run):
+        grades = [by_family[family] for family in columns]
+        cells = [f"{_SIGNS.get(one.grade, '❌')} {one.grade}" for one in grades]
+        rows.append([capability.name, *cells])
+    return _table(["What may be connected, and what for", *map(escape, columns)], rows)
+
+
+def _findings(run: Run) -> Iterator[str]:
+    failing = failures(run)
+    if not failing:
+        return
+    yield "### Findings"
+    yield ""
+    for one in failing[:_ITEMS]:
+        yield from _finding(run, one.item)
+    if len(failing) > _ITEMS:
+        yield f"- {len(failing) - _ITEMS} more items did not pass; see report.html"
+    yield ""
+
+
+def _finding(run: Run, item: Item) -> Iterator[str]:
+    yield f"- **{escape(item['id'])}** {escape(item['status'])}: {escape(item['title'])}"
+    # The same words again say nothing new, however many repetitions say them.
+    messages = list(
+        dict.fromkeys((finding["message"], finding.get("requirement") or "") for finding in findings_of(item))
+    )
+    for message, requirement in messages[:_FINDINGS]:
+        yield f"  - {code(message)}" + (f" {escape(requirement)}" if requirement else "")
+    if len(messages) > _FINDINGS:
+        yield f"  - {len(messages) - _FINDINGS} more findings; see report.html"
+    first = next((sample["repetition"] for sample in item["samples"] if not sample["ok"]), 0)
+    yield f"  - again: {code(command(run, item, first))}"
+
+
+def _suite(run: Run, suite: str) -> list[str]:
+    rows = tasks(run, suite)
+    if not rows:
+        return []
+    cells = [
+        [
+            escape(row.item["id"]),
+            f"{_SIGNS.get(row.item['status'], '❌')} {escape(row.item['status'])}",
+            row.passed,
+            row.least,
+            row.median,
+            row.p95,
+            escape(row.item["title"]),
+        ]
+        for row in rows
+    ]
+    head = ["Item", "Result", "Passed", "At least", "Median ms", "p95 ms", "Task"]
+    return [f"### {suite.capitalize()}", "", *_table(head, cells)]

@@ -1,0 +1,158 @@
+"""The tables of a report that span items: tasks, requirements, recovery, statistics, and what is known of the run. Pure.
+
+Cells are text, as a reader sees them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ..statistics import lower_bound, mean, mean_interval, median_interval, outliers, percentile, standard_deviation
+from . import Item, Run, durations, least, phases, recovered, tally
+from .evidence import findings_of
+
+__all__ = ["NONE", "Cell", "Row", "facts", "recovery_rows", "requirements", "statistics", "tasks"]
+
+NONE = "—"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """An item in the table of its suite."""
+
+    item: Item
+    passed: str
+    least: str
+    median: str
+    p95: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cell:
+    """What the items of one family say about one requirement: a state, and the ids of the items that decided it."""
+
+    state: str
+    because: tuple[str, ...] = ()
+
+
+def tasks(run: Run, suite: str) -> list[Row]:
+    """The items of a suite."""
+    rows = []
+    for item in run["items"]:
+        if item["suite"] == suite:
+            times = durations(run, [item])
+            rate = least(item)
+            rows.append(
+                Row(
+                    item=item,
+                    passed=_count(*tally([item])),
+                    least=NONE if rate is None else f"{100 * rate:.1f} %",
+                    median=_number(percentile(times, 50)),
+                    p95=_number(percentile(times, 95)),
+                )
+            )
+    return rows
+
+
+def requirements(run: Run) -> list[tuple[str, dict[str, Cell]]]:
+    """Each requirement with what every family's items say of it.
+
+    ``violated``: a finding names it. ``not shown``: an item about it failed for another reason, or did not end.
+    """
+    found: dict[str, dict[str, dict[str, str]]] = {}
+    for item in run["items"]:
+        broken = {finding["requirement"] for finding in findings_of(item) if finding.get("requirement")}
+        for name in [*item.get("requirements", ()), *sorted(broken)]:
+            state = "violated" if name in broken else "passed" if item["status"] == "PASS" else "not shown"
+            if item["status"] == "NOT_APPLICABLE":
+                state = "not claimed"
+            found.setdefault(name, {}).setdefault(item["family"], {})[item["id"]] = state
+    return [
+        (name, {family: _cell(items) for family, items in by_family.items()})
+        for name, by_family in sorted(found.items())
+    ]
+
+
+def _cell(items: Mapping[str, str]) -> Cell:
+    for state in ("violated", "not shown", "passed"):
+        if names := tuple(name for name, own in items.items() if own == state):
+            return Cell(state=state, because=names)
+    return Cell(state="not claimed")
+
+
+def recovery_rows(run: Run) -> list[tuple[str, ...]]:
+    """Id, family, median detection; rate and median of the same session, and of a fresh one."""
+    rows: list[tuple[str, ...]] = []
+    for item in run["items"]:
+        if item["suite"] == "recovery":
+            cells = [item["id"], item["family"], _number(percentile(phases(run, item, "detect"), 50))]
+            for way in ("same_session", "fresh_session"):
+                good, total = recovered([item], way)
+                bound = lower_bound(good, total)
+                cells.append(_count(good, total) + (f", at least {100 * bound:.1f} %" if bound is not None else ""))
+                cells.append(_number(percentile(phases(run, item, way), 50)))
+            rows.append(tuple(cells))
+    return rows
+
+
+def statistics(run: Run) -> list[tuple[str, ...]]:
+    """Id, n, mean, its deviation and interval, median and its interval, 95th percentile, outliers."""
+    rows: list[tuple[str, ...]] = []
+    for item in run["items"]:
+        if times := durations(run, [item]):
+            outside = outliers(times)
+            rows.append(
+                (
+                    item["id"],
+                    str(len(times)),
+                    _number(mean(times)),
+                    _number(standard_deviation(times)),
+                    _interval(mean_interval(times)),
+                    _number(percentile(times, 50)),
+                    _interval(median_interval(times)),
+                    _number(percentile(times, 95)),
+                    NONE if outside is None else str(outside),
+                )
+            )
+    return rows
+
+
+def facts(run: Run) -> list[tuple[str, str]]:
+    """What is known of kit, machine and settings; what a record does not have is left out."""
+    kit, environment, settings, footer = run["kit"], run["environment"], run["settings"], run["footer"]
+    spent = footer.get("breakdown_s", {})
+    packages = environment.get("packages", {})
+    known = {
+        "Kit": f"{kit.get('name')} {kit.get('version')}",
+        "Suite": kit.get("suite_digest"),
+        "Started": environment.get("started_at"),
+        "Took": f"{footer['elapsed_s']:.1f} s" if "elapsed_s" in footer else None,
+        "Of that": ", ".join(f"{what} {seconds:.1f} s" for what, seconds in spent.items()),
+        "Machine": environment.get("platform"),
+        "Processors": environment.get("cpu_count"),
+        "Python": environment.get("python"),
+        "Packages": ", ".join(f"{name} {version}" for name, version in packages.items() if version),
+        "Settings": ", ".join(f"{name}: {_flat(value)}" for name, value in settings.items()),
+        "Tool calls": ", ".join(f"{role} {count}" for role, count in footer.get("tool_calls", {}).items()),
+    }
+    return [(name, str(value)) for name, value in known.items() if value]
+
+
+def _flat(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return " ".join(f"{name} {inner}" for name, inner in value.items())
+    return " ".join(map(str, value)) if isinstance(value, list) else str(value)
+
+
+def _count(good: int, total: int) -> str:
+    return f"{good}/{total}" if total else NONE
+
+
+def _number(value: float | None) -> str:
+    return NONE if value is None else f"{value:.2f}"
+
+
+def _interval(bounds: tuple[float, float] | None) -> str:
+    return NONE if bounds is None else f"{bounds[0]:.2f} to {bounds[1]:.2f}"

@@ -1,0 +1,231 @@
+"""Reads an adapter's answer by the rules of its subject file: document, outcome, error code, outputs. Pure.
+
+No adapter in the wild answers in one shape: prose, JSON inside a text, JSON inside JSON, ``isError`` false with a text
+that begins with "Failed". What a vendor declares is applied here, in the order of the file, first match wins; nothing is
+guessed from the names of keys.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import jmespath
+
+from ..taxonomy import registry
+from .model import Answering, OutputRule
+from .operations import OPERATIONS
+
+__all__ = [
+    "UNCLASSIFIED",
+    "Answer",
+    "extract",
+    "interpret",
+    "read_answer",
+    "synthesised",
+    "synthesised_from_outputs",
+]
+
+UNCLASSIFIED = "unclassified"
+"""Error code of a failure that no rule of the subject file names."""
+
+_MAX_TEXT = 2000
+
+# What an answer says of itself when it does not come from the device. The keys mean it only when they are true.
+_ADMISSION = re.compile(
+    r"\b(demo(nstration)? mode|simulation mode|simulated (value|response|write|read|mode)|dry[- ]?run|mock mode"
+    r"|from (the )?cache|cached (value|result|response))\b",
+    re.IGNORECASE,
+)
+_ADMITTING_KEYS = ("demo", "demo_mode", "simulated", "simulation", "dry_run", "dryRun", "cached", "from_cache")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answer:
+    """What an answer says, by the rules.
+
+    Attributes:
+        success: the claim.
+        document: what output rules are about; None when the answer has none.
+        text: all text blocks, a line each; of a JSON-RPC error its message.
+        code: error code of a failure.
+        admission: what the answer says of itself that forbids to call it a success, or None.
+    """
+
+    success: bool
+    document: Any
+    text: str
+    code: str | None = None
+    admission: str | None = None
+
+
+def read_answer(message: Mapping[str, Any], form: str) -> tuple[Any, str, bool]:
+    """Document, text and ``isError`` of a JSON-RPC response."""
+    result = message.get("result")
+    if not isinstance(result, dict):
+        error = message.get("error")
+        return None, str(error.get("message", error) if isinstance(error, dict) else error), True
+    blocks = [
+        block["text"]
+        for block in result.get("content") or []
+        if isinstance(block, dict) and isinstance(block.get("text"), str)
+    ]
+    text = "\n".join(blocks)
+    is_error = result.get("isError") is True
+    if form == "structured":
+        return result.get("structuredContent"), text, is_error
+    if form == "json":
+        return _json_or(text, None), text, is_error
+    if form == "texts":
+        return [_json_or(block, block) for block in blocks], text, is_error
+    return text, text, is_error
+
+
+def _json_or(text: str, otherwise: Any) -> Any:
+    try:
+        return json.loads(text)
+    except ValueError:
+        return otherwise
+
+
+def interpret(message: Mapping[str, Any], answering: Answering) -> Answer:
+    """The answer in a JSON-RPC response ``message``."""
+    document, text, is_error = read_answer(message, answering.form)
+    success = not is_error
+    for rule in answering.outcome:
+        if (
+            (rule.is_error is None or rule.is_error == is_error)
+            and (rule.text is None or re.search(rule.text, text))
+            and (rule.path is None or _truthy(_search(rule.path, document)))
+        ):
+            success = rule.success
+            break
+    if "error" in message:
+        # Whatever the rules say: there is no result that could be a success.
+        success = False
+    if success:
+        return Answer(success=True, document=document, text=text, admission=_admission(document, text))
+    failure = text or json.dumps(document, ensure_ascii=False, default=str)
+    code = next((rule.code for rule in answering.errors if re.search(rule.text, failure)), UNCLASSIFIED)
+    return Answer(success=False, document=document, text=failure, code=code)
+
+
+def _truthy(value: Any) -> bool:
+    # JMESPath's own notion: zero is true, what is empty is not.
+    return not (value is None or value is False or value == "" or value == [] or value == {})
+
+
+def _search(path: str, document: Any) -> Any:
+    try:
+        return jmespath.search(path, document)
+    except jmespath.exceptions.JMESPathError:
+        # A function met a value of another type, such as length() of a number: it is not what the rule is about.
+        return None
+
+
+def _admission(document: Any, text: str) -> str | None:
+    if match := _ADMISSION.search(_without_payload(document, text)):
+        return match[0]
+    return next((f"{name} is {value!r}" for name, value in _members(document) if _admits(name, value)), None)
+
+
+def _without_payload(document: Any, text: str) -> str:
+    # Of a JSON document only the keys speak for the adapter: a message or a node may be named anything.
+    return text if document is None or isinstance(document, str) else ""
+
+
+def _admits(name: str, value: Any) -> bool:
+    return (name in _ADMITTING_KEYS and value is True) or (
+        name == "source" and value in ("cache", "demo", "simulation")
+    )
+
+
+def _members(value: Any) -> Iterator[tuple[str, Any]]:
+    if isinstance(value, Mapping):
+        for name, member in value.items():
+            yield name, member
+            yield from _members(member)
+    elif isinstance(value, list):
+        for element in value:
+            yield from _members(element)
+
+
+def synthesised(answer: Answer, *, protocol: str, operation: str, writes: bool) -> dict[str, Any]:
+    """An envelope for an answer that has none; ``meta.synthesised`` says so."""
+    data = answer.document if isinstance(answer.document, dict) else {"document": answer.document}
+    error = None
+    if not answer.success:
+        known = registry().get(answer.code or "")
+        error = {
+            "code": answer.code,
+            "class": known.classes[0] if known is not None else "unknown",
+            "message": answer.text[:_MAX_TEXT],
+            "retryable": False,
+            "outcome": "unknown" if writes else "not_applicable",
+        }
+    meta = {"schema": "otmcp/1.0", "protocol": protocol, "operation": operation, "synthesised": True}
+    return {"success": answer.success, "data": data if answer.success else None, "error": error, "meta": meta}
+
+
+def synthesised_from_outputs(
+    outputs: Mapping[str, Any], refused: tuple[str, str] | None, *, protocol: str, operation: str
+) -> dict[str, Any]:
+    """An envelope for what a function of the bindings file found; ``refused`` is the code and the adapter's words."""
+    code, text = refused or (None, "")
+    answer = Answer(success=refused is None, document=dict(outputs), text=text, code=code)
+    return synthesised(answer, protocol=protocol, operation=operation, writes=OPERATIONS[protocol][operation].writes)
+
+
+def extract(rules: Mapping[str, OutputRule], document: Any) -> dict[str, Any]:
+    """The outputs of a document; one that is not where its rule says is None."""
+    return {name: _output(rule, document) for name, rule in rules.items()}
+
+
+def _output(rule: OutputRule, document: Any) -> Any:
+    value = document if rule.path is None else _search(rule.path, document)
+    if value is None:
+        return None
+    if rule.regex is not None:
+        match = re.search(rule.regex, value if isinstance(value, str) else json.dumps(value))
+        if match is None:
+            return None
+        value = match[1] if match.re.groups else match[0]
+    if rule.split is not None and isinstance(value, str):
+        value = [part.strip() for part in value.split(rule.split)]
+    if rule.wrap and not isinstance(value, list):
+        value = [value]
+    try:
+        value = [_converted(rule, part) for part in value] if isinstance(value, list) else _converted(rule, value)
+    except (ValueError, TypeError, KeyError, SyntaxError):
+        return None
+    return value if rule.then is None else _search(rule.then, value)
+
+
+def _converted(rule: OutputRule, value: Any) -> Any:
+    if rule.strip is not None and isinstance(value, str):
+        value = value.removeprefix(rule.strip)
+    match rule.convert:
+        case "int":
+            number = float(value)
+            if not number.is_integer():
+                raise ValueError
+            return int(value) if isinstance(value, str) and value.strip().lstrip("+-").isdigit() else int(number)
+        case "float":
+            return float(value)
+        case "bool":
+            if isinstance(value, str):
+                return {"true": True, "false": False, "1": True, "0": False}[value.strip().lower()]
+            return bool(value)
+        case "string":
+            return value if isinstance(value, str) else json.dumps(value)
+        case "json":
+            return json.loads(value)
+        case "python":
+            return ast.literal_eval(value)
+        case "hex":
+            return int(value, 16)
+    return value

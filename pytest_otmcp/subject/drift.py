@@ -1,0 +1,65 @@
+"""Compares a subject's bindings with the tools that its adapter really lists. Pure.
+
+A misspelt argument is refused by one SDK and silently dropped by another, which would test the wrong register and call
+the result a finding.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from .model import Adapter
+
+__all__ = ["drift"]
+
+
+def drift(adapter: Adapter, tools: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Every contradiction between the bindings and ``tools`` (name to its entry in ``tools/list``), a sentence each."""
+    found: list[str] = []
+    for name, bound in adapter.operations.items():
+        if isinstance(bound, tuple) and adapter.why_not_claimed(name) is None:
+            for index, binding in enumerate(bound):
+                where = f"adapter.{adapter.protocol}.bind.{name}" + (f"[{index}]" if len(bound) > 1 else "")
+                found += _compare(where, binding.tool, binding.arguments, tools)
+    if adapter.connect is not None:
+        where = f"adapter.{adapter.protocol}.connect"
+        found += _compare(where, adapter.connect.tool, adapter.connect.arguments, tools)
+    return found
+
+
+def _compare(
+    where: str,
+    tool: str,
+    arguments: Mapping[str, Any],
+    tools: Mapping[str, Mapping[str, Any]],
+) -> Iterator[str]:
+    if tool not in tools:
+        near = difflib.get_close_matches(tool, tools, 1)
+        listed = ", ".join(sorted(tools)) or "none at all"
+        yield f"{where}.tool: the adapter lists no tool {tool!r}; " + (
+            f"did you mean {near[0]!r}?" if near else f"it lists {listed}"
+        )
+        return
+    schema = tools[tool].get("inputSchema") or {}
+    properties = schema.get("properties") or {}
+    for argument in arguments:
+        if argument not in properties and not _open(schema):
+            near = difflib.get_close_matches(argument, properties, 1)
+            hint = f"did you mean {near[0]!r}?" if near else f"it takes {', '.join(properties) or 'none'}"
+            yield f"{where}.arguments.{argument}: the tool {tool!r} has no such argument; {hint}"
+    for argument in schema.get("required") or []:
+        if argument not in arguments:
+            yield f"{where}.arguments: the tool {tool!r} requires {argument!r}"
+
+
+def _open(schema: Mapping[str, Any]) -> bool:
+    """The schema names no arguments at all, or says that it takes others as well."""
+    extra = schema.get("additionalProperties")
+    return (
+        extra is True
+        or isinstance(extra, dict)
+        or "properties" not in schema
+        or any(name in schema for name in ("anyOf", "oneOf", "allOf", "patternProperties", "$ref"))
+    )

@@ -1,0 +1,132 @@
+"""Operations that a subject performs by Python functions: several calls, captured values, polling.
+
+A subject names a file, ``bindings = "otmcp_bindings.py"``, whose functions are called like the operations they perform::
+
+    from pytest_otmcp.subject import Refused
+
+
+    async def write(tools, *, node, value):
+        prepared = await tools.call("prepare_write", node_id=node, value=value)
+        if prepared.is_error:
+            raise Refused("access_denied", prepared.text)
+        await tools.call("commit_write", token=prepared.structured["token"])
+        return {"value": value}
+
+What a function returns are the operation's outputs. Every call it makes is recorded; the operation's time counts from its
+first request to its last reply.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from ..errors import UsageError
+from .model import Function
+from .operations import OPERATIONS
+
+__all__ = ["Refused", "ToolAnswer", "Tools", "load_functions"]
+
+
+class Refused(Exception):
+    """Raised by a function when the adapter answers that the operation was not performed.
+
+    Args:
+        code: of the error registry, or ``unclassified``.
+        message: the adapter's own words.
+    """
+
+    def __init__(self, code: str, message: str) -> None:
+        super().__init__(message)
+        self.code = code
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ToolAnswer:
+    """What a tool answered.
+
+    Attributes:
+        text: all text blocks, a line each; of a JSON-RPC error its message.
+        structured: ``structuredContent``, or None.
+        is_error: ``isError``, or the answer was a JSON-RPC error.
+    """
+
+    text: str
+    structured: Any
+    is_error: bool
+
+
+class Tools(Protocol):
+    """What a function is given."""
+
+    host: str
+    port: int
+    url: str
+
+    async def call(self, tool: str, /, **arguments: Any) -> ToolAnswer:
+        """Call a tool of the adapter."""
+
+    async def read_resource(self, uri: str) -> ToolAnswer:
+        """Read a resource of the adapter."""
+
+
+def load_functions(path: Path, protocol: str, key: str) -> dict[str, Function]:
+    """The operations that a bindings file performs for ``protocol``.
+
+    Functions whose name begins with an underscore, and those that are imported, are the file's own business.
+
+    Raises:
+        UsageError: the file cannot be imported, or defines something that is no operation.
+    """
+    spec = importlib.util.spec_from_file_location(f"otmcp_bindings_{protocol}", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except FileNotFoundError:
+        raise UsageError(f"{key}: {path}: there is no such file") from None
+    except Exception as error:
+        raise UsageError(f"{key}: {path} cannot be imported: {type(error).__name__}: {error}") from None
+    functions: dict[str, Callable[..., Any]] = {
+        name: value
+        for name, value in vars(module).items()
+        if inspect.isfunction(value) and value.__module__ == module.__name__ and not name.startswith("_")
+    }
+    return {name: _checked(name, function, protocol, f"{key}: {path}") for name, function in functions.items()}
+
+
+def _checked(name: str, function: Callable[..., Any], protocol: str, where: str) -> Function:
+    operation = OPERATIONS[protocol].get(name)
+    if operation is None:
+        known = ", ".join(OPERATIONS[protocol])
+        raise UsageError(f"{where}: {name} is no operation; they are {known} (begin helpers with an underscore)")
+    if not inspect.iscoroutinefunction(function):
+        raise UsageError(f"{where}: {name} must be an 'async def'")
+    try:
+        inspect.signature(function).bind(None, **dict.fromkeys(operation.inputs))
+    except TypeError:
+        inputs = ", ".join(operation.inputs)
+        expected = f"{name}(tools{', *, ' + inputs if inputs else ''})"
+        raise UsageError(f"{where}: {name} must be callable as {expected}") from None
+    return Function(name=name, call=function)
+
+
+def checked_outputs(function: Function, protocol: str, returned: Any) -> Mapping[str, Any]:
+    """What a function returned, if it is what its operation asks for.
+
+    Raises:
+        UsageError: it is not.
+    """
+    operation = OPERATIONS[protocol][function.name]
+    if not isinstance(returned, Mapping) or not set(operation.needed) <= set(returned):
+        wanted = ", ".join(operation.needed) or "nothing"
+        raise UsageError(
+            f"the binding function {function.name} must return a mapping of outputs (needed: {wanted}), "
+            f"it returned {str(returned)[:100]!r}"
+        )
+    return returned

@@ -1,0 +1,286 @@
+"""The service calls of one tool call in one session, in as few requests as the specification allows."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Sequence
+from typing import Any, TypeVar
+
+from asyncua import ua
+from asyncua.client.ua_client import UaClient
+
+from ..core import AdapterError, Call
+from .link import NodeFacts, Session
+from .nodes import NodeName
+from .status import quality, refusal, trace_status
+
+__all__ = ["Services"]
+
+S = TypeVar("S")
+T = TypeVar("T")
+Ids = ua.ObjectIds
+Attributes = ua.AttributeIds
+
+_NAMESPACES = ua.NodeId(Ids.Server_NamespaceArray)
+_LIMITS = {
+    "read": ua.NodeId(Ids.Server_ServerCapabilities_OperationLimits_MaxNodesPerRead),
+    "browse": ua.NodeId(Ids.Server_ServerCapabilities_OperationLimits_MaxNodesPerBrowse),
+}
+_HIERARCHICAL, _HAS_PROPERTY = ua.NodeId(Ids.HierarchicalReferences), ua.NodeId(Ids.HasProperty)
+_HAS_SUBTYPE = ua.NodeId(Ids.HasSubtype)
+_ABSTRACT = {Ids.BaseDataType, Ids.Number, Ids.Integer, Ids.UInteger}
+_DEEPEST_TYPE = 20
+
+
+class Services:
+    """What a tool asks of the server.
+
+    Every method may raise AdapterError, or LostError for whoever made the session.
+    """
+
+    def __init__(self, session: Session, call: Call) -> None:
+        self._session = session
+        self._call = call
+
+    # -- names ----------------------------------------------------------------------------------------------
+
+    async def node(self, name: NodeName) -> ua.NodeId:
+        """The node id, with the index that its namespace has in this session."""
+        if name.uri is None:
+            return name.at(name.index)
+        if self._session.namespaces is None:
+            (found,) = await self.read([_NAMESPACES])
+            self._session.namespaces = list(found.Value.Value or [])
+        if name.uri not in self._session.namespaces:
+            message = "the server has no namespace with this URI"
+            outcome = "not_sent" if self._call.writes else "not_applicable"
+            raise AdapterError("illegal_address", message, outcome=outcome, field=name.field)
+        return name.at(self._session.namespaces.index(name.uri))
+
+    # -- attributes -----------------------------------------------------------------------------------------
+
+    async def read(
+        self, nodes: Sequence[ua.NodeId], *attributes: ua.AttributeIds, request: str = "read"
+    ) -> list[ua.DataValue]:
+        """Attributes of nodes (default: the value), node by node."""
+        wanted = [
+            ua.ReadValueId(NodeId=node, AttributeId=attribute)
+            for node in nodes
+            for attribute in attributes or (Attributes.Value,)
+        ]
+
+        async def send(portion: Sequence[ua.ReadValueId]) -> list[ua.DataValue]:
+            parameters = ua.ReadParameters(TimestampsToReturn=ua.TimestampsToReturn.Both, NodesToRead=list(portion))
+            found = await self._request(lambda client: client.read(parameters), len(portion))
+            self._call.answered(service="Read")
+            return found
+
+        return await self._in_portions(wanted, request, send)
+
+    async def write(self, nodes: Sequence[ua.NodeId], values: Sequence[ua.Variant]) -> list[ua.StatusCode]:
+        """Write values, and only values: servers may refuse a client's status and times (OPC 10000-4, 5.11.4.1)."""
+        parameters = ua.WriteParameters(
+            NodesToWrite=[
+                ua.WriteValue(NodeId=node, AttributeId=Attributes.Value, Value=ua.DataValue(value, StatusCode=None))
+                for node, value in zip(nodes, values, strict=True)
+            ]
+        )
+        statuses = await self._request(lambda client: client.write(parameters), len(nodes), changes=True)
+        self._call.answered(service="Write")
+        return statuses
+
+    async def call_method(self, request: ua.CallMethodRequest) -> ua.CallMethodResult:
+        """Call a method."""
+        (result,) = await self._request(lambda client: client.call([request]), 1, changes=True)
+        self._call.answered(service="Call")
+        return result
+
+    async def _request(
+        self, request: Callable[[UaClient], Awaitable[list[T]]], items: int, *, changes: bool = False
+    ) -> list[T]:
+        return await self._session.request(self._call, request, items=items, changes=changes)
+
+    async def _in_portions(
+        self, items: Sequence[S], limit: str, send: Callable[[Sequence[S]], Awaitable[list[T]]]
+    ) -> list[T]:
+        """Send all at once; in portions to a server that says that it cannot take so many."""
+        limits = self._session.limits
+        most = (limits or {}).get(limit) or len(items)
+        try:
+            if len(items) <= most:
+                return await send(items)
+            return [found for start in range(0, len(items), most) for found in await send(items[start : start + most])]
+        except AdapterError as error:
+            if error.code != "limit_exceeded" or limits is not None or limit not in _LIMITS:
+                raise
+            self._session.limits = await self._operation_limits()
+            if not 0 < self._session.limits[limit] < len(items):
+                raise
+        return await self._in_portions(items, limit, send)
+
+    async def _operation_limits(self) -> dict[str, int]:
+        found = await self.read(list(_LIMITS.values()), request="limits")
+        return {name: each.Value.Value or 0 for name, each in zip(_LIMITS, found, strict=True)}
+
+    # -- types ----------------------------------------------------------------------------------------------
+
+    async def facts(self, nodes: Sequence[ua.NodeId], fields: Sequence[str]) -> list[NodeFacts]:
+        """Types and ranks of variables that are to be written, asked once a session, in one request.
+
+        Args:
+            nodes: the variables.
+            fields: JSON Pointers to their names in the arguments.
+        """
+        known = self._session.facts
+        unknown = {node: field for node, field in zip(nodes, fields, strict=True) if node not in known}
+        if unknown:
+            found = await self.read(
+                list(unknown), Attributes.DataType, Attributes.ValueRank, Attributes.ArrayDimensions
+            )
+            for index, (node, field) in enumerate(unknown.items()):
+                kind, rank, dimensions = found[3 * index : 3 * index + 3]
+                if quality(kind.StatusCode) == "bad":
+                    raise self._refused(kind.StatusCode, field)
+                known[node] = NodeFacts(
+                    kind=await self._built_in(kind.Value.Value, node),
+                    rank=-2 if rank.Value.Value is None else rank.Value.Value,
+                    dimensions=dimensions.Value.Value or (),
+                )
+        return [known[node] for node in nodes]
+
+    async def method_inputs(self, method: ua.NodeId) -> list[NodeFacts]:
+        """The input arguments that a method declares, asked once a session."""
+        if method not in self._session.inputs:
+            (properties,) = await self.browse([method], kind=_HAS_PROPERTY, fields=["/method_id"])
+            declared = [each.NodeId for each in properties if each.BrowseName.Name == "InputArguments"]
+            arguments: list[Any] = []
+            if declared:
+                (value,) = await self.read(declared)
+                if quality(value.StatusCode) == "bad":
+                    raise self._refused(value.StatusCode, "/method_id")
+                arguments = value.Value.Value or []
+            self._session.inputs[method] = [
+                NodeFacts(
+                    kind=await self._built_in(argument.DataType, None),
+                    rank=argument.ValueRank,
+                    dimensions=argument.ArrayDimensions or (),
+                )
+                for argument in arguments
+            ]
+        return self._session.inputs[method]
+
+    async def _built_in(self, data_type: ua.NodeId, variable: ua.NodeId | None) -> ua.VariantType:
+        """The built-in type in which values of a data type travel (OPC 10000-3, 5.8.3 and 8.14)."""
+        known = self._session.types
+        asked, depth = data_type, 0
+        while asked not in known and not _is_base(asked) and depth < _DEEPEST_TYPE:
+            parents = await self.browse([asked], kind=_HAS_SUBTYPE, direction=ua.BrowseDirection.Inverse, fields=[""])
+            if not parents[0]:
+                break
+            asked, depth = parents[0][0].NodeId, depth + 1
+        number = asked.Identifier if _is_base(asked) else None
+        if asked in known:
+            kind = known[asked]
+        elif number == Ids.Enumeration:
+            kind = ua.VariantType.Int32
+        elif number in _ABSTRACT and variable is not None:
+            # Any of several types is allowed; the one that the variable holds now is.
+            (value,) = await self.read([variable])
+            return ua.VariantType(value.Value.VariantType.value)
+        elif number is None or number in _ABSTRACT:
+            raise AdapterError("unsupported_operation", "this data type is not offered", outcome="not_sent")
+        else:
+            kind = ua.VariantType(number)
+        known[data_type] = kind
+        return kind
+
+    # -- browsing -------------------------------------------------------------------------------------------
+
+    async def browse(
+        self,
+        nodes: Sequence[ua.NodeId],
+        *,
+        fields: Sequence[str],
+        kind: ua.NodeId = _HIERARCHICAL,
+        direction: ua.BrowseDirection = ua.BrowseDirection.Forward,
+        classes: int = 0,
+        result: int = ua.BrowseResultMask.BrowseName,
+    ) -> list[list[ua.ReferenceDescription]]:
+        """The references of each node, every page of them.
+
+        Args:
+            nodes: where to look.
+            fields: JSON Pointers to their names in the arguments; one for all, where they are not in the arguments.
+            kind, direction: of the references.
+            classes: mask of node classes, 0 for all.
+            result: what is asked about each reference; less is faster.
+        """
+        asked = [
+            ua.BrowseDescription(
+                NodeId=node,
+                BrowseDirection=direction,
+                ReferenceTypeId=kind,
+                IncludeSubtypes=True,
+                NodeClassMask=classes,
+                ResultMask=result,
+            )
+            for node in nodes
+        ]
+        found: list[list[ua.ReferenceDescription]] = [[] for _ in nodes]
+        waiting = list(range(len(nodes)))
+        while waiting:
+            first = await self._in_portions([asked[index] for index in waiting], "browse", self._send_browse)
+            pages = list(zip(waiting, first, strict=True))
+            # A server out of continuation points answers some nodes now, and the others when these are through.
+            late = [index for index, page in pages if page.StatusCode.name == "BadNoContinuationPoints"]
+            served = (
+                [(index, page) for index, page in pages if index not in late] if len(late) < len(waiting) else pages
+            )
+            await self._turn_pages(served, found, fields)
+            waiting = late if served is not pages else []
+        return found
+
+    async def _send_browse(self, portion: Sequence[ua.BrowseDescription]) -> list[ua.BrowseResult]:
+        parameters = ua.BrowseParameters(NodesToBrowse=list(portion))
+        found = await self._request(lambda client: client.browse(parameters), len(portion))
+        self._call.answered(service="Browse")
+        return found
+
+    async def _turn_pages(
+        self,
+        pages: list[tuple[int, ua.BrowseResult]],
+        found: list[list[ua.ReferenceDescription]],
+        fields: Sequence[str],
+    ) -> None:
+        while pages:
+            for index, page in pages:
+                if quality(page.StatusCode) == "bad":
+                    await self._release([each.ContinuationPoint for _, each in pages if each.ContinuationPoint])
+                    raise self._refused(page.StatusCode, fields[min(index, len(fields) - 1)])
+                found[index] += page.References
+            unfinished = [(index, page.ContinuationPoint) for index, page in pages if page.ContinuationPoint]
+            if not unfinished:
+                return
+            following = await self._browse_next([point for _, point in unfinished])
+            pages = [(index, page) for (index, _), page in zip(unfinished, following, strict=True)]
+
+    async def _browse_next(self, points: list[bytes]) -> list[ua.BrowseResult]:
+        parameters = ua.BrowseNextParameters(ReleaseContinuationPoints=False, ContinuationPoints=points)
+        return await self._request(lambda client: client.browse_next(parameters), len(points))
+
+    async def _release(self, points: list[bytes]) -> None:
+        if points:
+            parameters = ua.BrowseNextParameters(ReleaseContinuationPoints=True, ContinuationPoints=points)
+            await self._request(lambda client: client.browse_next(parameters), 0)
+
+    def _refused(self, status: ua.StatusCode, field: str) -> AdapterError:
+        """What a request that changes nothing was refused with, so that nothing will be changed."""
+        self._call.answered(status_code=trace_status(status))
+        return refusal(status, writes=self._call.writes, field=field or None)
+
+
+def _is_base(data_type: ua.NodeId) -> bool:
+    return (
+        data_type.NamespaceIndex == 0
+        and isinstance(data_type.Identifier, int)
+        and data_type.Identifier <= Ids.Enumeration
+    )

@@ -1,0 +1,29 @@
+"""Texts that the server supplies, marked place by place and not text by text: an enumeration has thousands of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from ..core import Call, device_text
+
+__all__ = ["cleaner"]
+
+_LONGEST = 1024
+
+
+def cleaner(call: Call, pointer: str) -> Callable[[str | None], str]:
+    """A function that makes texts fit to be shown below ``pointer``, a JSON Pointer that ``meta.untrusted`` then lists."""
+
+    def clean(text: str | None) -> str:
+        if not text:
+            return ""
+        untrusted: list[str] = call.extra.setdefault("untrusted", [])
+        if pointer not in untrusted:
+            untrusted.append(pointer)
+        if len(text) <= _LONGEST and text.isascii() and text.isprintable():
+            return text
+        cleaned = device_text(call, pointer, text)
+        untrusted.pop()
+        return cleaned
+
+    return clean

@@ -1,0 +1,436 @@
+"""The MQTT reference adapter when the broker is silent, refuses, breaks off, or is away: nothing is sent twice or late."""
+
+# In the checkout mypy does not find the installed name of the adapters' folder.
+# mypy: disable-error-code="import-not-found"
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import itertools
+import os
+import signal
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from pytest_otmcp.reference_adapters.mqtt.connection import Connection, ConnectionLostError, Endpoint, Message
+
+CLIENT = "mqtt-faults"
+TIMEOUT_S, DEADLINE_S = 0.3, 1.0
+BACK_S, SLACK_S = 0.25, 0.2
+QUIET_S = 0.3
+
+
+@pytest.fixture(scope="module")
+def broker(mocks: Any) -> Any:
+    return mocks("mqtt")
+
+
+@pytest.fixture(autouse=True)
+def clean(broker: Any) -> None:
+    broker("reset")
+
+
+@pytest.fixture(scope="module")
+def env(broker: Any) -> dict[str, str]:
+    return {
+        "MQTT_URL": f"mqtt://127.0.0.1:{broker.port}",
+        "MQTT_CLIENT_ID": CLIENT,
+        "MQTT_TIMEOUT_S": str(TIMEOUT_S),
+        "MQTT_DEADLINE_S": str(DEADLINE_S),
+        "MQTT_WRITES_ENABLED": "true",
+    }
+
+
+@pytest.fixture(scope="module")
+def adapter(sessions: Any, adapter_command: Any, env: dict[str, str]) -> Any:
+    return sessions(adapter_command("mqtt"), env)
+
+
+def sent(broker: Any, mark: int, kind: str | None = None) -> list[dict[str, Any]]:
+    """What the adapter sent since."""
+    entries = broker.since(mark, direction="in", client_id=CLIENT)
+    return [entry for entry in entries if kind in (None, entry["kind"])]
+
+
+def publish(adapter: Any, topic: str, qos: int = 1) -> Any:
+    return adapter.call("publish_message", topic=topic, payload="x", qos=qos)
+
+
+def received(adapter: Any, topic: str) -> list[str]:
+    """Payloads of the messages that it has, after the broker has handed over everything."""
+    adapter.call("get_broker_info")
+    return [one["payload"] for one in adapter.call("read_messages", topic=topic).data["messages"]]
+
+
+def refused(reply: Any) -> tuple[str, str, bool]:
+    return reply.error["code"], reply.error["outcome"], reply.error["retryable"]
+
+
+# -- a message of which nobody knows what became of it --------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("qos", "packet", "action", "code"),
+    [
+        (1, "PUBLISH", {"no_answer": True}, "timeout"),
+        (2, "PUBLISH", {"no_answer": True}, "timeout"),
+        (2, "PUBREL", {"no_answer": True}, "timeout"),
+        (1, "PUBLISH", {"close": True}, "connection_lost"),
+        (2, "PUBLISH", {"close": True}, "connection_lost"),
+        (2, "PUBREL", {"reset": True}, "connection_lost"),
+        (1, "PUBLISH", {"reset": True}, "connection_lost"),
+        (1, "PUBLISH", {"delay_s": 0.4}, "timeout"),
+    ],
+)
+def test_a_message_without_an_answer_is_unknown_and_never_sent_again(
+    adapter: Any, broker: Any, qos: int, packet: str, action: dict[str, Any], code: str
+) -> None:
+    before = adapter.call("get_broker_info").meta["connection"]["generation"]
+    mark = broker.mark()
+    broker.fault({"packet": packet, "client_id": CLIENT, "times": 1, "action": action})
+    started = time.monotonic()
+    reply = publish(adapter, "once", qos)
+    assert time.monotonic() - started < DEADLINE_S
+    assert refused(reply) == (code, "unknown", False)
+    assert reply.meta["attempts"] == 1
+    assert reply.meta["connection"] == {"state": "disconnected", "generation": before}
+    assert reply.meta["trace"]["topic"] == "once"
+    # The next connection comes by itself; with it, after what it publishes, a replay would have been there.
+    broker.wait(mark, kind="CONNECT", client_id=CLIENT)
+    after = publish(adapter, "next", 2)
+    assert after.data["delivery"] == "acknowledged"
+    assert after.meta["connection"]["generation"] == before + 1
+    assert [entry["topic"] for entry in sent(broker, mark, "PUBLISH")] == ["once", "next"]
+    assert [entry["dup"] for entry in sent(broker, mark, "PUBLISH")] == [False, False]
+    # Neither is the second half of a QoS 2 exchange that was given up.
+    assert len(sent(broker, mark, "PUBREL")) == 1 + (packet == "PUBREL")
+
+
+def test_many_messages_that_fail_together_are_sent_once_each(adapter: Any, broker: Any) -> None:
+    adapter.call("get_broker_info")
+    mark = broker.mark()
+    broker.fault({"packet": "PUBLISH", "client_id": CLIENT, "times": 40, "action": {"no_answer": True}})
+    arguments = [{"topic": f"together/{i}", "payload": "x", "qos": 1} for i in range(40)]
+    ids = [adapter.start("publish_message", one) for one in arguments]
+    outcomes = {adapter.reply("publish_message", one).error["outcome"] for one in ids}
+    assert outcomes == {"unknown"}
+    broker.wait(mark, kind="CONNECT", client_id=CLIENT)
+    publish(adapter, "next")
+    # More than twenty were in flight: paho's own limit would have kept the others for later.
+    assert [entry["topic"] for entry in sent(broker, mark, "PUBLISH")] == [f"together/{i}" for i in range(40)] + [
+        "next"
+    ]
+
+
+def test_the_deadline_ends_a_call_and_what_it_had_begun(
+    sessions: Any, adapter_command: Any, env: Any, broker: Any
+) -> None:
+    patient = sessions(
+        adapter_command("mqtt"), {**env, "MQTT_CLIENT_ID": "patient", "MQTT_TIMEOUT_S": "30", "MQTT_DEADLINE_S": "0.4"}
+    )
+    patient.call("get_broker_info")
+    mark = broker.mark()
+    broker.fault({"packet": "PUBREL", "client_id": "patient", "action": {"no_answer": True}})
+    started = time.monotonic()
+    assert refused(publish(patient, "late", 2)) == ("timeout", "unknown", False)
+    assert 0.4 <= time.monotonic() - started < 1.0
+    broker.wait(mark, kind="CONNECT", client_id="patient")
+    broker.fault()
+    patient.call("get_broker_info")
+    assert len(broker.since(mark, kind="PUBLISH", direction="in", client_id="patient")) == 1
+    broker.fault({"packet": "UNSUBSCRIBE", "client_id": "patient", "action": {"no_answer": True}})
+    assert patient.call("get_broker_info").error["code"] == "timeout"
+    patient.close()
+
+
+def test_what_the_socket_could_not_take_in_time_is_not_sent_later(adapter: Any, broker: Any) -> None:
+    adapter.call("get_broker_info")
+    mark = broker.mark()
+    os.kill(broker.pid, signal.SIGSTOP)
+    try:
+        for number in range(64):
+            reply = adapter.call("publish_message", topic=f"stuck/{number}", payload="x" * 1_000_000, qos=0)
+            if not reply.envelope["success"]:
+                break
+    finally:
+        os.kill(broker.pid, signal.SIGCONT)
+    assert refused(reply) == ("timeout", "unknown", False)
+    broker.wait(mark, kind="CONNECT", client_id=CLIENT)
+    adapter.call("get_broker_info")
+    assert f"stuck/{number}" not in [entry["topic"] for entry in sent(broker, mark, "PUBLISH")]
+
+
+# -- requests that change nothing ------------------------------------------------------------------------------
+
+
+def test_a_question_is_repeated_once_over_a_new_connection(adapter: Any, broker: Any) -> None:
+    generation = adapter.call("get_broker_info").meta["connection"]["generation"]
+    mark = broker.mark()
+    broker.fault({"packet": "UNSUBSCRIBE", "client_id": CLIENT, "times": 1, "action": {"reset": True}})
+    reply = adapter.call("get_broker_info")
+    assert reply.data["connected"] is True
+    assert reply.meta["attempts"] == 2
+    assert reply.meta["connection"] == {"state": "reconnected", "generation": generation + 1}
+    broker.fault({"packet": "UNSUBSCRIBE", "client_id": CLIENT, "times": 2, "action": {"reset": True}})
+    mark = broker.mark()
+    assert adapter.call("get_broker_info").error["code"] == "connection_lost"
+    assert len(sent(broker, mark, "UNSUBSCRIBE")) == 2
+    assert adapter.call("get_broker_info").envelope["success"]
+
+
+def test_a_subscription_without_an_answer_is_not_listed(adapter: Any, broker: Any) -> None:
+    adapter.call("get_broker_info")
+    broker.fault({"packet": "SUBSCRIBE", "client_id": CLIENT, "times": 1, "action": {"no_answer": True}})
+    reply = adapter.call("subscribe_topic", topic="silent/#")
+    assert refused(reply) == ("timeout", "not_applicable", True)
+    assert adapter.call("list_subscriptions").data["subscriptions"] == []
+    assert adapter.call("subscribe_topic", topic="silent/#").data["granted_qos"] == 0
+    adapter.call("unsubscribe_topic", topic="silent/#")
+
+
+# -- connecting --------------------------------------------------------------------------------------------------
+
+
+def test_each_refusal_of_a_connection_has_its_code(sessions: Any, adapter_command: Any, env: Any, broker: Any) -> None:
+    fresh = sessions(adapter_command("mqtt"), {**env, "MQTT_CLIENT_ID": "refused"})
+    codes = {1: "config_error", 2: "config_error", 4: "auth_failed", 5: "access_denied", 3: "connect_failed"}
+    for code, expected in codes.items():
+        broker.fault({"packet": "CONNECT", "client_id": "refused", "action": {"reason_code": code}})
+        mark = broker.mark()
+        reply = publish(fresh, "refused")
+        assert (reply.error["code"], reply.error["outcome"], reply.meta["attempts"]) == (expected, "not_sent", 0)
+        if expected != "connect_failed":
+            # Trying again in the background what can only fail would lock an account.
+            quiet = broker.within(QUIET_S, mark, kind="CONNECT", client_id="refused", direction="in")
+            assert len(quiet) == 1
+    broker.fault()
+    assert publish(fresh, "refused").data["delivery"] == "acknowledged"
+    fresh.close()
+
+
+def test_a_broker_that_does_not_answer_connect_is_a_timeout_for_everybody_who_waits(
+    sessions: Any, adapter_command: Any, env: Any, broker: Any
+) -> None:
+    fresh = sessions(adapter_command("mqtt"), {**env, "MQTT_CLIENT_ID": "unanswered"})
+    broker.fault({"packet": "CONNECT", "client_id": "unanswered", "action": {"no_answer": True}})
+    started = time.monotonic()
+    ids = [fresh.start("publish_message", {"topic": "a", "payload": "x"}) for _ in range(8)]
+    assert {refused(fresh.reply("publish_message", one)) for one in ids} == {("timeout", "not_sent", True)}
+    assert time.monotonic() - started < DEADLINE_S
+    fresh.close()
+
+
+@contextlib.contextmanager
+def impostor(answers: list[bytes]) -> Iterator[int]:
+    """A server that answers whatever it receives with the last of these, and closes."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+
+        def serve() -> None:
+            with contextlib.suppress(OSError):
+                while True:
+                    connection, _ = listener.accept()
+                    with connection, contextlib.suppress(ConnectionError):
+                        connection.recv(1000)
+                        connection.sendall(answers[-1])
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        yield listener.getsockname()[1]
+        listener.shutdown(socket.SHUT_RDWR)
+        thread.join()
+
+
+def test_what_is_no_broker_is_told_and_nothing_is_published_to_it(
+    sessions: Any, adapter_command: Any, env: Any
+) -> None:
+    answers = [b""]
+    with impostor(answers) as port:
+        fresh = sessions(adapter_command("mqtt"), {**env, "MQTT_URL": f"mqtt://127.0.0.1:{port}"})
+        for answer, code in {
+            b"": "connect_failed",
+            b"HTTP/1.1 400 Bad Request\r\n\r\n": "connect_failed",
+            b"\x20\x02\x00": "connect_failed",
+            b"\x20\x02\x00\x63": "connect_failed",
+            b"\xff" * 9: "config_error",
+        }.items():
+            answers.append(answer)
+            assert fresh.call("get_broker_info").error["code"] == code, answer
+            assert publish(fresh, "a").error["outcome"] == "not_sent"
+        assert fresh.close()[0] == 0
+
+
+@contextlib.contextmanager
+def mute_broker() -> Iterator[tuple[socket.socket, int]]:
+    """A listening socket and its port, for a broker of which the test plays every part."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        listener.settimeout(5.0)
+        yield listener, listener.getsockname()[1]
+
+
+def test_a_connection_that_was_given_up_is_reset_so_that_the_kernel_sends_nothing_more(
+    sessions: Any, adapter_command: Any, env: Any
+) -> None:
+    with mute_broker() as (listener, port):
+        fresh = sessions(adapter_command("mqtt"), {**env, "MQTT_URL": f"mqtt://127.0.0.1:{port}"})
+        call = fresh.start("publish_message", {"topic": "a", "payload": "x", "qos": 1})
+        connection, _ = listener.accept()
+        with connection:
+            connection.settimeout(5.0)
+            connection.recv(1000)
+            connection.sendall(b"\x20\x02\0\0")
+            assert connection.recv(1000)[0] == 0x32
+            with pytest.raises(ConnectionResetError):
+                connection.recv(1000)
+        assert refused(fresh.reply("publish_message", call)) == ("timeout", "unknown", False)
+        fresh.close()
+
+
+@pytest.mark.asyncio
+async def test_a_connection_knows_its_end_before_the_loop_has_read_it() -> None:
+    with mute_broker() as (listener, port):
+        endpoint = Endpoint(
+            host="127.0.0.1", port=port, tls=False, client_id="c", username=None, password=None, timeout_s=5.0
+        )
+        connection = Connection(endpoint, lambda message: None)
+        opening = asyncio.create_task(connection.open(None))
+        peer, _ = await asyncio.to_thread(listener.accept)
+        with peer:
+            peer.sendall(b"\x20\x02\0\0")
+            await opening
+            assert connection.is_live()
+        # Loopback delivers the end at once; the loop does not get to run in between.
+        assert not connection.is_live()
+        with pytest.raises(ConnectionLostError):
+            connection.send(Message(topic="a", payload=b"x"))
+
+
+def test_two_clients_with_one_identifier_do_not_throw_each_other_out_for_ever(
+    sessions: Any, adapter_command: Any, env: Any, broker: Any
+) -> None:
+    mark = broker.mark()
+    twins = [sessions(adapter_command("mqtt"), {**env, "MQTT_CLIENT_ID": "twin"}) for _ in range(2)]
+    for twin in twins:
+        twin.call("get_broker_info")
+    connects = broker.within(2.0, mark, kind="CONNECT", direction="in", client_id="twin")
+    assert len(connects) > 5
+    # They start at a twentieth of a second, and go slower and slower.
+    pauses = [later["t_ns"] - earlier["t_ns"] for earlier, later in itertools.pairwise(connects)]
+    assert max(pauses) > 0.35e9
+    for twin in twins:
+        twin.close()
+
+
+# -- outages -----------------------------------------------------------------------------------------------------
+
+
+def test_nothing_is_queued_over_an_outage_and_subscriptions_come_back_by_themselves(adapter: Any, broker: Any) -> None:
+    adapter.call("subscribe_topic", topic="sensors/#", qos=1)
+    generation = adapter.call("get_broker_info").meta["connection"]["generation"]
+    broker("poke", params={"publish": {"topic": "sensors/a", "payload": "b2xk"}})
+    assert received(adapter, "sensors/b") == []
+    broker.stop()
+    for qos in (0, 1, 2):
+        reply = publish(adapter, "stale", qos)
+        assert refused(reply) == ("connect_failed", "not_sent", True)
+        assert (reply.meta["attempts"], reply.meta["connection"]["state"]) == (0, "disconnected")
+    assert adapter.call("get_broker_info").error["code"] == "connect_failed"
+    assert adapter.call("subscribe_topic", topic="later/#").error["code"] == "connect_failed"
+    # Validation does not need a broker.
+    assert adapter.call("publish_message", topic="", payload="x").error["code"] == "invalid_input"
+    listed = adapter.call("list_subscriptions")
+    assert listed.data["subscriptions"] == [{"topic": "sensors/#", "qos": 1, "granted_qos": 1, "active": False}]
+    left = adapter.call("read_messages", topic="#").data
+    assert ([one["payload"] for one in left["messages"]], left["connected"]) == (["old"], False)
+    broker.start()
+    started = time.monotonic()
+    # Nobody calls the adapter: it comes back on its own.
+    (granted,) = broker.wait(0, kind="SUBACK", client_id=CLIENT)
+    assert time.monotonic() - started < BACK_S + SLACK_S
+    assert granted["reason_codes"] == [1]
+    broker("poke", params={"publish": {"topic": "sensors/a", "payload": "bmV3", "qos": 1}})
+    assert received(adapter, "sensors/#") == ["new"]
+    reply = adapter.call("list_subscriptions")
+    assert reply.data["subscriptions"] == [{"topic": "sensors/#", "qos": 1, "granted_qos": 1, "active": True}]
+    assert reply.meta["connection"]["generation"] == generation + 1
+    assert sent(broker, 0, "PUBLISH") == []
+    adapter.call("unsubscribe_topic", topic="sensors/#")
+
+
+def test_a_restored_subscription_that_is_refused_is_shown_as_inactive(adapter: Any, broker: Any) -> None:
+    adapter.call("subscribe_topic", topic="lost/#")
+    mark = broker.mark()
+    broker.fault(
+        {"packet": "UNSUBSCRIBE", "client_id": CLIENT, "times": 1, "action": {"close": True}},
+        {"packet": "SUBSCRIBE", "client_id": CLIENT, "times": 1, "action": {"reason_code": 0x80}},
+    )
+    adapter.call("get_broker_info")
+    assert len(sent(broker, mark, "SUBSCRIBE")) == 1
+    (listed,) = adapter.call("list_subscriptions").data["subscriptions"]
+    assert listed == {"topic": "lost/#", "qos": 0, "granted_qos": None, "active": False}
+    adapter.call("unsubscribe_topic", topic="lost/#")
+
+
+def test_a_message_right_after_the_brokers_end_does_not_succeed(adapter: Any, broker: Any) -> None:
+    for _ in range(3):
+        adapter.call("get_broker_info")
+        broker.stop()
+        # QoS 0 has no answer: only looking at the connection before writing can tell.
+        assert refused(publish(adapter, "into the void", 0))[:2] == ("connect_failed", "not_sent")
+        broker.start()
+        assert publish(adapter, "back", 0).meta["connection"]["state"] in ("connected", "reconnected")
+
+
+def test_the_adapter_starts_without_its_broker_and_heals_in_the_same_session(
+    sessions: Any, adapter_command: Any, env: Any, broker: Any
+) -> None:
+    broker.stop()
+    fresh = sessions(adapter_command("mqtt"), {**env, "MQTT_CLIENT_ID": "early"})
+    assert len(fresh.tools) == 16
+    birth = {"device_id": "d", "metrics": [{"name": "m", "datatype": "Int8", "value": 1}]}
+    for tool, arguments in (
+        ("get_broker_info", {}),
+        ("subscribe_topic", {"topic": "a"}),
+        ("unsubscribe_topic", {"topic": "a"}),
+        ("publish_message", {"topic": "a", "payload": "x"}),
+        ("publish_device_birth", birth),
+        ("publish_node_birth", {}),
+        ("publish_node_command", {"edge_node_id": "n", "metrics": birth["metrics"]}),
+        ("list_sparkplug_nodes", {}),
+    ):
+        reply = fresh.call(tool, arguments)
+        assert (reply.error["code"], reply.error["retryable"]) == ("connect_failed", True)
+        assert (reply.meta["attempts"], reply.meta["connection"]["state"]) == (0, "disconnected")
+    assert fresh.call("subscribe_topic", topic="a", qos=5).error["code"] == "invalid_input"
+    broker.start()
+    (connected,) = broker.wait(0, kind="CONNACK", client_id="early")
+    assert connected["reason_codes"] == [0]
+    assert fresh.call("get_broker_info").meta["connection"]["generation"] == 1
+    # A birth that failed has not happened.
+    assert (
+        fresh.call("publish_device_data", device_id="d", metrics=[{"name": "m", "value": 1}]).error["code"]
+        == "not_born"
+    )
+    assert broker.since(0, kind="PUBLISH", direction="in", client_id="early") == []
+    fresh.close()
+
+
+def test_closing_stdin_says_goodbye_to_the_broker(sessions: Any, adapter_command: Any, env: Any, broker: Any) -> None:
+    fresh = sessions(adapter_command("mqtt"), {**env, "MQTT_CLIENT_ID": "leaving"})
+    fresh.call("get_broker_info")
+    mark = broker.mark()
+    code, elapsed = fresh.close()
+    assert code == 0
+    assert elapsed < 2.0
+    broker.wait(mark, kind="DISCONNECT", client_id="leaving")
+    assert broker.since(mark, kind="WILL") == []
+
+
+def test_an_unknown_host_is_named_as_such(sessions: Any, adapter_command: Any, env: Any) -> None:
+    lost = sessions(adapter_command("mqtt"), {**env, "MQTT_URL": "mqtt://no-such-host.invalid", "MQTT_DEADLINE_S": "5"})
+    assert lost.call("get_broker_info").error["code"] in ("dns_error", "timeout")
+    lost.close()

@@ -1,0 +1,400 @@
+"""The command ``otmcp`` as a shell sees it: what it says, what it writes, how it ends."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import psutil
+import pytest
+
+from pytest_otmcp import cli
+from pytest_otmcp.certificate import certificate
+from pytest_otmcp.errors import KitError, UsageError
+from pytest_otmcp.record import digest, load
+from pytest_otmcp.shipped import tasks_by_id
+
+OTMCP = [sys.executable, "-P", "-m", "pytest_otmcp.cli"]
+SAMPLE = Path(__file__).parents[2] / "reports" / "sample" / "run.json"
+
+Done = subprocess.CompletedProcess[str]
+
+SILENT = """
+[subject]
+name = "silent"
+version = "1"
+
+[adapter.modbus]
+command = ["{python}", "-c", "raise SystemExit(3)"]
+"""
+
+
+def otmcp(*arguments: str, cwd: Path, environment: dict[str, str] | None = None) -> Done:
+    return subprocess.run(
+        [*OTMCP, *arguments],
+        cwd=cwd,
+        env=os.environ | (environment or {}),
+        capture_output=True,
+        text=True,
+        timeout=600,
+        check=False,
+    )
+
+
+def sentence(done: Done) -> str:
+    """The one sentence on standard error."""
+    lines = [line for line in done.stderr.splitlines() if line.startswith("otmcp: ")]
+    assert len(lines) == 1, done.stderr
+    assert "Traceback" not in done.stderr
+    return lines[0]
+
+
+# -- the command line -------------------------------------------------------------------------------------------
+
+
+def test_help_names_every_command_and_imports_nothing_heavy(tmp_path: Path) -> None:
+    program = (
+        "import sys\n"
+        "from pytest_otmcp.cli import main\n"
+        "assert main(['--help']) == 0\n"
+        "heavy = {'pytest', 'mcp', 'pymodbus', 'asyncua', 'paho', 'scipy', 'matplotlib', 'jsonschema'}\n"
+        "assert not heavy & set(sys.modules), heavy & set(sys.modules)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    for command in ("init", "doctor", "certify", "verify", "report", "mock"):
+        assert re.search(rf"^ +{command} ", done.stdout, re.MULTILINE)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "required: COMMAND"),
+        (["certfy"], "invalid choice: 'certfy'"),
+        (["certify", "--reps", "many"], "--reps: invalid int value: 'many'"),
+        (["certify", "--reps", "29"], "--reps: a certificate needs at least 30 repetitions, found 29"),
+        (["certify", "--subject", "nowhere.toml"], "nowhere.toml: there is no such"),
+        (["certify", "--subject", "broken.toml"], "broken.toml: not valid TOML"),
+        (["certify", "--out", "broken.toml"], "broken.toml"),
+        (["verify", "nowhere.json", "nowhere.json"], "nowhere.json: there is no such file"),
+        (["report", "nowhere.json"], "nowhere.json: there is no such file"),
+        (["mock", "bacnet"], "invalid choice: 'bacnet'"),
+        (["mock", "modbus", "--port", "70000"], "--port: expected 0 to 65535, found 70000"),
+        (["mock", "modbus", "--port", "many"], "--port: invalid int value: 'many'"),
+    ],
+)
+def test_what_cannot_be_done_is_said_in_a_sentence_and_ends_with_2(
+    tmp_path: Path, arguments: list[str], words: str
+) -> None:
+    (tmp_path / "broken.toml").write_text("[subject\n")
+    done = otmcp(*arguments, cwd=tmp_path)
+    assert done.returncode == 2
+    assert words in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "words"),
+    [
+        (UsageError("x.toml: no"), 2, "otmcp: x.toml: no"),
+        (cli.Refusal("no certificate: M1\nfailed"), 1, "otmcp: no certificate: M1 failed"),
+        (KitError("the mock died"), 3, "otmcp: the mock died (a fault of the kit; please file a bug)"),
+        (KeyboardInterrupt(), 2, "otmcp: interrupted"),
+        (OSError(28, "No space left on device", "out/run.json"), 2, "otmcp: out/run.json: No space left on device"),
+        (ZeroDivisionError("division"), 3, "otmcp: a fault of the kit at test_cli.py:"),
+    ],
+)
+def test_every_error_is_one_sentence_with_its_exit_code(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    error: BaseException,
+    code: int,
+    words: str,
+) -> None:
+    def fail(_arguments: Any) -> int:
+        raise error
+
+    monkeypatch.setattr("pytest_otmcp.cli.report.run", fail)
+    assert cli.main(["report", "run.json"]) == code
+    told = capsys.readouterr().err
+    assert told.startswith(words)
+    assert told.count("\n") == 1
+
+
+def test_a_reader_that_went_away_is_no_traceback(tmp_path: Path) -> None:
+    process = subprocess.Popen(
+        [*OTMCP, "--help"], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    assert process.stderr is not None
+    process.stdout.close()
+    with process.stderr:
+        assert process.stderr.read() == ""
+    process.wait(30)
+
+
+# -- mock -------------------------------------------------------------------------------------------------------
+
+
+def test_a_mock_serves_until_its_input_closes_whatever_lies_in_the_directory(tmp_path: Path) -> None:
+    (tmp_path / "asyncio.py").write_text("raise SystemExit('a module of the directory was imported')")
+    with subprocess.Popen(
+        [*OTMCP, "mock", "modbus"],
+        cwd=tmp_path,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        assert process.stderr is not None
+        ready = json.loads(process.stdout.readline())
+        assert ready["protocol"] == "modbus"
+        with socket.create_connection(("127.0.0.1", ready["port"]), timeout=5) as connection:
+            # Read holding register 0 of unit 1.
+            connection.sendall(bytes.fromhex("000100000006010300000001"))
+            assert connection.recv(100)[:8] == bytes.fromhex("0001000000050103")
+        process.stdin.close()
+        assert process.wait(30) == 0
+        assert "point a Modbus TCP client with unit identifier 1 at it" in process.stderr.read()
+
+
+# -- report -----------------------------------------------------------------------------------------------------
+
+
+def test_reports_are_made_again_without_measuring(tmp_path: Path) -> None:
+    done = otmcp("report", str(SAMPLE), "--out", "again", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "the reports of" in done.stdout
+    made = {str(path.relative_to(tmp_path / "again")) for path in (tmp_path / "again").rglob("*.*")}
+    assert {"tables/tab_results.tex", "figures/latency_boxplot.pdf", "report.html", "summary.md"} <= made
+
+
+def test_no_report_is_made_from_a_record_that_was_edited(tmp_path: Path) -> None:
+    edited = tmp_path / "run.json"
+    edited.write_text(SAMPLE.read_text().replace('"repetition": 3', '"repetition": 4', 1))
+    done = otmcp("report", "run.json", cwd=tmp_path)
+    assert done.returncode == 1
+    assert sentence(done).startswith("otmcp: no reports: ")
+    assert os.listdir(tmp_path) == ["run.json"]
+
+
+# -- certify ----------------------------------------------------------------------------------------------------
+
+
+def test_known_deviations_forbid_a_certificate_before_anything_runs(tmp_path: Path) -> None:
+    (tmp_path / "otmcp.toml").write_text(
+        SILENT + '\n[[deviation]]\nitem = "FM1"\nreason = "fixed in 2.0"\nexpires = 2099-01-01\n'
+    )
+    done = otmcp("certify", cwd=tmp_path)
+    assert done.returncode == 1
+    assert "declares known deviations (FM1), and a certificate excuses nothing" in sentence(done)
+    assert not (tmp_path / "reports").exists()
+
+
+def test_what_fails_gets_no_certificate_and_keeps_no_older_one(tmp_path: Path) -> None:
+    (tmp_path / "otmcp.toml").write_text(SILENT)
+    (tmp_path / "out").mkdir()
+    for name in ("certificate.json", "badge.json", "badge.svg"):
+        (tmp_path / "out" / name).write_text("of an earlier version")
+    done = otmcp("certify", "--out", "out", cwd=tmp_path)
+    assert done.returncode == 1, done.stderr
+    assert "VERDICT: NOT CONFORMANT" in done.stdout
+    assert sentence(done).startswith("otmcp: no certificate: the verdict is NOT CONFORMANT: M1, M2, M3, M4")
+    left = set(os.listdir(tmp_path / "out"))
+    assert "run.json" in left
+    assert not left & {"certificate.json", "badge.json", "badge.svg"}
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_certification_leaves_a_record_and_nothing_running(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    process = subprocess.Popen(
+        [*OTMCP, "certify"], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    assert process.stderr is not None
+    for line in process.stdout:
+        if re.match(r"  M1 +30/30", line):
+            break
+    started = psutil.Process(process.pid).children(recursive=True)
+    assert started
+    process.send_signal(number)
+    rest = process.stdout.read() + process.stderr.read()
+    process.stdout.close()
+    process.stderr.close()
+    assert process.wait(60) == 2, rest
+    assert rest.endswith("otmcp: interrupted\n")
+    assert not any(child.is_running() for child in psutil.wait_procs(started, timeout=10)[1])
+    out = tmp_path / "reports" / "certificate"
+    assert load(out / "run.json", allow_incomplete=True)["footer"]["complete"] is False
+    assert not (out / "certificate.json").exists()
+
+
+# -- certify and verify, over the whole suite -------------------------------------------------------------------
+#
+# Slow: the one full run of thirty repetitions (about a minute) that everything below shares.
+
+HOSTILE_CONFTEST = """
+import pytest
+
+@pytest.fixture
+def otmcp_trial():
+    return lambda task: None
+
+def pytest_collection_modifyitems(items):
+    del items[1:]
+"""
+
+
+@pytest.fixture(scope="module")
+def certified(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Done]:
+    """The reference adapters, certified from a directory whose configuration would bend an ordinary run."""
+    here = tmp_path_factory.mktemp("vendor")
+    (here / "conftest.py").write_text(HOSTILE_CONFTEST)
+    (here / "pytest.ini").write_text("[pytest]\naddopts = -k M1\nfilterwarnings = error\nasyncio_mode = auto\n")
+    (here / "bending.py").write_text("raise SystemExit('a plugin of the vendor was loaded')")
+    environment = {
+        "PYTEST_ADDOPTS": "-k M2",
+        "PYTEST_PLUGINS": "bending",
+        "PYTHONOPTIMIZE": "2",
+        "PYTHONWARNINGS": "error",
+    }
+    return here / "reports" / "certificate", otmcp("certify", cwd=here, environment=environment)
+
+
+def test_a_certificate_is_written_whatever_the_directory_holds(certified: tuple[Path, Done]) -> None:
+    out, done = certified
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "VERDICT: CONFORMANT (870/870 runs passed in 38 items)" in done.stdout
+    assert "modbus: earned guard (M4)" in done.stdout
+    assert "no level is awarded" in done.stdout
+    record, told = load(out / "run.json"), json.loads((out / "certificate.json").read_text())
+    assert record["settings"]["narrowed"] == []
+    assert sorted(told["predicate"]["passedTests"]) == sorted(tasks_by_id())
+    assert told["predicate"]["otmcp"]["counts"]["total"] == {"items": 38, "passed": 870, "planned": 870}
+    assert set(told["predicate"]["otmcp"]["adapters"]) == {"modbus", "mqtt", "opcua"}
+
+
+def test_progress_is_shown_while_it_runs(certified: tuple[Path, Done]) -> None:
+    assert re.search(r"^  M1 +30/30 +PASS", certified[1].stdout, re.MULTILINE)
+
+
+def test_the_values_of_two_certifications_differ(certified: tuple[Path, Done]) -> None:
+    # The seed is drawn: an adapter that knows the values of seed 0 by heart gains nothing.
+    assert load(certified[0] / "run.json")["settings"]["seed"] > 1000
+
+
+def test_the_badge_says_what_was_certified(certified: tuple[Path, Done]) -> None:
+    out, _ = certified
+    assert json.loads((out / "badge.json").read_text())["message"] == "conformant: Modbus, MQTT, OPC UA"
+    assert ElementTree.parse(out / "badge.svg").getroot().tag.endswith("svg")
+
+
+def test_the_certificate_is_verified_by_judging_its_history_again(certified: tuple[Path, Done], tmp_path: Path) -> None:
+    out, _ = certified
+    done = otmcp("verify", str(out / "certificate.json"), str(out / "run.json"), cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert (
+        "is CONFORMANT; 870 of 870 repetitions passed in 38 items, and judging them again found the same" in done.stdout
+    )
+    assert "not signed" in done.stdout
+
+
+@pytest.fixture
+def pair(certified: tuple[Path, Done], tmp_path: Path) -> tuple[Path, Path]:
+    """A copy of certificate and record to spoil."""
+    names = ("certificate.json", "run.json")
+    for name in names:
+        shutil.copy(certified[0] / name, tmp_path / name)
+    return tmp_path / names[0], tmp_path / names[1]
+
+
+def refused(pair: tuple[Path, Path]) -> str:
+    done = otmcp("verify", str(pair[0]), str(pair[1]), cwd=pair[0].parent)
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert done.stdout == ""
+    return sentence(done)
+
+
+def test_a_record_that_was_cut_off_is_refused(pair: tuple[Path, Path]) -> None:
+    content = pair[1].read_bytes()
+    pair[1].write_bytes(content[: len(content) // 2])
+    assert "not strict JSON" in refused(pair)
+
+
+def test_a_record_that_was_edited_is_refused(pair: tuple[Path, Path]) -> None:
+    pair[1].write_text(pair[1].read_text().replace('"duration_ms": ', '"duration_ms": 1', 1))
+    assert "the digest does not match: the file has been changed" in refused(pair)
+
+
+def test_a_certificate_that_was_edited_is_refused(pair: tuple[Path, Path]) -> None:
+    pair[0].write_text(pair[0].read_text().replace('"awarded": null', '"awarded": "Gold"'))
+    assert "predicate.otmcp.level.awarded is 'Gold', from the run follows None" in refused(pair)
+
+
+Change = Callable[[dict[str, Any]], object]
+
+
+def item(run: dict[str, Any], identifier: str) -> dict[str, Any]:
+    return next(entry for entry in run["items"] if entry["id"] == identifier)
+
+
+def first_call(run: dict[str, Any], identifier: str) -> dict[str, Any]:
+    call: dict[str, Any] = item(run, identifier)["samples"][0]["calls"][0]
+    return call
+
+
+def request(run: dict[str, Any], identifier: str) -> dict[str, Any]:
+    """What the first request of an item was, as the device noted it."""
+    entries = item(run, identifier)["samples"][0]["device"]
+    found: dict[str, Any] = next(entry for entry in entries if entry.get("kind") == "request")
+    return found
+
+
+FORGERIES: list[tuple[str, Change]] = [
+    (
+        "a value that the adapter reported",
+        lambda run: first_call(run, "M2")["envelope"]["data"].update(values=[1, 2, 3, 4]),
+    ),
+    ("what the adapter was asked for", lambda run: first_call(run, "M2")["arguments"].update(address=1)),
+    ("whether a call was right", lambda run: first_call(run, "M2").update(ok=False)),
+    ("a refusal made a success", lambda run: first_call(run, "FM1")["envelope"].update(success=True, error=None)),
+    ("the code of an error", lambda run: first_call(run, "FM1").update(error_code="timeout")),
+    ("which register the device was asked for", lambda run: request(run, "M2").update(address=7, pdu="0400070004")),
+    ("a request that reached the device", lambda run: item(run, "M2")["samples"][0]["device"].clear()),
+    ("a write at the read-only device", lambda run: item(run, "M4")["samples"][0]["device"].append(request(run, "M3"))),
+    ("how long a repetition took", lambda run: item(run, "M2")["samples"][0].update(duration_ms=0.001)),
+    ("what an item is about", lambda run: item(run, "M2").update(title="Read whatever there is.")),
+    ("an item that is said not to apply", lambda run: item(run, "M2").update(status="NOT_APPLICABLE")),
+    ("the seed of the values", lambda run: run["settings"].update(seed=0)),
+    ("the count of tool calls", lambda run: run["footer"]["tool_calls"].update(task=1)),
+    ("whether the suite was narrowed", lambda run: run["settings"].update(narrowed=["-k M1"])),
+    ("the kit that judged", lambda run: run["kit"].update(version="9.9.9")),
+]
+
+
+@pytest.mark.parametrize(("change"), [change for _, change in FORGERIES], ids=[name for name, _ in FORGERIES])
+def test_a_record_that_was_changed_and_sealed_again_is_refused(pair: tuple[Path, Path], change: Change) -> None:
+    run = load(pair[1])
+    change(run)
+    run["footer"]["digest"] = digest(run)
+    pair[1].write_text(json.dumps(run))
+    refused(pair)
+    # The forger knows this kit and makes the certificate as well: now only the history itself can contradict him.
+    statement = certificate(run, hashlib.sha256(pair[1].read_bytes()).hexdigest(), tasks_by_id())
+    pair[0].write_text(json.dumps(statement))
+    assert "is about another run.json" not in refused(pair)

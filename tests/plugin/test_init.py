@@ -1,0 +1,150 @@
+"""``otmcp init`` and ``otmcp doctor`` as a vendor uses them: real adapters, real mocks, from an empty directory."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from pytest_otmcp.subject import load_subject
+from pytest_otmcp.subject.operations import OPERATIONS
+
+OTMCP = [sys.executable, "-m", "pytest_otmcp.cli"]
+
+# An adapter as there are many: two tools, answers in prose, isError always false, one-based addresses.
+PROSE = '''
+import os
+from mcp.server import MCPServer
+from pymodbus.client import ModbusTcpClient
+
+server = MCPServer("prose")
+client = ModbusTcpClient(os.environ["PLC_HOST"], port=int(os.environ["PLC_PORT"]), retries=0)
+
+
+@server.tool(structured_output=False)
+def get_holding_registers(start: int, quantity: int) -> str:
+    """Read holding registers."""
+    client.connect()
+    answer = client.read_holding_registers(start - 1, count=quantity, device_id=1)
+    return f"Error: {answer}" if answer.isError() else f"The registers are {answer.registers}"
+
+
+@server.tool(structured_output=False)
+def set_register(register: int, value: int) -> str:
+    """Write a holding register."""
+    client.connect()
+    try:
+        answer = client.write_register(register - 1, value, device_id=1)
+    except Exception as error:
+        return f"Error: {error}"
+    return f"Error: {answer}" if answer.isError() else "done"
+
+
+server.run()
+'''
+
+Otmcp = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture
+def otmcp(tmp_path: Path) -> Otmcp:
+    def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [*OTMCP, *arguments], cwd=tmp_path, capture_output=True, text=True, timeout=180, check=False
+        )
+
+    return run
+
+
+def test_a_prose_adapter_is_described_by_what_the_device_saw(otmcp: Otmcp, tmp_path: Path) -> None:
+    (tmp_path / "prose.py").write_text(PROSE, encoding="utf-8")
+    launch = (
+        "--protocol",
+        "modbus",
+        "--env",
+        "PLC_HOST={host}",
+        "--env",
+        "PLC_PORT={port}",
+        "--",
+        sys.executable,
+        "prose.py",
+    )
+    done = otmcp("init", *launch)
+    assert done.returncode == 0, done.stderr
+    assert "read_holding    get_holding_registers (proven: the device saw function 3 for address 10" in done.stdout
+    assert "ping (is the device reachable): no tool was found" in done.stdout
+    adapter = load_subject(tmp_path / "otmcp.toml").adapters["modbus"]
+    (read,), (write,) = adapter.operations["read_holding"], adapter.operations["write_holding"]
+    assert read.fill({"address": 0, "count": 4}, {}) == {"start": 1, "quantity": 4}
+    assert write.fill({"address": 0, "value": 7}, {}) == {"register": 1, "value": 7}
+    assert adapter.answering.form == "text"
+    assert [rule.success for rule in adapter.answering.outcome] == [False]
+    assert "illegal_address" in [rule.code for rule in adapter.answering.errors]
+
+
+@pytest.mark.parametrize("protocol", ["modbus", "mqtt", "opcua"])
+def test_every_tool_of_a_reference_adapter_is_found_and_proven(otmcp: Otmcp, tmp_path: Path, protocol: str) -> None:
+    variable = {
+        "modbus": ("--env", "MODBUS_HOST={host}", "--env", "MODBUS_PORT={port}"),
+        "mqtt": ("--env", "MQTT_URL={url}"),
+        "opcua": ("--env", "OPCUA_URL={url}"),
+    }[protocol]
+    switch = f"{protocol.upper()}_WRITES_ENABLED=true"
+    adapter = ("--", sys.executable, "-m", "pytest_otmcp.reference_adapters", protocol)
+    done = otmcp("init", *variable, "--env", switch, *adapter)
+    assert done.returncode == 0, done.stderr
+    assert "not proven" not in done.stdout
+    assert "no tool found" not in done.stdout
+    written = load_subject(tmp_path / "otmcp.toml").adapters[protocol]
+    assert written.answering.native
+    assert set(written.operations) == set(OPERATIONS[protocol])
+
+
+def test_a_file_that_is_there_is_not_replaced(otmcp: Otmcp, tmp_path: Path) -> None:
+    (tmp_path / "otmcp.toml").write_text("mine", encoding="utf-8")
+    done = otmcp("init", "--protocol", "modbus", "--", "adapter")
+    assert done.returncode == 2
+    assert "otmcp.toml: exists already" in done.stderr
+    assert (tmp_path / "otmcp.toml").read_text(encoding="utf-8") == "mine"
+
+
+def test_a_protocol_that_cannot_be_seen_is_asked_for(otmcp: Otmcp) -> None:
+    done = otmcp("init", "--", "adapter")
+    assert done.returncode == 2
+    assert "names no protocol; say --protocol modbus, mqtt, opcua" in done.stderr
+
+
+def test_an_adapter_that_does_not_start_is_no_proposal(otmcp: Otmcp, tmp_path: Path) -> None:
+    done = otmcp("init", "--protocol", "modbus", "--", sys.executable, "-c", "import mcp.server.fastmcp")
+    assert done.returncode == 1
+    assert done.stderr.startswith("otmcp: no proposal: the adapter exited with code 1 during its handshake")
+    assert "No module named 'mcp.server.fastmcp'" in done.stderr
+    assert not (tmp_path / "otmcp.toml").exists()
+
+
+def test_the_doctor_names_cause_and_remedy(otmcp: Otmcp) -> None:
+    done = otmcp("doctor", "--protocol", "modbus", "--", sys.executable, "-c", "import mcp.server.fastmcp")
+    assert done.returncode == 1
+    assert "No module named 'mcp.server.fastmcp'" in done.stdout
+    assert "Install it into an environment of its own with 'mcp<2'." in done.stdout
+
+
+def test_the_doctor_compares_a_subject_file_with_the_tools(otmcp: Otmcp, tmp_path: Path) -> None:
+    text = f'''
+[subject]
+name = "x"
+version = "1"
+[adapter.modbus]
+command = ["{sys.executable}", "-m", "pytest_otmcp.reference_adapters", "modbus"]
+env = {{ MODBUS_HOST = "{{host}}", MODBUS_PORT = "{{port}}" }}
+[adapter.modbus.bind.ping]
+tool = "pin"
+'''
+    (tmp_path / "otmcp.toml").write_text(text, encoding="utf-8")
+    done = otmcp("doctor")
+    assert done.returncode == 1
+    assert "modbus-reference" in done.stdout
+    assert "the adapter lists no tool 'pin'; did you mean 'ping'?" in done.stdout

@@ -1,0 +1,190 @@
+"""Nothing in a vendor's repository changes a result silently: it is on record what narrowed or shadowed the suite."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from .vendor import Outcome, Repository
+
+MEDDLING = """
+import pytest
+
+@pytest.fixture(autouse=True)
+def around_everything():
+    yield
+
+@pytest.fixture
+def otmcp_trial(otmcp_trial):
+    def run(task):
+        try:
+            otmcp_trial(task)
+        except BaseException:
+            pass
+    return run
+
+def pytest_collection_modifyitems(items):
+    items[:] = [item for item in items if "[M3]" not in item.nodeid]
+    for item in items:
+        if "[M4]" in item.nodeid:
+            item.add_marker(pytest.mark.skip(reason="not now"))
+    items.reverse()
+    items.append(items[-1])
+"""
+FLATTERING = """
+import pytest
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item, call):
+    report = yield
+    report.outcome = "passed"
+    report.longrepr = None
+    return report
+"""
+FORGING = """
+import pytest
+from pytest_otmcp import oracle
+
+@pytest.fixture(autouse=True)
+def forgive(monkeypatch):
+    monkeypatch.setattr(oracle, "succeeded", lambda reply, **outputs: [])
+"""
+EMPTY = "def pytest_pyfunc_call(pyfuncitem):\n    return True\n"
+
+
+@pytest.fixture
+def repository(tmp_path: Path) -> Repository:
+    """A repository with an adapter that reports wrong register values."""
+    repository = Repository(tmp_path)
+    repository.subject("wrong-value")
+    return repository
+
+
+def only(outcome: Outcome, *parts: str) -> None:
+    """Each part is in a sentence of the record and on the terminal, and there are no other sentences."""
+    for part in parts:
+        assert any(part in sentence for sentence in outcome.narrowed), outcome.narrowed
+    assert len(outcome.narrowed) == len(parts), outcome.narrowed
+    words = " ".join(outcome.output.split())
+    for sentence in outcome.narrowed:
+        assert f"narrowed: {sentence}" in words
+
+
+def test_a_run_that_nothing_bends_has_nothing_to_say(repository: Repository) -> None:
+    outcome = repository.pytest("--otmcp-reps=1")
+    assert outcome.narrowed == []
+    assert outcome.statuses["M1"] == "PASS"
+    assert outcome.statuses["M2"] == "FAIL"
+    assert outcome.record["footer"]["complete"] is True
+    assert outcome.code == 1
+
+
+def test_a_conftest_that_shadows_removes_skips_reverses_and_repeats_changes_no_result(repository: Repository) -> None:
+    repository.write(conftest_py=MEDDLING)
+    outcome = repository.pytest("--otmcp-reps=1")
+    assert outcome.code == 1
+    assert outcome.verdict == "NOT CONFORMANT"
+    assert outcome.statuses["M2"] == "FAIL"
+    assert "M4" not in outcome.statuses
+    assert [*outcome.statuses][:3] == ["M1", "M2", "Q1"]
+    assert outcome.record["footer"]["reason"] == "2 of 38 items did not run: M3, M4"
+    only(
+        outcome,
+        "the fixture around_everything of conftest.py:4 runs around the items",
+        "the fixture otmcp_trial of conftest.py:8 shadows the kit's",
+        "1 of 38 items were taken out by conftest.py: M3",
+        "items are marked skip by something outside the suite",
+        "FM1 would run more than once; the first time counts",
+        "the kit did not execute these items, whatever pytest reports of them: test_fault[FM1]",
+        "a conftest or plugin changed what pytest reports of items, not their results: M2 passed for FAIL, ",
+    )
+
+
+def test_a_plugin_that_reports_only_success_changes_neither_verdict_nor_exit_code(repository: Repository) -> None:
+    repository.write(flattering_py=FLATTERING)
+    for parallel in ((), ("-n", "2")):
+        outcome = repository.pytest(
+            "--otmcp-reps=1", "-p", "flattering", *parallel, plugins="xdist", env=here(repository)
+        )
+        assert outcome.code == 1, outcome.output
+        assert outcome.verdict == "NOT CONFORMANT"
+        assert "flattering.py has a hook around the items: pytest_runtest_makereport" in outcome.narrowed
+        [changed] = [sentence for sentence in outcome.narrowed if "not their results" in sentence]
+        assert "M2 passed for FAIL" in changed
+
+
+def here(repository: Repository) -> dict[str, str]:
+    return {"PYTHONPATH": str(repository.root)}
+
+
+def test_items_that_a_plugin_says_were_run_did_not_run(repository: Repository) -> None:
+    repository.write(empty_py=EMPTY)
+    outcome = repository.pytest("--otmcp-reps=1", "-p", "empty", env=here(repository))
+    assert outcome.code == 1
+    assert "VERDICT: INCOMPLETE (no item of the suite ran)" in outcome.output
+    assert "the kit did not execute these items, whatever pytest reports of them: test_normal[M1]" in outcome.output
+    assert not outcome.report.exists()
+
+
+def test_a_replaced_function_of_the_kit_is_on_record(repository: Repository) -> None:
+    repository.write(conftest_py=FORGING)
+    outcome = repository.pytest("--otmcp-reps=1", "-k", "M1")
+    assert any(
+        sentence.startswith("pytest_otmcp.oracle.succeeded was replaced by something from")
+        and sentence.endswith("conftest.py")
+        for sentence in outcome.narrowed
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (("-k", "M1 or Q1"), "34 of 38 items were taken out by -k M1 or Q1: M2, M3, M4, Q2, Q3, Q4 and 28 more"),
+        (("-m", "otmcp_stress and not otmcp_modbus"), "by -m otmcp_stress and not otmcp_modbus: "),
+        (("--otmcp-suite=normal",), "only the suites normal were asked for (--otmcp-suite)"),
+        (("--otmcp-time-scale=2", "-k", "not recovery"), "multiplied by 2 (--otmcp-time-scale)"),
+        (
+            ("--pyargs", "pytest_otmcp.conformance.test_fault"),
+            "31 of 38 items were not collected: pytest was asked for",
+        ),
+        (("-x", "--otmcp-suite=normal"), "the run ended at failure number 1 (-x or --maxfail)"),
+    ],
+)
+def test_what_was_asked_for_is_on_record_as_well(
+    repository: Repository, options: tuple[str, ...], sentence: str
+) -> None:
+    outcome = repository.pytest("--otmcp-reps=1", *options)
+    assert any(sentence in noted for noted in outcome.narrowed), outcome.narrowed
+    assert outcome.record["footer"]["complete"] is False
+    assert outcome.verdict in ("INCOMPLETE", "NOT CONFORMANT")
+    assert outcome.code == 1
+
+
+def test_a_filter_in_the_ini_is_told_from_one_on_the_command_line(repository: Repository) -> None:
+    repository.write(pytest_ini="[pytest]\naddopts = -k M1\n")
+    outcome = repository.pytest("--otmcp-reps=1")
+    only(outcome, "by -k M1 (not from the command line): M2, M3")
+    assert outcome.verdict == "INCOMPLETE"
+    assert outcome.code == 1
+
+
+def test_a_copy_of_the_suite_is_not_the_suite(repository: Repository) -> None:
+    copy = "from pytest_otmcp.conformance.test_normal import *\n"
+    repository.write(tests__test_copy_py=copy)
+    outcome = repository.pytest("--otmcp-reps=1", "tests", "--pyargs", "pytest_otmcp.conformance", "-k", "M1")
+    assert list(outcome.statuses) == ["M1", "FM1"]
+    assert "tests/test_copy.py::test_normal[M1] is not of the shipped suite and is not counted" in outcome.narrowed
+
+
+def test_nothing_left_of_the_suite_is_no_success(repository: Repository) -> None:
+    repository.write(
+        conftest_py="def pytest_collection_modifyitems(items):\n"
+        "    items[:] = [item for item in items if 'own' in item.nodeid]\n",
+        tests__test_own_py="def test_own():\n    pass\n",
+    )
+    outcome = repository.pytest("--otmcp-reps=1", "tests", "--pyargs", "pytest_otmcp.conformance")
+    assert "1 passed" in outcome.output
+    assert "VERDICT: INCOMPLETE (no item of the suite ran)" in outcome.output
+    assert "38 of 38 items were taken out by conftest.py" in outcome.output
+    assert outcome.code == 1

@@ -1,0 +1,272 @@
+"""Real runs judged again: what they say follows from what they store, and nothing can be taken away or added."""
+
+from __future__ import annotations
+
+import copy
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pytest_otmcp.bench import Bench, BenchOptions, Plant
+from pytest_otmcp.loop import LoopThread
+from pytest_otmcp.record import load
+from pytest_otmcp.replay import rejudge
+from pytest_otmcp.shipped import suite_digest, tasks_by_id
+from pytest_otmcp.subject import Subject, load_subject, reference_subject
+from pytest_otmcp.trial import Trial
+
+Record = dict[str, Any]
+
+SOUNDNESS = Path(__file__).parents[1] / "soundness"
+DEFECTIVE, ROGUE = str(SOUNDNESS / "defective.py"), str(SOUNDNESS / "rogue.py")
+PYTEST = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--pyargs", "pytest_otmcp.conformance"]
+
+FOREIGN_SUBJECT = """
+[subject]
+name = "an adapter of another shape"
+version = "1"
+
+[adapter.modbus]
+command = ["{python}", "-m", "pytest_otmcp.reference_adapters", "modbus"]
+env = { MODBUS_HOST = "{host}", MODBUS_PORT = "{port}" }
+rw = { env = { MODBUS_WRITES_ENABLED = "true" } }
+deadline_s = 5
+answer = "json"
+bindings = "functions.py"
+errors = [
+    { text = "illegal_address", code = "illegal_address" },
+    { text = "range_overflow", code = "range_overflow" },
+]
+
+[adapter.modbus.bind]
+ping = { tool = "ping", result = { reachable = "data.reachable" } }
+read_input = { tool = "read_input_registers", arguments = { address = "$address", count = "$count" }, result = { values = "data.values" } }
+write_holding = { tool = "write_register", arguments = { address = "$address", value = "$value" }, result = { value = "data.value" } }
+"""
+
+FUNCTIONS = """
+from pytest_otmcp.subject import Refused
+
+
+async def read_holding(tools, *, address, count):
+    await tools.call("ping")
+    answer = await tools.call("read_multiple_holding_registers", address=address, count=count)
+    if answer.is_error:
+        raise Refused("illegal_address", answer.text)
+    return {"values": answer.structured["data"]["values"]}
+"""
+
+
+BUGGY = """
+import sys
+
+sys.path.insert(0, {directory!r})
+import rogue
+
+error = {{"code": "internal_error", "class": "internal", "message": "see the log", "retryable": False}}
+rogue.ENVELOPE |= {{"success": False, "data": None, "error": error | {{"outcome": "not_applicable"}}}}
+print("ZeroDivisionError: no spindle", file=sys.stderr, flush=True)
+rogue.main()
+"""
+
+
+@pytest.fixture(scope="module")
+def record(tmp_path_factory: pytest.TempPathFactory) -> Record:
+    """Everything, twice, with the reference adapters, in a pytest of its own."""
+    directory = tmp_path_factory.mktemp("reference")
+    command = [*PYTEST, "--otmcp-report-dir", str(directory), "--otmcp-reps=2", "--otmcp-seed=7"]
+    done = subprocess.run(command, cwd=directory, capture_output=True, text=True, timeout=300, check=False)
+    assert "VERDICT" in done.stdout, done.stdout + done.stderr
+    return load(directory / "run.json")
+
+
+@pytest.fixture(scope="module")
+def bench_of() -> Iterator[Callable[..., Record]]:
+    """``bench_of(subject, tasks, …)``: the record of these Modbus tasks, over one plant for all of them."""
+    loop, plant = LoopThread(), Plant()
+
+    def run(subject: Subject, tasks: str, *, time_scale: float = 1.0) -> Record:
+        async def items() -> Record:
+            bench = Bench(subject, BenchOptions(time_scale=time_scale), plant)
+            try:
+                known = tasks_by_id()
+                items = [await Trial(bench, known[name], 2).run() for name in tasks.split()]
+                return {"items": items, "subject": {"adapters": bench.facts()}}
+            finally:
+                await bench.close()
+
+        settings = {"seed": 0, "time_scale": time_scale}
+        measured = {"kit": {"suite_digest": suite_digest()}, "settings": settings, **loop.run(items())}
+        # As if read from a file.
+        stored: Record = json.loads(json.dumps(measured))
+        return stored
+
+    yield run
+    loop.run(plant.close())
+    loop.close()
+
+
+def program(*command: str) -> Subject:
+    """The reference subject, its Modbus adapter started by another command."""
+    genuine = reference_subject()
+    adapter = genuine.adapters["modbus"]
+    variants = {
+        name: replace(variant, command=(sys.executable, *command)) for name, variant in adapter.variants.items()
+    }
+    return replace(genuine, adapters={"modbus": replace(adapter, variants=variants)})
+
+
+def the(record: Record, identifier: str) -> Record:
+    return next(item for item in record["items"] if item["id"] == identifier)
+
+
+def test_a_whole_run_is_judged_as_it_was(record: Record) -> None:
+    assert len(record["items"]) == 38
+    assert rejudge(record) == []
+
+
+def test_nonces_come_from_the_seed_of_the_run(record: Record) -> None:
+    changed = {**record, "settings": {**record["settings"], "seed": 8}}
+    assert any(sentence.startswith("M2 repetition 1: the stored history shows") for sentence in rejudge(changed))
+
+
+def forget_the_connect(item: Record) -> None:
+    del item["history"]["stations"][0]["earlier"][0]
+
+
+def repeat_a_sequence_number(item: Record) -> None:
+    births = item["other_device"]
+    data = next(entry for entry in item["samples"][1]["device"] if "/DDATA/" in entry.get("topic", ""))
+    data["payload"] = next(entry for entry in births if "/DBIRTH/" in entry.get("topic", ""))["payload"]
+
+
+def shift_a_slice(item: Record) -> None:
+    second = item["samples"][1]["device"]
+    item["samples"][0]["device"].append(second.pop(0))
+
+
+def deny_a_connection(item: Record) -> None:
+    item["samples"][0]["phases"]["same_session"] = 0.1
+
+
+def come_back_too_late(item: Record) -> None:
+    start = next(seen["start"] for seen in item["samples"][0]["observations"] if "start" in seen)
+    start["accepting_ns"] -= 10**9
+
+
+def lose_an_attempt(item: Record) -> None:
+    calls = item["samples"][0]["calls"]
+    calls.pop()
+    calls.pop()
+
+
+def swap_concurrent_replies(item: Record) -> None:
+    first, second = item["samples"][0]["calls"][:2]
+    first["envelope"]["data"], second["envelope"]["data"] = second["envelope"]["data"], first["envelope"]["data"]
+
+
+def write_in_the_read_only_session(item: Record) -> None:
+    request = next(
+        entry for entry in item["other_device"] if entry.get("variant") == "ro" and entry["kind"] == "request"
+    )
+    request["state_changing"] = True
+
+
+CHANGES: dict[Callable[[Record], None], tuple[str, str]] = {
+    forget_the_connect: ("Q4", "the journal of mqtt should have the entries"),
+    repeat_a_sequence_number: ("Q4", "the broker should have received one DDATA of device-1"),
+    shift_a_slice: ("O1", "O1 repetition 1: the journal of opcua has 1 entries beyond its end"),
+    deny_a_connection: ("R-modbus", "R-modbus repetition 1: the stored history shows phases"),
+    come_back_too_late: ("R-mqtt", "R-mqtt repetition 1: the stored history shows phases"),
+    lose_an_attempt: ("S11", "the history has no further call"),
+    swap_concurrent_replies: ("S1", "S1 repetition 1: the stored history shows 'read_input_registers"),
+    write_in_the_read_only_session: ("M4", "'control: the device should have seen no write, it saw 1' (wrote)"),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES, ids=lambda change: change.__name__)
+def test_a_change_in_the_history_is_found_out(record: Record, change: Callable[[Record], None]) -> None:
+    identifier, sentence = CHANGES[change]
+    item = copy.deepcopy(the(record, identifier))
+    assert item["status"] == "PASS"
+    change(item)
+    disagreements = rejudge({**record, "items": [item]})
+    assert sentence in "\n".join(disagreements)
+    assert all(identifier in disagreement for disagreement in disagreements)
+
+
+@pytest.mark.parametrize(
+    ("command", "tasks", "code"),
+    [
+        ((DEFECTIVE, "wrong-value"), "M2 S1", "wrong_value"),
+        ((DEFECTIVE, "hang"), "S10", "no_reply"),
+        ((DEFECTIVE, "stdout-noise"), "M1", "stdout_noise"),
+        ((DEFECTIVE, "never-reconnects"), "S10", "not_successful"),
+        ((DEFECTIVE, "lying-guard"), "M4", "wrote"),
+        ((ROGUE, "not-json"), "M1", "not_strict_json"),
+        ((ROGUE, "huge-reply"), "M1", "frame_too_long"),
+        ((ROGUE, "dies-in-call"), "M2 M3", "session_lost"),
+        ((ROGUE, "wrong-id"), "M1", "unknown_id"),
+        ((ROGUE, "dead"), "M1", "cannot_start"),
+    ],
+)
+def test_findings_come_out_again(
+    bench_of: Callable[..., Record], command: tuple[str, str], tasks: str, code: str
+) -> None:
+    run = bench_of(program(*command), tasks, time_scale=0.3)
+    found = [finding for item in run["items"] for part in (item, *item["samples"]) for finding in part["findings"]]
+    assert code in {finding["code"] for finding in found}
+    assert rejudge(run) == []
+    for item in run["items"]:
+        item["findings"] = []
+        for sample in item["samples"]:
+            sample["findings"] = []
+    sentences = "\n".join(rejudge(run))
+    assert {finding["code"] for finding in found if f"({finding['code']})" not in sentences} == set()
+
+
+def test_an_adapter_without_envelopes_is_judged_from_its_frames(
+    bench_of: Callable[..., Record], tmp_path: Path
+) -> None:
+    (tmp_path / "functions.py").write_text(FUNCTIONS)
+    subject = tmp_path / "foreign.toml"
+    subject.write_text(FOREIGN_SUBJECT)
+    run = bench_of(load_subject(subject), "M1 M2 M3 M4 FM1 FM2")
+    assert {item["status"] for item in run["items"]} == {"PASS"}, run["items"]
+    assert rejudge(run) == []
+    call = the(run, "M2")["samples"][0]["calls"][0]
+    call["envelope"]["data"] = {"values": [0, 0, 0, 0]}
+    assert "call 1 (read_input_registers): the stored history shows envelope" in "\n".join(rejudge(run))
+
+
+def test_what_a_function_of_the_subject_returned_is_held_against_the_device(
+    bench_of: Callable[..., Record], tmp_path: Path
+) -> None:
+    (tmp_path / "functions.py").write_text(FUNCTIONS)
+    subject = tmp_path / "foreign.toml"
+    subject.write_text(FOREIGN_SUBJECT)
+    run = bench_of(load_subject(subject), "M3")
+    run["items"][0]["samples"][1]["calls"][1]["outputs"]["values"] = [40]
+    assert "values should be [41], the reply says [40]' (wrong_value)" in "\n".join(rejudge(run))
+
+
+def test_a_bug_that_an_adapter_reports_is_shown_with_its_last_words(bench_of: Callable[..., Record]) -> None:
+    run = bench_of(program("-c", BUGGY.format(directory=str(SOUNDNESS)), "ping"), "M1")
+    findings = run["items"][0]["samples"][0]["findings"]
+    evidence = next(finding["evidence"] for finding in findings if finding["code"] == "internal_error")
+    assert "ZeroDivisionError: no spindle" in evidence
+    assert rejudge(run) == []
+
+
+def test_a_recovery_trial_without_a_first_success_ends_there(bench_of: Callable[..., Record]) -> None:
+    run = bench_of(program(ROGUE, "not-json"), "R-modbus")
+    (item,) = run["items"]
+    assert [len(sample["calls"]) for sample in item["samples"]] == [1, 1]
+    assert [sample["ok"] for sample in item["samples"]] == [False, False]
+    assert rejudge(run) == []

@@ -1,0 +1,72 @@
+"""A synthetic record of a run that earns a certificate, for tests that take something away from it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pytest_otmcp import __version__
+from pytest_otmcp.record import digest
+from pytest_otmcp.shipped import kit_digest, suite_digest, tasks_by_id
+from pytest_otmcp.task import SUITES, repetitions
+
+from .samples import item, run
+
+NO_GUARD = "it has no read-only mode"
+
+
+def conformant_run(adapters: dict[str, dict[str, Any]] | None = None) -> dict[str, Any]:
+    """Everything that applies passed 30 times.
+
+    Args:
+        adapters: the subject's, see :func:`adapter`; by default Modbus without a guard, OPC UA, and no MQTT.
+    """
+    if adapters is None:
+        adapters = {
+            "modbus": adapter("acme-modbus", "2026-07-28", unclaimed={"guard": NO_GUARD}),
+            "opcua": adapter("acme-opcua", "2025-11-25", envelope="synthesised", unmet=["ENV-001"]),
+        }
+    planned = repetitions(30)
+    items = []
+    for task in tasks_by_id().values():
+        entry = item(task.id, task.suite, task.family, task.title, [1.0] * planned[task.suite])
+        if not all(claimed(need, adapters) for need in task.needs):
+            entry |= {"status": "NOT_APPLICABLE", "samples": []}
+        items.append(entry)
+    record = run(items)
+    record["kit"] |= {"version": __version__, "suite_digest": suite_digest(), "digest": kit_digest()}
+    record["subject"] = {
+        "name": "acme-adapter",
+        "version": "1.4.0",
+        "digest": "sha256:" + "5" * 64,
+        "deviations": [],
+        "adapters": adapters,
+    }
+    record["environment"] = {"python": "3.11.7", "started_at": "2026-11-21T07:03:43Z"}
+    record["settings"] = {
+        "reps": 30,
+        "repetitions": planned,
+        "seed": 7,
+        "era": "auto",
+        "time_scale": 1.0,
+        "suites": list(SUITES),
+        "xdist_workers": 0,
+        "broker": "embedded",
+        "narrowed": [],
+    }
+    return resealed(record)
+
+
+def claimed(need: str, adapters: dict[str, dict[str, Any]]) -> bool:
+    protocol, _, facet = need.partition(".")
+    return protocol in adapters and not {facet, facet.partition(".")[0]} & set(adapters[protocol]["unclaimed"])
+
+
+def adapter(name: str, revision: str, **more: Any) -> dict[str, Any]:
+    facts = {"server_name": name, "server_version": "1.4.0", "protocol_version": revision, "tools": 5}
+    return {**facts, "envelope": "native", "recovery": "same_session", "unclaimed": {}, "unjudged": [], **more}
+
+
+def resealed(record: dict[str, Any]) -> dict[str, Any]:
+    """The record with the digest that belongs to what it holds now."""
+    record["footer"]["digest"] = digest(record)
+    return record

@@ -1,0 +1,166 @@
+"""Answers in the shapes that adapters in the wild really give, read by a subject file's rules."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import pytest
+
+from pytest_otmcp.subject.answers import UNCLASSIFIED, extract, interpret, read_answer, synthesised
+from pytest_otmcp.subject.model import Answering, ErrorRule, OutcomeRule, OutputRule
+
+
+def result(*texts: str, structured: Any = None, is_error: bool | None = None) -> dict[str, Any]:
+    body: dict[str, Any] = {"content": [{"type": "text", "text": text} for text in texts]}
+    if structured is not None:
+        body["structuredContent"] = structured
+    if is_error is not None:
+        body["isError"] = is_error
+    return {"jsonrpc": "2.0", "id": 1, "result": body}
+
+
+def output(message: Mapping[str, Any], form: str, rule: OutputRule) -> Any:
+    return extract({"x": rule}, read_answer(message, form)[0])["x"]
+
+
+@pytest.mark.parametrize(
+    ("message", "form", "rule", "expected"),
+    [
+        (result("110"), "text", OutputRule(convert="int", wrap=True), [110]),
+        (result("True,False"), "text", OutputRule(split=",", convert="bool"), [True, False]),
+        (
+            result("Registers 0 to 3: [7, 8, 9, 10]"),
+            "text",
+            OutputRule(regex=r"\[.*\]", convert="json"),
+            [7, 8, 9, 10],
+        ),
+        (result("Value: {'a': True}"), "text", OutputRule(regex=r"\{.*\}", convert="python", then="a"), True),
+        (result("Value is 25.5 bar"), "text", OutputRule(regex=r"is ([\d.]+)", convert="float"), 25.5),
+        (result('{"registers": [1, 2]}'), "json", OutputRule(path="registers"), [1, 2]),
+        (result('{"n": 1}', '{"n": 2}'), "texts", OutputRule(path="[].n"), [1, 2]),
+        (
+            result("30", structured={"result": {"value": 30.0}}),
+            "structured",
+            OutputRule(path="result.value"),
+            30.0,
+        ),
+        (
+            result(structured={"result": '{"data": {"v": [5]}}'}),
+            "structured",
+            OutputRule(path="result", convert="json", then="data.v"),
+            [5],
+        ),
+        (result("002a"), "text", OutputRule(convert="hex"), 42),
+        (result('["2:Valve", "2:Pump"]'), "json", OutputRule(strip="2:"), ["Valve", "Pump"]),
+        (result("nothing here"), "text", OutputRule(regex=r"value=(\d+)"), None),
+        (result("not a number"), "text", OutputRule(convert="int"), None),
+        (result("1.5"), "text", OutputRule(convert="int"), None),
+        (result("no JSON"), "json", OutputRule(path="a"), None),
+    ],
+    ids=[
+        "bare text", "comma list", "sentence", "python literal", "number in a sentence", "json in text",
+        "a json per block", "structured", "json in json", "hex", "browse names", "absent", "no number", "no whole number",
+        "no json",
+    ],
+)  # fmt: skip
+def test_an_output_is_found_where_its_rule_says(
+    message: Mapping[str, Any], form: str, rule: OutputRule, expected: Any
+) -> None:
+    found = output(message, form, rule)
+    assert found == expected
+    assert json.dumps(found) == json.dumps(expected)
+
+
+FAILED_TEXT = Answering(form="text", outcome=(OutcomeRule(success=False, text="^(Error|Failed)"),))
+
+
+def test_without_a_rule_is_error_decides() -> None:
+    assert interpret(result("Failed to write"), Answering(form="text")).success
+    assert not interpret(result("ok", is_error=True), Answering(form="text")).success
+
+
+def test_prose_that_begins_with_failed_is_a_failure() -> None:
+    answer = interpret(result("Failed to write", is_error=False), FAILED_TEXT)
+    assert (answer.success, answer.code, answer.text) == (False, UNCLASSIFIED, "Failed to write")
+    assert interpret(result("Wrote 5; Failed attempts: 0"), FAILED_TEXT).success
+
+
+def test_the_first_rule_that_matches_decides() -> None:
+    rules = Answering(
+        form="json",
+        outcome=(
+            OutcomeRule(success=True, path="status == 'warning'"),
+            OutcomeRule(success=False, path="length(errors) > `0`"),
+        ),
+    )
+    assert interpret(result('{"status": "warning", "errors": ["x"]}'), rules).success
+    assert not interpret(result('{"status": "ok", "errors": ["x"]}'), rules).success
+    assert interpret(result('{"status": "ok", "errors": []}'), rules).success
+
+
+def test_all_conditions_of_a_rule_must_hold() -> None:
+    rules = Answering(form="text", outcome=(OutcomeRule(success=True, is_error=True, text="already"),))
+    assert interpret(result("already connected", is_error=True), rules).success
+    assert not interpret(result("no route", is_error=True), rules).success
+
+
+def test_a_rule_about_another_shape_does_not_match() -> None:
+    rules = Answering(form="json", outcome=(OutcomeRule(success=False, path="length(errors) > `0`"),))
+    assert interpret(result('{"errors": 7}'), rules).success
+
+
+def test_a_failure_has_the_code_of_the_first_rule_that_knows_it() -> None:
+    rules = Answering(
+        form="text",
+        errors=(ErrorRule(text="0x02", code="illegal_address"), ErrorRule(text="exception", code="device_failure")),
+    )
+    assert interpret(result("exception 0x02", is_error=True), rules).code == "illegal_address"
+    assert interpret(result("exception 0x04", is_error=True), rules).code == "device_failure"
+    assert interpret(result("", is_error=True), rules).code == UNCLASSIFIED
+
+
+def test_a_json_rpc_error_is_a_failure_whatever_the_rules_say() -> None:
+    always = Answering(form="text", outcome=(OutcomeRule(success=True, text=".*"),))
+    answer = interpret({"id": 1, "error": {"code": -32602, "message": "Unknown tool: x"}}, always)
+    assert (answer.success, answer.text) == (False, "Unknown tool: x")
+
+
+@pytest.mark.parametrize(
+    ("message", "form"),
+    [
+        (result("Wrote 70000 (Demo Mode - No Modbus Connection)"), "text"),
+        (result("DRY RUN: would write 5"), "text"),
+        (result('{"ok": true, "dry_run": true}'), "json"),
+        (result(structured={"data": {"value": 5, "source": "cache"}}), "structured"),
+        (result(structured={"values": [{"simulated": True}]}), "structured"),
+    ],
+    ids=["demo", "dry run in words", "dry run", "cache", "simulated"],
+)
+def test_a_success_that_admits_not_to_be_the_devices_is_told(message: Mapping[str, Any], form: str) -> None:
+    assert interpret(message, Answering(form=form)).admission
+
+
+@pytest.mark.parametrize(
+    ("message", "form"),
+    [
+        (result('{"ok": true, "dry_run": false, "source": "device"}'), "json"),
+        (result('{"messages": [{"topic": "demo mode", "payload": "dry run"}]}'), "json"),
+        (result("Wrote 5 to the demonstrator"), "text"),
+    ],
+    ids=["not a dry run", "a payload", "another word"],
+)
+def test_what_only_looks_like_an_admission_is_none(message: Mapping[str, Any], form: str) -> None:
+    assert interpret(message, Answering(form=form)).admission is None
+
+
+def test_an_envelope_is_made_and_says_that_it_is() -> None:
+    failed = interpret(
+        result("0x02", is_error=True), Answering(form="text", errors=(ErrorRule(text="0x02", code="illegal_address"),))
+    )
+    envelope = synthesised(failed, protocol="modbus", operation="write_holding", writes=True)
+    assert envelope["success"] is False
+    assert envelope["error"]["code"] == "illegal_address"
+    assert envelope["error"]["outcome"] == "unknown"
+    assert envelope["meta"]["synthesised"] is True

@@ -1,0 +1,408 @@
+"""A certificate says what the run says, and there is none where the run leaves anything open."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import json
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import pytest
+
+from pytest_otmcp import __version__
+from pytest_otmcp.badge import badge, badge_svg
+from pytest_otmcp.certificate import certificate, differences, objections
+from pytest_otmcp.cli import Refusal
+from pytest_otmcp.cli.verify import verify
+from pytest_otmcp.errors import UsageError
+from pytest_otmcp.shipped import tasks_by_id
+
+from .certified import NO_GUARD, adapter, conformant_run, resealed
+
+TASKS = tasks_by_id()
+FILE = "ab" * 32
+
+Change = Callable[[dict[str, Any]], object]
+
+
+@pytest.fixture
+def record() -> dict[str, Any]:
+    return conformant_run()
+
+
+@pytest.fixture
+def statement(record: dict[str, Any]) -> dict[str, Any]:
+    return certificate(record, FILE, TASKS)
+
+
+def told(statement: dict[str, Any]) -> dict[str, Any]:
+    found: dict[str, Any] = statement["predicate"]["otmcp"]
+    return found
+
+
+def test_a_run_in_order_has_no_objections(record: dict[str, Any]) -> None:
+    assert objections(record, TASKS) == []
+
+
+def test_it_is_an_in_toto_statement_about_a_test_result(statement: dict[str, Any]) -> None:
+    assert statement["_type"] == "https://in-toto.io/Statement/v1"
+    assert statement["predicateType"] == "https://in-toto.io/attestation/test-result/v0.1"
+    assert statement["subject"] == [{"name": "acme-adapter 1.4.0", "digest": {"sha256": "5" * 64}}]
+    predicate = statement["predicate"]
+    assert predicate["result"] == "PASSED"
+    assert predicate["failedTests"] == predicate["warnedTests"] == []
+    assert {"name": "run.json", "digest": {"sha256": FILE}, "mediaType": "application/json"} in predicate[
+        "configuration"
+    ]
+    for descriptor in predicate["configuration"]:
+        assert set(descriptor["digest"]) == {"sha256"}
+        assert len(descriptor["digest"]["sha256"]) == 64
+
+
+def test_every_item_has_passed_or_says_why_it_does_not_apply(statement: dict[str, Any]) -> None:
+    passed, not_applicable = set(statement["predicate"]["passedTests"]), told(statement)["not_applicable"]
+    assert passed | not_applicable.keys() == TASKS.keys()
+    assert not passed & not_applicable.keys()
+    assert not_applicable["M4"] == f"modbus.guard: {NO_GUARD}"
+    assert not_applicable["Q1"] == "mqtt.info: the subject has no adapter for MQTT"
+    assert {"M1", "O1", "R-opcua"} <= passed
+
+
+def test_facets_are_earned_not_exercised_or_not_claimed_with_the_reason(statement: dict[str, Any]) -> None:
+    facets = told(statement)["adapters"]["modbus"]["facets"]
+    assert facets["not_claimed"] == {"guard": NO_GUARD}
+    assert {"ping", "read_input", "write_holding", "recovery"} <= set(facets["earned"])
+    assert {"M2", "S1"} <= set(facets["earned"]["read_input"])
+    assert "M4" not in facets["earned"]["write_holding"]
+    assert set(told(statement)["adapters"]) == {"modbus", "opcua"}
+
+
+def test_a_claimed_facet_that_no_applying_item_needs_is_not_earned() -> None:
+    mqtt = adapter("acme-mqtt", "2026-07-28", unclaimed={"device_birth": "no Sparkplug"})
+    facets = told(certificate(conformant_run({"mqtt": mqtt}), FILE, TASKS))["adapters"]["mqtt"]["facets"]
+    assert "device_data" in facets["claimed_not_exercised"]
+    assert "device_data" not in facets["earned"]
+    assert "publish" in facets["earned"]
+
+
+def test_server_and_protocol_era_are_named(statement: dict[str, Any]) -> None:
+    adapters = told(statement)["adapters"]
+    assert adapters["modbus"]["server"] == {"name": "acme-modbus", "version": "1.4.0"}
+    assert adapters["modbus"]["mcp"] == {"revision": "2026-07-28", "era": "stateless"}
+    assert adapters["opcua"]["mcp"] == {"revision": "2025-11-25", "era": "initialize"}
+    assert adapters["opcua"]["envelope"] == "synthesised"
+    assert adapters["opcua"]["envelope_requirements_unmet"] == ["ENV-001"]
+
+
+def test_counts_have_exact_bounds_that_are_never_rounded_up(statement: dict[str, Any]) -> None:
+    counts = told(statement)["counts"]
+    # 0.05^(1/30) and 0.025^(1/30), to four digits towards zero.
+    assert counts["items"]["M1"] == {"passed": 30, "planned": 30, "at_least": 0.9049, "interval": [0.8842, 1.0]}
+    assert counts["items"]["R-modbus"]["planned"] == 20
+    assert "Q1" not in counts["items"]
+    total = counts["total"]
+    assert total["passed"] == total["planned"] == sum(item["planned"] for item in counts["items"].values())
+    assert sum(suite["items"] for suite in counts["suites"].values()) == total["items"] == len(counts["items"])
+
+
+def test_no_level_is_claimed(statement: dict[str, Any]) -> None:
+    level = told(statement)["level"]
+    assert level["awarded"] is None
+    assert level["why"].startswith("benchmark suite only; no level is awarded")
+    text = json.dumps(statement).lower()
+    assert not any(word in text for word in ("bronze", "silver", "gold"))
+
+
+def test_the_same_run_gives_the_same_certificate(record: dict[str, Any], statement: dict[str, Any]) -> None:
+    assert certificate(copy.deepcopy(record), FILE, TASKS) == statement
+
+
+def by_id(record: dict[str, Any], name: str) -> dict[str, Any]:
+    return next(item for item in record["items"] if item["id"] == name)
+
+
+OBJECTIONABLE: list[tuple[Change, str]] = [
+    (lambda run: by_id(run, "M1").update(status="FAIL"), "the verdict is NOT CONFORMANT: M1 did not pass"),
+    (lambda run: by_id(run, "M1").update(status="NOT_TESTABLE"), "the verdict is NOT CONFORMANT: M1 did not pass"),
+    (lambda run: by_id(run, "M1").update(status="KIT_ERROR"), "the verdict is INDETERMINATE: M1 did not pass"),
+    (lambda run: by_id(run, "M1").update(status="INTERRUPTED"), "the verdict is INCOMPLETE: M1 did not pass"),
+    (lambda run: run["items"].remove(by_id(run, "M2")), "the verdict is INCOMPLETE: M2 did not run"),
+    (lambda run: [item.update(status="NOT_APPLICABLE") for item in run["items"]], "nothing applies to the subject"),
+    (lambda run: by_id(run, "M2").update(status="NOT_APPLICABLE"), "M2 is called NOT_APPLICABLE, which is not"),
+    (lambda run: by_id(run, "M4").update(status="PASS"), "M4 is called PASS, which is not what the subject claims"),
+    (lambda run: run["items"].append({**by_id(run, "M1"), "id": "M9"}), "there is no item M9 in the suite"),
+    (lambda run: by_id(run, "M1").update(suite="stress"), "M1 is an item of normal, Modbus"),
+    (lambda run: by_id(run, "M1").update(planned=29), "M1 has 29 repetitions, the settings say 30"),
+    (lambda run: run["footer"].update(complete=False, reason="interrupted"), "the run is incomplete: interrupted"),
+    (lambda run: run["footer"].update(verdict="NOT CONFORMANT"), "the record calls the run NOT CONFORMANT"),
+    (lambda run: run["settings"].update(reps=29), "29 repetitions are not the 30"),
+    (lambda run: run["settings"].update(reps=True), "True repetitions are not the 30"),
+    (lambda run: run["settings"].update(time_scale=2.0), "deadlines and windows were scaled by 2.0"),
+    (lambda run: run["settings"].update(broker="mqtt://127.0.0.1:1883"), "the broker was not the kit's own"),
+    (lambda run: run["settings"].update(suites=["normal"]), "not every suite was chosen"),
+    (lambda run: run["settings"].update(narrowed=["-k M1"]), "the suite was narrowed: -k M1"),
+    (lambda run: run["settings"].pop("narrowed"), "the record has no list settings.narrowed"),
+    (lambda run: run["subject"].pop("deviations"), "the record has no list subject.deviations"),
+    (
+        lambda run: run["subject"].update(deviations=[{"item": "FQ2", "reason": "clamps", "expires": "2027-03-31"}]),
+        "a certificate excuses nothing: [{'item': 'FQ2'",
+    ),
+    (lambda run: run["subject"].update(digest="sha256:5"), "the record has no valid subject.digest"),
+    (lambda run: run["kit"].pop("digest"), "the record has no valid kit.digest"),
+    (lambda run: run.update(environment=[]), "the record has no valid environment.started_at"),
+    (lambda run: run["footer"].pop("tool_calls"), "the record does not count its tool calls"),
+    (lambda run: run["subject"]["adapters"].update(bacnet={}), "adapter 'bacnet' is none that the kit knows"),
+    (lambda run: run["subject"]["adapters"].update(modbus=[]), "adapter 'modbus' is none that the kit knows"),
+]
+
+
+@pytest.mark.parametrize(("change", "reason"), OBJECTIONABLE, ids=[reason for _, reason in OBJECTIONABLE])
+def test_what_leaves_anything_open_earns_no_certificate(record: dict[str, Any], change: Change, reason: str) -> None:
+    change(record)
+    assert any(reason in sentence for sentence in objections(record, TASKS)), objections(record, TASKS)
+
+
+# -- comparing --------------------------------------------------------------------------------------------------
+
+
+def leaves(value: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
+    """Where in a document something is that is no container, or an empty one."""
+    children = list(value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else [])
+    if not children:
+        yield path
+    for name, child in children:
+        yield from leaves(child, (*path, name))
+
+
+def parent(document: Any, path: tuple[str | int, ...]) -> Any:
+    for name in path[:-1]:
+        document = document[name]
+    return document
+
+
+def other(value: Any) -> Any:
+    """Another value of the same kind."""
+    if isinstance(value, bool):
+        return not value
+    if isinstance(value, int | float):
+        return value + 1
+    if isinstance(value, str):
+        return value + "x"
+    return "something"
+
+
+def test_a_change_of_any_value_is_found_and_located(statement: dict[str, Any]) -> None:
+    paths = list(leaves(statement))
+    assert len(paths) > 200
+    for path in paths:
+        changed = copy.deepcopy(statement)
+        holder = parent(changed, path)
+        holder[path[-1]] = other(holder[path[-1]])
+        sentences = list(differences(changed, statement))
+        assert len(sentences) == 1, path
+        assert str(path[-1]) in sentences[0]
+
+
+def test_what_is_left_out_or_put_in_is_found(statement: dict[str, Any]) -> None:
+    for path in leaves(statement):
+        changed = copy.deepcopy(statement)
+        del parent(changed, path)[path[-1]]
+        assert list(differences(changed, statement)), path
+        assert list(differences(statement, changed)), path
+
+
+def test_true_is_not_one_and_a_whole_number_is_no_fraction() -> None:
+    assert list(differences({"a": True}, {"a": 1})) == ["a is True, from the run follows 1"]
+    assert list(differences({"a": 1.0}, {"a": 1})) == ["a is 1.0, from the run follows 1"]
+    assert not list(differences({"a": [1, {"b": None}]}, {"a": [1, {"b": None}]}))
+
+
+# -- badge ------------------------------------------------------------------------------------------------------
+
+
+def test_the_badge_is_what_shields_draws_from(statement: dict[str, Any]) -> None:
+    assert badge(statement) == {
+        "schemaVersion": 1,
+        "label": "OT-MCP benchmark",
+        "message": "conformant: Modbus, OPC UA",
+        "color": "1a7f37",
+    }
+
+
+def test_the_picture_is_valid_and_says_in_words_what_it_shows(statement: dict[str, Any]) -> None:
+    statement["subject"][0]["name"] = 'a <b> & "c"\x07 1.0'
+    picture = ElementTree.fromstring(badge_svg(statement))
+    namespace = "{http://www.w3.org/2000/svg}"
+    title = picture.find(f"{namespace}title")
+    assert title is not None
+    assert title.text == 'OT-MCP benchmark: conformant: Modbus, OPC UA (a <b> & "c"  1.0)'
+    assert picture.get("aria-label") == title.text
+    assert picture.get("role") == "img"
+    texts = [element.text for element in picture.iter(f"{namespace}text")]
+    assert texts == ["OT-MCP benchmark", "conformant: Modbus, OPC UA"]
+    assert "http" not in badge_svg(statement).replace("http://www.w3.org/2000/svg", "")
+
+
+# -- verifying --------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def files(record: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Path]:
+    """A certificate and its record, which has no history that could be judged again."""
+    monkeypatch.setattr("pytest_otmcp.replay.rejudge", lambda run: [])
+    cert, run = tmp_path / "certificate.json", tmp_path / "run.json"
+    issue(cert, run, record)
+    return cert, run
+
+
+def issue(cert: Path, run: Path, record: dict[str, Any]) -> None:
+    run.write_text(json.dumps(record))
+    cert.write_text(json.dumps(certificate(record, hashlib.sha256(run.read_bytes()).hexdigest(), TASKS)))
+
+
+def forge(cert: Path, run: Path, record: dict[str, Any]) -> None:
+    """Seal another record and make the certificate say that it is about that."""
+    run.write_text(json.dumps(resealed(record)))
+    statement = json.loads(cert.read_text())
+    about = next(entry for entry in statement["predicate"]["configuration"] if entry["name"] == "run.json")
+    about["digest"]["sha256"] = hashlib.sha256(run.read_bytes()).hexdigest()
+    cert.write_text(json.dumps(statement))
+
+
+def refusal(cert: Path, run: Path) -> str:
+    with pytest.raises(Refusal) as refused:
+        verify(cert, run)
+    sentence = str(refused.value)
+    assert sentence.startswith("refused: ")
+    assert "\n" not in sentence
+    return sentence
+
+
+def test_a_certificate_of_its_own_run_is_verified(files: tuple[Path, Path]) -> None:
+    assert verify(*files) == json.loads(files[0].read_text())
+
+
+def test_a_certificate_that_was_edited_anywhere_is_refused(files: tuple[Path, Path]) -> None:
+    statement = json.loads(files[0].read_text())
+    places = kinds(statement)
+    assert len(places) > 100
+    for path in places.values():
+        changed = copy.deepcopy(statement)
+        holder = parent(changed, path)
+        holder[path[-1]] = other(holder[path[-1]])
+        files[0].write_text(json.dumps(changed))
+        assert re.search("does not say what the run says|about another run|not an in-toto", refusal(*files)), path
+
+
+def test_what_is_added_to_a_certificate_is_refused(files: tuple[Path, Path]) -> None:
+    statement = json.loads(files[0].read_text())
+    told(statement)["awarded"] = "Gold"
+    files[0].write_text(json.dumps(statement))
+    assert "predicate.otmcp.awarded does not follow from the run" in refusal(*files)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "null", "{", '{"_type": "x"}', '{"a": 1, "a": 2}', "\xff"])
+def test_what_is_no_certificate_is_refused(files: tuple[Path, Path], text: str) -> None:
+    files[0].write_text(text, encoding="latin-1")
+    assert re.search("not strict JSON|not an in-toto statement", refusal(*files))
+
+
+def kinds(document: Any) -> dict[str, tuple[str | int, ...]]:
+    """One place for every kind of field, whatever item or list element it is in."""
+    return {"/".join("*" if isinstance(name, int) else name for name in path): path for path in leaves(document)}
+
+
+def test_a_run_of_which_any_kind_of_field_was_edited_is_refused(
+    files: tuple[Path, Path], record: dict[str, Any]
+) -> None:
+    places = kinds(record)
+    assert len(places) > 60
+    for kind, path in places.items():
+        changed = copy.deepcopy(record)
+        holder = parent(changed, path)
+        holder[path[-1]] = other(holder[path[-1]])
+        files[1].write_text(json.dumps(changed))
+        refusal(*files)
+        # Whoever seals the record again meets the certificate, which is about another file.
+        if kind not in ("footer/digest", "schema"):
+            files[1].write_text(json.dumps(resealed(changed)))
+            refusal(*files)
+
+
+@pytest.mark.parametrize("lost", [1, 2, 100, 10_000])
+def test_a_run_that_was_cut_off_is_refused(files: tuple[Path, Path], lost: int) -> None:
+    files[1].write_bytes(files[1].read_bytes()[:-lost])
+    assert "not strict JSON" in refusal(*files)
+
+
+def test_an_incomplete_run_is_refused_even_if_its_certificate_is_about_it(
+    files: tuple[Path, Path], record: dict[str, Any]
+) -> None:
+    record["footer"] |= {"complete": False, "reason": "interrupted by the user"}
+    forge(*files, record)
+    assert "the run is incomplete: interrupted by the user" in refusal(*files)
+
+
+def test_a_run_by_another_version_or_by_a_changed_kit_is_refused(
+    files: tuple[Path, Path], record: dict[str, Any]
+) -> None:
+    record["kit"]["version"] = "9.9.9"
+    forge(*files, record)
+    assert "was judged by pytest-otmcp 9.9.9" in refusal(*files)
+    record["kit"] |= {"version": __version__, "suite_digest": "sha256:" + "0" * 64}
+    forge(*files, record)
+    assert "with other files than this one" in refusal(*files)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda run: run["settings"].update(narrowed=["-k M1"]), "the suite was narrowed: -k M1"),
+        (lambda run: run["settings"].update(reps=7), "7 repetitions are not the 30"),
+        (lambda run: by_id(run, "M2").update(status="NOT_APPLICABLE"), "M2 is called NOT_APPLICABLE"),
+        (lambda run: run["subject"]["adapters"].pop("opcua"), "O1 is called PASS"),
+        (lambda run: run["subject"]["adapters"]["modbus"]["unclaimed"].clear(), "M4 is called NOT_APPLICABLE"),
+    ],
+)
+def test_a_forged_pair_is_refused_where_it_contradicts_itself(
+    files: tuple[Path, Path], record: dict[str, Any], change: Change, reason: str
+) -> None:
+    change(record)
+    forge(*files, record)
+    assert reason in refusal(*files)
+
+
+def test_a_history_that_deserves_another_judgement_is_refused(
+    files: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = ["M1: the record says PASS, the history FAIL", "M2: so too", "M3: so too", "M4: so too"]
+    monkeypatch.setattr("pytest_otmcp.replay.rejudge", lambda run: found)
+    assert refusal(*files).endswith("M1: the record says PASS, the history FAIL; M2: so too; M3: so too (and 1 more)")
+
+
+def test_a_record_without_any_of_its_fields_is_refused_and_crashes_nothing(
+    files: tuple[Path, Path], record: dict[str, Any]
+) -> None:
+    for value in (None, [], {}, "", -1):
+        for path in [
+            ("kit",),
+            ("subject", "digest"),
+            ("subject", "adapters", "modbus"),
+            ("environment",),
+            ("settings",),
+        ]:
+            changed = copy.deepcopy(record)
+            parent(changed, path)[path[-1]] = value
+            forge(*files, changed)
+            refusal(*files)
+
+
+def test_a_file_that_is_not_there_is_named(files: tuple[Path, Path], tmp_path: Path) -> None:
+    nowhere = tmp_path / "nowhere.json"
+    for pair in ((nowhere, files[1]), (files[0], nowhere)):
+        with pytest.raises(UsageError, match=r"nowhere\.json: there is no such file"):
+            verify(*pair)

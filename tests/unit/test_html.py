@@ -1,0 +1,376 @@
+"""The HTML report shows what a record says, runs nothing of what an adapter wrote, and asks no network."""
+
+from __future__ import annotations
+
+import base64
+import copy
+import hashlib
+import os
+import re
+import shutil
+import subprocess
+from collections import Counter
+from collections.abc import Callable
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pytest_otmcp.report.html import page, write_html
+
+from .samples import call, entry, frames, item, run, written_twice
+from .test_latex import ALL, M1
+
+VOID = {"meta", "link", "input"}
+HOSTILE = "\"'><script>alert(1)</script><img src=x onerror=alert(2)>{{ 7*7 }}{% raw %}&lt;\u202e\x1b[31m"
+
+UNCLAIMED = {**item("Q2", "normal", "MQTT", "Inspect.", []), "status": "NOT_APPLICABLE", "planned": 30}
+BROKEN_KIT = {
+    **item("O1", "normal", "OPC UA", "Read.", []),
+    "status": "KIT_ERROR",
+    "planned": 3,
+    "findings": [{"code": "kit_error", "message": "the device died", "requirement": None, "evidence": None}],
+}
+
+
+class Page(HTMLParser):
+    """A page taken apart; refuses tags that are not closed in order."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self.open: list[str] = []
+        self.tags: Counter[str] = Counter()
+        self.attributes: list[tuple[str, str, str]] = []
+        self.texts: list[tuple[str, str]] = []
+        self.feed(html)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags[tag] += 1
+        self.attributes += [(tag, name, value or "") for name, value in attrs]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        assert "svg" in self.open
+        self.handle_starttag(tag, attrs)
+        self.open.pop()
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open, f"</{tag}> closes nothing"
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.texts.append((self.open[-1] if self.open else "", data))
+
+    def values(self, name: str) -> list[str]:
+        return [value for _, found, value in self.attributes if found == name]
+
+    @property
+    def text(self) -> str:
+        """What a person reads, every gap one blank."""
+        return " ".join(" ".join(data for tag, data in self.texts if tag != "style").split())
+
+
+def hostile(value: Any) -> Any:
+    """The record with every text that an adapter, or its subject file, can choose replaced by one that means harm."""
+    fixed = {"id", "suite", "status", "role", "schema", "verdict", "digest", "variant", "direction", "started_at"}
+    if isinstance(value, dict):
+        return {
+            name: inner if name in fixed or (name == "family" and isinstance(inner, str)) else hostile(inner)
+            for name, inner in value.items()
+        }
+    if isinstance(value, list):
+        return [hostile(inner) for inner in value]
+    return HOSTILE if isinstance(value, str) else value
+
+
+RUNS = {
+    "complete": run(ALL),
+    "one item": run([M1]),
+    "empty": run([]),
+    "incomplete": run(ALL, complete=False),
+    "parallel": run(ALL, timing_valid=False),
+    "failing": run([*ALL, written_twice(3), UNCLAIMED, BROKEN_KIT]),
+}
+RUNS["hostile"] = hostile(copy.deepcopy(RUNS["failing"]))
+
+
+@pytest.fixture(params=RUNS, name="record")
+def every_record(request: pytest.FixtureRequest) -> dict[str, Any]:
+    chosen: dict[str, Any] = RUNS[request.param]
+    return chosen
+
+
+def test_every_page_is_well_formed_and_its_links_lead_somewhere(record: dict[str, Any]) -> None:
+    shown = Page(page(record))
+    ids = shown.values("id")
+    assert len(ids) == len(set(ids))
+    assert all(re.fullmatch(r"\S+", name) for name in ids)
+    targets = [*shown.values("href"), *shown.values("for")]
+    assert {target for target in targets if not target.startswith("#")} <= {"data:,", "run.json", "only"}
+    assert {target[1:] for target in targets if target.startswith("#")} <= set(ids)
+
+
+def test_every_page_allows_its_own_style_sheet_and_nothing_else(record: dict[str, Any]) -> None:
+    html = page(record)
+    shown = Page(html)
+    style = "".join(data for tag, data in shown.texts if tag == "style")
+    digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
+    policy = next(value for value in shown.values("content") if value.startswith("default-src"))
+    assert policy == (
+        f"default-src 'none'; style-src 'sha256-{digest}'; img-src data:; base-uri 'none'; form-action 'none'"
+    )
+    assert shown.tags["style"] == 1
+    assert not {"script", "iframe", "object", "img", "form", "base"} & shown.tags.keys()
+    names = {name for _, name, _ in shown.attributes}
+    assert not {name for name in names if name.startswith("on")} | names & {"style", "src", "srcset", "action"}
+    assert "@import" not in style
+    assert "url(" not in style
+
+
+def test_nothing_that_an_adapter_wrote_becomes_markup() -> None:
+    harmless, harmful = Page(page(RUNS["failing"])), Page(page(RUNS["hostile"]))
+    # Some texts come from what the fixed words are made of; no tag, and no attribute, does.
+    assert set(harmful.tags) == set(harmless.tags)
+    assert {name for _, name, _ in harmful.attributes} == {name for _, name, _ in harmless.attributes}
+    assert "<script>alert(1)</script>" in harmful.text
+    assert "{{ 7*7 }}" in harmful.text
+    assert r"\u202e\x1b[31m" in harmful.text
+    assert "\u202e" not in harmful.text
+
+
+def test_an_item_may_be_called_anything() -> None:
+    strange = item('"><b> x#', "normal", "Modbus", "Strange.", [1.0], failing=1)
+    shown = Page(page(run([strange, M1])))
+    assert shown.tags["b"] == Page(page(run([M1, item("M2", "normal", "Modbus", "x", [1.0], failing=1)]))).tags["b"]
+    assert "item_0" in shown.values("id")
+
+
+def test_a_failure_shows_what_was_said_and_what_the_device_saw_in_the_order_of_time() -> None:
+    shown = Page(page(run([M1, written_twice()]))).text
+    at = [
+        shown.index(words)
+        for words in (
+            "M3 ✗ failed Write a register.",
+            "the device should have seen one write, it saw 2",
+            "FC 06; FC 06",
+            "pytest --pyargs pytest_otmcp.conformance --otmcp-reps=1 -k '[M3]'",
+            '+0.00 modbus → towards the device: write_register {"address": 1, "value": 40} request frame {"method"',
+            "+0.50 modbus device, connection 1 → towards the device: request: write single register changes the device",
+            "+0.60 modbus device, connection 1 ← back from the device: response: write single register",
+            "+1.50 modbus device",
+            '+2.00 modbus ← back from the device: success {"value": 40}, after 2.00 ms envelope {',
+        )
+    ]
+    assert at == sorted(at)
+
+
+def test_a_call_without_an_answer_says_so() -> None:
+    failed = written_twice()
+    spoken = failed["samples"][0]["calls"][0]
+    spoken |= {"latency_ms": None, "envelope": None, "ok": False, "frames": frames("{}", None, 100, None)}
+    assert "no reply not as required timeout" in Page(page(run([failed]))).text
+
+
+def test_an_error_and_its_reason_are_on_the_line_of_the_answer() -> None:
+    failed = written_twice()
+    failed["samples"][0]["calls"][0] |= {
+        "ok": False,
+        "error_code": "not_writable",
+        "envelope": {"success": False, "error": {"code": "not_writable", "message": "read only"}},
+    }
+    assert "not_writable not as required read only, after 2.00 ms" in Page(page(run([failed]))).text
+
+
+def test_calls_of_an_older_record_are_shown_without_their_place_in_time() -> None:
+    failed = written_twice()
+    del failed["samples"][0]["calls"][0]["frames"]
+    shown = Page(page(run([failed]))).text
+    assert shown.index("write_register") < shown.index("success") < shown.index("+0.00 modbus device")
+
+
+def test_the_same_fault_is_shown_once_however_often_it_happened() -> None:
+    shown = Page(page(run([written_twice(30)])))
+    assert "Repetition 1 of 30, and 29 more like it" in shown.text
+    assert shown.text.count("it saw 2") == 1
+
+
+def test_faults_of_other_kinds_are_shown_each() -> None:
+    failed = written_twice(5)
+    for index in range(1, 5):
+        failed["samples"][index]["findings"][0] = {"code": f"kind_{index}", "message": f"another {index}"}
+    shown = Page(page(run([failed]))).text
+    assert all(f"another {index}" in shown for index in (1, 2))
+    assert "another 3" not in shown
+    assert "2 more kinds of failing repetitions are in run.json." in shown
+
+
+def test_what_failed_around_the_repetitions_is_shown_with_its_calls_and_its_device() -> None:
+    around = item("M4", "normal", "Modbus", "Refuse.", [1.0])
+    spoken = {**call(1.0, role="control"), "variant": "ro", "frames": frames("{}", "{}", 10, 11)}
+    around |= {
+        "status": "FAIL",
+        "findings": [{"code": "x", "message": "control: it wrote", "requirement": "WR-004", "evidence": None}],
+        "other_calls": [call(1.0, role="warmup"), spoken],
+        "other_device": [entry(10.5, "in", "request", function=6, variant="ro")],
+    }
+    shown = Page(page(run([around]))).text
+    assert "Before, between and after the repetitions control: it wrote WR-004" in shown
+    assert "modbus (writes disabled), closing check" in shown
+    assert "modbus device, connection 1 (writes disabled)" in shown
+    # The warm-up showed no fault: its frames are not in the record, and it is no evidence.
+    assert "warm-up" not in shown
+
+
+def test_a_message_on_the_wire_is_shown_as_text_where_it_is_text() -> None:
+    failed = written_twice()
+    failed["samples"][0]["device"] = [
+        entry(101, "in", "PUBLISH", topic="line/1", payload=base64.b64encode(b"start \xc3\xa4").decode()),
+        entry(101, "in", "PUBLISH", topic="line/2", payload=base64.b64encode(b"\xff\x00").decode()),
+    ]
+    shown = Page(page(run([failed]))).text
+    assert 'topic=line/1 payload="start ä"' in shown
+    assert "topic=line/2 payload=/wA=" in shown
+
+
+def test_a_long_conversation_is_cut_in_its_middle() -> None:
+    failed = written_twice()
+    failed["samples"][0]["device"] = [entry(101 + index, "in", "request", seq=index) for index in range(200)]
+    shown = Page(page(run([failed]))).text
+    assert "152 events are left out here; run.json has them." in shown
+    assert "+200.00" in shown
+
+
+def test_what_went_wrong_in_the_middle_of_a_long_conversation_is_not_cut() -> None:
+    failed = written_twice()
+    calls = [{**call(1.0), "frames": frames(f"request {index}", "{}", index, index + 0.5)} for index in range(100)]
+    calls[60] |= {"ok": False, "error_code": "timeout", "envelope": {"success": False}}
+    failed["samples"][0] |= {"calls": calls, "device": []}
+    shown = Page(page(run([failed]))).text
+    assert "+60.50 modbus ← back from the device: timeout not as required" in shown
+    assert "request 60" in shown
+    assert "+40.00" not in shown
+
+
+def test_a_run_that_passes_is_a_small_page() -> None:
+    rules = [item(f"RD-{index:03}", "normal", "Modbus", "A rule in one sentence.", [1.0] * 30) for index in range(200)]
+    assert len(page(run(rules))) < 400_000
+
+
+def test_a_run_that_fails_everywhere_with_endless_texts_is_a_page_below_twenty_megabytes() -> None:
+    endless = '"<&>' * 3_000
+    finding = {"message": endless, "requirement": None, "evidence": endless}
+    failed = written_twice(6)
+    for index, sample in enumerate(failed["samples"]):
+        spoken = {**sample["calls"][0], "arguments": {"x": endless}, "envelope": {"success": True, "data": endless}}
+        sample["calls"] = [{**spoken, "frames": frames(endless, endless, 1, 2)}] * 50
+        sample["device"] = [entry(1, "in", "request", value=endless)] * 50
+        sample["findings"] = [{**finding, "code": f"{index}"}] * 30
+    record = run([])
+    record["items"] = [{**failed, "id": f"WR-{index:03}"} for index in range(200)]
+    size = len(page(record).encode())
+    # Enough of it is there to be worth the bound.
+    assert 1_000_000 < size < 20_000_000
+
+
+def test_the_verdict_is_in_words_first_and_what_narrowed_the_run_is_beside_it() -> None:
+    shown = Page(page(run(ALL))).text
+    assert "Verdict: ✓ CONFORMANT Every item passed every repetition" in shown
+    assert "What narrowed this run" not in shown
+    record = run([*ALL, UNCLAIMED], complete=False, timing_valid=False)
+    record["settings"] = {
+        "reps": 3,
+        "suites": ["normal"],
+        "time_scale": 2.0,
+        "era": "legacy",
+        "broker": "mqtt://127.0.0.1:1884",
+    }
+    narrowed = Page(page(record)).text
+    assert "Verdict: ○ INCOMPLETE Not everything ran" in narrowed
+    for reason in (
+        "The run is not complete: interrupted by the user.",
+        "These suites were left out: fault, stress, recovery.",
+        "With N = 3 instead of 30, an item that passes every time is shown to pass at least 37 % of the time",
+        "Not claimed by the subject, so not tested: MQTT.",
+        "Every deadline and window was multiplied by 2.0.",
+        "in the legacy era",
+        "a foreign one, mqtt://127.0.0.1:1884",
+        "Items ran in parallel",
+    ):
+        assert reason in narrowed
+
+
+def test_known_deviations_are_listed_and_excuse_nothing() -> None:
+    record = run([written_twice()])
+    record["subject"]["deviations"] = [{"item": "M3", "reason": "fixed in 2.5", "expires": "2027-03-01"}]
+    shown = Page(page(record))
+    assert "Known deviations" in shown.text
+    assert "M3 : fixed in 2.5 (until 2027-03-01)" in shown.text
+    assert "✗ NOT CONFORMANT" in shown.text
+
+
+def test_a_requirement_is_violated_only_where_a_finding_names_it() -> None:
+    shown = Page(page(run([M1, written_twice()]))).text
+    table = shown[shown.index("Requirements by adapter “Violated”") :]
+    assert "WR-001 ✗ not shown M3" not in table
+    assert "WR-001 ○ not shown M3" in table
+    assert "WR-003 ✗ violated M3" in table
+
+
+def test_latencies_of_a_parallel_run_are_not_drawn() -> None:
+    assert Page(page(RUNS["complete"])).tags["figure"] == 2
+    shown = Page(page(RUNS["parallel"]))
+    assert shown.tags["figure"] == 0
+    assert "Latencies are withheld" in shown.text
+    assert "1.50" not in shown.text
+
+
+def test_pictures_bear_times_that_a_clock_cannot_have() -> None:
+    odd = item("M1", "normal", "Modbus", "Ping.", [0.0, 1e9])
+    lost = item("R-modbus", "recovery", "Modbus", "Recover.", [1.0])
+    lost["samples"][0]["phases"] |= {"detect": 0.0, "same_session": None, "same_session_ok": False}
+    shown = Page(page(run([odd, lost])))
+    assert "did not happen" in shown.text
+    assert "nan" not in " ".join(shown.values("x"))
+
+
+def chromium() -> str | None:
+    return next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+
+
+@pytest.fixture
+def browse(tmp_path: Path) -> Callable[[Path], tuple[str, list[str]]]:
+    """Opens a page in a real browser; gives the DOM it made of it, and what its console said."""
+
+    def start(path: Path) -> tuple[str, list[str]]:
+        program = chromium()
+        assert program is not None
+        options = ["--headless", "--disable-gpu", "--enable-logging=stderr", f"--user-data-dir={tmp_path / 'profile'}"]
+        # Chromium has no sandbox for root, as in a container of a CI job.
+        options += ["--no-sandbox"] if os.geteuid() == 0 else []
+        command = [program, *options, "--dump-dom", path.as_uri()]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+        return done.stdout, [line for line in done.stderr.splitlines() if "CONSOLE" in line]
+
+    return start
+
+
+@pytest.mark.skipif(chromium() is None, reason="no Chromium is installed")
+def test_a_browser_shows_the_page_runs_nothing_and_complains_about_nothing(tmp_path: Path, browse: Any) -> None:
+    path = tmp_path / "report.html"
+    write_html(RUNS["hostile"], path)
+    dom, console = browse(path)
+    assert "INDETERMINATE" in dom
+    assert console == []
+    made, written = Page(dom), Page(path.read_text(encoding="utf-8"))
+    assert made.tags == written.tags
+    assert made.text == written.text
+    # That the console would have said something is not taken for granted.
+    path.write_text(
+        path.read_text(encoding="utf-8").replace("<body>", "<body><script>alert(1)</script>"), encoding="utf-8"
+    )
+    _, console = browse(path)
+    assert any("Content Security Policy" in line for line in console)

@@ -1,0 +1,85 @@
+"""Sessions over streamable HTTP: a real server in a process of its own, recorded frame by frame."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+import sys
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+import pytest
+
+from pytest_otmcp.errors import SubjectError
+from pytest_otmcp.mcp_session import McpSession, SessionOptions
+
+ADAPTER = [sys.executable, "-m", "pytest_otmcp.reference_adapters", "modbus"]
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+@asynccontextmanager
+async def session(command: list[str] | None = None, *, era: str = "auto") -> AsyncIterator[McpSession]:
+    port = free_port()
+    env = {
+        "MCP_TRANSPORT": "streamable-http",
+        "MCP_HTTP_PORT": str(port),
+        "MODBUS_HOST": "127.0.0.1",
+        "MODBUS_PORT": "1",
+    }
+    options = SessionOptions(url=f"http://127.0.0.1:{port}/mcp", start_timeout_s=20.0, era=era)
+    opened = McpSession(command or ADAPTER, env, None, options)
+    try:
+        await opened.open()
+        yield opened
+    finally:
+        await opened.close()
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("era", ["auto", "legacy"])
+async def test_frames_and_their_times_are_recorded(era: str) -> None:
+    async with session(era=era) as http:
+        assert "read_input_registers" in http.tools
+        exchange = await http.call("read_input_registers", {"address": 0, "count": 1}, timeout_s=10.0)
+    assert exchange.response is not None
+    assert exchange.latency_ms is not None
+    assert 0 < exchange.latency_ms < 10_000
+    asked, answered = json.loads(exchange.request), json.loads(exchange.response)
+    assert asked["method"] == "tools/call"
+    assert asked["id"] == answered["id"]
+    assert answered["result"]["structuredContent"]["error"]["code"] == "connect_failed"
+
+
+@pytest.mark.asyncio
+async def test_concurrent_calls_keep_their_own_frames() -> None:
+    async with session() as http:
+        exchanges = await asyncio.gather(
+            *(http.call("read_input_registers", {"address": n, "count": 1}, timeout_s=10.0) for n in range(8))
+        )
+    for address, exchange in enumerate(exchanges):
+        assert json.loads(exchange.request)["params"]["arguments"]["address"] == address
+        assert exchange.response is not None
+        assert json.loads(exchange.request)["id"] == json.loads(exchange.response)["id"]
+
+
+@pytest.mark.asyncio
+async def test_a_server_is_ended_by_sigterm_and_leaves_at_once() -> None:
+    async with session() as http:
+        pass
+    assert http.stop_report is not None
+    assert http.stop_report.how == "signalled"
+
+
+@pytest.mark.asyncio
+async def test_a_server_that_ends_before_it_listens_says_why() -> None:
+    command = [sys.executable, "-c", "import sys; sys.exit('no licence for this plant')"]
+    with pytest.raises(SubjectError, match=r"exited with code 1 .*(?s:.*)no licence for this plant"):
+        async with session(command):
+            pass

@@ -1,0 +1,132 @@
+"""All reports are written from a record alone, and one that cannot be written hides no other."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pytest_otmcp.report import command
+from pytest_otmcp.report.capabilities import Earned, Grade, earned
+from pytest_otmcp.report.render import NAMES, write_all
+from pytest_otmcp.task import repetitions
+
+from .samples import item, run, written_twice
+from .test_latex import ALL
+
+
+def test_every_report_is_written_below_the_directory(tmp_path: Path) -> None:
+    directory = tmp_path / "new" / "report"
+    assert write_all(run(ALL), directory) == {}
+    assert sorted(path.name for path in directory.iterdir()) == sorted(NAMES)
+    assert (directory / "report.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+    assert (directory / "summary.md").read_text(encoding="utf-8").startswith("## ✅ CONFORMANT")
+    assert (directory / "tables" / "tab_results.tex").is_file()
+    assert (directory / "figures" / "recovery_modes.png").is_file()
+
+
+def test_the_same_record_gives_the_same_texts(tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        write_all(run([*ALL, written_twice(3)]), tmp_path / name)
+    for report in ("report.html", "summary.md"):
+        assert (tmp_path / "one" / report).read_bytes() == (tmp_path / "two" / report).read_bytes()
+
+
+def test_a_report_that_cannot_be_written_is_named_removed_and_hides_no_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(run: Any, path: Path) -> None:
+        path.mkdir(exist_ok=True)
+        raise ValueError("no such colour")
+
+    write_all(run(ALL), tmp_path)
+    monkeypatch.setattr("pytest_otmcp.report.latex.write_tables", broken)
+    monkeypatch.setattr("pytest_otmcp.report.html.page", lambda run: 1 / 0)
+    failed = write_all(run(ALL), tmp_path)
+    assert failed == {"report.html": "ZeroDivisionError: division by zero", "tables": "ValueError: no such colour"}
+    # What an earlier run left would tell of another run.
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["figures", "summary.md"]
+
+
+@pytest.mark.parametrize("suite", ["normal", "fault", "stress", "recovery"])
+@pytest.mark.parametrize("repetition", [0, 1, 2, 7, 29])
+def test_the_command_runs_just_so_many_repetitions_that_the_failing_one_is_among_them(
+    suite: str, repetition: int
+) -> None:
+    words = shlex.split(command(run([]), item("X1", suite, "Modbus", "x", []), repetition))
+    assert words[:3] == ["pytest", "--pyargs", "pytest_otmcp.conformance"]
+    assert words[-2:] == ["-k", "[X1]"]
+    reps = int(next(word for word in words if word.startswith("--otmcp-reps=")).partition("=")[2])
+    assert repetitions(reps)[suite] > repetition
+    assert reps == 1 or repetitions(reps - 1)[suite] <= repetition
+
+
+def test_the_command_repeats_what_was_unusual_about_the_run() -> None:
+    record = run([])
+    record["settings"] |= {"seed": 7, "era": "legacy", "time_scale": 2.0, "broker": "mqtt://h:1", "subject": "my.toml"}
+    record["settings"] |= {"suites": ["normal", "fault"]}
+    assert command(record) == (
+        "pytest --pyargs pytest_otmcp.conformance --otmcp-reps=30 --otmcp-suite=normal,fault --otmcp-seed=7 "
+        "--otmcp-era=legacy --otmcp-time-scale=2.0 --otmcp-broker=mqtt://h:1 --otmcp-subject=my.toml"
+    )
+
+
+def test_the_command_cannot_be_left_by_the_name_of_an_item() -> None:
+    words = shlex.split(command(run([]), item("x'; rm -rf $HOME; '", "normal", "Modbus", "x", [])))
+    assert words[-1] == "[x'; rm -rf $HOME; ']"
+
+
+def grades(*items: dict[str, Any]) -> dict[str, dict[str, Earned]]:
+    return {capability.name: by_family for capability, by_family in earned(run(list(items)))}
+
+
+def modbus(identifier: str, status: str = "PASS", suite: str = "normal") -> dict[str, Any]:
+    return {**item(identifier, suite, "Modbus", "x", [1.0]), "status": status}
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "expected"),
+    [
+        ("PASS", "PASS", Earned(grade=Grade.EARNED, because=("M1", "M2"))),
+        ("PASS", "FAIL", Earned(grade=Grade.NOT_EARNED, because=("M2",))),
+        ("NOT_TESTABLE", "PASS", Earned(grade=Grade.NOT_EARNED, because=("M1",))),
+        ("KIT_ERROR", "FAIL", Earned(grade=Grade.NOT_EARNED, because=("M2",))),
+        ("KIT_ERROR", "PASS", Earned(grade=Grade.UNDECIDED, because=("M1",))),
+        ("PASS", "INTERRUPTED", Earned(grade=Grade.UNDECIDED, because=("M2",))),
+        ("NOT_APPLICABLE", "NOT_APPLICABLE", Earned(grade=Grade.NOT_CLAIMED)),
+    ],
+)
+def test_a_capability_is_earned_when_every_item_behind_it_passed(first: str, second: str, expected: Earned) -> None:
+    assert grades(modbus("M1", first), modbus("M2", second))["Reading"]["Modbus"] == expected
+
+
+def test_a_capability_whose_item_did_not_run_is_not_earned() -> None:
+    assert grades(modbus("M1"))["Reading"]["Modbus"] == Earned(grade=Grade.UNDECIDED, because=("M2",))
+
+
+def test_what_no_item_tests_is_said_to_be_untested() -> None:
+    assert grades(item("Q1", "normal", "MQTT", "x", [1.0]))["Write protection"]["MQTT"] == Earned(
+        grade=Grade.NOT_TESTED
+    )
+
+
+def test_the_failure_of_an_item_that_no_capability_knows_is_not_overlooked() -> None:
+    further = grades(modbus("M1"), modbus("WR-099", "FAIL"))["Further requirements"]
+    assert further["Modbus"] == Earned(grade=Grade.NOT_EARNED, because=("WR-099",))
+    assert "Further requirements" not in grades(modbus("M1"))
+
+
+def test_every_item_of_the_shipped_suite_stands_behind_some_capability() -> None:
+    from pytest_otmcp.shipped import tasks_by_id
+
+    items = [item(task.id, task.suite, task.family, task.title, [1.0]) for task in tasks_by_id().values()]
+    assert "Further requirements" not in grades(*items)
+    missing = [
+        name
+        for name, by_family in grades(*items).items()
+        for one in by_family.values()
+        if one.grade not in (Grade.EARNED, Grade.NOT_TESTED)
+    ]
+    assert missing == []

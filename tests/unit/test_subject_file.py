@@ -1,0 +1,290 @@
+"""The subject file: what it says is understood, what it should not say is refused in one sentence."""
+
+from __future__ import annotations
+
+import datetime
+import json
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+
+from pytest_otmcp.errors import UsageError
+from pytest_otmcp.subject import Binding, Function, Subject, load_subject, reference_subject
+from pytest_otmcp.subject.operations import OPERATIONS, PROTOCOLS, facets
+
+MINIMAL = """
+[subject]
+name = "x"
+version = "1"
+"""
+LAUNCH = f"""{MINIMAL}
+[adapter.modbus]
+command = ["adapter"]
+"""
+FOREIGN = f"""{LAUNCH}
+answer = "text"
+"""
+
+
+def load(tmp_path: Path, text: str) -> Subject:
+    file = tmp_path / "otmcp.toml"
+    file.write_text(text, encoding="utf-8")
+    return load_subject(file)
+
+
+def schema() -> Any:
+    return json.loads((resources.files("pytest_otmcp.subject") / "subject.schema.json").read_text(encoding="utf-8"))
+
+
+def test_the_reference_adapters_are_described_completely() -> None:
+    subject = reference_subject()
+    for protocol, adapter in subject.adapters.items():
+        assert set(adapter.operations) == set(OPERATIONS[protocol])
+        assert adapter.facts()["unjudged"] == []
+        assert adapter.facts()["unclaimed"] == {}
+        assert adapter.facts()["envelope"] == "native"
+    assert set(subject.adapters) == set(PROTOCOLS)
+
+
+def test_an_adapter_that_says_nothing_of_its_tools_has_those_of_the_reference_adapter(tmp_path: Path) -> None:
+    adapter = load(tmp_path, LAUNCH).adapters["modbus"]
+    assert adapter.operations == reference_subject().adapters["modbus"].operations
+    assert adapter.variants["rw"].command == ("adapter",)
+
+
+def test_variants_add_arguments_and_environment(tmp_path: Path) -> None:
+    text = LAUNCH + 'env = { A = "{port}" }\nro = { args = ["--read-only"], env = { B = "{host}" } }\n'
+    ro = load(tmp_path, text).adapters["modbus"].variants["ro"].for_endpoint({"host": "127.0.0.1", "port": "5020"})
+    assert ro.command == ("adapter", "--read-only")
+    assert ro.env == {"A": "5020", "B": "127.0.0.1"}
+
+
+def test_a_variant_may_have_a_command_of_its_own(tmp_path: Path) -> None:
+    adapter = load(tmp_path, LAUNCH + 'ro = { command = ["other"] }\n').adapters["modbus"]
+    assert adapter.variants["ro"].command == ("other",)
+    assert adapter.variants["rw"].command == ("adapter",)
+
+
+def test_an_argument_template_is_filled_with_inputs_and_endpoint(tmp_path: Path) -> None:
+    text = FOREIGN + (
+        '[adapter.modbus.bind.read_holding]\ntool = "read"\n'
+        'arguments = { device = { at = "{host}:{port}", port = "{port:int}" }, address = "$address", n = ["$count"] }\n'
+        'offset = { address = 40001 }\nas = { count = "string" }\nresult = { values = {} }\n'
+    )
+    (binding,) = bindings(load(tmp_path, text), "modbus", "read_holding")
+    filled = binding.fill({"address": 9, "count": 4}, {"host": "127.0.0.1", "port": "502"})
+    assert filled == {"device": {"at": "127.0.0.1:502", "port": 502}, "address": 40010, "n": ["4"]}
+
+
+def bindings(subject: Subject, protocol: str, operation: str) -> tuple[Binding, ...]:
+    bound = subject.adapters[protocol].operations[operation]
+    assert isinstance(bound, tuple)
+    return bound
+
+
+def test_nodes_may_have_names_of_the_vendors_own(tmp_path: Path) -> None:
+    text = f"""{MINIMAL}
+[adapter.opcua]
+command = ["adapter"]
+answer = "json"
+[adapter.opcua.bind.read_many]
+tool = "read"
+arguments = {{ points = "$nodes" }}
+names = {{ nodes = {{ "ns=2;s=Temperature" = "temp" }} }}
+result = {{ values = "values" }}
+"""
+    (binding,) = bindings(load(tmp_path, text), "opcua", "read_many")
+    filled = binding.fill({"nodes": ["ns=2;s=Temperature", "ns=2;s=Pressure"]}, {})
+    assert filled == {"points": ["temp", "ns=2;s=Pressure"]}
+
+
+def test_one_operation_may_be_several_tools(tmp_path: Path) -> None:
+    text = FOREIGN + (
+        "[[adapter.modbus.bind.read_holding]]\n"
+        'tool = "read_one"\nwhen = { count = 1 }\nresult = { values = { wrap = true } }\n'
+        "[[adapter.modbus.bind.read_holding]]\n"
+        'tool = "read_many"\nresult = { values = {} }\n'
+    )
+    one, many = bindings(load(tmp_path, text), "modbus", "read_holding")
+    assert (one.tool, dict(one.when)) == ("read_one", {"count": 1})
+    assert (many.tool, dict(many.when)) == ("read_many", {})
+
+
+def test_a_facet_that_is_not_claimed_has_a_reason(tmp_path: Path) -> None:
+    text = FOREIGN + 'unclaimed = { guard = "has no read-only mode", ping = "no such tool" }\nbind = {}\n'
+    adapter = load(tmp_path, text).adapters["modbus"]
+    assert adapter.why_not_claimed("guard") == "has no read-only mode"
+    assert adapter.why_not_claimed("read_input") is None
+    assert adapter.why_not_testable("read_input") == "no tool is bound to the operation 'read_input'"
+
+
+def test_an_input_without_a_place_is_not_testable(tmp_path: Path) -> None:
+    text = f"""{MINIMAL}
+[adapter.mqtt]
+command = ["adapter"]
+answer = "text"
+[adapter.mqtt.bind.subscribe]
+tool = "subscribe"
+arguments = {{ topic = "$filter" }}
+"""
+    adapter = load(tmp_path, text).adapters["mqtt"]
+    assert adapter.why_not_testable("subscribe") is None
+    assert adapter.why_not_testable("subscribe.qos") == "no binding of 'subscribe' has a place for $qos"
+
+
+def test_who_needs_a_new_session_does_not_claim_recovery(tmp_path: Path) -> None:
+    adapter = load(tmp_path, LAUNCH + 'recovery = "new_session"\n').adapters["modbus"]
+    assert adapter.why_not_claimed("recovery") == "needs a new session after an outage"
+
+
+def test_deviations_have_a_last_day(tmp_path: Path) -> None:
+    text = LAUNCH + '[[deviation]]\nitem = "FM1"\nreason = "known"\nexpires = 2027-03-31\n'
+    (deviation,) = load(tmp_path, text).deviations
+    assert (deviation.item, deviation.reason) == ("FM1", "known")
+    assert deviation.expires == datetime.date(2027, 3, 31)
+
+
+def test_the_digest_covers_the_bindings_file(tmp_path: Path) -> None:
+    text = FOREIGN + 'bindings = "b.py"\n'
+    (tmp_path / "b.py").write_text("async def ping(tools):\n    return {}\n", encoding="utf-8")
+    first = load(tmp_path, text)
+    (tmp_path / "b.py").write_text("async def ping(tools):\n    return {'reachable': True}\n", encoding="utf-8")
+    assert first.digest != load(tmp_path, text).digest
+    assert isinstance(first.adapters["modbus"].operations["ping"], Function)
+
+
+REFUSED = {
+    "no table of its own": ("", "adapter: expected a table, found nothing"),
+    "unknown protocol": (MINIMAL + "[adapter.modbuss]\n", "adapter.modbuss: unknown key; did you mean 'modbus'?"),
+    "no command": (MINIMAL + "[adapter.modbus]\n", "adapter.modbus.command: expected a non-empty list of strings"),
+    "command as text": (
+        MINIMAL + '[adapter.modbus]\ncommand = "adapter --x"\n',
+        "adapter.modbus.command: expected a non-empty list of strings",
+    ),
+    "misspelt key": (LAUNCH + "deadlines = 3\n", "adapter.modbus.deadlines: unknown key; did you mean 'deadline_s'?"),
+    "deadline": (LAUNCH + "deadline_s = -1\n", "adapter.modbus.deadline_s: expected seconds above 0 and up to 300"),
+    "environment": (LAUNCH + "env = { A = 1 }\n", "adapter.modbus.env.A: expected a string, found a number"),
+    "directory": (LAUNCH + 'cwd = "nowhere"\n', "adapter.modbus.cwd:"),
+    "file elsewhere": (LAUNCH + 'files = { "../x" = "" }\n', "'../x' must be a name below {work}"),
+    "unknown facet": (
+        LAUNCH + 'unclaimed = { guards = "x" }\n',
+        "adapter.modbus.unclaimed.guards: unknown key; did you mean 'guard'?",
+    ),
+    "no reason": (LAUNCH + 'unclaimed = { guard = " " }\n', "adapter.modbus.unclaimed.guard: expected the reason"),
+    "url without http": (LAUNCH + 'url = "http://127.0.0.1:1/"\n', 'only an adapter with transport = "http"'),
+    "another host": (
+        LAUNCH + 'transport = "http"\nurl = "http://10.0.0.1/mcp"\n',
+        "expected http:// with a loopback address, found 'http://10.0.0.1/mcp'",
+    ),
+    "no connect step": (LAUNCH + 'recovery = "connect_step"\n', "'connect_step' needs a 'connect' table"),
+    "recovery": (LAUNCH + 'recovery = "never"\n', "adapter.modbus.recovery: unknown 'never'; known are"),
+    "answer": (LAUNCH + 'answer = "jsn"\n', "adapter.modbus.answer: unknown 'jsn'; did you mean 'json'?"),
+    "rules for an envelope": (
+        LAUNCH + 'errors = [{ text = "x", code = "timeout" }]\n',
+        "an adapter that answers in envelopes needs no such rules",
+    ),
+    "foreign without bindings": (FOREIGN, "adapter.modbus: expected 'bind' tables"),
+    "unknown operation": (
+        FOREIGN + 'bind = { read_holdings = { tool = "x" } }\n',
+        "adapter.modbus.bind.read_holdings: unknown key; did you mean 'read_holding'?",
+    ),
+    "unknown input": (
+        FOREIGN + 'bind = { ping = { tool = "x", arguments = { a = "$adress" } } }\n',
+        "adapter.modbus.bind.ping.arguments.a: $adress is no input of this operation; its inputs are: none",
+    ),
+    "no tool": (FOREIGN + "bind = { ping = {} }\n", "adapter.modbus.bind.ping.tool: expected a non-empty string"),
+    "nothing to judge": (
+        FOREIGN + 'bind = { read_holding = { tool = "x" } }\n',
+        "adapter.modbus.bind.read_holding.result: lacks 'values', without which the operation cannot be judged",
+    ),
+    "hidden case": (
+        FOREIGN + 'bind = { ping = [{ tool = "x" }, { tool = "y" }] }\n',
+        "adapter.modbus.bind.ping[0]: without 'when' it hides the tables after it",
+    ),
+    "jmespath": (
+        FOREIGN + 'bind = { ping = { tool = "x", result = { reachable = "a[" } } }\n',
+        "adapter.modbus.bind.ping.result.reachable: not a JMESPath expression",
+    ),
+    "regular expression": (
+        FOREIGN + 'outcome = [{ text = "(", then = "failure" }]\n',
+        "adapter.modbus.outcome[0].text: not a regular expression",
+    ),
+    "outcome without condition": (FOREIGN + 'outcome = [{ then = "failure" }]\n', "expected a condition"),
+    "unknown code": (
+        FOREIGN + 'errors = [{ text = "x", code = "illegal_adress" }]\n',
+        "adapter.modbus.errors[0].code: unknown 'illegal_adress'; did you mean 'illegal_address'?",
+    ),
+    "conversion": (
+        FOREIGN + 'bind = { read_holding = { tool = "x", as = { count = "integer" }, result = { values = {} } } }\n',
+        "adapter.modbus.bind.read_holding.as.count: unknown 'integer'",
+    ),
+    "no bindings file": (FOREIGN + 'bindings = "none.py"\n', "there is no such file"),
+    "deviation without day": (LAUNCH + '[[deviation]]\nitem = "M1"\nreason = "x"\n', "expected a date such as"),
+    "deviation twice": (
+        LAUNCH + 2 * '[[deviation]]\nitem = "M1"\nreason = "x"\nexpires = 2030-01-01\n',
+        "more than one for the item M1",
+    ),
+    "not TOML": ("[subject\n", "not valid TOML"),
+}
+
+
+@pytest.mark.parametrize("name", list(REFUSED))
+def test_what_cannot_be_understood_is_refused_with_file_key_and_expectation(tmp_path: Path, name: str) -> None:
+    text, expected = REFUSED[name]
+    with pytest.raises(UsageError) as refused:
+        load(tmp_path, text)
+    message = str(refused.value)
+    assert "\n" not in message
+    assert str(tmp_path) in message
+    assert expected in message if text else "subject: expected a table" in message
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        ("import nonesuch\n", "cannot be imported: ModuleNotFoundError"),
+        ("def ping(tools):\n    return {}\n", "ping must be an 'async def'"),
+        ("async def pong(tools):\n    return {}\n", "pong is no operation; they are ping, read_input"),
+        (
+            "async def read_input(tools, address):\n    return {}\n",
+            "must be callable as read_input(tools, *, address, count)",
+        ),
+    ],
+    ids=["import", "synchronous", "unknown", "signature"],
+)
+def test_a_bindings_file_is_checked_before_anything_runs(tmp_path: Path, content: str, expected: str) -> None:
+    (tmp_path / "b.py").write_text(content, encoding="utf-8")
+    with pytest.raises(UsageError, match=r"b\.py") as refused:
+        load(tmp_path, FOREIGN + 'bindings = "b.py"\n')
+    assert expected in str(refused.value)
+
+
+def test_the_editors_schema_accepts_what_the_kit_accepts() -> None:
+    validator = jsonschema.Draft202012Validator(schema())
+    text = (resources.files("pytest_otmcp.subject") / "reference.toml").read_text(encoding="utf-8")
+    assert list(validator.iter_errors(tomllib.loads(text))) == []
+    validator.check_schema(schema())
+
+
+@pytest.mark.parametrize("name", [name for name, (text, _) in REFUSED.items() if name not in ("not TOML",)])
+def test_the_editors_schema_is_not_stricter_about_names_than_the_kit(name: str) -> None:
+    """What the schema refuses, the kit refuses as well; the kit knows more (files, JMESPath, what belongs together)."""
+    text, _ = REFUSED[name]
+    found = list(jsonschema.Draft202012Validator(schema()).iter_errors(tomllib.loads(text)))
+    by_kit_alone = {
+        "directory", "file elsewhere", "no connect step", "rules for an envelope", "foreign without bindings", "no reason",
+        "unknown input", "hidden case", "jmespath", "regular expression", "no bindings file", "deviation twice",
+        "another host", "url without http", "nothing to judge",
+    }  # fmt: skip
+    assert bool(found) == (name not in by_kit_alone)
+
+
+@pytest.mark.parametrize("protocol", list(PROTOCOLS))
+def test_the_editors_schema_knows_every_operation_and_facet(protocol: str) -> None:
+    definitions = schema()["$defs"]
+    assert set(definitions[f"{protocol}_bind"]["properties"]) == set(OPERATIONS[protocol])
+    assert set(definitions[f"{protocol}_unclaimed"]["properties"]) == set(facets(protocol))

@@ -1,0 +1,88 @@
+"""The summary for a CI job's page says what the record says, and takes no orders from an adapter."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from pytest_otmcp.report.markdown import code, escape, summary
+
+from .samples import item, run, written_twice
+from .test_latex import ALL
+
+UNCLAIMED = {**item("Q2", "normal", "MQTT", "Inspect.", []), "status": "NOT_APPLICABLE", "planned": 30}
+
+
+def test_the_verdict_is_the_first_line() -> None:
+    assert summary(run(ALL)).splitlines()[0] == "## ✅ CONFORMANT: ` synthetic 0 `"
+    assert summary(run([written_twice()])).splitlines()[0] == "## ❌ NOT CONFORMANT: ` synthetic 0 `"
+    assert summary(run(ALL, complete=False)).splitlines()[0] == "## ❌ INCOMPLETE: ` synthetic 0 `"
+
+
+def test_every_suite_has_a_table_with_a_row_for_each_item() -> None:
+    lines = summary(run([*ALL, UNCLAIMED])).splitlines()
+    assert [line for line in lines if line.startswith("### ")] == [
+        "### Normal",
+        "### Fault",
+        "### Stress",
+        "### Recovery",
+    ]
+    assert "| S1 | ✅ PASS | 10/10 | 74.1 % | 2.00 | 2.00 | Four concurrent register reads. |" in lines
+    assert r"| Q2 | ⚪ NOT\_APPLICABLE | — | — | — | — | Inspect. |" in lines
+
+
+def test_a_table_is_whole() -> None:
+    for block in re.findall(r"(?:^\|.*\n)+", summary(run([*ALL, written_twice()])), re.MULTILINE):
+        rows = block.splitlines()
+        assert re.fullmatch(r"\|( --- \|)+", rows[1])
+        assert len({len(re.findall(r"(?<!\\)\|", row)) for row in rows}) == 1
+
+
+def test_findings_come_with_the_command_that_shows_them_again_and_the_same_words_once() -> None:
+    text = summary(run([written_twice(30)]))
+    assert text.count("the device should have seen one write, it saw 2") == 1
+    assert "  - ` the device should have seen one write, it saw 2 ` WR-003\n" in text
+    assert "  - again: ` pytest --pyargs pytest_otmcp.conformance --otmcp-reps=1 -k '[M3]' `\n" in text
+    assert "### Findings" not in summary(run(ALL))
+
+
+def test_findings_are_cut_where_a_page_would_burst_and_it_says_so() -> None:
+    failed = written_twice(5)
+    for index, sample in enumerate(failed["samples"]):
+        sample["findings"][0]["message"] = f"{index} " + "x" * 5_000
+    text = summary(run([{**failed, "id": f"M{index}"} for index in range(50)]))
+    assert "  - 2 more findings; see report.html\n" in text
+    assert "- 10 more items did not pass; see report.html\n" in text
+    # GitHub refuses a summary of more than one MiB.
+    assert len(text.encode()) < 2**20
+
+
+@pytest.mark.parametrize(
+    ("text", "escaped"),
+    [
+        ("a|b\\|c", r"a\|b\\\|c"),
+        ("**bold** _it_ `code`", r"\*\*bold\*\* \_it\_ \`code\`"),
+        ("<b>&lt;[x](http://y)", r"\<b\>\&lt;\[x\](http\://y)"),
+        ("www.y.example", r"www\.y.example"),
+        ("ask @owner, see #12", "ask \\@\u200downer, see \\#\u200d12"),
+        ("one\n# two\r\n- three", r"one \# two - three"),
+        ("\x1b[31m\u202e", r"\\x1b\[31m\\u202e"),
+    ],
+)
+def test_text_is_printed_as_it_is(text: str, escaped: str) -> None:
+    assert escape(text) == escaped
+
+
+@pytest.mark.parametrize(
+    ("text", "span"),
+    [
+        ("plain", "` plain `"),
+        ("a `b` ``c``", "``` a `b` ``c`` ```"),
+        ("two\nlines", "` two lines `"),
+        ("y" * 401, f"` {'y' * 400}… `"),
+        ("\x07", r"` \x07 `"),
+    ],
+)
+def test_a_code_span_cannot_be_left(text: str, span: str) -> None:
+    assert code(text) == span
