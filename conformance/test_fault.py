@@ -20,7 +20,6 @@ from pytest_otmcp.witness import opcua_oracle as opcua
 FAULT = Suite("fault")
 
 ILLEGAL_DATA_ADDRESS = 2
-MISSING_NODE = "ns=2;i=99999"
 VALVE = "ns=2;s=ValvePosition"
 QUIET_S = 0.25
 """How long the device is watched, once per item, for a request that must not come."""
@@ -34,11 +33,12 @@ QUIET_S = 0.25
     requirements="ERR-002 ENV-007",
 )
 async def read_missing_register(run: Repetition) -> None:
-    reply = await run.modbus.call("read_holding", address=9999, count=1)
+    missing = run.modbus.probe("missing_address")
+    reply = await run.modbus.call("read_holding", address=missing, count=1)
     run.fails(reply, "illegal_address", trace={"exception_code": ILLEGAL_DATA_ADDRESS})
     journal = await run.modbus.journal()
     run.witnessed(
-        modbus.exactly_one_request(journal, function=3, address=9999, quantity=1),
+        modbus.exactly_one_request(journal, function=3, address=missing, quantity=1),
         modbus.exception_sent(journal, ILLEGAL_DATA_ADDRESS),
     )
 
@@ -86,7 +86,9 @@ async def a_proper_topic_is_accepted(run: Repetition) -> None:
     await run.mqtt.stays_quiet(QUIET_S, lambda journal: mqtt.no_packet(journal, "PUBLISH", direction="in"))
     run.succeeds(await run.mqtt.call("publish", topic="control/pump", payload="control", qos=0))
     await run.mqtt.wait_for(kind="PUBLISH", direction="in", topic="control/pump", timeout_s=1.0)
-    run.witnessed(mqtt.published_once(await run.mqtt.journal(), topic="control/pump", payload=b"control"))
+    qos = 0 if run.mqtt.takes("publish", "qos") else None
+    journal = await run.mqtt.journal()
+    run.witnessed(mqtt.published_once(journal, topic="control/pump", payload=b"control", qos=qos))
 
 
 @FAULT.task(
@@ -97,7 +99,7 @@ async def a_proper_topic_is_accepted(run: Repetition) -> None:
     requirements="ADR-007",
 )
 async def subscribe_with_qos_5(run: Repetition) -> None:
-    reply = await run.mqtt.call("subscribe", filter="sensors/#", qos=5)
+    reply = await run.mqtt.call("subscribe", filter="sensors/#", qos=run.mqtt.probe("bad_qos"))
     run.fails(reply, "invalid_input")
     journal = await run.mqtt.journal()
     run.witnessed(mqtt.no_packet(journal, "SUBSCRIBE", direction="in"), mqtt.session_stays_up(journal))
@@ -118,11 +120,12 @@ async def a_proper_qos_is_accepted(run: Repetition) -> None:
     requirements="ERR-003 ENV-007",
 )
 async def read_missing_node(run: Repetition) -> None:
-    reply = await run.opcua.call("read", node=MISSING_NODE)
+    missing = run.opcua.probe("missing_node")
+    reply = await run.opcua.call("read", node=missing)
     run.fails(reply, "illegal_address", trace={"status_code": {"symbol": "BadNodeIdUnknown"}})
     journal = await run.opcua.journal()
     run.witnessed(
-        opcua.exactly_one_service(journal, "Read", node=MISSING_NODE),
+        opcua.exactly_one_service(journal, "Read", node=missing),
         opcua.result_status(journal, "Read", "BadNodeIdUnknown"),
     )
 
@@ -158,17 +161,19 @@ async def one_bad_step_of_three(run: Repetition) -> None:
     registers = [run.rng.randrange(0x10000) for _ in range(4)]
     payload = json.dumps({"pump_speed": 50 + run.rep})
     await run.modbus.poke(unit=1, table="input_registers", address=0, values=registers)
+    missing_node = run.opcua.probe("missing_node")
     block = await run.modbus.call("read_input", address=0, count=4)
-    missing = await run.opcua.call("read", node=MISSING_NODE)
+    missing = await run.opcua.call("read", node=missing_node)
     message = await run.mqtt.call("publish", topic="control/pump", payload=payload, qos=0)
     run.succeeds(block, values=registers)
     run.fails(missing, "illegal_address")
     run.succeeds(message, topic="control/pump")
+    qos = 0 if run.mqtt.takes("publish", "qos") else None
     await run.mqtt.wait_for(kind="PUBLISH", direction="in", topic="control/pump", timeout_s=1.0)
     run.witnessed(
         modbus.exactly_one_request(await run.modbus.journal(), function=4, address=0, quantity=4),
-        opcua.exactly_one_service(await run.opcua.journal(), "Read", node=MISSING_NODE),
-        mqtt.published_once(await run.mqtt.journal(), topic="control/pump", payload=payload.encode()),
+        opcua.exactly_one_service(await run.opcua.journal(), "Read", node=missing_node),
+        mqtt.published_once(await run.mqtt.journal(), topic="control/pump", payload=payload.encode(), qos=qos),
     )
 
 

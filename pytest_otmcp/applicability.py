@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 from .subject.model import Adapter
-from .subject.operations import PROTOCOLS
+from .subject.operations import PROTOCOLS, RECEIVE
 from .task import Task
 from .verdict import Status
 
@@ -17,15 +17,27 @@ def applicability(task: Task, adapters: Mapping[str, Adapter]) -> tuple[Status, 
 
     What is claimed but cannot be exercised comes first only if everything that the task needs is claimed.
     """
-    for facet in task.needs:
-        protocol, _, name = facet.partition(".")
-        adapter = adapters.get(protocol)
-        if adapter is None:
+    for protocol in dict.fromkeys(facet.partition(".")[0] for facet in task.needs):
+        if protocol not in adapters:
             return Status.NOT_APPLICABLE, f"the subject has no adapter for {PROTOCOLS[protocol]}"
-        if (reason := adapter.why_not_claimed(name)) is not None:
+    needs = [need for facet in task.needs for need in _resolved(facet, adapters)]
+    for facet in needs:
+        protocol, _, name = facet.partition(".")
+        if (reason := adapters[protocol].why_not_claimed(name)) is not None:
             return Status.NOT_APPLICABLE, f"{facet} is not claimed: {reason}"
-    for facet in task.needs:
+    for facet in needs:
         protocol, _, name = facet.partition(".")
         if (gap := adapters[protocol].why_not_testable(name)) is not None:
             return Status.NOT_TESTABLE, f"{protocol}: {gap}, and {name} is not declared as unclaimed"
     return None
+
+
+def _resolved(facet: str, adapters: Mapping[str, Adapter]) -> Iterator[str]:
+    """The facets that stand behind one which is none of its own."""
+    protocol, _, name = facet.partition(".")
+    if name != RECEIVE:
+        yield facet
+        return
+    if not adapters[protocol].blocks("messages"):
+        yield f"{protocol}.subscribe"
+    yield f"{protocol}.messages"

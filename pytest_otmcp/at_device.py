@@ -68,6 +68,29 @@ class AtDevice(ABC):
         """Belong to a repetition from now on."""
         self._repetition = repetition
 
+    # -- what the subject says of itself ------------------------------------------------------------------
+
+    @property
+    @abstractmethod
+    def recovery(self) -> str:
+        """How work goes on after an outage; see :attr:`pytest_otmcp.subject.Adapter.recovery`."""
+
+    @abstractmethod
+    def claims(self, facet: str) -> bool:
+        """The subject claims this facet of its adapter."""
+
+    @abstractmethod
+    def blocks(self, operation: str) -> bool:
+        """The operation is performed by a call that waits for what it answers."""
+
+    @abstractmethod
+    def probe(self, name: str) -> Any:
+        """What to ask for where something must be refused."""
+
+    @abstractmethod
+    def takes(self, operation: str, name: str) -> bool:
+        """The operation can be given this optional input."""
+
     # -- what the steps of a task do ----------------------------------------------------------------------
 
     async def call(self, operation: str, *, role: str | None = None, **inputs: Any) -> Reply:

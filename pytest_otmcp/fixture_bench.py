@@ -13,9 +13,9 @@ from .bench import Plant
 from .devices import Broker, JournalEntry, ModbusDevice, ModbusEntry, MqttEntry, OpcUaEntry, OpcUaPlant
 from .errors import UsageError
 from .fixture_device import Witness
-from .fixture_session import Session, SessionFactory, unknown
 from .loop import LoopThread
 from .plant import MockDevice
+from .sessions import Session, SessionFactory, unknown
 from .station import READ_ONLY, READ_WRITE, BenchOptions, Station
 from .subject.operations import PROTOCOLS
 

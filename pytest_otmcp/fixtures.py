@@ -17,11 +17,12 @@ from .keys import NARROWING, RESULT, RUN, SETTINGS, WORKSHOP
 if TYPE_CHECKING:
     from .devices import Broker, ModbusDevice, OpcUaPlant
     from .fixture_bench import Desk, Workshop
-    from .fixture_session import SessionFactory
+    from .sessions import SessionFactory
     from .subject import Subject
     from .task import Task
 
 __all__ = [
+    "REFUSED",
     "otmcp_broker",
     "otmcp_desk",
     "otmcp_modbus_device",
@@ -30,6 +31,9 @@ __all__ = [
     "otmcp_subject",
     "otmcp_trial",
 ]
+
+REFUSED = "otmcp_refused"
+"""In what an xdist worker tells the controller at its end: the sentence for which it has ended the run."""
 
 
 @pytest.fixture
@@ -45,11 +49,13 @@ def otmcp_trial(request: pytest.FixtureRequest) -> Callable[[Task], None]:
             with quiet():
                 result = config.stash[RUN].execute(task)
         except UsageError as error:
+            if hasattr(config, "workeroutput"):
+                config.workeroutput[REFUSED] = str(error)
             pytest.exit(str(error), returncode=2)
         request.node.stash[RESULT] = result
         config.stash[NARROWING].note(*replaced_functions())
         if result["status"] == "NOT_APPLICABLE":
-            pytest.skip(f"{task.id}: the subject does not claim {' and '.join(task.adapters)}")
+            pytest.skip(f"{task.id}: {result['reason']}")
         if result["status"] != "PASS":
             pytest.fail(explain(result), pytrace=False)
 

@@ -17,7 +17,7 @@ import pytest
 
 from .collection import is_shipped, task_of
 from .settings import RunSettings
-from .task import SUITES
+from .task import SUITES, Task
 
 __all__ = ["Narrowing", "named", "outcome_for"]
 
@@ -83,11 +83,14 @@ class Narrowing:
 
     def after(self, items: Iterable[pytest.Item], shipped: Collection[str], settings: RunSettings) -> None:
         """Compare what is left with what was collected, and with the shipped suite."""
-        ours, others = [], []
+        ours: list[tuple[Task, pytest.Item]] = []
         for item in items:
-            if (task := task_of(item)) is not None:
-                (ours if is_shipped(item.path) else others).append((task, item))
-        self.note(*(f"{item.nodeid} is not of the shipped suite and is not counted" for _, item in others))
+            if (task := task_of(item)) is None:
+                continue
+            if is_shipped(item.path):
+                ours.append((task, item))
+            else:
+                self.note(f"{item.nodeid} is not of the shipped suite and is not counted")
         self.note(*_wishes(settings))
         left = Counter(task.id for task, _ in ours)
         if several := [identifier for identifier, count in left.items() if count > 1]:

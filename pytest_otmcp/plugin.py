@@ -9,13 +9,14 @@ import json
 import time
 from collections.abc import Generator
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import pytest
 
-from .collection import ShippedModule, is_shipped, names_suite, quiet, suite_by_default, task_of
+from .collection import SUITE, ShippedModule, is_shipped, names_suite, quiet, suite_by_default, task_of
 from .errors import UsageError
 from .fixtures import (
+    REFUSED,
     otmcp_broker,
     otmcp_desk,
     otmcp_modbus_device,
@@ -67,7 +68,7 @@ def pytest_configure(config: pytest.Config) -> None:
     suite_by_default(config)
 
 
-def _refuse(error: UsageError) -> None:
+def _refuse(error: UsageError) -> NoReturn:
     """End the run: one sentence, exit code 2."""
     pytest.exit(str(error), returncode=2)
 
@@ -97,6 +98,12 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 _CONTROLLER: dict[str, pytest.Config] = {}
 """pytest_runtest_logreport is not told the config; this is the one of the controller of this process."""
+
+
+def pytest_report_header(config: pytest.Config) -> str | None:
+    if config.args == [SUITE] and config.args_source is not pytest.Config.ArgsSource.ARGS:
+        return "otmcp: the shipped conformance suite; your own tests run without options of the kit, or when they are named"
+    return None
 
 
 # -- collection ---------------------------------------------------------------------------------------------------
@@ -265,18 +272,18 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
     config = session.config
     run = config.stash.get(RUN, None)
     recorder = config.stash.get(RECORDER, None)
+    narrowing = config.stash.get(NARROWING, None)
     with quiet():
         if run is not None:
             if recorder is not None and run.unfinished is not None:
                 recorder.add(run.unfinished, "main", run.facts())
             run.facts()
             run.close()
-        narrowing = config.stash.get(NARROWING, None)
-        if narrowing is not None:
-            narrowing.finish()
-            if _is_worker(config):
-                config.workeroutput[_NARROWED] = narrowing.sentences
+        if narrowing is None:
+            return
+        narrowing.finish()
         if recorder is None:
+            getattr(config, "workeroutput", {})[_NARROWED] = narrowing.sentences
             return
         limit = config.getoption("maxfail", 0)
         if limit and session.testsfailed >= limit and recorder.missing:
@@ -298,14 +305,16 @@ def _exit_status(exitstatus: int, recorder: Any, failures: int) -> int:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_testnodedown(node: Any, error: object) -> None:
-    narrowing = node.config.stash.get(NARROWING, None)
-    if narrowing is not None:
-        narrowing.note(*getattr(node, "workeroutput", {}).get(_NARROWED, ()))
+    said = getattr(node, "workeroutput", {})
+    if NARROWING in node.config.stash:
+        node.config.stash[NARROWING].note(*said.get(_NARROWED, ()))
+    if REFUSED in said:
+        _refuse(UsageError(said[REFUSED]))
 
 
 def pytest_terminal_summary(terminalreporter: Any, exitstatus: int, config: pytest.Config) -> None:
     recorder = config.stash.get(RECORDER, None)
-    if recorder is None:
+    if recorder is None or (exitstatus == pytest.ExitCode.INTERRUPTED and not recorder.results):
         return
     if not recorder.results:
         for sentence in config.stash[NARROWING].sentences:

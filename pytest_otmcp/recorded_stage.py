@@ -1,25 +1,19 @@
-"""The stored history of an item as the stage of a trial: calls, journals and images are given as they were.
-
-Whatever the steps ask for must be what the history has next; a :class:`HistoryError` says where it is not. A journal is
-checked to be without a gap: each slice has consecutive sequence numbers and begins where the one before it ended.
-"""
+"""The stored history of an item as the stage of a trial: what happened is looked up, nothing is done."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
-from .at_device import AtDevice, EndedError, Entry, FreshSession, place_name
-from .envelope import same_json
+from .at_device import EndedError
+from .at_history import AtHistory, Past, Place
 from .errors import KitError, SubjectError
 from .history import restored_images
-from .observation import Reply
-from .recorded_reply import HistoryError, recorded_reply, restored_bindings
+from .recorded_reply import HistoryError
 from .repetition import Repetition
 from .stage import SessionFacts
-from .station import READ_WRITE, NoBindingError
-from .subject.model import Binding
+from .station import NoBindingError
 from .task import Steps, Task
 from .verdict import Status
 
@@ -50,7 +44,7 @@ class RecordedStage:
         self._seed = seed
         self._time_scale = time_scale
         self._images: list[dict[str, Any]] = []
-        self._places: list[_Place] = []
+        self._places: list[Place] = []
         self._around = list(self._history["around"])
         self._other_calls = list(item["other_calls"])
         self._other_device = list(item["other_device"])
@@ -74,7 +68,7 @@ class RecordedStage:
             self._images = restored_images(self._history["images"])
         except (KeyError, IndexError, TypeError, ValueError) as error:
             raise HistoryError(f"the images of the devices cannot be restored ({error!r})") from None
-        self._places = [_Place(station) for station in self._history["stations"]]
+        self._places = [Place(station) for station in self._history["stations"]]
         missing = sorted(set(self._task.adapters) - {place.name for place in self._places})
         if missing and not self._ended:
             raise HistoryError(f"{' and '.join(missing)} did not take part")
@@ -95,7 +89,7 @@ class RecordedStage:
             calls, self._other_calls = _cut(self._other_calls, part["calls"])
             device, self._other_device = _cut(self._other_device, part["entries"])
             seen = part["observations"]
-        past = _Past(calls, seen)
+        past = Past(calls, seen)
         return Repetition(
             self._task.id,
             rep,
@@ -187,203 +181,3 @@ class RecordedStage:
 
 def _cut(values: list[Any], count: int) -> tuple[list[Any], list[Any]]:
     return values[:count], values[count:]
-
-
-class _Place:
-    """A station during one item, as its history has it.
-
-    Attributes:
-        since: sequence number at which the next slice of the journal begins.
-        past: the journal before that, as far as the history has it.
-    """
-
-    def __init__(self, station: Mapping[str, Any]) -> None:
-        self.protocol: str = station["protocol"]
-        self.variant: str = station["variant"]
-        self.deadline_s: float = station["deadline_s"]
-        self.endpoint: Mapping[str, str] = station["endpoint"]
-        self.bindings: Mapping[str, list[Binding] | None] = restored_bindings(station["bindings"])
-        self.accepting_ns: int = station["accepting_ns"]
-        self.since: int = station["begin"]
-        self.past: list[Entry] = list(station["earlier"])
-        self.name = place_name(self.protocol, self.variant)
-        self.running = True
-
-
-class _Past:
-    """Calls and observations of one repetition, each to be had once."""
-
-    def __init__(self, calls: Iterable[Mapping[str, Any]], observations: Iterable[Mapping[str, Any]]) -> None:
-        self.calls = list(calls)
-        self.observations = list(observations)
-
-    def observation(self, at: str, what: str) -> Any:
-        """The next one, which must be this one."""
-        if not self.observations:
-            raise HistoryError(f"the steps ask for {what} of {at}, the history has nothing further")
-        entry = self.observations.pop(0)
-        if entry.get("at") != at or what not in entry:
-            found = " ".join(name for name in entry if name != "at")
-            raise HistoryError(f"the steps ask for {what} of {at}, the history has {found} of {entry.get('at')}")
-        return entry[what]
-
-    def call(self, at: _Place, operation: str, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
-        """The call that the steps ask for: the next one, or, of concurrent ones, one of the next."""
-        asked = f"{at.name} {operation}({_listed(inputs)})"
-        if not self.calls:
-            raise HistoryError(f"the steps ask for {asked}, the history has no further call")
-        group = self.calls[0]["group"]
-        for index, call in enumerate(self.calls):
-            if call["group"] != group:
-                break
-            who = (call["adapter"], call["variant"], call["operation"])
-            if who == (at.protocol, at.variant, operation) and same_json(call["inputs"], inputs):
-                return self.calls.pop(index)
-        first = self.calls[0]
-        found = f"{first['adapter']} {first['operation']}({_listed(first['inputs'])})"
-        raise HistoryError(f"the steps ask for {asked}, the history has {found}")
-
-
-def _listed(inputs: Mapping[str, Any]) -> str:
-    return ", ".join(f"{name}={value!r}" for name, value in inputs.items())
-
-
-class AtHistory(AtDevice):
-    """An adapter at its device in one repetition of the past. Nothing is done, nothing is waited for."""
-
-    def __init__(
-        self, place: _Place, past: _Past, device: Iterable[Mapping[str, Any]], images: list[dict[str, Any]]
-    ) -> None:
-        super().__init__(place.protocol, place.variant)
-        self._place = place
-        self._past = past
-        self._images = images
-        self._unread: list[Entry] = [
-            {name: value for name, value in entry.items() if name not in ("protocol", "variant")}
-            for entry in device
-            if (entry["protocol"], entry.get("variant", READ_WRITE)) == (place.protocol, place.variant)
-        ]
-
-    @property
-    def running(self) -> bool:
-        return self._place.running
-
-    @property
-    def accepting_ns(self) -> int:
-        return self._place.accepting_ns
-
-    def finish(self) -> None:
-        """The steps are over: so must this repetition's history be.
-
-        Raises:
-            HistoryError: something is left.
-        """
-        if self._past.calls:
-            raise HistoryError(f"the history has {len(self._past.calls)} call(s) more than the steps make")
-        if self._past.observations:
-            raise HistoryError(
-                f"the history has {len(self._past.observations)} observation(s) more than the steps make"
-            )
-        if self._unread:
-            raise HistoryError(f"the journal of {self.name} has {len(self._unread)} entries beyond its end")
-
-    def leave(self) -> None:
-        """Bring the place to where the next repetition begins, also when this one could not be taken to its end."""
-        for entry in self._past.observations:
-            if entry.get("at") == self.name and isinstance(end := entry.get("end"), int):
-                self._place.since = end
-        self._place.past += self._unread
-        self._unread = []
-        self._place.running = True
-
-    def _seen(self, what: str) -> Any:
-        return self._past.observation(self.name, what)
-
-    def _until(self, end: int) -> list[Entry]:
-        """The slice of this repetition up to the entry before ``end``."""
-        entries = self._unread[: max(0, end - self._place.since)]
-        self._without_gap(entries, self._place.since, end)
-        return entries
-
-    def _without_gap(self, entries: list[Entry], begin: int, end: int) -> None:
-        found = [entry.get("seq") for entry in entries]
-        if found != list(range(begin, end)):
-            wanted = f"{begin} to {end - 1}" if end > begin else "none"
-            raise HistoryError(f"the journal of {self.name} should have the entries {wanted}, it has {found}")
-
-    async def _perform(self, operation: str, role: str, inputs: Mapping[str, Any]) -> Reply:
-        call = self._past.call(self._place, operation, inputs)
-        return recorded_reply(
-            call,
-            role=role,
-            cases=self._place.bindings.get(operation),
-            endpoint=self._place.endpoint,
-            deadline_s=self._place.deadline_s,
-        )
-
-    async def journal(self) -> list[Entry]:
-        return self._until(self._seen("journal"))
-
-    async def wait_for(self, *, timeout_s: float, count: int = 1, **match: Any) -> list[Entry]:
-        seen = self._seen("wait")
-        found = [
-            entry
-            for entry in self._unread
-            if all(name in entry and entry[name] == value for name, value in match.items())
-        ]
-        if len(found) < seen:
-            raise HistoryError(f"{seen} entries with {_listed(match)} were seen at {self.name}, there are {len(found)}")
-        return found[:seen]
-
-    async def session_journal(self) -> list[Entry]:
-        begin, end = self._seen("session_journal")
-        known = self._place.past + self._unread
-        entries = [entry for entry in known if begin <= entry["seq"] < end]
-        self._without_gap(entries, begin, end)
-        return entries
-
-    async def image(self) -> dict[str, Any]:
-        index: int = self._seen("image")
-        if not 0 <= index < len(self._images):
-            raise HistoryError(f"there is no image {index}")
-        image: dict[str, Any] = self._images[index]
-        return image
-
-    async def poke(self, **params: Any) -> None:
-        pass
-
-    async def tick(self, steps: int) -> None:
-        pass
-
-    async def _watch(self, seconds: float) -> None:
-        pass
-
-    async def _reconnecting(self) -> None:
-        pass
-
-    async def close_session(self) -> None:
-        pass
-
-    async def _stop(self) -> float:
-        self._place.running = False
-        took_ms: float = self._seen("stop")
-        return took_ms
-
-    async def start_device(self) -> float:
-        seen = self._seen("start")
-        place = self._place
-        place.running, place.accepting_ns, place.since, place.past = True, seen["accepting_ns"], 0, []
-        took_ms: float = seen["ms"]
-        return took_ms
-
-    async def _replace_session(self) -> FreshSession:
-        return FreshSession(**self._seen("fresh_session"))
-
-    async def take_slice(self) -> list[Entry]:
-        end = self._seen("end")
-        entries = self._until(end)
-        place = self._place
-        self._unread = self._unread[len(entries) :]
-        place.past += entries
-        place.since = end
-        return entries

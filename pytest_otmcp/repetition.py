@@ -157,6 +157,11 @@ class Repetition:
         if not reply.ok:
             raise EndedError
 
+    def receives(self, reply: Reply, topic: str, payload: str) -> None:
+        """Expect a message among those that the adapter has received."""
+        filtered = self._at[reply.adapter, reply.variant].takes("messages", "filter")
+        self._judge(reply, oracle.received(reply, topic, payload, filtered=filtered))
+
     def fails(self, reply: Reply, *codes: str, **expected: Any) -> None:
         """Expect a refusal with one of these codes; see :func:`pytest_otmcp.oracle.failed`."""
         self._judge(reply, oracle.failed(reply, *codes, **expected))

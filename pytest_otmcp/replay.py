@@ -24,6 +24,7 @@ from .verdict import Status
 __all__ = ["rejudge"]
 
 _OF_ITEM = ("suite", "family", "title", "requirements", "status", "reason")
+_OF_SUBJECT = ("deadline_s", "recovery", "unclaimed", "probes", "lacks")
 _OF_SAMPLE = ("ok", "duration_ms", "phases")
 _OF_CALL = (
     "role",
@@ -64,6 +65,7 @@ def rejudge(run: Record) -> list[str]:
 
 def _disagreements(run: Record) -> Iterator[str]:
     tasks = tasks_by_id()
+    yield from _of_subject(run)
     for item in run["items"]:
         task = tasks.get(item["id"])
         if task is None:
@@ -71,6 +73,25 @@ def _disagreements(run: Record) -> Iterator[str]:
         else:
             yield from _of_claims(item, task, run["subject"]["adapters"])
             yield from _of_item(item, task, run["settings"])
+
+
+def _of_subject(run: Record) -> Iterator[str]:
+    """Whether all items were told the same of the subject, and as much as their suite demands was planned for each."""
+    known: dict[tuple[str, ...], tuple[str, Any]] = {}
+    for protocol, facts in run["subject"]["adapters"].items():
+        known[protocol, "recovery"] = "the subject", facts.get("recovery")
+        known[protocol, "unclaimed"] = "the subject", sorted(facts.get("unclaimed", []))
+    for item in run["items"]:
+        for station in item.get("history", {}).get("stations", []):
+            told = {name: station.get(name) for name in _OF_SUBJECT}
+            told |= {f"the binding of {name}": cases for name, cases in station.get("bindings", {}).items()}
+            for name, value in told.items():
+                where, expected = known.setdefault((str(station.get("protocol")), name), (item["id"], value))
+                if not same_json(value, expected):
+                    yield f"{item['id']}: {name} is {_short(value)}, with {where} it is {_short(expected)}"
+        demanded = run["settings"].get("repetitions", {}).get(item["suite"], item["planned"])
+        if item["planned"] != demanded:
+            yield f"{item['id']}: {item['planned']} repetitions were planned, the settings demand {demanded}"
 
 
 def _of_claims(item: Record, task: Task, adapters: Record) -> Iterator[str]:

@@ -69,7 +69,18 @@ class Run:
         return self._loop, self._bench
 
     def execute(self, task: Task) -> dict[str, Any]:
-        """Run a task; its result is what ``run.json`` has as an item."""
+        """Run a task; its result is what ``run.json`` has as an item, without the subject's secrets.
+
+        Raises:
+            UsageError: the subject file contradicts the tools that an adapter lists.
+        """
+        from .redaction import Redactor
+
+        secrets = {secret for adapter in self.subject.adapters.values() for secret in adapter.secret_values()}
+        result: dict[str, Any] = Redactor(secrets).apply(self._execute(task))
+        return result
+
+    def _execute(self, task: Task) -> dict[str, Any]:
         from .trial import Trial
 
         planned = self.settings.repetitions[task.suite]

@@ -173,11 +173,6 @@ class Station:
 
     # -- calls --------------------------------------------------------------------------------------------
 
-    def takes(self, operation: str, name: str) -> bool:
-        """The tool that performs the operation can be given this input."""
-        bound = self.adapter.operations.get(operation)
-        return not isinstance(bound, tuple) or any(binding.mentions(name) for binding in bound)
-
     async def call(self, operation: str, *, role: str, session: McpSession | None = None, **inputs: Any) -> Reply:
         """Perform an abstract operation through the adapter's own tools.
 
@@ -202,7 +197,11 @@ class Station:
             )
         arguments = binding.fill(inputs, self.endpoint)
         # The client gives up a little later than the deadline, so that a late answer is seen to be late.
-        exchange = await session.call(binding.tool, arguments, timeout_s=1.2 * self.deadline_s)
+        timeout_s = 1.2 * self.deadline_s
+        if binding.resource:
+            exchange = await session.read_resource(binding.tool, timeout_s=timeout_s)
+        else:
+            exchange = await session.call(binding.tool, arguments, timeout_s=timeout_s)
         reply = self._observed(
             operation,
             role,
@@ -211,7 +210,7 @@ class Station:
             arguments=arguments,
             answering=binding.answering,
             binding=binding,
-            listed=self.variant == READ_WRITE or binding.tool in session.tools,
+            listed=self.variant == READ_WRITE or binding.resource or binding.tool in session.tools,
         )
         if not binding.answering.native:
             self._note_unmet(exchange)

@@ -73,14 +73,28 @@ class Annex:
         """Take everything away."""
         for node, reference in self._links:
             self._server.iserver.aspace[node].references.remove(reference)
-        if self._added:
-            await self._server.delete_nodes([self._server.get_node(node) for node in self._added])
+        for node in self._added:
+            self._remove(node)
         for node in self._added:
             for kept in (self._plant.variables, self._plant.methods, self._plant.calls):
                 kept.pop(node, None)
         self._added.clear()
         self._names.clear()
         self._links.clear()
+
+    def _remove(self, node: ua.NodeId) -> None:
+        # Not through the library: for each node it looks through the whole address space.
+        space = self._server.iserver.aspace
+        if node not in space:
+            return
+        references = space[node].references
+        del space[node]
+        for reference in references:
+            other = space.get(reference.NodeId)
+            if other is not None:
+                other.references[:] = [each for each in other.references if each.NodeId != node]
+            if reference.IsForward and reference.ReferenceTypeId == ua.NodeId(ua.ObjectIds.HasProperty):
+                self._remove(reference.NodeId)
 
     async def _place(self, wish: Mapping[str, Any], name: str) -> tuple[ua.NodeId, ua.QualifiedName]:
         index = self._plant.namespace

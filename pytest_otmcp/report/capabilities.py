@@ -46,11 +46,13 @@ class Earned:
     """One capability of one protocol.
 
     Attributes:
-        because: ids of the items that decided it: those that failed, or are missing, or else all.
+        because: ids of the items that decided it: those that failed, or are missing, or else all that passed.
+        without: ids of items behind it that are about something the subject does not claim.
     """
 
     grade: Grade
     because: tuple[str, ...] = ()
+    without: tuple[str, ...] = ()
 
 
 CAPABILITIES = (
@@ -122,12 +124,13 @@ def _grade(wanted: Sequence[str], items: Mapping[str, Item]) -> Earned:
     def those(*found: Status | None) -> tuple[str, ...]:
         return tuple(name for name, status in statuses.items() if status in found)
 
+    unclaimed = those(Status.NOT_APPLICABLE)
     if not wanted:
         return Earned(grade=Grade.NOT_TESTED)
     if failed := those(Status.FAIL, Status.NOT_TESTABLE):
-        return Earned(grade=Grade.NOT_EARNED, because=failed)
+        return Earned(grade=Grade.NOT_EARNED, because=failed, without=unclaimed)
     if open_ones := those(Status.KIT_ERROR, Status.INTERRUPTED, None):
-        return Earned(grade=Grade.UNDECIDED, because=open_ones)
+        return Earned(grade=Grade.UNDECIDED, because=open_ones, without=unclaimed)
     if passed := those(Status.PASS):
-        return Earned(grade=Grade.EARNED, because=passed)
-    return Earned(grade=Grade.NOT_CLAIMED)
+        return Earned(grade=Grade.EARNED, because=passed, without=unclaimed)
+    return Earned(grade=Grade.NOT_CLAIMED, without=unclaimed)

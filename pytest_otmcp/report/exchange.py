@@ -1,7 +1,6 @@
 """One repetition as a conversation: what host and adapter said, and what the device saw, in one order of time. Pure.
 
-The clock of the frames is that of the journals, the machine's monotonic one. A call without recorded frames (of a
-repetition that passed, of an older record) has no place in time: its events come first.
+The clock of the calls is that of the journals, the machine's monotonic one. What has no time comes first.
 """
 
 from __future__ import annotations
@@ -147,7 +146,7 @@ def _call(call: Mapping[str, Any], *, detailed: bool) -> list[tuple[int | None, 
             ("response frame", frames.get("response")),
         ),
     )
-    sent, received = _whole(frames.get("sent_ns")), _whole(frames.get("received_ns"))
+    sent, received = _whole(call.get("sent_ns")), _whole(call.get("received_ns"))
     return [(sent, request), (sent if received is None else received, reply)]
 
 

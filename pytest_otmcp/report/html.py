@@ -75,7 +75,7 @@ def page(run: Run) -> str:
         good=good,
         planned=planned,
         narrowed=narrowed(run),
-        deviations=run["subject"].get("deviations", []),
+        deviations=overview.deviations(run),
         families=families(run),
         capabilities=earned(run),
         failures=failing,
@@ -91,6 +91,7 @@ def page(run: Run) -> str:
         recovery_rows=overview.recovery_rows(run),
         statistics=overview.statistics(run),
         timing_valid=timing_valid(run),
+        adapters=overview.adapters(run),
         facts=overview.facts(run),
         rerun=command(run),
     )

@@ -22,15 +22,15 @@ def narrowed(run: Run) -> list[str]:
         reasons.append(f"These suites were left out: {', '.join(missing)}.")
     # What an option of the kit asked for has its own sentence here.
     noted = [sentence for sentence in settings.get("narrowed", ()) if "(--otmcp-" not in sentence]
-    reasons += [f"{sentence[0].upper()}{sentence[1:]}." for sentence in noted]
+    reasons += [f"{sentence[:1].upper()}{sentence[1:]}." for sentence in noted]
     reps = settings.get("reps", _FULL)
     if reps < _FULL and (bound := lower_bound(reps, reps)) is not None:
         reasons.append(
             f"With N = {reps} instead of {_FULL}, an item that passes every time is shown to pass at least "
             f"{100 * bound:.0f} % of the time, not more."
         )
-    if unclaimed := sorted({item["family"] for item in run["items"] if not applies(item)}):
-        reasons.append(f"Not claimed by the subject, so not tested: {', '.join(unclaimed)}.")
+    if unclaimed := [item["id"] for item in run["items"] if not applies(item)]:
+        reasons.append(f"About things that the subject does not claim, so not tested: {', '.join(unclaimed)}.")
     if settings.get("time_scale", 1.0) != 1.0:
         reasons.append(f"Every deadline and window was multiplied by {settings['time_scale']}.")
     if settings.get("era", "auto") != "auto":

@@ -15,7 +15,7 @@ from . import Item, Run, command, tally
 from .capabilities import earned, families
 from .evidence import failures, findings_of
 from .limits import narrowed
-from .overview import tasks
+from .overview import deviations, tasks
 from .text import printable
 
 __all__ = ["code", "escape", "summary", "write_markdown"]
@@ -70,6 +70,10 @@ def summary(run: Run) -> str:
         f"**{good}** of **{planned}** repetitions passed in {len(items)} items.",
         "",
         *(f"- {escape(reason)}" for reason in narrowed(run)),
+        *(
+            f"- known deviation {escape(one.item)}: {code(one.reason)}, until {escape(one.expires)}; {one.state}"
+            for one in deviations(run)
+        ),
         "",
         *_earned(run),
         *_findings(run),

@@ -13,16 +13,30 @@ from ..statistics import lower_bound, mean, mean_interval, median_interval, outl
 from . import Item, Run, durations, least, phases, recovered, tally
 from .evidence import findings_of
 
-__all__ = ["NONE", "Cell", "Row", "facts", "recovery_rows", "requirements", "statistics", "tasks"]
+__all__ = [
+    "NONE",
+    "Adapter",
+    "Cell",
+    "Deviation",
+    "Row",
+    "adapters",
+    "deviations",
+    "facts",
+    "recovery_rows",
+    "requirements",
+    "statistics",
+    "tasks",
+]
 
 NONE = "—"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Row:
-    """An item in the table of its suite."""
+    """An item in the table of its suite; ``reason`` says why it does not apply, or cannot be tested, or is empty."""
 
     item: Item
+    reason: str
     passed: str
     least: str
     median: str
@@ -37,6 +51,28 @@ class Cell:
     because: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Deviation:
+    """A failure that the vendor knows of, and what became of it in this run."""
+
+    item: str
+    reason: str
+    expires: str
+    state: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Adapter:
+    """An adapter as it was started and as it introduced itself, and what is to be known of its answers."""
+
+    protocol: str
+    server: str
+    revision: str
+    tools: str
+    command: str
+    notes: tuple[str, ...]
+
+
 def tasks(run: Run, suite: str) -> list[Row]:
     """The items of a suite."""
     rows = []
@@ -47,6 +83,7 @@ def tasks(run: Run, suite: str) -> list[Row]:
             rows.append(
                 Row(
                     item=item,
+                    reason=item.get("reason") or "",
                     passed=_count(*tally([item])),
                     least=NONE if rate is None else f"{100 * rate:.1f} %",
                     median=_number(percentile(times, 50)),
@@ -119,6 +156,52 @@ def statistics(run: Run) -> list[tuple[str, ...]]:
     return rows
 
 
+_STATES = {
+    "used": "it fails, and is excused from the exit code",
+    "stale": "nothing is left to excuse: remove it",
+    "expired": "its day is over",
+}
+
+
+def deviations(run: Run) -> list[Deviation]:
+    """The known deviations."""
+    found = run["footer"].get("deviations", {})
+    states = {item: _STATES[kind] for kind in _STATES for item in found.get(kind, ())}
+    return [
+        Deviation(
+            item=entry["item"],
+            reason=entry["reason"],
+            expires=entry["expires"],
+            state=states.get(entry["item"], "its item did not run to its end"),
+        )
+        for entry in run["subject"].get("deviations", ())
+    ]
+
+
+def adapters(run: Run) -> list[Adapter]:
+    """The subject's adapters."""
+    return [_adapter(protocol, facts) for protocol, facts in run["subject"]["adapters"].items()]
+
+
+def _adapter(protocol: str, facts: Mapping[str, Any]) -> Adapter:
+    notes = []
+    if facts.get("envelope", "native") != "native":
+        notes.append("Its answers are not the envelope; the subject file says how they were read.")
+    if unmet := facts.get("unmet"):
+        notes.append(f"Not claimed, and not met by its own answers: {', '.join(unmet)}.")
+    if unjudged := facts.get("unjudged"):
+        notes.append(f"Not found in its answers, so not judged: {', '.join(unjudged)}.")
+    notes += [f"Does not claim {facet}: {reason}." for facet, reason in facts.get("unclaimed", {}).items()]
+    return Adapter(
+        protocol=protocol,
+        server=f"{facts.get('server_name') or NONE} {facts.get('server_version') or ''}",
+        revision=str(facts.get("protocol_version") or NONE),
+        tools=str(facts.get("tools", NONE)),
+        command=" ".join(facts.get("command", ())) or NONE,
+        notes=tuple(notes),
+    )
+
+
 def facts(run: Run) -> list[tuple[str, str]]:
     """What is known of kit, machine and settings; what a record does not have is left out."""
     kit, environment, settings, footer = run["kit"], run["environment"], run["settings"], run["footer"]
@@ -134,7 +217,7 @@ def facts(run: Run) -> list[tuple[str, str]]:
         "Processors": environment.get("cpu_count"),
         "Python": environment.get("python"),
         "Packages": ", ".join(f"{name} {version}" for name, version in packages.items() if version),
-        "Settings": ", ".join(f"{name}: {_flat(value)}" for name, value in settings.items()),
+        "Settings": ", ".join(f"{name}: {_flat(value)}" for name, value in settings.items() if name != "narrowed"),
         "Tool calls": ", ".join(f"{role} {count}" for role, count in footer.get("tool_calls", {}).items()),
     }
     return [(name, str(value)) for name, value in known.items() if value]

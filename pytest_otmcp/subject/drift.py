@@ -21,6 +21,8 @@ def drift(adapter: Adapter, tools: Mapping[str, Mapping[str, Any]]) -> list[str]
     for name, bound in adapter.operations.items():
         if isinstance(bound, tuple) and adapter.why_not_claimed(name) is None:
             for index, binding in enumerate(bound):
+                if binding.resource:
+                    continue
                 where = f"adapter.{adapter.protocol}.bind.{name}" + (f"[{index}]" if len(bound) > 1 else "")
                 found += _compare(where, binding.tool, binding.arguments, tools)
     if adapter.connect is not None:

@@ -17,7 +17,7 @@ __all__ = ["BindingReader"]
 _FORMS = ("envelope", "structured", "json", "text", "texts")
 _INPUT_TYPES = ("string", "int", "float", "bool", "hex", "json", "list")
 _OUTPUT_TYPES = ("string", "int", "float", "bool", "hex", "json", "python")
-_BINDING_KEYS = ("tool", "arguments", "result", "when", "offset", "names", "as", "answer", "outcome", "errors")
+_BINDING_KEYS = ("tool", "arguments", "result", "when", "offset", "names", "as", "answer", "outcome", "errors", "resource", "blocking")
 
 
 class BindingReader:
@@ -99,8 +99,13 @@ class BindingReader:
         result = reader.table(table.get("result", {}), f"{key}.result", operation.outputs)
         if lacking := [name for name in operation.needed if name not in result]:
             raise reader.refuse(f"{key}.result", f"lacks {lacking[0]!r}, without which the operation cannot be judged")
+        resource = "resource" in table
+        if resource and ("tool" in table or arguments):
+            raise reader.refuse(f"{key}.resource", "a resource is read without tool and arguments")
         return Binding(
-            tool=reader.text(table, "tool", key),
+            tool=reader.text(table, "resource" if resource else "tool", key),
+            resource=resource,
+            blocking=self._blocking(operation, table, key),
             arguments=arguments,
             outputs={name: self._output(rule, f"{key}.result.{name}") for name, rule in result.items()},
             answering=self.answering(table, key, answering),
@@ -118,6 +123,12 @@ class BindingReader:
                 for name, entry in self._by_input(table, "as", operation, key).items()
             },
         )
+
+    def _blocking(self, operation: Operation, table: Mapping[str, Any], key: str) -> bool:
+        blocking = bool(self._reader.flag(table, "blocking", key))
+        if blocking and "seconds" not in operation.inputs:
+            raise self._reader.refuse(f"{key}.blocking", "only a call for messages may wait for them")
+        return blocking
 
     def _by_input(self, table: Mapping[str, Any], name: str, operation: Operation, key: str) -> dict[str, Any]:
         return self._reader.table(table.get(name, {}), f"{key}.{name}", operation.inputs)

@@ -134,7 +134,9 @@ class Binding:
     """How one tool performs an abstract operation, or one case of it.
 
     Attributes:
-        tool: name of the MCP tool.
+        tool: name of the MCP tool, or URI of the resource.
+        resource: it is a resource that is read.
+        blocking: the call waits for what it answers, as one that collects messages does.
         arguments: template; a string ``"$name"`` stands for the operation's input of that name, keeping its type, and
             ``{host}`` and its like are replaced as in a launch command.
         outputs: output name to where it is.
@@ -153,6 +155,8 @@ class Binding:
     offset: Mapping[str, float]
     names: Mapping[str, Mapping[str, Any]]
     convert: Mapping[str, str]
+    resource: bool = False
+    blocking: bool = False
 
     def fill(self, inputs: Mapping[str, Any], endpoint: Mapping[str, str]) -> dict[str, Any]:
         """The tool's arguments for these inputs."""
@@ -336,24 +340,28 @@ class Adapter:
             found |= {value for name, value in named.items() if name in self.secrets or _SECRET_NAME.search(name)}
         return found
 
+    def blocks(self, operation: str) -> bool:
+        """The operation is performed by a call that waits for what it answers."""
+        bound = self.operations.get(operation)
+        return isinstance(bound, tuple) and any(binding.blocking for binding in bound)
+
     def facts(self) -> dict[str, Any]:
         """What ``run.json`` says about how this adapter was tested."""
         return {
             "command": list(self.variants["rw"].command),
             "envelope": "native" if self.answering.native else "synthesised",
             "recovery": self.recovery,
-            "probes": dict(self.probes),
-            "lacks": sorted(self._lacks()),
             "unclaimed": dict(self.unclaimed),
             "unjudged": sorted(self._unjudged()),
         }
 
-    def _lacks(self) -> set[str]:
+    def lacks(self) -> set[str]:
+        """Optional inputs that no binding has a place for, such as ``subscribe.qos``."""
         return {
             f"{name}.{optional}"
             for name, operation in OPERATIONS[self.protocol].items()
             for optional in operation.optional
-            if self.why_not_testable(f"{name}.{optional}") is not None
+            if name in self.operations and self.why_not_testable(f"{name}.{optional}") is not None
         }
 
     def _unjudged(self) -> set[str]:

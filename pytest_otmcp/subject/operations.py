@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["GUARD", "OPERATIONS", "PROTOCOLS", "RECOVERY", "Operation", "facets"]
+__all__ = ["GUARD", "OPERATIONS", "PROTOCOLS", "RECEIVE", "RECOVERY", "Operation", "facets"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,7 +73,7 @@ OPERATIONS: dict[str, dict[str, Operation]] = {
         ),
         "messages": Operation(
             meaning="messages received so far on a topic filter, each with topic and payload",
-            inputs=("filter",),
+            inputs=("filter", "seconds"),
             outputs=("messages",),
             needed=("messages",),
             optional=("filter",),
@@ -121,6 +121,10 @@ OPERATIONS: dict[str, dict[str, Operation]] = {
         ),
     },
 }
+
+
+RECEIVE = "receive"
+"""What a task needs that wants to see messages: ``messages``, and ``subscribe`` unless the call for messages waits for them."""
 
 
 def facets(protocol: str) -> tuple[str, ...]:

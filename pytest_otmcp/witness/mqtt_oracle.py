@@ -31,6 +31,7 @@ _ANSWERS = {
     "PUBCOMP": "PUBREL",
 }
 _REQUESTS = frozenset(_ANSWERS.values())
+_HIGHEST_QOS = 2
 
 
 def exchange(entries: Entries, at_least: int = 1, client_id: str | None = None) -> list[Finding]:
@@ -59,8 +60,8 @@ def exchange(entries: Entries, at_least: int = 1, client_id: str | None = None) 
     ]
 
 
-def subscribed(entries: Entries, *, filter: str, qos: int, client_id: str | None = None) -> list[Finding]:
-    """The broker received a SUBSCRIBE with this filter and granted this QoS."""
+def subscribed(entries: Entries, *, filter: str, qos: int | None, client_id: str | None = None) -> list[Finding]:
+    """The broker received a SUBSCRIBE with this filter and granted this QoS; None is any."""
     requests: dict[tuple[int, int], list[str]] = {}
     granted: list[int] = []
     for entry in adapter_packets(entries, client_id=client_id):
@@ -70,7 +71,7 @@ def subscribed(entries: Entries, *, filter: str, qos: int, client_id: str | None
         elif entry["kind"] == "SUBACK" and entry["direction"] == "out":
             codes = zip(requests.get(key, []), entry["reason_codes"], strict=False)
             granted += [code for wanted, code in codes if wanted == filter]
-    if qos in granted:
+    if qos in granted or (qos is None and any(code <= _HIGHEST_QOS for code in granted)):
         return []
     if granted:
         problem = f"it answered with reason code {granted[0]:#04x}"
@@ -81,7 +82,7 @@ def subscribed(entries: Entries, *, filter: str, qos: int, client_id: str | None
     return [
         Finding(
             code="not_subscribed",
-            message=f"the broker should have granted {filter!r} at QoS {qos}, {problem}",
+            message=f"the broker should have granted {filter!r}{'' if qos is None else f' at QoS {qos}'}, {problem}",
             requirement="MQT-002",
             evidence=shown(entries),
         )
@@ -114,19 +115,19 @@ def published_once(
     *,
     topic: str,
     payload: bytes,
-    qos: int = 0,
+    qos: int | None = 0,
     retain: bool = False,
     client_id: str | None = None,
 ) -> list[Finding]:
-    """The adapter published these bytes on this topic in this manner, once, and nothing else."""
+    """The adapter published these bytes on this topic in this manner (a QoS of None is any), once, and nothing else."""
     messages = adapter_packets(entries, "PUBLISH", "in", client_id)
     code, requirement = "not_published_once", "WR-003" if len(messages) > 1 else "MQT-001"
     if len(messages) == 1 and _is(messages[0], topic, payload):
         found = (messages[0].get("qos"), bool(messages[0].get("retain")))
-        if found == (qos, retain):
+        if found[1] == retain and qos in (None, found[0]):
             return []
         code, requirement = "published_otherwise", "MQT-003"
-        wanted = f"with QoS {qos} {'and' if retain else 'and not'} retained"
+        wanted = ("" if qos is None else f"with QoS {qos} and ") + ("retained" if retain else "not retained")
         problem = f"it came with QoS {found[0]} {'and' if found[1] else 'and not'} retained"
     else:
         wanted = "once and nothing else"

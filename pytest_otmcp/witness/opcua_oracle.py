@@ -81,8 +81,13 @@ def children_of(image: Image, name: str) -> dict[str, str]:
 
 
 def names_and_ids_agree(ids: Any, names: Any, expected: Mapping[str, str]) -> list[Finding]:
-    """A browse result holds these nodes, each with its own name; a namespace prefix of a name (``2:``) is accepted."""
+    """A browse result holds these nodes, each with its own name; a namespace prefix of a name (``2:``) is accepted.
+
+    An adapter whose answers have no names gives None for them, and is judged by the nodes alone.
+    """
     pairs: dict[str, str] = {}
+    if names is None and isinstance(ids, list):
+        pairs = {name: node for name, node in expected.items() if node in ids}
     if isinstance(ids, list) and isinstance(names, list) and len(ids) == len(names):
         pairs = {str(name).rpartition(":")[2]: str(node) for node, name in zip(ids, names, strict=True)}
     wrong = {name: (node, pairs.get(name)) for name, node in expected.items() if pairs.get(name) != node}

@@ -1,7 +1,7 @@
 """The OPC UA mock as a real process, asked by asyncua's client, its journal and its image."""
 
-# asyncua's exports are not declared.
-# mypy: disable-error-code="attr-defined"
+# asyncua's exports are not declared, and pytest finds mock_program, which mypy does not.
+# mypy: disable-error-code="attr-defined, import-not-found"
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ async def limit(plant: MockProgram, **limits: int) -> None:
 
 
 async def fault(plant: MockProgram, **rule: Any) -> None:
-    conditions = {name: rule.pop(name) for name in ("service", "node", "times") if name in rule}
+    conditions: dict[str, Any] = {name: rule.pop(name) for name in ("service", "node", "times") if name in rule}
     await plant.control.ask("fault", rules=[{**conditions, "action": rule}])
 
 
@@ -146,7 +146,7 @@ async def test_the_plant_has_the_papers_nodes_in_one_listed_namespace(plant: Moc
 
 async def test_a_value_has_the_times_that_are_asked_for(client: Client) -> None:
     stamps = ua.TimestampsToReturn
-    given = {}
+    given: dict[str, tuple[bool, bool]] = {}
     for wanted in (stamps.Source, stamps.Server, stamps.Both, stamps.Neither):
         held = await read(client, "Temperature", TimestampsToReturn=wanted)
         given[wanted.name] = (held.SourceTimestamp is not None, held.ServerTimestamp is not None)

@@ -79,15 +79,11 @@ def item(
     }
 
 
-def frames(request: str, response: str | None, sent_ms: float, received_ms: float | None) -> dict[str, Any]:
-    """What a call of a failing repetition has besides."""
-    return {
-        "request": request,
-        "response": response,
-        "sent_ns": int(sent_ms * 1e6),
-        "received_ns": None if received_ms is None else int(received_ms * 1e6),
-        "failure": "timeout" if response is None else None,
-    }
+def wire(request: str, response: str | None, sent_ms: float, received_ms: float | None) -> dict[str, Any]:
+    """What the record of a call in a failing repetition has besides."""
+    times = {"sent_ns": int(sent_ms * 1e6), "received_ns": None if received_ms is None else int(received_ms * 1e6)}
+    failure = "timeout" if response is None else None
+    return {**times, "frames": {"request": request, "response": response, "failure": failure, **times}}
 
 
 def entry(at_ms: float, direction: str, kind: str, **facts: Any) -> dict[str, Any]:
@@ -104,7 +100,7 @@ def written_twice(repetitions: int = 1) -> dict[str, Any]:
         spoken = call(2.0)
         spoken |= {"tool": "write_register", "arguments": {"address": 1, "value": 40}}
         spoken["envelope"] = {"success": True, "data": {"value": 40}, "error": None, "meta": {"attempts": 2}}
-        spoken["frames"] = frames('{"method":"tools/call"}', '{"result":{}}', 100, 102)
+        spoken |= wire('{"method":"tools/call"}', '{"result":{}}', 100, 102)
         write = {"function": 6, "address": 1, "values": [40], "state_changing": True}
         sample["calls"] = [spoken]
         sample["device"] = [

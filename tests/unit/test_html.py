@@ -19,7 +19,7 @@ import pytest
 
 from pytest_otmcp.report.html import page, write_html
 
-from .samples import call, entry, frames, item, run, written_twice
+from .samples import call, entry, item, run, wire, written_twice
 from .test_latex import ALL, M1
 
 VOID = {"meta", "link", "input"}
@@ -171,7 +171,7 @@ def test_a_failure_shows_what_was_said_and_what_the_device_saw_in_the_order_of_t
 def test_a_call_without_an_answer_says_so() -> None:
     failed = written_twice()
     spoken = failed["samples"][0]["calls"][0]
-    spoken |= {"latency_ms": None, "envelope": None, "ok": False, "frames": frames("{}", None, 100, None)}
+    spoken |= {"latency_ms": None, "envelope": None, "ok": False, **wire("{}", None, 100, None)}
     assert "no reply not as required timeout" in Page(page(run([failed]))).text
 
 
@@ -185,9 +185,10 @@ def test_an_error_and_its_reason_are_on_the_line_of_the_answer() -> None:
     assert "not_writable not as required read only, after 2.00 ms" in Page(page(run([failed]))).text
 
 
-def test_calls_of_an_older_record_are_shown_without_their_place_in_time() -> None:
+def test_calls_whose_times_are_not_recorded_come_first() -> None:
     failed = written_twice()
-    del failed["samples"][0]["calls"][0]["frames"]
+    for name in ("frames", "sent_ns", "received_ns"):
+        del failed["samples"][0]["calls"][0][name]
     shown = Page(page(run([failed]))).text
     assert shown.index("write_register") < shown.index("success") < shown.index("+0.00 modbus device")
 
@@ -210,7 +211,7 @@ def test_faults_of_other_kinds_are_shown_each() -> None:
 
 def test_what_failed_around_the_repetitions_is_shown_with_its_calls_and_its_device() -> None:
     around = item("M4", "normal", "Modbus", "Refuse.", [1.0])
-    spoken = {**call(1.0, role="control"), "variant": "ro", "frames": frames("{}", "{}", 10, 11)}
+    spoken = {**call(1.0, role="control"), "variant": "ro", **wire("{}", "{}", 10, 11)}
     around |= {
         "status": "FAIL",
         "findings": [{"code": "x", "message": "control: it wrote", "requirement": "WR-004", "evidence": None}],
@@ -246,7 +247,7 @@ def test_a_long_conversation_is_cut_in_its_middle() -> None:
 
 def test_what_went_wrong_in_the_middle_of_a_long_conversation_is_not_cut() -> None:
     failed = written_twice()
-    calls = [{**call(1.0), "frames": frames(f"request {index}", "{}", index, index + 0.5)} for index in range(100)]
+    calls = [{**call(1.0), **wire(f"request {index}", "{}", index, index + 0.5)} for index in range(100)]
     calls[60] |= {"ok": False, "error_code": "timeout", "envelope": {"success": False}}
     failed["samples"][0] |= {"calls": calls, "device": []}
     shown = Page(page(run([failed]))).text
@@ -266,7 +267,7 @@ def test_a_run_that_fails_everywhere_with_endless_texts_is_a_page_below_twenty_m
     failed = written_twice(6)
     for index, sample in enumerate(failed["samples"]):
         spoken = {**sample["calls"][0], "arguments": {"x": endless}, "envelope": {"success": True, "data": endless}}
-        sample["calls"] = [{**spoken, "frames": frames(endless, endless, 1, 2)}] * 50
+        sample["calls"] = [{**spoken, **wire(endless, endless, 1, 2)}] * 50
         sample["device"] = [entry(1, "in", "request", value=endless)] * 50
         sample["findings"] = [{**finding, "code": f"{index}"}] * 30
     record = run([])
@@ -294,7 +295,7 @@ def test_the_verdict_is_in_words_first_and_what_narrowed_the_run_is_beside_it() 
         "The run is not complete: interrupted by the user.",
         "These suites were left out: fault, stress, recovery.",
         "With N = 3 instead of 30, an item that passes every time is shown to pass at least 37 % of the time",
-        "Not claimed by the subject, so not tested: MQTT.",
+        "About things that the subject does not claim, so not tested: Q2.",
         "Every deadline and window was multiplied by 2.0.",
         "in the legacy era",
         "a foreign one, mqtt://127.0.0.1:1884",
@@ -305,11 +306,38 @@ def test_the_verdict_is_in_words_first_and_what_narrowed_the_run_is_beside_it() 
 
 def test_known_deviations_are_listed_and_excuse_nothing() -> None:
     record = run([written_twice()])
+    record["footer"]["deviations"] = {"used": ["M3"], "stale": [], "expired": []}
     record["subject"]["deviations"] = [{"item": "M3", "reason": "fixed in 2.5", "expires": "2027-03-01"}]
     shown = Page(page(record))
     assert "Known deviations" in shown.text
-    assert "M3 : fixed in 2.5 (until 2027-03-01)" in shown.text
+    assert "M3 : fixed in 2.5 (until 2027-03-01; it fails, and is excused from the exit code)" in shown.text
     assert "✗ NOT CONFORMANT" in shown.text
+
+
+def test_what_is_to_be_known_of_an_adapters_answers_is_beside_its_name() -> None:
+    record = run([M1])
+    record["subject"]["adapters"]["modbus"] |= {
+        "command": ["acme", "--stdio"],
+        "envelope": "synthesised",
+        "unmet": ["ENV-001"],
+        "unjudged": ["write_holding.value"],
+        "unclaimed": {"guard": "writes cannot be turned off"},
+    }
+    shown = Page(page(record)).text
+    assert (
+        "acme --stdio Its answers are not the envelope; the subject file says how they were read. "
+        "Not claimed, and not met by its own answers: ENV-001. "
+        "Not found in its answers, so not judged: write_holding.value. "
+        "Does not claim guard: writes cannot be turned off."
+    ) in shown
+
+
+def test_an_item_that_does_not_apply_says_why_and_takes_nothing_from_what_was_earned() -> None:
+    why = "opcua.variables is not claimed: there is no such tool"
+    unclaimed = {**item("M2", "normal", "Modbus", "Read.", []), "status": "NOT_APPLICABLE", "reason": why, "planned": 3}
+    shown = Page(page(run([M1, unclaimed]))).text
+    assert f"M2 ○ not claimed Read. {why}" in shown
+    assert "✓ earned M1 without M2" in shown
 
 
 def test_a_requirement_is_violated_only_where_a_finding_names_it() -> None:

@@ -147,6 +147,10 @@ def item() -> Item:
                     "accepting_ns": 0,
                     "begin": 1,
                     "earlier": [],
+                    "recovery": "same_session",
+                    "unclaimed": [],
+                    "probes": {},
+                    "lacks": [],
                     "bindings": {
                         "write_holding": binding(WRITE, "address", "value", output="value"),
                         "read_holding": binding(READ, "address", "count", output="values"),
@@ -179,8 +183,8 @@ def run(*items: Item, digest: str | None = None) -> dict[str, Any]:
         json.dumps(
             {
                 "kit": {"suite_digest": digest or suite_digest()},
-                "subject": {"adapters": {"modbus": {"unclaimed": {}}}},
-                "settings": {"seed": 0, "time_scale": 1.0},
+                "subject": {"adapters": {"modbus": {"unclaimed": {}, "recovery": "same_session"}}},
+                "settings": {"seed": 0, "time_scale": 1.0, "repetitions": {"normal": items[0]["planned"]}},
                 "items": items,
             }
         )
@@ -304,6 +308,20 @@ def add_noise(changed: Item) -> None:
     changed["history"]["sessions"].append({"inspection": 1, **facts, "stray_lines": 1, "first_stray": "hello"})
 
 
+def give_it_more_time(changed: Item) -> None:
+    changed["history"]["stations"].append({**changed["history"]["stations"][0], "deadline_s": 60.0})
+
+
+def take_a_claim_back(changed: Item) -> None:
+    changed["history"]["stations"][0]["unclaimed"] = ["write_holding"]
+
+
+def read_the_output_elsewhere(changed: Item) -> None:
+    again = copy.deepcopy(changed["history"]["stations"][0])
+    again["bindings"]["read_holding"][0]["outputs"]["values"]["path"] = "[`40`]"
+    changed["history"]["stations"].append(again)
+
+
 def change_the_title(changed: Item) -> None:
     changed["title"] = "Read a register."
 
@@ -336,6 +354,9 @@ SENTENCES = {
     lose_the_warm_up: "M3: the history ends after 1 repetitions and does not say why",
     change_the_warm_up: "M3: the stored history shows 'warmup: read_multiple_holding_registers(address=1, count=1): values",
     add_noise: "M3: the stored history shows \"modbus: 1 line(s) on stdout that are no MCP message, the first: 'hello'\"",
+    give_it_more_time: "M3: deadline_s is 60.0, with M3 it is 5.0",
+    take_a_claim_back: 'M3: unclaimed is ["write_holding"], with the subject it is []',
+    read_the_output_elsewhere: "M3: the binding of read_holding is [",
     change_the_title: "M3: the stored history shows title",
 }
 
@@ -407,6 +428,12 @@ def test_frames_that_were_cut_off_are_believed_with_their_faults() -> None:
 
 def test_a_run_of_another_suite_is_not_judged() -> None:
     assert "judge it again with the version of the kit that made it" in rejudge(run(item(), digest="sha256:0"))[0]
+
+
+def test_less_repetitions_than_demanded_are_found_out() -> None:
+    record = run(item())
+    record["settings"]["repetitions"]["normal"] = 30
+    assert rejudge(record) == ["M3: 1 repetitions were planned, the settings demand 30"]
 
 
 def test_an_item_that_nobody_knows_is_named() -> None:

@@ -222,6 +222,14 @@ REFUSED = {
         FOREIGN + 'bind = { read_holding = { tool = "x", as = { count = "integer" }, result = { values = {} } } }\n',
         "adapter.modbus.bind.read_holding.as.count: unknown 'integer'",
     ),
+    "resource and tool": (
+        FOREIGN + 'bind = { ping = { tool = "x", resource = "y://z" } }\n',
+        "adapter.modbus.bind.ping.resource: a resource is read without tool and arguments",
+    ),
+    "blocking": (
+        FOREIGN + 'bind = { ping = { tool = "x", blocking = true } }\n',
+        "adapter.modbus.bind.ping.blocking: only a call for messages may wait for them",
+    ),
     "no bindings file": (FOREIGN + 'bindings = "none.py"\n', "there is no such file"),
     "deviation without day": (LAUNCH + '[[deviation]]\nitem = "M1"\nreason = "x"\n', "expected a date such as"),
     "deviation twice": (
@@ -278,7 +286,7 @@ def test_the_editors_schema_is_not_stricter_about_names_than_the_kit(name: str) 
     by_kit_alone = {
         "directory", "file elsewhere", "no connect step", "rules for an envelope", "foreign without bindings", "no reason",
         "unknown input", "hidden case", "jmespath", "regular expression", "no bindings file", "deviation twice",
-        "another host", "url without http", "nothing to judge",
+        "another host", "url without http", "nothing to judge", "resource and tool", "blocking",
     }  # fmt: skip
     assert bool(found) == (name not in by_kit_alone)
 

@@ -58,6 +58,13 @@ def test_findings_are_cut_where_a_page_would_burst_and_it_says_so() -> None:
     assert len(text.encode()) < 2**20
 
 
+def test_known_deviations_are_beside_the_verdict() -> None:
+    record = run([written_twice()])
+    record["footer"]["deviations"] = {"used": [], "stale": [], "expired": ["M3"]}
+    record["subject"]["deviations"] = [{"item": "M3", "reason": "fixed | in 2.5", "expires": "2026-03-01"}]
+    assert "- known deviation M3: ` fixed | in 2.5 `, until 2026-03-01; its day is over\n" in summary(record)
+
+
 @pytest.mark.parametrize(
     ("text", "escaped"),
     [

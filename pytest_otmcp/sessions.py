@@ -187,7 +187,9 @@ class _Handle(Handle):
 
     def __repr__(self) -> str:
         station = self._calls.station
-        return f"<{type(self).__name__} {self.protocol} {station.variant}{', closed' if station.session is None else ''}>"
+        return (
+            f"<{type(self).__name__} {self.protocol} {station.variant}{', closed' if station.session is None else ''}>"
+        )
 
 
 class AsyncSession(_Handle):

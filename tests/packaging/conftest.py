@@ -1,0 +1,89 @@
+"""A wheel built from this checkout, and an environment of its own in which nothing else of the checkout can be found."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tarfile
+from pathlib import Path
+
+import pytest
+
+CHECKOUT = Path(__file__).parents[2]
+FOLDERS = {
+    "pytest_otmcp": "pytest_otmcp",
+    "conformance": "pytest_otmcp/conformance",
+    "mocks": "pytest_otmcp/mocks",
+    "reference_adapters": "pytest_otmcp/reference_adapters",
+}
+"""Folder of the checkout to folder of the wheel."""
+
+_BUILD = """
+import sys
+from setuptools import build_meta
+print(getattr(build_meta, sys.argv[1])(sys.argv[2]))
+"""
+
+
+def _quietly(*command: str | Path, cwd: Path, env: dict[str, str] | None = None) -> str:
+    done = subprocess.run(
+        [str(part) for part in command], cwd=cwd, env=env, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="session")
+def setuptools(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """An environment in which the setuptools that ``pyproject.toml`` asks for can be imported."""
+    target = tmp_path_factory.mktemp("setuptools")
+    _quietly(sys.executable, "-m", "pip", "install", "--quiet", "--target", target, "setuptools>=77", cwd=target)
+    return {**os.environ, "PYTHONPATH": str(target)}
+
+
+@pytest.fixture(scope="session")
+def sdist(tmp_path_factory: pytest.TempPathFactory, setuptools: dict[str, str]) -> Path:
+    """The source distribution."""
+    source = tmp_path_factory.mktemp("source")
+    clutter = shutil.ignore_patterns("__pycache__", "*.pyc", "*.egg-info")
+    for folder in FOLDERS:
+        shutil.copytree(CHECKOUT / folder, source / folder, ignore=clutter)
+    for file in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(CHECKOUT / file, source)
+    out = tmp_path_factory.mktemp("sdist")
+    said = _quietly(sys.executable, "-c", _BUILD, "build_sdist", out, cwd=source, env=setuptools)
+    return out / said.splitlines()[-1]
+
+
+@pytest.fixture(scope="session")
+def wheel(tmp_path_factory: pytest.TempPathFactory, sdist: Path, setuptools: dict[str, str]) -> Path:
+    """The wheel, built from the source distribution: what that lacks is missing here as well."""
+    unpacked = tmp_path_factory.mktemp("unpacked")
+    with tarfile.open(sdist) as archive:
+        archive.extractall(unpacked, filter="data")
+    [source] = unpacked.iterdir()
+    out = tmp_path_factory.mktemp("wheel")
+    said = _quietly(sys.executable, "-c", _BUILD, "build_wheel", out, cwd=source, env=setuptools)
+    return out / said.splitlines()[-1]
+
+
+@pytest.fixture(scope="session")
+def empty(tmp_path_factory: pytest.TempPathFactory, wheel: Path) -> Path:
+    """A directory with nothing in it but a virtual environment ``.venv`` into which the wheel is installed.
+
+    The wheel's dependencies are those of this environment, linked one by one: the checkout is not among them.
+    """
+    root = tmp_path_factory.mktemp("empty")
+    _quietly(sys.executable, "-m", "venv", "--without-pip", root / ".venv", cwd=root)
+    python = root / ".venv" / "bin" / "python"
+    _quietly(sys.executable, "-m", "pip", "--python", python, "install", "--no-deps", "--no-index", wheel, cwd=root)
+    ours = _quietly(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))", cwd=root).strip()
+    linked = tmp_path_factory.mktemp("dependencies")
+    for entry in Path(sysconfig.get_path("purelib")).iterdir():
+        if not entry.name.startswith(("pytest_otmcp", "__editable__", "__pycache__")):
+            (linked / entry.name).symlink_to(entry)
+    Path(ours, "dependencies.pth").write_text(f"{linked}\n")
+    return root

@@ -1,0 +1,105 @@
+"""What a vendor gets: a wheel with one import name, and from an empty directory a verdict and a certificate."""
+
+from __future__ import annotations
+
+import configparser
+import json
+import os
+import subprocess
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from pytest_otmcp.record import load
+
+from .conftest import CHECKOUT, FOLDERS
+
+SUBJECT = """
+[subject]
+name = "a reference adapter as a vendor would describe it"
+version = "1.0"
+
+[adapter.modbus]
+command = ["{python}", "-m", "pytest_otmcp.reference_adapters", "modbus"]
+env = { MODBUS_HOST = "{host}", MODBUS_PORT = "{port}" }
+rw = { env = { MODBUS_WRITES_ENABLED = "true" } }
+"""
+
+
+def run(root: Path, *command: str, timeout: float = 300) -> subprocess.CompletedProcess[str]:
+    """Run a program of the environment in ``root``, with nothing of ours in its environment."""
+    kept = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "PYTEST", "VIRTUAL"))}
+    program = root / ".venv" / "bin" / command[0]
+    return subprocess.run(
+        [str(program), *command[1:]],
+        cwd=root,
+        env=kept,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=timeout,
+    )
+
+
+def test_the_wheel_holds_every_file_of_the_kit_and_one_import_name(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        names = set(archive.namelist())
+    [metadata] = {name.partition("/")[0] for name in names} - {"pytest_otmcp"}
+    assert metadata.endswith(".dist-info")
+    expected = {
+        f"{target}/{path.relative_to(CHECKOUT / folder).as_posix()}"
+        for folder, target in FOLDERS.items()
+        for path in (CHECKOUT / folder).rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    }
+    shipped = {name for name in names if name.startswith("pytest_otmcp/")}
+    assert expected - shipped == set()
+    assert shipped - expected == set()
+    assert "pytest_otmcp/py.typed" in shipped
+
+
+def test_the_wheel_offers_a_pytest_plugin_and_the_command_otmcp(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        [name] = [name for name in archive.namelist() if name.endswith("entry_points.txt")]
+        points = configparser.ConfigParser()
+        points.read_string(archive.read(name).decode())
+    assert dict(points["pytest11"]) == {"otmcp": "pytest_otmcp.plugin"}
+    assert dict(points["console_scripts"]) == {"otmcp": "pytest_otmcp.cli:main"}
+
+
+def test_bare_pytest_in_an_empty_directory_gives_a_verdict(empty: Path) -> None:
+    done = run(empty, "python", "-m", "pytest", "--otmcp-reps=1")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "VERDICT: CONFORMANT" in done.stdout
+    record = load(empty / "reports" / "latest" / "run.json")
+    assert record["settings"]["narrowed"] == []
+    assert set(record["subject"]["adapters"]) == {"modbus", "mqtt", "opcua"}
+
+
+def test_a_subject_file_is_certified_and_the_certificate_verified(
+    empty: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    subject = tmp_path_factory.mktemp("subject") / "otmcp.toml"
+    subject.write_text(SUBJECT)
+    certified = run(empty, "otmcp", "certify", "--subject", str(subject), "--out", "certificate", timeout=600)
+    assert certified.returncode == 0, certified.stdout + certified.stderr
+    statement = json.loads((empty / "certificate" / "certificate.json").read_text())
+    assert statement["predicateType"].startswith("https://in-toto.io/attestation/")
+    verified = run(empty, "otmcp", "verify", "certificate/certificate.json", "certificate/run.json")
+    assert verified.returncode == 0, verified.stdout + verified.stderr
+
+
+def test_a_changed_file_of_the_installed_kit_is_on_record(empty: Path) -> None:
+    [module] = (empty / ".venv" / "lib").glob("python*/site-packages/pytest_otmcp/conformance/test_normal.py")
+    genuine = module.read_bytes()
+    module.write_bytes(genuine + b"# changed\n")
+    try:
+        run(empty, "python", "-m", "pytest", "--otmcp-reps=1", "-k", "M1", "--otmcp-report-dir=changed")
+    finally:
+        module.write_bytes(genuine)
+    record = load(empty / "changed" / "run.json", allow_incomplete=True)
+    assert (
+        "files of the installed kit were changed: pytest_otmcp/conformance/test_normal.py"
+        in record["settings"]["narrowed"]
+    )

@@ -1,0 +1,85 @@
+"""What pytest's exit code says: 0 conformant, 1 not, 2 usage or interrupted, 3 a fault of the kit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from .vendor import Repository
+
+BROKEN_KIT = """
+import pytest
+from pytest_otmcp import trial
+
+async def broken(self):
+    raise RuntimeError("a bug")
+
+@pytest.fixture(autouse=True)
+def break_the_kit(monkeypatch):
+    monkeypatch.setattr(trial.Trial, "run", broken)
+"""
+
+
+@pytest.fixture
+def repository(tmp_path: Path) -> Repository:
+    """An empty repository."""
+    return Repository(tmp_path)
+
+
+def deviations(items: list[str], expires: str) -> str:
+    """Known deviations as a subject file has them."""
+    return "".join(
+        f'\n[[deviation]]\nitem = "{item}"\nadapter = "modbus"\nreason = "known"\nexpires = {expires}\n'
+        for item in items
+    )
+
+
+def test_known_deviations_make_the_exit_code_green_and_not_the_verdict(repository: Repository) -> None:
+    repository.subject("wrong-value")
+    first = repository.pytest("--otmcp-reps=1")
+    assert first.code == 1
+    failing = [item for item, status in first.statuses.items() if status == "FAIL"]
+    assert failing
+
+    repository.subject("wrong-value", deviations(failing, "2999-01-01"))
+    excused = repository.pytest("--otmcp-reps=1")
+    assert excused.code == 0, excused.output
+    assert excused.verdict == "NOT CONFORMANT"
+    assert sorted(excused.record["footer"]["deviations"]["used"]) == sorted(failing)
+
+    repository.subject("wrong-value", deviations([*failing, "M1"], "2999-01-01"))
+    stale = repository.pytest("--otmcp-reps=1")
+    assert stale.code == 1
+    assert stale.record["footer"]["deviations"]["stale"] == ["M1"]
+
+
+def test_a_conformant_run_beside_a_failure_of_the_vendors_own_is_no_success(repository: Repository) -> None:
+    repository.subject()
+    repository.write(tests__test_own_py="def test_own():\n    assert False\n")
+    alone = repository.pytest("--otmcp-reps=1")
+    assert alone.code == 0, alone.output
+    together = repository.pytest("--otmcp-reps=1", "tests", "--pyargs", "pytest_otmcp.conformance")
+    assert "VERDICT: CONFORMANT" in together.output
+    assert together.code == 1
+
+
+def test_a_bug_of_the_kit_is_neither_success_nor_failure(repository: Repository) -> None:
+    repository.subject()
+    repository.write(conftest_py=BROKEN_KIT)
+    outcome = repository.pytest("--otmcp-reps=1", "-k", "M1")
+    assert outcome.code == 3
+    assert outcome.statuses["M1"] == "KIT_ERROR"
+    assert "RuntimeError: a bug. This is the kit's fault; please file a bug." in " ".join(outcome.output.split())
+    assert "pytest_otmcp.trial.Trial.run was replaced by something from" in " ".join(outcome.narrowed)
+
+
+def test_an_adapter_without_the_tool_that_its_subject_names_is_a_usage_error(repository: Repository) -> None:
+    binding = '\n[adapter.modbus.bind.ping]\ntool = "pingg"\nresult = { reachable = "data.reachable" }\n'
+    repository.subject(more=binding)
+    for parallel in ((), ("-n", "2")):
+        outcome = repository.pytest("--otmcp-reps=1", *parallel, plugins="xdist")
+        assert outcome.code == 2, outcome.output
+        assert "the adapter lists no tool 'pingg'; did you mean 'ping'?" in outcome.output
+        assert "VERDICT" not in outcome.output
+        assert "Traceback" not in outcome.output

@@ -1,0 +1,58 @@
+"""The public fixtures: every example of their documentation runs as printed, whatever runs asynchronous tests."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from .vendor import Outcome, Repository
+
+PAGE = Path(__file__).parents[2] / "docs" / "fixtures.md"
+EXAMPLES = re.findall(r"^```python\n(.*?)^```$", PAGE.read_text(), re.DOTALL | re.MULTILINE)
+TESTS = sum(len(re.findall(r"^(?:async )?def test_", example, re.MULTILINE)) for example in EXAMPLES)
+ANYIO = """
+
+@pytest.fixture
+def anyio_backend():
+    return "asyncio"
+"""
+
+
+def run(root: Path, *options: str, plugins: str, mark: str = "pytest.mark.asyncio", more: str = "") -> Outcome:
+    """Run all examples, their asynchronous tests marked otherwise if need be; every warning is an error."""
+    repository = Repository(root)
+    for number, example in enumerate(EXAMPLES):
+        content = example.replace("@pytest.mark.asyncio\n", f"@{mark}\n" if mark else "")
+        repository.write(**{f"tests__test_example_{number}_py": content + (more if mark in content else "")})
+    return repository.pytest("-W", "error", *options, plugins=plugins)
+
+
+def all_passed(outcome: Outcome) -> None:
+    assert f"{TESTS} passed" in outcome.output, outcome.output
+    assert outcome.code == 0, outcome.output
+    assert "VERDICT" not in outcome.output
+
+
+def test_there_are_examples_of_both_kinds() -> None:
+    text = "\n".join(EXAMPLES)
+    assert "\ndef test_" in text
+    assert "\nasync def test_" in text
+    for fixture in ("otmcp_modbus_device", "otmcp_broker", "otmcp_opcua_plant", "otmcp_session"):
+        assert fixture in text
+
+
+@pytest.mark.parametrize("options", [(), ("-n", "2")])
+def test_the_examples_run_under_pytest_asyncio_in_strict_mode(tmp_path: Path, options: tuple[str, ...]) -> None:
+    loops = ("-o", "asyncio_mode=strict", "-o", "asyncio_default_fixture_loop_scope=function")
+    all_passed(run(tmp_path, *loops, *options, plugins="pytest_asyncio.plugin xdist"))
+
+
+def test_the_examples_run_under_pytest_asyncio_in_auto_mode_with_loops_of_other_scopes(tmp_path: Path) -> None:
+    scopes = ("-o", "asyncio_default_fixture_loop_scope=session", "-o", "asyncio_default_test_loop_scope=module")
+    all_passed(run(tmp_path, "-o", "asyncio_mode=auto", *scopes, plugins="pytest_asyncio.plugin", mark=""))
+
+
+def test_the_examples_run_under_the_plugin_of_anyio(tmp_path: Path) -> None:
+    all_passed(run(tmp_path, plugins="anyio", mark="pytest.mark.anyio", more=ANYIO))
