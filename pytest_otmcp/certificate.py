@@ -12,23 +12,20 @@ A certificate is a function of the run record and of nothing else, so whoever ha
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator, Mapping
-from typing import Any, TypeGuard
+from typing import Any
 
+from .certifiable import why_not_claimed
 from .statistics import lower_bound, proportion_interval
-from .subject.operations import PROTOCOLS, facets
-from .task import SUITES, Task, repetitions
-from .verdict import Status, Verdict, decide
+from .subject.operations import facets
+from .task import SUITES, Task
+from .verdict import Status
 
-__all__ = ["MINIMUM_REPS", "PREDICATE_TYPE", "STATEMENT_TYPE", "certificate", "differences", "objections"]
+__all__ = ["PREDICATE_TYPE", "STATEMENT_TYPE", "certificate", "differences"]
 
 STATEMENT_TYPE = "https://in-toto.io/Statement/v1"
 PREDICATE_TYPE = "https://in-toto.io/attestation/test-result/v0.1"
 SCHEMA = "otmcp-certificate/1"
-
-MINIMUM_REPS = 30
-"""The paper's matrix: thirty passes of thirty mean at least 90 % with 95 % confidence, fewer mean less."""
 
 _CONFIDENCE = 0.95
 _FIRST_STATELESS = "2026-07-28"
@@ -47,127 +44,12 @@ _LIMITS = [
     "Bounds take repetitions as independent; they share a session.",
 ]
 
-_DIGEST = re.compile("sha256:[0-9a-f]{64}")
-
 Run = Mapping[str, Any]
 Tasks = Mapping[str, Task]
 
 
-def objections(run: Run, tasks: Tasks) -> list[str]:
-    """Why a run earns no certificate, one sentence each; empty when it does.
-
-    Args:
-        run: a run record that :func:`pytest_otmcp.record.load` accepted.
-        tasks: the whole suite.
-    """
-    found = [*_verdict_objections(run, tasks), *(_gaps(run) or _settings_objections(run))]
-    # What did not pass needs no further reason; what did must be everything that the subject claims.
-    return found or list(_item_objections(run, tasks))
-
-
-def _gaps(run: Run) -> list[str]:
-    """What a certificate needs to say and the record does not."""
-    environment = run["environment"] if isinstance(run["environment"], dict) else {}
-    texts = {
-        "kit.name": run["kit"].get("name"),
-        "kit.version": run["kit"].get("version"),
-        "kit.digest": run["kit"].get("digest"),
-        "kit.suite_digest": run["kit"].get("suite_digest"),
-        "subject.name": run["subject"].get("name"),
-        "subject.version": run["subject"].get("version"),
-        "subject.digest": run["subject"].get("digest"),
-        "environment.started_at": environment.get("started_at"),
-    }
-    lists = {
-        "subject.deviations": run["subject"].get("deviations"),
-        "settings.narrowed": run["settings"].get("narrowed"),
-    }
-    gaps = [
-        f"the record has no valid {name}"
-        for name, text in texts.items()
-        if not isinstance(text, str) or (name.endswith("digest") and not _DIGEST.fullmatch(text))
-    ]
-    gaps += [f"the record has no list {name}" for name, entries in lists.items() if not isinstance(entries, list)]
-    if not isinstance(run["footer"].get("tool_calls"), dict):
-        gaps.append("the record does not count its tool calls")
-    for protocol, facts in run["subject"]["adapters"].items():
-        if protocol not in PROTOCOLS or not isinstance(facts, dict) or not isinstance(facts.get("unclaimed"), dict):
-            gaps.append(f"the record's adapter {protocol!r} is none that the kit knows")
-    return gaps
-
-
-def _verdict_objections(run: Run, tasks: Tasks) -> Iterator[str]:
-    statuses = {item["id"]: Status(item["status"]) for item in run["items"]}
-    if not run["footer"]["complete"]:
-        yield f"the run is incomplete: {run['footer'].get('reason')}"
-    verdict = decide(statuses, tasks)
-    if verdict == Verdict.CONFORMANT:
-        if run["footer"].get("verdict") != Verdict.CONFORMANT:
-            yield f"the record calls the run {run['footer'].get('verdict')}, its items do not"
-        return
-    missing = [name for name in tasks if name not in statuses]
-    bad = [name for name, status in statuses.items() if status not in (Status.PASS, Status.NOT_APPLICABLE)]
-    why = [f"{', '.join(bad)} did not pass"] if bad else []
-    why += [f"{', '.join(missing)} did not run"] if missing else []
-    yield f"the verdict is {verdict}: {'; '.join(why) or 'nothing applies to the subject'}"
-
-
-def _settings_objections(run: Run) -> Iterator[str]:
-    settings, deviations = run["settings"], run["subject"]["deviations"]
-    if deviations:
-        yield f"known deviations are declared, and a certificate excuses nothing: {_short(deviations)}"
-    for sentence in settings["narrowed"]:
-        yield f"the suite was narrowed: {sentence}"
-    reps = settings.get("reps")
-    if not _is_count(reps) or reps < MINIMUM_REPS:
-        yield f"{reps!r} repetitions are not the {MINIMUM_REPS} that a certificate needs"
-    if settings.get("time_scale") != 1:
-        yield f"deadlines and windows were scaled by {settings.get('time_scale')}"
-    if settings.get("broker") != "embedded":
-        yield "the broker was not the kit's own"
-    if settings.get("suites") != list(SUITES):
-        yield f"not every suite was chosen: {settings.get('suites')}"
-
-
-def _item_objections(run: Run, tasks: Tasks) -> Iterator[str]:
-    reps = run["settings"].get("reps")
-    planned = repetitions(reps) if _is_count(reps) else {}
-    adapters = run["subject"]["adapters"]
-    for item in run["items"]:
-        name = item["id"]
-        task = tasks.get(name)
-        if task is None:
-            yield f"there is no item {name} in the suite"
-        elif (item["suite"], item["family"]) != (task.suite, task.family):
-            yield f"{name} is an item of {task.suite}, {task.family}, the record says {item['suite']}, {item['family']}"
-        elif item["planned"] != planned.get(task.suite):
-            yield f"{name} has {item['planned']} repetitions, the settings say {planned.get(task.suite)}"
-        elif (item["status"] == Status.NOT_APPLICABLE) != _applies_not(task, adapters):
-            yield f"{name} is called {item['status']}, which is not what the subject claims"
-
-
-def _is_count(value: Any) -> TypeGuard[int]:
-    # JSON's true is no number, though Python's is.
-    return isinstance(value, int) and not isinstance(value, bool) and value > 0
-
-
-def _applies_not(task: Task, adapters: Mapping[str, Any]) -> bool:
-    """Something that the task needs is not claimed."""
-    return any(_reason(facet, adapters) is not None for facet in task.needs)
-
-
-def _reason(facet: str, adapters: Mapping[str, Any]) -> str | None:
-    """Why a facet, with its protocol, is not claimed; None when it is."""
-    protocol, _, name = facet.partition(".")
-    if protocol not in adapters:
-        return f"the subject has no adapter for {PROTOCOLS[protocol]}"
-    unclaimed = adapters[protocol]["unclaimed"]
-    reason: str | None = unclaimed.get(name, unclaimed.get(name.partition(".")[0]))
-    return reason
-
-
 def certificate(run: Run, run_sha256: str, tasks: Tasks) -> dict[str, Any]:
-    """The certificate of a run without :func:`objections`.
+    """The certificate of a run without :func:`~pytest_otmcp.certifiable.objections`.
 
     Args:
         run: the run record.
@@ -221,7 +103,7 @@ def _adapter(protocol: str, facts: Mapping[str, Any], run: Run, tasks: Tasks) ->
         facet = f"{protocol}.{name}"
         behind = [item for item in run["items"] if facet in tasks[item["id"]].needs]
         applying = [item for item in behind if item["status"] != Status.NOT_APPLICABLE]
-        if (reason := _reason(facet, run["subject"]["adapters"])) is not None:
+        if (reason := why_not_claimed(facet, run["subject"]["adapters"])) is not None:
             not_claimed[name] = reason
         elif applying:
             # They have all passed, or there would be no certificate.
@@ -282,7 +164,7 @@ def _not_applicable(run: Run, tasks: Tasks) -> dict[str, str]:
         item["id"]: next(
             f"{facet}: {reason}"
             for facet in tasks[item["id"]].needs
-            if (reason := _reason(facet, adapters)) is not None
+            if (reason := why_not_claimed(facet, adapters)) is not None
         )
         for item in run["items"]
         if item["status"] == Status.NOT_APPLICABLE

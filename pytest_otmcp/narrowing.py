@@ -7,7 +7,6 @@ pytest or a plugin makes of them.
 
 from __future__ import annotations
 
-import os
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
@@ -22,7 +21,6 @@ from .task import SUITES, Task
 __all__ = ["Narrowing", "named", "outcome_for"]
 
 _KIT = Path(__file__).parent
-_LIBRARY = Path(os.__file__).parent
 
 _AROUND = (
     "pytest_runtest_protocol",
@@ -139,7 +137,7 @@ class Narrowing:
                 continue
             if name.startswith("otmcp"):
                 self.note(f"the fixture {name} of {self._place(function)} shadows the kit's")
-            elif _own(file):
+            elif _own(file, self._config.rootpath):
                 self.note(f"the fixture {name} of {self._place(function)} runs around the items")
         for hook in _AROUND:
             for who in _own_plugins(self._config, getattr(item.ihook, hook)):
@@ -189,20 +187,20 @@ def _own_plugins(config: pytest.Config, hook: Any) -> Iterator[str]:
     """Who implements a hook and is no installed plugin: conftests, and modules of the repository given with ``-p``."""
     for implementation in hook.get_hookimpls():
         file = getattr(implementation.plugin, "__file__", None)
-        if file is not None and _own(file):
+        if file is not None and _own(file, config.rootpath):
             yield _relative(Path(file), config.rootpath)
 
 
-def _own(file: str) -> bool:
-    """A file of the repository that the suite runs in: neither installed, nor of the standard library, nor the kit's.
+def _own(file: str, root: Path) -> bool:
+    """A file of the repository that the suite runs in, or a conftest: nothing that is installed, and not the kit's.
 
     What installed plugins do is noticed by its effects; they are part of the environment, as Python is.
     """
     path = Path(file)
-    return path.is_absolute() and not (
-        {"site-packages", "dist-packages"} & set(path.parts)
-        or any(path.is_relative_to(place) for place in (_LIBRARY, _KIT))
-    )
+    if path.name == "conftest.py":
+        return True
+    inside = path.is_relative_to(root) and not {"site-packages", "dist-packages"} & set(path.parts)
+    return inside and not path.is_relative_to(_KIT)
 
 
 def _relative(path: Path, root: Path) -> str:

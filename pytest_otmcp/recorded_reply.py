@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -24,7 +25,11 @@ from .station import READ_WRITE
 from .subject.answers import synthesised_from_outputs
 from .subject.model import Answering, Binding, ErrorRule, OutcomeRule, OutputRule
 
-__all__ = ["HistoryError", "recorded_reply", "restored_bindings"]
+__all__ = ["UNREADABLE", "HistoryError", "recorded_reply", "restored_bindings"]
+
+
+UNREADABLE = (LookupError, TypeError, ValueError, AttributeError, RecursionError, re.error)
+"""What reading a record may end in that has another shape than any that the kit writes."""
 
 
 class HistoryError(Exception):

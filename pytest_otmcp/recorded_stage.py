@@ -10,14 +10,14 @@ from .at_device import EndedError
 from .at_history import AtHistory, Past, Place
 from .errors import KitError, SubjectError
 from .history import restored_images
-from .recorded_reply import HistoryError
+from .recorded_reply import UNREADABLE, HistoryError
 from .repetition import Repetition
 from .stage import SessionFacts
 from .station import NoBindingError
 from .task import Steps, Task
 from .verdict import Status
 
-__all__ = ["HistoryError", "RecordedStage", "UnfinishedError"]
+__all__ = ["RecordedStage", "UnfinishedError"]
 
 
 class UnfinishedError(Exception):
@@ -66,7 +66,7 @@ class RecordedStage:
         """Look at what there is."""
         try:
             self._images = restored_images(self._history["images"])
-        except (KeyError, IndexError, TypeError, ValueError) as error:
+        except UNREADABLE as error:
             raise HistoryError(f"the images of the devices cannot be restored ({error!r})") from None
         self._places = [Place(station) for station in self._history["stations"]]
         missing = sorted(set(self._task.adapters) - {place.name for place in self._places})
@@ -126,7 +126,7 @@ class RecordedStage:
                     at.finish()
         except HistoryError as objection:
             self.objections[repetition.role, repetition.rep] = str(objection)
-        except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+        except UNREADABLE as error:
             # An oracle has met what no adapter and no device of the kit ever said.
             self.objections[repetition.role, repetition.rep] = f"it cannot be judged ({error!r})"
         for at in repetition.all:

@@ -15,7 +15,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from .envelope import same_json
-from .recorded_stage import HistoryError, RecordedStage, UnfinishedError
+from .recorded_reply import UNREADABLE, HistoryError
+from .recorded_stage import RecordedStage, UnfinishedError
 from .shipped import suite_digest, tasks_by_id
 from .task import Task
 from .trial import Trial
@@ -65,14 +66,21 @@ def rejudge(run: Record) -> list[str]:
 
 def _disagreements(run: Record) -> Iterator[str]:
     tasks = tasks_by_id()
-    yield from _of_subject(run)
+    yield from _readable("the run", _of_subject(run))
     for item in run["items"]:
         task = tasks.get(item["id"])
         if task is None:
             yield f"{item['id']}: the suite has no such task"
         else:
-            yield from _of_claims(item, task, run["subject"]["adapters"])
-            yield from _of_item(item, task, run["settings"])
+            yield from _readable(item["id"], _of_claims(item, task, run["subject"]["adapters"]))
+            yield from _readable(item["id"], _of_item(item, task, run["settings"]))
+
+
+def _readable(where: str, disagreements: Iterator[str]) -> Iterator[str]:
+    try:
+        yield from disagreements
+    except UNREADABLE as error:
+        yield f"{where}: the stored history cannot be read ({error!r})"
 
 
 def _of_subject(run: Record) -> Iterator[str]:
@@ -114,14 +122,9 @@ def _claimed(facet: str, adapters: Record) -> bool:
 
 def _of_item(item: Record, task: Task, settings: Record) -> Iterator[str]:
     name = item["id"]
-    try:
-        stage = RecordedStage(item, task, seed=settings["seed"], time_scale=settings["time_scale"])
-        trial = Trial(stage, task, item["planned"], seed=settings["seed"])
-        shown, objection = asyncio.run(_again(trial))
-        objection = objection or stage.left_over()
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        yield f"{name}: the stored history cannot be read ({error!r})"
-        return
+    stage = RecordedStage(item, task, seed=settings["seed"], time_scale=settings["time_scale"])
+    shown, objection = asyncio.run(_again(Trial(stage, task, item["planned"], seed=settings["seed"])))
+    objection = objection or stage.left_over()
     for (role, rep), reason in stage.objections.items():
         yield f"{_where(name, role, rep)}: {reason}"
     if objection is not None:

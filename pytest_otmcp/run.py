@@ -269,6 +269,7 @@ class Recorder:
                 "started_at": self._started.isoformat(timespec="seconds").replace("+00:00", "Z"),
             },
             "settings": {
+                "subject": settings.subject.name if settings.subject else None,
                 "reps": settings.reps,
                 "repetitions": settings.repetitions,
                 "seed": settings.seed,

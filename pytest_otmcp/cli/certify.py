@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
         KitError: the suite did not run.
         Refusal: no certificate.
     """
-    from ..certificate import MINIMUM_REPS
+    from ..certifiable import MINIMUM_REPS
     from ..subject import load_subject, reference_subject
 
     if args.reps < MINIMUM_REPS:
@@ -160,7 +160,8 @@ def _interruptible() -> Iterator[None]:
 
 def _conclude(out: Path, ended: int) -> int:
     """Write the certificate, or say why there is none."""
-    from ..certificate import certificate, objections
+    from ..certifiable import objections
+    from ..certificate import certificate
     from ..record import RecordError, load
     from ..shipped import tasks_by_id
 

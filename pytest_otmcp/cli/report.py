@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 from typing import Any
 
-from ..errors import UsageError
+from ..errors import KitError, UsageError
 from . import Refusal
 
 __all__ = ["add_parser", "run"]
@@ -30,6 +31,7 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         UsageError: there is no such file.
         Refusal: it is no record that can be believed.
+        KitError: a report could not be written; the others were.
     """
     from ..record import RecordError, load
     from ..report.render import write_all
@@ -41,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     except RecordError as reason:
         raise Refusal(f"no reports: {reason}") from None
     directory: Path = args.out if args.out is not None else args.record.parent
-    directory.mkdir(parents=True, exist_ok=True)
-    write_all(record, directory)
+    if failed := write_all(record, directory):
+        raise KitError("; ".join(f"{directory / name} was not written: {reason}" for name, reason in failed.items()))
     print(f"the reports of {args.record} are in {directory}")
     return 0

@@ -56,7 +56,8 @@ def verify(certificate_path: Path, record_path: Path) -> dict[str, Any]:
         UsageError: one of the files is not there.
         Refusal: something does not hold; one sentence.
     """
-    from ..certificate import certificate, differences, objections
+    from ..certifiable import objections
+    from ..certificate import certificate, differences
     from ..record import RecordError, load
     from ..replay import rejudge
     from ..shipped import tasks_by_id
@@ -73,10 +74,14 @@ def verify(certificate_path: Path, record_path: Path) -> dict[str, Any]:
         raise Refusal(f"refused: {certificate_path} is about another run.json than {record_path}")
     _check_kit(record_path, record["kit"])
     tasks = tasks_by_id()
-    _refuse(f"{record_path} earns no certificate", objections(record, tasks))
-    expected = certificate(record, digest, tasks)
-    _refuse(f"{certificate_path} does not say what the run says", list(differences(told, expected)))
-    _refuse(f"{record_path} was not judged as its history deserves", rejudge(record))
+    try:
+        _refuse(f"{record_path} earns no certificate", objections(record, tasks))
+        expected = certificate(record, digest, tasks)
+        _refuse(f"{certificate_path} does not say what the run says", list(differences(told, expected)))
+        _refuse(f"{record_path} was not judged as its history deserves", rejudge(record))
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        # This kit wrote records of its own runs with all that it reads here: whoever wrote this one was not this kit.
+        raise Refusal(f"refused: {record_path} holds what no run of this kit has written ({error!r})") from None
     return expected
 
 

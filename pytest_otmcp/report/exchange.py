@@ -1,6 +1,7 @@
 """One repetition as a conversation: what host and adapter said, and what the device saw, in one order of time. Pure.
 
-The clock of the calls is that of the journals, the machine's monotonic one. What has no time comes first.
+The clock of the calls is that of the journals, the machine's monotonic one. What has no time comes first, and
+a reply that never came last.
 """
 
 from __future__ import annotations
@@ -38,6 +39,9 @@ _DETAILED = 12
 
 _SHORT, _LONG = 300, 3_000
 """Characters of a line, and of an envelope or a frame."""
+
+_NEVER = 2**63
+"""When a reply came that did not come: after everything that the device saw."""
 
 _ROLES = {
     "task": "",
@@ -85,7 +89,7 @@ def conversation(calls: Sequence[Mapping[str, Any]], entries: Iterable[Mapping[s
     for index, call in enumerate(calls):
         timed += _call(call, detailed=index in detailed)
     timed += [(_whole(entry.get("t_ns")), _entry(entry)) for entry in entries]
-    begun = min((at for at, _ in timed if at is not None), default=0)
+    begun = min((at for at, _ in timed if at is not None and at != _NEVER), default=0)
     # The sort is stable: what has the same time, or none, stays in the order of the record.
     timed.sort(key=lambda pair: (pair[0] is not None, pair[0] or 0))
     return _cut([_at(event, at, begun) for at, event in timed])
@@ -107,7 +111,7 @@ def _cut(events: list[Event]) -> list[Event | int]:
 
 
 def _at(event: Event, at: int | None, begun: int) -> Event:
-    return event if at is None else replace(event, at_ms=(at - begun) / 1e6)
+    return event if at in (None, _NEVER) else replace(event, at_ms=(at - begun) / 1e6)
 
 
 def _whole(value: Any) -> int | None:
@@ -147,7 +151,9 @@ def _call(call: Mapping[str, Any], *, detailed: bool) -> list[tuple[int | None, 
         ),
     )
     sent, received = _whole(call.get("sent_ns")), _whole(call.get("received_ns"))
-    return [(sent, request), (sent if received is None else received, reply)]
+    if sent is not None and received is None:
+        received = _NEVER
+    return [(sent, request), (received, reply)]
 
 
 def _answer(call: Mapping[str, Any], frames: Mapping[str, Any]) -> tuple[str, str]:

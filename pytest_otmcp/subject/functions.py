@@ -18,11 +18,12 @@ first request to its last reply.
 
 from __future__ import annotations
 
-import importlib.util
 import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from importlib.machinery import SourceFileLoader
 from pathlib import Path
+from types import ModuleType
 from typing import Any, Protocol
 
 from ..errors import UsageError
@@ -82,12 +83,13 @@ def load_functions(path: Path, protocol: str, key: str) -> dict[str, Function]:
     Raises:
         UsageError: the file cannot be imported, or defines something that is no operation.
     """
-    spec = importlib.util.spec_from_file_location(f"otmcp_bindings_{protocol}", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
+    name = f"otmcp_bindings_{protocol}"
+    # Whatever its name ends with, it is Python.
+    loader = SourceFileLoader(name, str(path))
+    module = ModuleType(name)
+    module.__file__ = str(path)
     try:
-        spec.loader.exec_module(module)
+        loader.exec_module(module)
     except FileNotFoundError:
         raise UsageError(f"{key}: {path}: there is no such file") from None
     except Exception as error:
@@ -107,10 +109,12 @@ def _checked(name: str, function: Callable[..., Any], protocol: str, where: str)
         raise UsageError(f"{where}: {name} is no operation; they are {known} (begin helpers with an underscore)")
     if not inspect.iscoroutinefunction(function):
         raise UsageError(f"{where}: {name} must be an 'async def'")
+    # How long to wait is told to tools that are bound as ``blocking``; a function is asked for what there is.
+    told = [name for name in operation.inputs if name != "seconds"]
     try:
-        inspect.signature(function).bind(None, **dict.fromkeys(operation.inputs))
+        inspect.signature(function).bind(None, **dict.fromkeys(told))
     except TypeError:
-        inputs = ", ".join(operation.inputs)
+        inputs = ", ".join(told)
         expected = f"{name}(tools{', *, ' + inputs if inputs else ''})"
         raise UsageError(f"{where}: {name} must be callable as {expected}") from None
     return Function(name=name, call=function)

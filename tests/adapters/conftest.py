@@ -161,7 +161,7 @@ class Client:
         self.stdin.close()
         while self._selector.get_map() and time.monotonic() < started + 5.0:
             self._read(1.0)
-        code = self.process.wait(timeout=5.0)
+        code = self.process.wait(timeout=20.0)
         elapsed = time.monotonic() - started
         self.stdout.close()
         assert self.process.stderr
@@ -196,7 +196,7 @@ class Mock:
         ready = self._event("ready")
         self.port: int = ready["port"]
         self.pid: int = ready["pid"]
-        self._control = socket.create_connection(("127.0.0.1", ready["control"]), timeout=5.0)
+        self._control = socket.create_connection(("127.0.0.1", ready["control"]), timeout=20.0)
         self._lines = self._control.makefile("rb")
 
     def _event(self, expected: str) -> dict[str, Any]:
@@ -264,7 +264,7 @@ class Mock:
         assert self.launcher.stdout
         self._hang_up()
         self.launcher.stdin.close()
-        self.launcher.wait(timeout=5.0)
+        self.launcher.wait(timeout=20.0)
         self.launcher.stdout.close()
 
 

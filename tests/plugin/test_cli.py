@@ -20,10 +20,13 @@ import psutil
 import pytest
 
 from pytest_otmcp import cli
+from pytest_otmcp.certifiable import objections
 from pytest_otmcp.certificate import certificate
+from pytest_otmcp.cli.verify import verify
 from pytest_otmcp.errors import KitError, UsageError
 from pytest_otmcp.record import digest, load
 from pytest_otmcp.shipped import tasks_by_id
+from tests.unit.certified import conformant_run, resealed
 
 OTMCP = [sys.executable, "-P", "-m", "pytest_otmcp.cli"]
 SAMPLE = Path(__file__).parents[2] / "reports" / "sample" / "run.json"
@@ -182,6 +185,14 @@ def test_reports_are_made_again_without_measuring(tmp_path: Path) -> None:
     assert {"tables/tab_results.tex", "figures/latency_boxplot.pdf", "report.html", "summary.md"} <= made
 
 
+def test_a_report_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+    (tmp_path / "out" / "summary.md" / "in the way").mkdir(parents=True)
+    done = otmcp("report", str(SAMPLE), "--out", "out", cwd=tmp_path)
+    assert done.returncode == 3
+    assert "summary.md was not written: " in sentence(done)
+    assert (tmp_path / "out" / "report.html").is_file()
+
+
 def test_no_report_is_made_from_a_record_that_was_edited(tmp_path: Path) -> None:
     edited = tmp_path / "run.json"
     edited.write_text(SAMPLE.read_text().replace('"repetition": 3', '"repetition": 4', 1))
@@ -242,6 +253,69 @@ def test_an_interrupted_certification_leaves_a_record_and_nothing_running(
     out = tmp_path / "reports" / "certificate"
     assert load(out / "run.json", allow_incomplete=True)["footer"]["complete"] is False
     assert not (out / "certificate.json").exists()
+
+
+def concluded(record: dict[str, Any] | None, ended: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> int:
+    """The exit code of a certification whose suite left this record."""
+
+    def suite(_subject: Path | None, _reps: int, out: Path) -> int:
+        if record is not None:
+            (out / "run.json").write_text(json.dumps(resealed(record)))
+        return ended
+
+    monkeypatch.setattr("pytest_otmcp.cli.certify._run_suite", suite)
+    return cli.main(["certify", "--out", str(tmp_path)])
+
+
+@pytest.mark.parametrize(
+    ("statuses", "ended", "code", "words"),
+    [
+        (None, 2, 2, "no certificate: the suite did not begin, for the reason above"),
+        (None, 4, 2, "no certificate: the suite did not begin, for the reason above"),
+        (None, 3, 3, "no certificate: pytest ended with 3 before anything was recorded (a fault of the kit"),
+        (None, 5, 3, "no certificate: pytest ended with 5 before anything was recorded (a fault of the kit"),
+        ({"M1": "FAIL"}, 1, 1, "no certificate: the verdict is NOT CONFORMANT: M1 did not pass"),
+        ({"M1": "KIT_ERROR"}, 3, 3, "no certificate: the verdict is INDETERMINATE: M1 did not pass"),
+        ({"M1": "KIT_ERROR", "M2": "FAIL"}, 3, 3, "no certificate: the verdict is INDETERMINATE: M1, M2 did not pass"),
+        ({"M1": "NOT_APPLICABLE"}, 0, 1, "no certificate: M1 is called NOT_APPLICABLE"),
+    ],
+)
+def test_without_a_certificate_the_exit_code_says_whose_fault_it_is(
+    statuses: dict[str, str] | None,
+    ended: int,
+    code: int,
+    words: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    record = None if statuses is None else conformant_run()
+    for entry in record["items"] if record is not None else ():
+        entry["status"] = statuses.get(entry["id"], entry["status"])
+    if record is not None and ended:
+        record["footer"]["verdict"] = "NOT CONFORMANT"
+    assert concluded(record, ended, tmp_path, monkeypatch) == code
+    assert capsys.readouterr().err.startswith(f"otmcp: {words}")
+    assert not (tmp_path / "certificate.json").exists()
+
+
+def test_a_run_that_was_narrowed_although_it_was_isolated_gets_no_certificate(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record = conformant_run()
+    record["settings"]["narrowed"] = ["files of the installed kit were changed: oracle.py"]
+    assert concluded(record, 0, tmp_path, monkeypatch) == 1
+    assert "the suite was narrowed: files of the installed kit were changed: oracle.py" in capsys.readouterr().err
+
+
+def test_what_is_not_claimed_is_printed_with_its_reason(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert concluded(conformant_run(), 0, tmp_path, monkeypatch) == 0
+    told = capsys.readouterr().out
+    assert "modbus: not claimed: guard (it has no read-only mode)" in told
+    assert "mqtt" not in told
+    assert {"certificate.json", "badge.json", "badge.svg"} <= set(os.listdir(tmp_path))
 
 
 # -- certify and verify, over the whole suite -------------------------------------------------------------------
@@ -387,14 +461,24 @@ FORGERIES: list[tuple[str, Change]] = [
 ]
 
 
-@pytest.mark.parametrize(("change"), [change for _, change in FORGERIES], ids=[name for name, _ in FORGERIES])
-def test_a_record_that_was_changed_and_sealed_again_is_refused(pair: tuple[Path, Path], change: Change) -> None:
+@pytest.mark.parametrize("change", [change for _, change in FORGERIES], ids=[name for name, _ in FORGERIES])
+def test_a_record_that_was_changed_sealed_and_certified_again_is_refused(
+    pair: tuple[Path, Path], change: Change
+) -> None:
     run = load(pair[1])
     change(run)
     run["footer"]["digest"] = digest(run)
     pair[1].write_text(json.dumps(run))
-    refused(pair)
-    # The forger knows this kit and makes the certificate as well: now only the history itself can contradict him.
-    statement = certificate(run, hashlib.sha256(pair[1].read_bytes()).hexdigest(), tasks_by_id())
+    with pytest.raises(cli.Refusal, match="is about another run"):
+        verify(*pair)
+    # A forger who knows this kit makes the certificate as well: now only the run can contradict itself.
+    sha256 = hashlib.sha256(pair[1].read_bytes()).hexdigest()
+    statement = json.loads(pair[0].read_text())
+    if objections(run, tasks_by_id()):
+        statement["predicate"]["configuration"][2]["digest"]["sha256"] = sha256
+    else:
+        statement = certificate(run, sha256, tasks_by_id())
     pair[0].write_text(json.dumps(statement))
-    assert "is about another run.json" not in refused(pair)
+    with pytest.raises(cli.Refusal, match="refused: ") as refusal:
+        verify(*pair)
+    assert "is about another run.json" not in str(refusal.value)

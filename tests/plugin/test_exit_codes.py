@@ -30,7 +30,7 @@ def repository(tmp_path: Path) -> Repository:
 def deviations(items: list[str], expires: str) -> str:
     """Known deviations as a subject file has them."""
     return "".join(
-        f'\n[[deviation]]\nitem = "{item}"\nadapter = "modbus"\nreason = "known"\nexpires = {expires}\n'
+        f'\n[[deviation]]\nitem = "{item}"\nreason = "known"\nexpires = {expires}\n'
         for item in items
     )
 

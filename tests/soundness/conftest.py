@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -13,10 +14,12 @@ import pytest
 from pytest_otmcp.bench import Bench, BenchOptions, Plant
 from pytest_otmcp.loop import LoopThread
 from pytest_otmcp.shipped import tasks_by_id
-from pytest_otmcp.subject import Adapter, Subject, reference_subject
+from pytest_otmcp.subject import Adapter, Subject, load_subject, reference_subject
+from pytest_otmcp.task import Task
 from pytest_otmcp.trial import Trial
 
 HERE = Path(__file__).parent
+SUBJECTS = HERE / "subjects"
 TIME_SCALE = 0.3
 """Deadlines of 1.5 s: long enough for an honest adapter on a busy machine, short enough to wait for a hanging one."""
 
@@ -36,10 +39,28 @@ def plant(loop: LoopThread) -> Iterator[Plant]:
 
 
 Results = dict[str, dict[str, Any]]
+Judge = Callable[..., Results]
 
 
 @pytest.fixture
-def judge(loop: LoopThread, plant: Plant) -> Callable[..., Results]:
+def run_tasks(loop: LoopThread, plant: Plant) -> Callable[[Subject, list[Task], float], Results]:
+    """Every task once, in this order, over one bench."""
+
+    def run(subject: Subject, chosen: list[Task], time_scale: float) -> Results:
+        async def all_of_them() -> Results:
+            bench = Bench(subject, BenchOptions(time_scale=time_scale), plant)
+            try:
+                return {task.id: await Trial(bench, task, 1).run() for task in chosen}
+            finally:
+                await bench.close()
+
+        return loop.run(all_of_them())
+
+    return run
+
+
+@pytest.fixture
+def judge(run_tasks: Callable[[Subject, list[Task], float], Results]) -> Judge:
     """``judge(protocol, program, mode, …)``: every task that needs the protocol, once, with that adapter replaced."""
 
     def run(
@@ -58,34 +79,85 @@ def judge(loop: LoopThread, plant: Plant) -> Callable[..., Results]:
         }
         adapters: dict[str, Adapter] = {**reference.adapters, protocol: replace(genuine, variants=variants)}
         subject = Subject(name="defective", version="0", adapters=adapters, source=HERE)
-        chosen = [
-            task
-            for identifier, task in tasks_by_id().items()
-            if protocol in task.adapters and (tasks is None or identifier in tasks.split())
-        ]
-
-        async def all_of_them() -> Results:
-            bench = Bench(subject, BenchOptions(time_scale=time_scale), plant)
-            try:
-                return {task.id: await Trial(bench, task, 1).run() for task in chosen}
-            finally:
-                await bench.close()
-
-        return loop.run(all_of_them())
+        chosen = [task for task in tasks_by_id().values() if protocol in task.adapters and _wanted(task, tasks)]
+        return run_tasks(subject, chosen, time_scale)
 
     return run
 
 
+@pytest.fixture
+def judge_foreign(run_tasks: Callable[[Subject, list[Task], float], Results]) -> Judge:
+    """``judge_foreign(name, …, lie=…)``: the tasks of the protocols that subjects of ``subjects/`` speak, once each.
+
+    ``described`` is a pair: what to replace in the subject file, and by what.
+    """
+
+    def run(
+        *names: str, lie: str | None = None, tasks: str | None = None, described: tuple[str, str] | None = None
+    ) -> Results:
+        adapters: dict[str, Adapter] = {}
+        for name in names:
+            adapters |= foreign_subject(name, described).adapters
+        subject = Subject(name="foreign", version="0", adapters=adapters, source=SUBJECTS)
+        if lie is not None:
+            subject = _lying(subject, lie)
+        chosen = [
+            task for task in tasks_by_id().values() if set(task.adapters) & set(adapters) and _wanted(task, tasks)
+        ]
+        return run_tasks(subject, chosen, TIME_SCALE)
+
+    return run
+
+
+def foreign_subject(name: str, described: tuple[str, str] | None = None) -> Subject:
+    """A subject of ``subjects/``, with its file as it is or with a text in it replaced."""
+    if described is None:
+        return load_subject(SUBJECTS / f"{name}.toml")
+    text = (SUBJECTS / f"{name}.toml").read_text(encoding="utf-8")
+    assert described[0] in text
+    with tempfile.TemporaryDirectory() as directory:
+        path = Path(directory, "otmcp.toml")
+        path.write_text(text.replace(*described).replace("{dir}", str(SUBJECTS)), encoding="utf-8")
+        return load_subject(path)
+
+
+def _wanted(task: Task, tasks: str | None) -> bool:
+    return tasks is None or task.id in tasks.split()
+
+
+def _lying(subject: Subject, lie: str) -> Subject:
+    return replace(
+        subject,
+        adapters={
+            protocol: replace(
+                adapter,
+                variants={
+                    name: replace(variant, env={**variant.env, "FOREIGN_LIE": lie})
+                    for name, variant in adapter.variants.items()
+                },
+            )
+            for protocol, adapter in subject.adapters.items()
+        },
+    )
+
+
 def failing(results: Results) -> set[str]:
-    """Ids of the items that did not pass."""
-    return {identifier for identifier, result in results.items() if result["status"] != "PASS"}
+    """Ids of the items that neither passed nor do not apply."""
+    return {
+        identifier for identifier, result in results.items() if result["status"] not in ("PASS", "NOT_APPLICABLE")
+    }
+
+
+def passing(results: Results) -> set[str]:
+    """Ids of the items that passed."""
+    return {identifier for identifier, result in results.items() if result["status"] == "PASS"}
 
 
 def words(results: Results) -> str:
     """Every finding's message."""
     return "\n".join(
-        finding["message"]
-        for result in results.values()
+        f"{identifier}: {finding['message']}"
+        for identifier, result in results.items()
         for findings in (result["findings"], *(sample["findings"] for sample in result["samples"]))
         for finding in findings
     )

@@ -13,7 +13,6 @@ from dataclasses import replace
 from importlib import import_module
 from typing import Any
 
-from mcp.types import CallToolResult, TextContent
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
 from pytest_otmcp.reference_adapters.core import server as core_server
 from pytest_otmcp.reference_adapters.core.run import serve
@@ -38,11 +37,11 @@ def traceback_as_text(server: AdapterServer) -> None:
     """Failures are prose with a traceback instead of an envelope."""
     genuine = core_server._result
 
-    def result(envelope: dict[str, Any]) -> CallToolResult:
+    def result(envelope: dict[str, Any]) -> dict[str, Any]:
         if envelope["success"]:
             return genuine(envelope)
         text = 'Traceback (most recent call last):\n  File "adapter.py", line 1\nModbusIOException'
-        return CallToolResult(content=[TextContent(type="text", text=text)], is_error=True)
+        return {"content": [{"type": "text", "text": text}], "isError": True}
 
     core_server._result = result
 
@@ -186,8 +185,8 @@ def truncates_overflow(server: AdapterServer) -> None:
 def is_error_never_set(server: AdapterServer) -> None:
     genuine = core_server._result
 
-    def result(envelope: dict[str, Any]) -> CallToolResult:
-        return genuine(envelope).model_copy(update={"is_error": False})
+    def result(envelope: dict[str, Any]) -> dict[str, Any]:
+        return {**genuine(envelope), "isError": False}
 
     core_server._result = result
 

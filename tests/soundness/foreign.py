@@ -130,7 +130,9 @@ def main() -> None:
     server = server_of(shape)
     if not shape.http:
         anyio.run(serve_stdio, server)
-        return
+        # Without the interpreter's own end, which takes as long as everything before it.
+        sys.stdout.flush()
+        os._exit(0)
     import uvicorn
 
     port = int(os.environ["FOREIGN_HTTP_PORT"])

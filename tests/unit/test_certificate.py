@@ -15,7 +15,8 @@ import pytest
 
 from pytest_otmcp import __version__
 from pytest_otmcp.badge import badge, badge_svg
-from pytest_otmcp.certificate import certificate, differences, objections
+from pytest_otmcp.certifiable import objections
+from pytest_otmcp.certificate import certificate, differences
 from pytest_otmcp.cli import Refusal
 from pytest_otmcp.cli.verify import verify
 from pytest_otmcp.errors import UsageError
@@ -382,6 +383,13 @@ def test_a_history_that_deserves_another_judgement_is_refused(
     found = ["M1: the record says PASS, the history FAIL", "M2: so too", "M3: so too", "M4: so too"]
     monkeypatch.setattr("pytest_otmcp.replay.rejudge", lambda run: found)
     assert refusal(*files).endswith("M1: the record says PASS, the history FAIL; M2: so too; M3: so too (and 1 more)")
+
+
+def test_a_history_that_cannot_be_judged_at_all_is_refused(
+    files: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pytest_otmcp.replay.rejudge", lambda run: run["items"][0]["samples"][0]["nothing"])
+    assert "holds what no run of this kit has written (KeyError('nothing'))" in refusal(*files)
 
 
 def test_a_record_without_any_of_its_fields_is_refused_and_crashes_nothing(

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pytest_otmcp.report.figures import write_figures
 
-from .samples import run
+from .samples import item, run
 from .test_latex import ALL, M1
 
 NAMES = ("latency_boxplot", "error_classes", "recovery_modes", "recovery_phases", "protocol_map")
@@ -39,3 +39,22 @@ def test_latencies_of_a_parallel_run_are_not_drawn(tmp_path: Path) -> None:
     write_figures(run(ALL, timing_valid=False), tmp_path)
     assert not (tmp_path / "latency_boxplot.png").exists()
     assert (tmp_path / "recovery_modes.png").exists()
+
+
+def test_an_adapter_cannot_break_a_figure_with_the_codes_it_makes_up(tmp_path: Path) -> None:
+    codes = ["$x^", "\\frac{", "a\nb", "\u202e\u4e2d", "", *(f"code_{index}" for index in range(20))]
+    items = [item(f"F{index}", "fault", "Modbus", "x", [1.0], error_code=code) for index, code in enumerate(codes)]
+    write_figures(run(items), tmp_path)
+    assert (tmp_path / "error_classes.pdf").is_file()
+
+
+def test_a_family_and_times_that_nobody_thought_of_are_drawn(tmp_path: Path) -> None:
+    lost = item("R-modbus", "recovery", "Modbus", "x", [1.0])
+    lost["samples"][0]["phases"] |= {"detect": 0.0, "same_session": None, "same_session_ok": False}
+    write_figures(run([item("M1", "normal", "PROFINET", "x", [0.0, 1e9]), lost]), tmp_path)
+    assert {path.stem for path in tmp_path.glob("*.png")} == {
+        "latency_boxplot",
+        "recovery_modes",
+        "recovery_phases",
+        "protocol_map",
+    }

@@ -95,6 +95,17 @@ RUNS = {
     "parallel": run(ALL, timing_valid=False),
     "failing": run([*ALL, written_twice(3), UNCLAIMED, BROKEN_KIT]),
 }
+RUNS["failing"]["settings"]["narrowed"] = ["a conftest replaced something"]
+RUNS["failing"]["subject"]["deviations"] = [{"item": "M3", "reason": "known", "expires": "2027-03-01"}]
+RUNS["failing"]["subject"]["adapters"]["modbus"] |= {
+    "command": ["acme", "--stdio"],
+    "server_name": "acme",
+    "server_version": "1",
+    "protocol_version": "2026-07-28",
+    "unmet": ["ENV-001"],
+    "unclaimed": {"guard": "there is none"},
+}
+RUNS["failing"]["environment"] |= {"platform": "Linux", "packages": {"mcp": "2.3.0"}}
 RUNS["hostile"] = hostile(copy.deepcopy(RUNS["failing"]))
 
 
@@ -172,7 +183,9 @@ def test_a_call_without_an_answer_says_so() -> None:
     failed = written_twice()
     spoken = failed["samples"][0]["calls"][0]
     spoken |= {"latency_ms": None, "envelope": None, "ok": False, **wire("{}", None, 100, None)}
-    assert "no reply not as required timeout" in Page(page(run([failed]))).text
+    shown = Page(page(run([failed]))).text
+    # Whatever the device saw came before the waiting was over.
+    assert shown.index("+1.50 modbus device") < shown.index("no reply not as required timeout")
 
 
 def test_an_error_and_its_reason_are_on_the_line_of_the_answer() -> None:
@@ -376,7 +389,13 @@ def browse(tmp_path: Path) -> Callable[[Path], tuple[str, list[str]]]:
     def start(path: Path) -> tuple[str, list[str]]:
         program = chromium()
         assert program is not None
-        options = ["--headless", "--disable-gpu", "--enable-logging=stderr", f"--user-data-dir={tmp_path / 'profile'}"]
+        options = [
+            "--headless",
+            "--disable-gpu",
+            "--disable-dev-shm-usage",
+            "--enable-logging=stderr",
+            f"--user-data-dir={tmp_path / 'profile'}",
+        ]
         # Chromium has no sandbox for root, as in a container of a CI job.
         options += ["--no-sandbox"] if os.geteuid() == 0 else []
         command = [program, *options, "--dump-dom", path.as_uri()]

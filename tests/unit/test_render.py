@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from pytest_otmcp.record import RunWriter, load
 from pytest_otmcp.report import command
 from pytest_otmcp.report.capabilities import Earned, Grade, earned
 from pytest_otmcp.report.html import page
@@ -27,6 +28,15 @@ def test_every_report_is_written_below_the_directory(tmp_path: Path) -> None:
     assert (directory / "summary.md").read_text(encoding="utf-8").startswith("## ✅ CONFORMANT")
     assert (directory / "tables" / "tab_results.tex").is_file()
     assert (directory / "figures" / "recovery_modes.png").is_file()
+
+
+def test_every_report_is_written_of_a_run_that_was_killed(tmp_path: Path) -> None:
+    record = run([])
+    path = tmp_path / "run.json"
+    writer = RunWriter(path, {name: record[name] for name in record if name not in ("items", "footer")})
+    writer.append(written_twice())
+    assert write_all(load(path, allow_incomplete=True), tmp_path) == {}
+    assert "The run is not complete: the run did not end." in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
 def test_the_same_record_gives_the_same_texts() -> None:

@@ -10,9 +10,13 @@ from typing import Any
 
 import pytest
 
+from pytest_otmcp.at_station import Place
 from pytest_otmcp.history import Images, restored_images
+from pytest_otmcp.plant import MockDevice
 from pytest_otmcp.replay import rejudge
 from pytest_otmcp.shipped import suite_digest, tasks_by_id
+from pytest_otmcp.station import BenchOptions, Station
+from pytest_otmcp.subject import reference_subject
 
 Item = dict[str, Any]
 
@@ -70,20 +74,13 @@ def entry(seq: int, kind: str, function: int, **fields: Any) -> dict[str, Any]:
     return {"protocol": "modbus", **common, "unit": 1, "transaction_id": seq, "function": function, **fields}
 
 
-def binding(tool: str, *inputs: str, output: str) -> list[dict[str, Any]]:
-    rule = dict.fromkeys(("regex", "split", "strip", "convert", "then")) | {"path": f"data.{output}", "wrap": False}
-    return [
-        {
-            "tool": tool,
-            "arguments": {name: f"${name}" for name in inputs},
-            "outputs": {output: rule},
-            "answering": {"form": "envelope", "outcome": [], "errors": []},
-            "when": {},
-            "offset": {},
-            "names": {},
-            "convert": {},
-        }
-    ]
+def station() -> dict[str, Any]:
+    """What an item keeps of the reference adapter's station: nothing is started for it."""
+    adapter = reference_subject().adapters["modbus"]
+    place = Place(Station(adapter, "rw", MockDevice("modbus"), BenchOptions()))
+    place.begin = 1
+    place.used = {"write_holding": None, "read_holding": None}
+    return place.as_record()
 
 
 def item() -> Item:
@@ -138,25 +135,7 @@ def item() -> Item:
         "findings": [],
         "timing_ms": {},
         "history": {
-            "stations": [
-                {
-                    "protocol": "modbus",
-                    "variant": "rw",
-                    "deadline_s": 5.0,
-                    "endpoint": {"host": "127.0.0.1", "port": "502", "url": "modbus+tcp://127.0.0.1:502"},
-                    "accepting_ns": 0,
-                    "begin": 1,
-                    "earlier": [],
-                    "recovery": "same_session",
-                    "unclaimed": [],
-                    "probes": {},
-                    "lacks": [],
-                    "bindings": {
-                        "write_holding": binding(WRITE, "address", "value", output="value"),
-                        "read_holding": binding(READ, "address", "count", output="values"),
-                    },
-                }
-            ],
+            "stations": [station()],
             "images": images.kept,
             "sessions": [],
             "around": [

@@ -1,0 +1,237 @@
+"""Two MQTT adapters of foreign shape, and their lies.
+
+``mqtt-connect``: has to be connected by a tool, does not reconnect; structured content with a ``success`` in it, ``isError``
+never set; one inbox for everything, no QoS.
+``mqtt-handle``: reconnects; a subscription has a handle that is polled and emptied; ``isError`` set.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import threading
+from typing import Any
+
+import paho.mqtt.client as paho
+from foreign import Failure, Shape, prose, structured
+from mcp.types import CallToolResult
+
+ANSWER_S = 1.0
+
+
+class Link:
+    """A connection to a broker, with answers that can be waited for."""
+
+    def __init__(self, host: str, port: int, *, reconnect: bool) -> None:
+        self.client = paho.Client(paho.CallbackAPIVersion.VERSION2, reconnect_on_failure=reconnect)
+        self.received: list[dict[str, str]] = []
+        self._answers: dict[int, Any] = {}
+        self._changed = threading.Condition()
+        self._where = (host, port)
+        self.client.reconnect_delay_set(0.05, 0.1)
+        self.client.on_message = self._message
+        self.client.on_subscribe = lambda client, data, mid, codes, properties: self._answer(mid, codes[0].value)
+        self.client.on_unsubscribe = lambda client, data, mid, codes, properties: self._answer(mid, 0)
+        self.client.on_publish = lambda client, data, mid, code, properties: self._answer(mid, 0)
+        self.client.on_connect = lambda *_: self._wake()
+        self.client.on_disconnect = lambda *_: self._wake()
+
+    def _wake(self) -> None:
+        with self._changed:
+            self._changed.notify_all()
+
+    def _answer(self, mid: int, value: int) -> None:
+        with self._changed:
+            self._answers[mid] = value
+            self._changed.notify_all()
+
+    def _message(self, client: paho.Client, data: Any, message: paho.MQTTMessage) -> None:
+        with self._changed:
+            self.received.append({"topic": message.topic, "payload": message.payload.decode("utf-8", "replace")})
+
+    def open(self) -> None:
+        try:
+            self.client.connect(*self._where, keepalive=30)
+        except OSError as error:
+            raise Failure("offline", f"not connected: {error}") from None
+        self.client.loop_start()
+        with self._changed:
+            if not self._changed.wait_for(self.client.is_connected, ANSWER_S):
+                raise Failure("offline", "not connected: the broker does not answer")
+
+    def close(self) -> None:
+        self.client.disconnect()
+        self.client.loop_stop()
+
+    def wait(self, mid: int | None) -> int:
+        """The broker's answer to a packet."""
+        with self._changed:
+            self._changed.wait_for(lambda: mid in self._answers or not self.client.is_connected(), ANSWER_S)
+            if mid not in self._answers:
+                raise Failure("offline", "not connected")
+            return int(self._answers[mid])
+
+    def check(self) -> None:
+        """Ask the broker for something that changes nothing."""
+        self.require()
+        self.wait(self.client.unsubscribe("foreign/nobody")[1])
+
+    def subscribe(self, filter: str, qos: int) -> int:
+        self.require()
+        return self.wait(self.client.subscribe(filter, qos)[1])
+
+    def publish(self, topic: str, payload: str, qos: int) -> None:
+        self.require()
+        self.wait(self.client.publish(topic, payload, qos).mid)
+
+    def require(self) -> None:
+        if not self.client.is_connected():
+            raise Failure("offline", "not connected")
+
+
+# -- connect first ----------------------------------------------------------------------------------------------------
+
+
+def mqtt_connect(lie: str | None, read_only: bool) -> Shape:
+    links: list[Link] = []
+
+    def link() -> Link:
+        if not links:
+            raise Failure("offline", "not connected: call open_connection first")
+        return links[-1]
+
+    def bad(failure: Failure) -> CallToolResult:
+        return structured({"success": False, "message": str(failure)})
+
+    async def open_connection(host: str, port: int) -> CallToolResult:
+        for old in links:
+            await asyncio.to_thread(old.close)
+        links[:] = [Link(host, port, reconnect=False)]
+        try:
+            await asyncio.to_thread(links[-1].open)
+        except Failure as failure:
+            return bad(failure)
+        return structured({"success": True, "message": f"connected to {host}:{port}"})
+
+    async def connection_state() -> CallToolResult:
+        if lie == "always-connected":
+            return structured({"success": True, "state": "connected"})
+        try:
+            await asyncio.to_thread(link().check)
+        except Failure:
+            # Asked for its state it can always tell it.
+            return structured({"success": True, "state": "not connected"})
+        return structured({"success": True, "state": "connected"})
+
+    async def listen(topic: str) -> CallToolResult:
+        if lie == "no-wildcards":
+            topic = topic.rstrip("#/")
+        try:
+            await asyncio.to_thread(link().subscribe, topic, 0)
+        except Failure as failure:
+            return bad(failure)
+        return structured({"success": True, "message": f"listening to {topic}"})
+
+    async def inbox() -> CallToolResult:
+        return structured({"success": True, "messages": list(links[-1].received) if links else []})
+
+    async def send(topic: str, text: str) -> CallToolResult:
+        if lie == "acknowledges-nonsense" and not topic:
+            return structured({"success": True, "topic": topic})
+        if not topic:
+            return bad(Failure("invalid", "the topic must not be empty"))
+        try:
+            await asyncio.to_thread(link().publish, topic, text, 0)
+        except Failure as failure:
+            return bad(failure)
+        if lie == "false-failure":
+            return bad(Failure("timeout", "timeout or error while publishing"))
+        return structured({"success": True, "topic": topic})
+
+    return Shape(
+        tools={
+            "open_connection": ({"host": "string", "port": "integer"}, open_connection),
+            "connection_state": ({}, connection_state),
+            "listen": ({"topic": "string"}, listen),
+            "inbox": ({}, inbox),
+            "send": ({"topic": "string", "text": "string"}, send),
+        }
+    )
+
+
+# -- handles ----------------------------------------------------------------------------------------------------------
+
+
+def mqtt_handle(lie: str | None, read_only: bool) -> Shape:
+    link = Link(os.environ["BROKER_HOST"], int(os.environ["BROKER_PORT"]), reconnect=True)
+    # Name of a handle to its filter and how many of the messages have been fetched.
+    handles: dict[str, tuple[str, int]] = {}
+    later: set[asyncio.Task[int]] = set()
+    opened = asyncio.Lock()
+
+    def bad(failure: Failure) -> CallToolResult:
+        return prose(f"{failure.kind}: {failure}", is_error=True)
+
+    async def ready() -> None:
+        async with opened:
+            if not link.client.host:
+                await asyncio.to_thread(link.open)
+
+    async def status() -> CallToolResult:
+        try:
+            await ready()
+            await asyncio.to_thread(link.check)
+        except Failure as failure:
+            return bad(failure)
+        return structured({"connected": True}, text="all is well")
+
+    async def start_subscription(topic_filter: str, qos: int) -> CallToolResult:
+        try:
+            await ready()
+            if lie == "clamps-qos":
+                qos = min(qos, 2)
+            if qos not in (0, 1, 2):
+                if lie == "applied-later":
+                    later.add(asyncio.create_task(subscribe_soon(topic_filter)))
+                raise Failure("invalid", "qos must be less than or equal to 2")
+            granted = await asyncio.to_thread(link.subscribe, topic_filter, qos)
+        except Failure as failure:
+            return bad(failure)
+        handle = f"s{len(handles) + 1}"
+        handles[handle] = (topic_filter, len(link.received))
+        return structured({"handle": handle, "granted": granted})
+
+    async def subscribe_soon(topic_filter: str) -> int:
+        await asyncio.sleep(0.01)
+        return await asyncio.to_thread(link.subscribe, topic_filter, 2)
+
+    async def poll(handle: str) -> CallToolResult:
+        if handle not in handles:
+            return bad(Failure("invalid", f"unknown handle {handle}"))
+        wanted, seen = handles[handle]
+        received = [] if lie == "empty-poll" else list(link.received)
+        handles[handle] = (wanted, len(received))
+        fresh = [message for message in received[seen:] if paho.topic_matches_sub(wanted, message["topic"])]
+        return structured({"messages": fresh})
+
+    async def publish(topic: str, message: str, qos: int) -> CallToolResult:
+        if not topic:
+            if lie == "hangs-on-nonsense":
+                # Not only this call: the loop is blocked, as by any synchronous tool.
+                threading.Event().wait()
+            return bad(Failure("invalid", "the topic must not be empty"))
+        try:
+            await ready()
+            await asyncio.to_thread(link.publish, topic, message, qos)
+        except Failure as failure:
+            return bad(failure)
+        return structured({"topic": topic})
+
+    return Shape(
+        tools={
+            "status": ({}, status),
+            "start_subscription": ({"topic_filter": "string", "qos": "integer"}, start_subscription),
+            "poll": ({"handle": "string"}, poll),
+            "publish": ({"topic": "string", "message": "string", "qos": "integer"}, publish),
+        }
+    )

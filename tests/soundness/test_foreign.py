@@ -1,0 +1,108 @@
+"""Adapters without our envelope, names and manners: the honest pass what they claim, each lie fails exactly its tasks."""
+
+from __future__ import annotations
+
+import pytest
+
+from .conftest import Judge, failing, passing, words
+
+NO_MQTT = "the subject has no adapter for MQTT"
+NO_OPCUA = "the subject has no adapter for OPC UA"
+NO_MODBUS = "the subject has no adapter for Modbus"
+
+MODBUS_ALONE = {"X1": NO_OPCUA, "X2": NO_OPCUA, "X1p": NO_OPCUA, "X2p": NO_OPCUA, "FX1": NO_OPCUA}
+MODBUS_WITHOUT_PING = {"M1": "modbus.ping is not claimed: has no tool for it", **MODBUS_ALONE}
+OTHERS_ALONE = {name: NO_MODBUS for name in MODBUS_ALONE}
+NO_SPARKPLUG = {"Q4": "mqtt.device_birth is not claimed: does not speak Sparkplug"}
+
+HONEST = {
+    "modbus-prose": ("M2 M3 M4 FM1 FM2 S1 S4 S7 S10 R-modbus", MODBUS_WITHOUT_PING),
+    "modbus-json": ("M1 M2 M3 M4 FM1 FM2 S1 S4 S7 S10 R-modbus", MODBUS_ALONE),
+    "modbus-http": ("M2 M3 M4 FM1 FM2 S1 S4 S7 S10 R-modbus", MODBUS_WITHOUT_PING),
+    "mqtt-connect": (
+        "Q1 Q2 Q3 FQ1 S2 S5 S8 S11 R-mqtt",
+        {"FQ2": "mqtt.subscribe.qos is not claimed: the tool takes no QoS", **NO_SPARKPLUG, **OTHERS_ALONE},
+    ),
+    "mqtt-handle": ("Q1 Q2 Q3 FQ1 FQ2 S2 S5 S8 S11 R-mqtt", {**NO_SPARKPLUG, **OTHERS_ALONE}),
+    "opcua-items": (
+        "O1 O2 O3 O4 FO1 FO2 S3 S6 S9 R-opcua",
+        {"S12": "opcua.recovery is not claimed: needs a new session after an outage", **OTHERS_ALONE},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", HONEST)
+def test_an_honest_adapter_passes_what_it_claims(judge_foreign: Judge, name: str) -> None:
+    tasks, reasons = HONEST[name]
+    results = judge_foreign(name)
+    assert failing(results) == set(), words(results)
+    assert passing(results) == set(tasks.split())
+    assert {
+        identifier: result["reason"] for identifier, result in results.items() if result["status"] == "NOT_APPLICABLE"
+    } == reasons
+
+
+def test_adapters_of_three_shapes_work_together(judge_foreign: Judge) -> None:
+    results = judge_foreign("modbus-prose", "mqtt-connect", "opcua-items", tasks="X1 X2 X1p X2p FX1")
+    assert passing(results) == {"X1", "X2", "X1p", "X2p", "FX1"}, words(results)
+
+
+LIES = {
+    ("modbus-prose", "demo-mode"): (
+        "M2 M3 M4 FM1 FM2 S1 S4 S7 S10 R-modbus",
+        "claims success, but says itself that it is not the device's: Demo Mode",
+    ),
+    ("modbus-prose", "wrong-table"): ("M2 S1 S7 S10", "should have seen 1 request(s) with function 4"),
+    ("modbus-prose", "partial-write"): ("FM2", "the device should have seen no write, it saw 1"),
+    ("modbus-prose", "guard-in-words"): ("M4", "the device should have seen no write, it saw 1"),
+    ("modbus-json", "cache"): ("S10 R-modbus", "says itself that it is not the device's: source is 'cache'"),
+    ("modbus-json", "silent-cache"): ("M2 S1 S7 S10 R-modbus", "values should be"),
+    ("modbus-json", "dry-run"): ("M3 M4 FM2 S4", "not the device's: dry_run is True"),
+    ("modbus-json", "clamps-value"): ("FM2", "it claims success"),
+    ("modbus-json", "applied-later"): ("M4", "the device should have seen no write, it saw 1"),
+    ("modbus-http", "reads-neighbour"): ("M2 FM1 S1 S4 S7 S10", "with function 4, address 0, quantity 4, it saw 0"),
+    ("mqtt-connect", "always-connected"): ("Q1 S8 S11 R-mqtt", "the broker should have answered the adapter"),
+    ("mqtt-connect", "no-wildcards"): ("Q2 S2", "the broker should have granted 'sensors/#', it saw SUBSCRIBE for"),
+    ("mqtt-connect", "acknowledges-nonsense"): ("FQ1", "it claims success"),
+    ("mqtt-connect", "false-failure"): ("Q3 FQ1 S5", "timeout or error while publishing"),
+    ("mqtt-handle", "clamps-qos"): ("FQ2", "it claims success"),
+    ("mqtt-handle", "applied-later"): ("FQ2", "the broker should have seen no SUBSCRIBE from the adapter, it saw"),
+    ("mqtt-handle", "empty-poll"): ("Q2 S2", "should be there once"),
+    ("mqtt-handle", "hangs-on-nonsense"): ("FQ1", "no reply within the deadline"),
+    ("opcua-items", "empty-success"): ("O2 O4", "nodes are missing or wrong"),
+    ("opcua-items", "echoes-write"): ("O3 FO2 S6", "the server should have seen one Write"),
+    ("opcua-items", "all-is-good"): ("FO1", "it claims success"),
+    ("opcua-items", "applied-nevertheless"): ("FO2", "ns=2;s=ValvePosition should hold"),
+}
+
+
+@pytest.mark.parametrize(("name", "lie"), LIES)
+def test_a_lie_fails_exactly_its_tasks(judge_foreign: Judge, name: str, lie: str) -> None:
+    tasks, reason = LIES[name, lie]
+    results = judge_foreign(name, lie=lie)
+    assert failing(results) == set(tasks.split()), words(results)
+    assert reason in words(results)
+    assert {result["status"] for result in results.values()} <= {"PASS", "FAIL", "NOT_APPLICABLE"}
+
+
+def test_an_item_that_is_missing_from_several_is_missed(judge_foreign: Judge) -> None:
+    names = ("modbus-prose", "mqtt-connect", "opcua-items")
+    results = judge_foreign(*names, lie="partial-read", tasks="X1 X2 X1p X2p FX1")
+    assert failing(results) == {"X1", "X1p"}, words(results)
+    assert "values should be" in words(results)
+
+
+MISDESCRIBED = {
+    # An adapter that forgives everything makes a wrong subject file look like a wrong adapter: the device tells.
+    "offset-forgotten": ("modbus-prose", "forgives-offset", ("offset = { address = 30001 }\n", ""), "M2 S1 S7 S10"),
+    # Its schema takes more arguments than it names, and its server drops them.
+    "argument-misspelt": ("modbus-json", None, ("length = ", "lenght = "), "M2 S10"),
+}
+
+
+@pytest.mark.parametrize("case", MISDESCRIBED)
+def test_a_subject_file_that_asks_for_something_else_cannot_pass(judge_foreign: Judge, case: str) -> None:
+    name, lie, described, tasks = MISDESCRIBED[case]
+    results = judge_foreign(name, lie=lie, described=described)
+    assert failing(results) == set(tasks.split()), words(results)
+    assert "the device should have seen 1 request(s) with function 4, address 0, quantity 4, it saw 0" in words(results)
