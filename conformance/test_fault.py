@@ -109,7 +109,7 @@ async def subscribe_with_qos_5(run: Repetition) -> None:
 async def a_proper_qos_is_accepted(run: Repetition) -> None:
     await run.mqtt.stays_quiet(QUIET_S, lambda journal: mqtt.no_packet(journal, "SUBSCRIBE", direction="in"))
     run.succeeds(await run.mqtt.call("subscribe", filter="sensors/#", qos=1), granted_qos=1)
-    run.witnessed(mqtt.subscribed(await run.mqtt.journal(), filter="sensors/#", qos=1))
+    run.witnessed(mqtt.subscribed(await run.mqtt.session_journal(), filter="sensors/#", qos=1))
 
 
 @FAULT.task(

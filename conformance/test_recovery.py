@@ -7,12 +7,18 @@ a process of its own. Times of recovery count from the moment at which the endpo
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import pytest
 
+from pytest_otmcp.at_device import Entry
+from pytest_otmcp.findings import Finding
 from pytest_otmcp.task import Steps, Suite, Task
 from pytest_otmcp.trial import Repetition
+from pytest_otmcp.witness import modbus_oracle as modbus
+from pytest_otmcp.witness import mqtt_oracle as mqtt
+from pytest_otmcp.witness import opcua_oracle as opcua
 
 RECOVERY = Suite("recovery", warm_up=False)
 
@@ -22,15 +28,21 @@ WINDOW_S = 5.0
 CONNECTION_FAULTS = ("connect_failed", "connection_lost", "timeout")
 
 
-def outage(protocol: str, operation: str, **inputs: Any) -> Steps:
-    """One trial: warm call, outage, failing call, restart, same session, fresh session."""
+NOTICING_S = 1.0
+"""How long a status may still say "connected" after the connection was cut (requirement REC-002: one keep-alive)."""
+
+Witness = Callable[[list[Entry]], list[Finding]]
+
+
+def outage(protocol: str, operation: str, witness: Witness, **inputs: Any) -> Steps:
+    """One trial: warm call, outage, failing call, restart, same session, fresh session; the device witnesses both."""
 
     async def steps(run: Repetition) -> None:
         at = run.at(protocol)
         warm = await at.call(operation, **inputs)
         run.must_succeed(warm)
         stop_ms = await at.stop_device()
-        failing = await at.call(operation, **inputs)
+        failing = await at.call_until_failure(operation, window_s=NOTICING_S, **inputs)
         run.fails(failing, *CONNECTION_FAULTS)
         restart_ms = await at.start_device()
 
@@ -39,12 +51,15 @@ def outage(protocol: str, operation: str, **inputs: Any) -> Steps:
         if at.recovery != "new_session":
             attempts = await at.call_until_success(operation, window_s=WINDOW_S, **inputs)
             run.succeeds(attempts[-1])
+            run.witnessed(witness(await at.journal()))
         recovered = attempts[-1] if attempts and attempts[-1].success else None
         accepting_ns = at.accepting_ns
 
+        before = len(await at.journal())
         fresh = await at.fresh_session()
         first = await at.call(operation, **inputs)
         run.succeeds(first)
+        run.witnessed(witness((await at.journal())[before:]))
 
         run.phases = {
             "warm_call": warm.latency_ms,
@@ -65,15 +80,30 @@ def milliseconds(begin_ns: int, end_ns: int | None) -> float | None:
     return None if end_ns is None else (end_ns - begin_ns) / 1e6
 
 
-def declare(family: str, title: str, needs: str, **inputs: Any) -> None:
+def declare(family: str, title: str, needs: str, witness: Witness, **inputs: Any) -> None:
     protocol, operation = needs.split(".")
     task = RECOVERY.task(f"R-{protocol}", family, title, needs=needs, requirements="REC-001 REC-002 MCP-009")
-    task(outage(protocol, operation, **inputs))
+    task(outage(protocol, operation, witness, **inputs))
 
 
-declare("Modbus", "Recover from a restart of the Modbus device.", "modbus.read_input", address=0, count=4)
-declare("MQTT", "Recover from a restart of the MQTT broker.", "mqtt.info")
-declare("OPC UA", "Recover from a restart of the OPC UA server.", "opcua.read", node="ns=2;s=Temperature")
+TEMPERATURE = "ns=2;s=Temperature"
+
+declare(
+    "Modbus",
+    "Recover from a restart of the Modbus device.",
+    "modbus.read_input",
+    modbus.some_exchange,
+    address=0,
+    count=4,
+)
+declare("MQTT", "Recover from a restart of the MQTT broker.", "mqtt.info", mqtt.exchange)
+declare(
+    "OPC UA",
+    "Recover from a restart of the OPC UA server.",
+    "opcua.read",
+    partial(opcua.read_from_device, node=TEMPERATURE),
+    node=TEMPERATURE,
+)
 
 
 @pytest.mark.parametrize("task", RECOVERY, ids=lambda task: task.id)

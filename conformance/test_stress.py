@@ -1,7 +1,8 @@
 """The stress suite: concurrent calls, fifty calls in a row, and an endpoint that goes away in the middle.
 
 Twelve tasks, three adapters each in turn. The restart tasks have three phases and all three are asserted: the read
-before works, the read during the outage fails as an envelope within its deadline, the read after works.
+before works, the read during the outage fails as an envelope within its deadline, the read after works. Afterwards a command is
+given during an outage: it has to fail, and must not be delivered when the endpoint is back.
 """
 
 from __future__ import annotations
@@ -26,7 +27,14 @@ RAPID_CALLS = 50
 SETTLING_S = 1.0
 """The paper's window: how long after the endpoint accepts connections again a call may still fail."""
 
+NOTICING_S = 1.0
+"""How long a status may still say "connected" after the connection was cut (requirement REC-002: one keep-alive)."""
+
+QUIET_S = 0.25
+"""How long the device is watched, once per item, for a command that must not come."""
+
 CONNECTION_FAULTS = ("connect_failed", "connection_lost", "timeout")
+UNCERTAIN = ("not_sent", "unknown")
 SENSORS = ("Temperature", "Pressure", "FlowRate", "TankLevel")
 
 
@@ -210,7 +218,7 @@ async def survives_a_restart(run: Repetition, protocol: str, operation: str, **i
     at = run.at(protocol)
     run.succeeds(await at.call(operation, **inputs))
     await at.stop_device()
-    run.fails(await at.call(operation, **inputs), *CONNECTION_FAULTS)
+    run.fails(await at.call_until_failure(operation, window_s=NOTICING_S, **inputs), *CONNECTION_FAULTS)
     await at.start_device()
     run.succeeds((await at.call_until_success(operation, window_s=SETTLING_S, **inputs))[-1])
 
@@ -227,6 +235,19 @@ async def modbus_restart(run: Repetition) -> None:
     run.witnessed(modbus.exactly_one_request(await run.modbus.journal(), function=4, address=0, quantity=4))
 
 
+@modbus_restart.after
+async def a_failed_register_write_is_not_made_up_for(run: Repetition) -> None:
+    if not run.modbus.claims("write_holding"):
+        return
+    await run.modbus.stop_device()
+    reply = await run.modbus.call("write_holding", address=30, value=run.rng.randrange(1, 0x10000))
+    run.fails(reply, *CONNECTION_FAULTS, outcome=UNCERTAIN)
+    await run.modbus.start_device()
+    # When it answers again it has its connection back: what it had kept for later would have been sent by now.
+    run.succeeds((await run.modbus.call_until_success("read_input", window_s=SETTLING_S, address=0, count=4))[-1])
+    await run.modbus.stays_quiet(QUIET_S, modbus.no_state_changing_request)
+
+
 @STRESS.task(
     "S11",
     "MQTT",
@@ -239,6 +260,19 @@ async def broker_restart(run: Repetition) -> None:
     run.witnessed(mqtt.exchange(await run.mqtt.journal()))
 
 
+@broker_restart.after
+async def a_failed_publish_is_not_made_up_for(run: Repetition) -> None:
+    if not run.mqtt.claims("publish"):
+        return
+    payload = f"nonce-{run.rng.getrandbits(64):016x}"
+    await run.mqtt.stop_device()
+    reply = await run.mqtt.call("publish", topic="control/pump", payload=payload, qos=1)
+    run.fails(reply, *CONNECTION_FAULTS, outcome=UNCERTAIN)
+    await run.mqtt.start_device()
+    run.succeeds((await run.mqtt.call_until_success("info", window_s=SETTLING_S))[-1])
+    await run.mqtt.stays_quiet(QUIET_S, lambda journal: mqtt.never_published(journal, payload.encode()))
+
+
 @STRESS.task(
     "S12",
     "OPC UA",
@@ -249,6 +283,19 @@ async def broker_restart(run: Repetition) -> None:
 async def opcua_restart(run: Repetition) -> None:
     await survives_a_restart(run, "opcua", "read", node="ns=2;s=Temperature")
     run.witnessed(opcua.read_from_device(await run.opcua.journal(), "ns=2;s=Temperature"))
+
+
+@opcua_restart.after
+async def a_failed_node_write_is_not_made_up_for(run: Repetition) -> None:
+    if not run.opcua.claims("write"):
+        return
+    await run.opcua.stop_device()
+    reply = await run.opcua.call("write", node="ns=2;s=FanSpeed", value=round(run.rng.uniform(0.0, 100.0), 6))
+    run.fails(reply, *CONNECTION_FAULTS, outcome=UNCERTAIN)
+    await run.opcua.start_device()
+    read = await run.opcua.call_until_success("read", window_s=SETTLING_S, node="ns=2;s=Temperature")
+    run.succeeds(read[-1])
+    await run.opcua.stays_quiet(QUIET_S, opcua.no_state_changing_service)
 
 
 @pytest.mark.parametrize("task", STRESS, ids=lambda task: task.id)

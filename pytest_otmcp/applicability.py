@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from .subject.model import Adapter
-from .subject.operations import PROTOCOLS, RECEIVE
+from .subject.operations import PROTOCOLS, behind
 from .task import Task
 from .verdict import Status
 
@@ -33,11 +33,7 @@ def applicability(task: Task, adapters: Mapping[str, Adapter]) -> tuple[Status, 
 
 
 def _resolved(facet: str, adapters: Mapping[str, Adapter]) -> Iterator[str]:
-    """The facets that stand behind one which is none of its own."""
     protocol, _, name = facet.partition(".")
-    if name != RECEIVE:
-        yield facet
-        return
-    if not adapters[protocol].blocks("messages"):
-        yield f"{protocol}.subscribe"
-    yield f"{protocol}.messages"
+    adapter = adapters[protocol]
+    for real in behind(name, [operation for operation in adapter.operations if adapter.blocks(operation)]):
+        yield f"{protocol}.{real}"

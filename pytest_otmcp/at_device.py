@@ -30,6 +30,9 @@ def place_name(protocol: str, variant: str) -> str:
     return protocol if variant == READ_WRITE else f"{protocol}@{variant}"
 
 
+_NOTICING_PAUSE_S = 0.05
+
+
 class EndedError(Exception):
     """What the rest of a repetition needs did not come about, such as an answer: it would say nothing, or only wait for
     one deadline after the other."""
@@ -115,6 +118,21 @@ class AtDevice(ABC):
             reply.role = "recovery"
             reply.ok = True
             await self._reconnecting()
+
+    async def call_until_failure(self, operation: str, *, window_s: float, **inputs: Any) -> Reply:
+        """Call until the adapter has noticed that the device is gone, or the window, counted from the first call, is over.
+        Only the last call has the repetition's role; those before it have the role ``recovery``.
+        """
+        window_ns = int(window_s * self._repetition.time_scale * 1e9)
+        begun_ns = None
+        while True:
+            reply = await self.call(operation, **inputs)
+            begun_ns = begun_ns or reply.wire.sent_ns
+            if not reply.success or (reply.wire.received_ns or 0) - begun_ns >= window_ns:
+                return reply
+            reply.role = "recovery"
+            reply.ok = True
+            await self._watch(_NOTICING_PAUSE_S)
 
     async def publish_from_kit(self, topic: str, payload: bytes) -> None:
         """Let the broker publish a message that does not come from the adapter, QoS 0, not retained."""

@@ -138,8 +138,8 @@ class Bench:
         found = []
         for (_, variant), station in self._stations.items():
             # The read-only variant need not have every tool.
-            if variant == READ_WRITE and station.session is not None:
-                found += drift(station.adapter, station.session.tools)
+            if variant == READ_WRITE and station.tools is not None:
+                found += drift(station.adapter, station.tools)
         return found
 
     def facts(self) -> dict[str, Any]:

@@ -10,11 +10,11 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any, TypeGuard
 
-from .subject.operations import PROTOCOLS
+from .subject.operations import PROTOCOLS, behind
 from .task import SUITES, Task, repetitions
 from .verdict import Status, Verdict, decide
 
-__all__ = ["MINIMUM_REPS", "objections", "why_not_claimed"]
+__all__ = ["MINIMUM_REPS", "needed", "objections", "why_not_claimed"]
 
 MINIMUM_REPS = 30
 """The paper's matrix: thirty passes of thirty mean at least 90 % with 95 % confidence, fewer mean less."""
@@ -63,7 +63,8 @@ def _gaps(run: Run) -> list[str]:
     if not isinstance(run["footer"].get("tool_calls"), dict):
         gaps.append("the record does not count its tool calls")
     for protocol, facts in run["subject"]["adapters"].items():
-        if protocol not in PROTOCOLS or not isinstance(facts, dict) or not isinstance(facts.get("unclaimed"), dict):
+        known = protocol in PROTOCOLS and isinstance(facts, dict)
+        if not known or not isinstance(facts.get("unclaimed"), dict) or not isinstance(facts.get("blocking"), list):
             gaps.append(f"the record's adapter {protocol!r} is none that the kit knows")
     return gaps
 
@@ -125,16 +126,26 @@ def _is_count(value: Any) -> TypeGuard[int]:
 
 def _applies_not(task: Task, adapters: Mapping[str, Any]) -> bool:
     """Something that the task needs is not claimed."""
-    return any(why_not_claimed(facet, adapters) is not None for facet in task.needs)
+    return any(why_not_claimed(facet, adapters) is not None for facet in needed(task, adapters))
+
+
+def needed(task: Task, adapters: Mapping[str, Any]) -> list[str]:
+    """The facets that a task needs of these adapters, each with its protocol.
+
+    Args:
+        task: of the suite.
+        adapters: ``subject.adapters`` of a run record.
+    """
+    found = []
+    for need in task.needs:
+        protocol, _, name = need.partition(".")
+        blocking = adapters[protocol].get("blocking", ()) if protocol in adapters else ()
+        found += [f"{protocol}.{real}" for real in behind(name, blocking)]
+    return list(dict.fromkeys(found))
 
 
 def why_not_claimed(facet: str, adapters: Mapping[str, Any]) -> str | None:
-    """Why a facet, such as ``modbus.guard``, is not claimed; None when it is.
-
-    Args:
-        facet: with its protocol.
-        adapters: ``subject.adapters`` of a run record.
-    """
+    """Why a facet, such as ``modbus.guard``, is not claimed; None when it is."""
     protocol, _, name = facet.partition(".")
     if protocol not in adapters:
         return f"the subject has no adapter for {PROTOCOLS[protocol]}"

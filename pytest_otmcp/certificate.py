@@ -15,7 +15,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from .certifiable import why_not_claimed
+from .certifiable import needed, why_not_claimed
 from .statistics import lower_bound, proportion_interval
 from .subject.operations import facets
 from .task import SUITES, Task
@@ -98,12 +98,13 @@ def _digest_set(digest: str) -> dict[str, str]:
 
 
 def _adapter(protocol: str, facts: Mapping[str, Any], run: Run, tasks: Tasks) -> dict[str, Any]:
+    adapters = run["subject"]["adapters"]
     earned, not_exercised, not_claimed = {}, [], {}
     for name in facets(protocol):
         facet = f"{protocol}.{name}"
-        behind = [item for item in run["items"] if facet in tasks[item["id"]].needs]
+        behind = [item for item in run["items"] if facet in needed(tasks[item["id"]], adapters)]
         applying = [item for item in behind if item["status"] != Status.NOT_APPLICABLE]
-        if (reason := why_not_claimed(facet, run["subject"]["adapters"])) is not None:
+        if (reason := why_not_claimed(facet, adapters)) is not None:
             not_claimed[name] = reason
         elif applying:
             # They have all passed, or there would be no certificate.
@@ -163,7 +164,7 @@ def _not_applicable(run: Run, tasks: Tasks) -> dict[str, str]:
     return {
         item["id"]: next(
             f"{facet}: {reason}"
-            for facet in tasks[item["id"]].needs
+            for facet in needed(tasks[item["id"]], adapters)
             if (reason := why_not_claimed(facet, adapters)) is not None
         )
         for item in run["items"]

@@ -17,13 +17,14 @@ import pytest
 
 from .task import Task
 
-__all__ = ["SUITE", "ShippedModule", "is_shipped", "names_suite", "quiet", "suite_by_default", "task_of"]
+__all__ = ["SUITE", "ShippedModule", "is_shipped", "names_suite", "quiet", "suite_by_default", "suite_root", "task_of"]
 
 SUITE = "pytest_otmcp.conformance"
 
 
 @cache
-def _root() -> Path:
+def suite_root() -> Path:
+    """The directory of the shipped suite."""
     spec = find_spec(SUITE)
     assert spec is not None
     assert spec.submodule_search_locations is not None
@@ -32,7 +33,7 @@ def _root() -> Path:
 
 @cache
 def _is_root(directory: Path) -> bool:
-    return directory.resolve() == _root()
+    return directory.resolve() == suite_root()
 
 
 def is_shipped(path: Path) -> bool:

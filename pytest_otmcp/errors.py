@@ -3,7 +3,7 @@
 ::
 
     Exception
-    ├── UsageError      the user's: a bad option or file; one sentence, exit code 4 of pytest
+    ├── UsageError      the user's: a bad option or file; one sentence, exit code 2
     ├── KitError        ours: a mock died, the plant could not start; the verdict becomes INDETERMINATE
     └── SubjectError    the adapter's: it could not start or serve; becomes a Finding, never a traceback
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from .collection import quiet
+from .collection import SUITE, is_shipped, quiet
 from .errors import UsageError
 from .keys import NARROWING, RESULT, RUN, SETTINGS, WORKSHOP
 
@@ -42,18 +42,21 @@ def otmcp_trial(request: pytest.FixtureRequest) -> Callable[[Task], None]:
 
     def run(task: Task) -> None:
         __tracebackhide__ = True
-        from .integrity import replaced_functions
+        from .integrity import altered_task, replaced_functions
 
-        config = request.config
-        try:
-            with quiet():
+        config, node = request.config, request.node
+        if RUN not in config.stash or not is_shipped(node.path):
+            pytest.fail(f"otmcp_trial runs the shipped suite only: pytest --pyargs {SUITE}", pytrace=False)
+        with quiet():
+            config.stash[NARROWING].note(*altered_task(task))
+            try:
                 result = config.stash[RUN].execute(task)
-        except UsageError as error:
-            if hasattr(config, "workeroutput"):
-                config.workeroutput[REFUSED] = str(error)
-            pytest.exit(str(error), returncode=2)
-        request.node.stash[RESULT] = result
-        config.stash[NARROWING].note(*replaced_functions())
+            except UsageError as error:
+                if hasattr(config, "workeroutput"):
+                    config.workeroutput[REFUSED] = str(error)
+                pytest.exit(str(error), returncode=2)
+            config.stash[NARROWING].note(*replaced_functions())
+        node.stash[RESULT] = result
         if result["status"] == "NOT_APPLICABLE":
             pytest.skip(f"{task.id}: {result['reason']}")
         if result["status"] != "PASS":

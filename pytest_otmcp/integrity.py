@@ -10,12 +10,16 @@ import hashlib
 import re
 import sys
 from collections.abc import Iterator
+from dataclasses import fields
 from functools import cache
 from importlib import metadata
 from pathlib import Path
 from types import FunctionType, ModuleType
 
-__all__ = ["changed_files", "replaced_functions"]
+from .collection import SUITE, suite_root
+from .task import Suite, Task
+
+__all__ = ["altered_task", "changed_files", "replaced_functions"]
 
 _KIT = Path(__file__).resolve().parent
 _LIBRARY = Path(hashlib.__file__).resolve().parent
@@ -67,6 +71,36 @@ def replaced_functions() -> list[str]:
                 f"{module.__name__}.{what} was replaced by something from {where}" for what, where in _foreign(module)
             ]
     return found
+
+
+def altered_task(task: Task) -> list[str]:
+    """A sentence for everything about a task of the suite that is not as its module declares it."""
+    declared = _declared()[task.id]
+    found = []
+    for attribute in (field.name for field in fields(task)):
+        value, genuine = getattr(task, attribute), getattr(declared, attribute)
+        if callable(genuine):
+            # The code itself differs where pytest has rewritten its asserts; where it is from does not.
+            file = getattr(getattr(value, "__code__", None), "co_filename", "elsewhere")
+            if not Path(file).resolve().is_relative_to(suite_root()):
+                found.append(f"{attribute} of the task {task.id} were replaced by something from {file}")
+        elif value != genuine:
+            found.append(f"{attribute} of the task {task.id} was altered from {genuine!r} to {value!r}")
+    return found
+
+
+@cache
+def _declared() -> dict[str, Task]:
+    """Every task, from modules of its own that nobody else can reach."""
+    tasks: dict[str, Task] = {}
+    for path in sorted(suite_root().glob("test_*.py")):
+        module = ModuleType(f"{SUITE}._declared_{path.stem}")
+        module.__file__, module.__package__ = str(path), SUITE
+        exec(compile(path.read_text(encoding="utf-8"), path, "exec"), vars(module))  # noqa: S102  (the kit's own file)
+        for suite in vars(module).values():
+            if isinstance(suite, Suite):
+                tasks |= {task.id: task for task in suite}
+    return tasks
 
 
 @cache

@@ -10,7 +10,8 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections.abc import Coroutine
-from concurrent.futures import CancelledError
+from concurrent.futures import CancelledError, Future
+from contextvars import Context
 from typing import Any, TypeVar
 
 __all__ = ["LoopThread"]
@@ -41,7 +42,7 @@ class LoopThread:
         When the waiting thread is interrupted (Ctrl-C), the work is cancelled and given the time to clean up
         before the interrupt goes on.
         """
-        future = asyncio.run_coroutine_threadsafe(work, self._loop)
+        future = self._submit(work)
         try:
             return future.result()
         except KeyboardInterrupt:
@@ -53,12 +54,24 @@ class LoopThread:
         except CancelledError:
             raise KeyboardInterrupt from None
 
+    def _submit(self, work: Coroutine[Any, Any, T]) -> Future[T]:
+        # In a context of its own: one that came along from a test would tell anyio that this is trio's thread, or hand a
+        # vendor's variables to the sessions of the kit.
+        return Context().run(asyncio.run_coroutine_threadsafe, work, self._loop)
+
     async def wait(self, work: Coroutine[Any, Any, T]) -> T:
         """Run ``work`` on the loop and await its result from another one, whosever that is.
 
-        When the waiting task is cancelled, so is the work.
+        When the waiting task is cancelled, so is the work; under trio, which has no futures to cancel, it goes on.
         """
-        return await asyncio.wrap_future(asyncio.run_coroutine_threadsafe(work, self._loop))
+        future = self._submit(work)
+        try:
+            asyncio.get_running_loop()
+        except RuntimeError:
+            from anyio import to_thread
+
+            return await to_thread.run_sync(future.result, abandon_on_cancel=True)
+        return await asyncio.wrap_future(future)
 
     @staticmethod
     async def _settle(finished: threading.Event) -> None:

@@ -44,7 +44,12 @@ class SessionOptions:
 
 
 class McpSession:
-    """An open session. Use :meth:`open` and :meth:`close`; both may be called from different tasks."""
+    """An open session. Use :meth:`open` and :meth:`close`; both may be called from different tasks.
+
+    Attributes:
+        tools: name to entry of ``tools/list``.
+        state: what the functions of a bindings file keep from one call to the next.
+    """
 
     def __init__(self, command: Sequence[str], env: Mapping[str, str], cwd: Path | None, options: SessionOptions):
         self._command = list(command)
@@ -59,6 +64,7 @@ class McpSession:
         self._owner: asyncio.Task[None] | None = None
         self._closing = asyncio.Event()
         self.tools: dict[str, dict[str, Any]] = {}
+        self.state: dict[str, Any] = {}
         self.server_name = ""
         self.server_version = ""
         self.protocol_version = ""

@@ -12,7 +12,7 @@ from typing import Any
 
 from .envelope import check_result, parse_strict
 from .findings import Finding
-from .subject.answers import UNCLASSIFIED, extract, interpret, read_answer, synthesised
+from .subject.answers import extract, interpret, read_answer, synthesised
 from .subject.model import Answering, OutputRule
 from .subject.operations import OPERATIONS
 
@@ -49,6 +49,7 @@ class Reply:
         envelope: the structured content when it is an object; for an adapter with answers of its own one that is made
             from them; else None.
         native: the envelope is the adapter's own.
+        listed: the session lists the tool; the read-only variant may do without its writing tools.
         outputs: the operation's outputs that the binding knows how to find.
         faults: what is wrong with the reply as such, whatever the task expected of it.
         ok: the call met its task's expectation; None until an oracle has judged it.
@@ -65,6 +66,7 @@ class Reply:
     outputs: dict[str, Any]
     faults: list[Finding]
     native: bool = True
+    listed: bool = True
     ok: bool | None = None
     group: int = 0
 
@@ -108,6 +110,7 @@ class Reply:
             "ok": bool(self.ok) and not self.faults,
             "envelope": self.envelope,
             "native": self.native,
+            "listed": self.listed,
             "outputs": self.outputs,
             "error_code": self.error_code,
             "frames_sha256": frames,
@@ -132,7 +135,7 @@ def observe(
 
     Args:
         answering, outputs: the subject's rules for reading the answer.
-        listed: the session lists the tool; the read-only variant may do without its writing tools.
+        listed: see :class:`Reply`.
     """
     faults: list[Finding] = []
     reply = Reply(
@@ -147,6 +150,7 @@ def observe(
         outputs={},
         faults=faults,
         native=answering.native,
+        listed=listed,
     )
     if wire.response is None:
         faults.append(_no_response(reply, deadline_s))
@@ -166,7 +170,7 @@ def observe(
     if reply.native and listed:
         _read_envelope(reply, message)
     else:
-        _read_answer(reply, message, answering, listed=listed)
+        _read_answer(reply, message, answering)
     if reply.envelope is not None:
         document = reply.envelope if answering.native else read_answer(message, answering.form)[0]
         reply.outputs = extract(outputs, document)
@@ -208,11 +212,12 @@ def _read_envelope(reply: Reply, message: Mapping[str, Any]) -> None:
     reply.envelope = structured if isinstance(structured, dict) else None
 
 
-def _read_answer(reply: Reply, message: Mapping[str, Any], answering: Answering, *, listed: bool) -> None:
+def _read_answer(reply: Reply, message: Mapping[str, Any], answering: Answering) -> None:
     """Make an envelope from an answer that has none, by the rules of the subject file."""
     answer = interpret(message, answering)
-    if not listed and not answer.success and answer.code == UNCLASSIFIED:
-        # What is not there cannot be used: a guard as good as a refusal in words (requirement MCP-008).
+    if not reply.listed and not answer.success:
+        # What is not there cannot be used: a guard as good as a refusal in words (requirement MCP-008), whatever a rule
+        # meant for other answers makes of "Unknown tool".
         answer = replace(answer, code="writes_disabled")
     reply.native = False
     writes = OPERATIONS[reply.adapter][reply.operation].writes

@@ -101,8 +101,8 @@ def recorded_reply(
         deadline_s=deadline_s,
         answering=answering,
         outputs={} if binding is None else binding.outputs,
-        # The read-only variant may do without its writing tools; that it did shows in an envelope that is not its own.
-        listed=call["variant"] == READ_WRITE or not (answering.native and not call["native"]),
+        # Only the read-only variant may do without a tool.
+        listed=call["variant"] == READ_WRITE or call["listed"],
     )
     if binding is None and reply.envelope is not None:
         reply.outputs = dict(call["outputs"])
@@ -175,4 +175,5 @@ def _believed(call: Mapping[str, Any], role: str) -> Reply:
         outputs=dict(call["outputs"]),
         faults=[Finding(**fault) for fault in frames["faults"]],
         native=call["native"],
+        listed=call["listed"],
     )

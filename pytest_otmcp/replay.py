@@ -18,6 +18,7 @@ from .envelope import same_json
 from .recorded_reply import UNREADABLE, HistoryError
 from .recorded_stage import RecordedStage, UnfinishedError
 from .shipped import suite_digest, tasks_by_id
+from .subject.operations import behind
 from .task import Task
 from .trial import Trial
 from .verdict import Status
@@ -38,6 +39,7 @@ _OF_CALL = (
     "ok",
     "envelope",
     "native",
+    "listed",
     "outputs",
     "error_code",
 )
@@ -117,7 +119,8 @@ def _claimed(facet: str, adapters: Record) -> bool:
     if protocol not in adapters:
         return False
     unclaimed = adapters[protocol].get("unclaimed", {})
-    return name not in unclaimed and name.partition(".")[0] not in unclaimed
+    needed = behind(name, adapters[protocol].get("blocking", ()))
+    return not any(real in unclaimed or real.partition(".")[0] in unclaimed for real in needed)
 
 
 def _of_item(item: Record, task: Task, settings: Record) -> Iterator[str]:

@@ -31,6 +31,9 @@ Device = MockDevice | TappedBroker
 READ_ONLY = "ro"
 READ_WRITE = "rw"
 
+_EXIT_GRACE_S = 5.0
+"""From the end of its stdin to the exit (requirement MCP-009)."""
+
 _SCHEMES = {"modbus": "modbus+tcp", "mqtt": "mqtt", "opcua": "opc.tcp"}
 
 
@@ -57,6 +60,7 @@ class Station:
     """One adapter variant, its session, and the device it talks to.
 
     Attributes:
+        tools: what the adapter last listed, name to its entry; None as long as no session was opened.
         unmet: requirements of the envelope that the adapter's own answers do not meet, where it does not claim to have one.
     """
 
@@ -65,6 +69,7 @@ class Station:
         self.variant = variant
         self.device = device
         self.session: McpSession | None = None
+        self.tools: Mapping[str, Mapping[str, Any]] | None = None
         self.unmet: set[str] = set()
         self._options = options
         self._start_failure: SubjectError | None = None
@@ -109,7 +114,7 @@ class Station:
         options = SessionOptions(
             era=self.adapter.era or self._options.era,
             start_timeout_s=self.adapter.start_timeout_s * self._options.time_scale,
-            exit_grace_s=3.0 * self._options.time_scale,
+            exit_grace_s=_EXIT_GRACE_S * self._options.time_scale,
             url=None if self.adapter.url is None else str(replace_placeholders(self.adapter.url, values)),
         )
         return McpSession(launch.command, launch.env, launch.cwd, options)
@@ -131,7 +136,7 @@ class Station:
         session = self.new_session()
         try:
             await session.open()
-            self.session = session
+            self.session, self.tools = session, session.tools
             await self._connect()
         except SubjectError as failure:
             self._start_failure = failure
@@ -153,7 +158,10 @@ class Station:
         exchange = await self._current(None).call(step.tool, arguments, timeout_s=1.2 * self.deadline_s)
         if exchange.response is None:
             return f"no reply ({exchange.failure})"
-        answer = interpret(parse_strict(exchange.response), self.adapter.answering)
+        try:
+            answer = interpret(parse_strict(exchange.response), self.adapter.answering)
+        except ValueError as error:
+            return f"the response is not strict JSON: {error}"
         return None if answer.success else answer.text
 
     async def close(self) -> None:
@@ -288,7 +296,7 @@ class Station:
 
 
 class _NoAnswerError(Exception):
-    """A tool gave no answer, so the function cannot go on; the exchange says why."""
+    """A tool gave no answer, or one that nobody can read, so the function cannot go on; the exchange says why."""
 
 
 class _Tools:
@@ -298,6 +306,7 @@ class _Tools:
         self.host = station.device.host
         self.port = station.device.port
         self.url = station.endpoint["url"]
+        self.state = session.state
         self.exchanges: list[Exchange] = []
         self._session = session
         self._timeout_s = 1.2 * station.deadline_s
@@ -312,7 +321,11 @@ class _Tools:
         self.exchanges.append(exchange)
         if exchange.response is None:
             raise _NoAnswerError
-        message = parse_strict(exchange.response)
+        try:
+            message = parse_strict(exchange.response)
+        except ValueError:
+            # What is wrong with it is found where every response is read.
+            raise _NoAnswerError from None
         structured, text, is_error = read_answer(message, "structured")
         return ToolAnswer(text=text, structured=structured, is_error=is_error)
 

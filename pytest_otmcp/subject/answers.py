@@ -88,9 +88,31 @@ def read_answer(message: Mapping[str, Any], form: str) -> tuple[Any, str, bool]:
 
 def _json_or(text: str, otherwise: Any) -> Any:
     try:
-        return json.loads(text)
+        return _from_json(text)
     except ValueError:
         return otherwise
+
+
+def _from_json(text: str) -> Any:
+    """A JSON text, without what only Python takes for JSON (NaN) or cannot hold.
+
+    Raises:
+        ValueError: it is none.
+    """
+    try:
+        return _plain(json.loads(text))
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
+
+
+def _plain(value: Any) -> Any:
+    """A value that JSON can say; records hold nothing else.
+
+    Raises:
+        ValueError, TypeError: it cannot: NaN, infinity, or a literal of Python's own such as a set.
+    """
+    json.dumps(value, allow_nan=False)
+    return value
 
 
 def interpret(message: Mapping[str, Any], answering: Answering) -> Answer:
@@ -136,6 +158,10 @@ def _admission(document: Any, text: str) -> str | None:
 
 def _without_payload(document: Any, text: str) -> str:
     # Of a JSON document only the keys speak for the adapter: a message or a node may be named anything.
+    if isinstance(document, Mapping) and list(document) == ["result"]:
+        # So the SDKs wrap what is no object, a sentence for instance.
+        document = document["result"]
+        return document if isinstance(document, str) else ""
     return text if document is None or isinstance(document, str) else ""
 
 
@@ -201,7 +227,8 @@ def _output(rule: OutputRule, document: Any) -> Any:
         value = [value]
     try:
         value = [_converted(rule, part) for part in value] if isinstance(value, list) else _converted(rule, value)
-    except (ValueError, TypeError, KeyError, SyntaxError):
+        value = _plain(value)
+    except (ValueError, TypeError, KeyError, SyntaxError, MemoryError, RecursionError):
         return None
     return value if rule.then is None else _search(rule.then, value)
 
@@ -224,7 +251,7 @@ def _converted(rule: OutputRule, value: Any) -> Any:
         case "string":
             return value if isinstance(value, str) else json.dumps(value)
         case "json":
-            return json.loads(value)
+            return _from_json(value)
         case "python":
             return ast.literal_eval(value)
         case "hex":

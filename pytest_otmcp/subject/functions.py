@@ -19,6 +19,7 @@ first request to its last reply.
 from __future__ import annotations
 
 import inspect
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.machinery import SourceFileLoader
@@ -62,8 +63,14 @@ class ToolAnswer:
 
 
 class Tools(Protocol):
-    """What a function is given."""
+    """What a function is given.
 
+    Attributes:
+        host, port, url: where the mock device is.
+        state: kept from call to call for as long as the session lasts, for handles and their like.
+    """
+
+    state: dict[str, Any]
     host: str
     port: int
     url: str
@@ -133,4 +140,8 @@ def checked_outputs(function: Function, protocol: str, returned: Any) -> Mapping
             f"the binding function {function.name} must return a mapping of outputs (needed: {wanted}), "
             f"it returned {str(returned)[:100]!r}"
         )
+    try:
+        json.dumps(returned, allow_nan=False)
+    except (TypeError, ValueError, RecursionError) as error:
+        raise UsageError(f"the binding function {function.name} returned what JSON cannot say: {error}") from None
     return returned

@@ -351,6 +351,7 @@ class Adapter:
             "command": list(self.variants["rw"].command),
             "envelope": "native" if self.answering.native else "synthesised",
             "recovery": self.recovery,
+            "blocking": [name for name in self.operations if self.blocks(name)],
             "unclaimed": dict(self.unclaimed),
             "unjudged": sorted(self._unjudged()),
         }

@@ -6,9 +6,10 @@ a binding's rules). Operations are also the *facets* that a subject claims; two 
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
-__all__ = ["GUARD", "OPERATIONS", "PROTOCOLS", "RECEIVE", "RECOVERY", "Operation", "facets"]
+__all__ = ["GUARD", "OPERATIONS", "PROTOCOLS", "RECEIVE", "RECOVERY", "Operation", "behind", "facets"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,6 +126,18 @@ OPERATIONS: dict[str, dict[str, Operation]] = {
 
 RECEIVE = "receive"
 """What a task needs that wants to see messages: ``messages``, and ``subscribe`` unless the call for messages waits for them."""
+
+
+def behind(facet: str, blocking: Collection[str]) -> tuple[str, ...]:
+    """The facets that a subject claims or not, behind one that a task needs.
+
+    Args:
+        facet: without its protocol.
+        blocking: operations that an adapter performs by a call that waits for what it answers.
+    """
+    if facet != RECEIVE:
+        return (facet,)
+    return ("messages",) if "messages" in blocking else ("subscribe", "messages")
 
 
 def facets(protocol: str) -> tuple[str, ...]:

@@ -14,6 +14,7 @@ __all__ = [
     "ddata_metric",
     "delivered",
     "exchange",
+    "never_published",
     "no_packet",
     "published_once",
     "session_stays_up",
@@ -61,16 +62,24 @@ def exchange(entries: Entries, at_least: int = 1, client_id: str | None = None) 
 
 
 def subscribed(entries: Entries, *, filter: str, qos: int | None, client_id: str | None = None) -> list[Finding]:
-    """The broker received a SUBSCRIBE with this filter and granted this QoS; None is any."""
+    """The adapter is subscribed to this filter, granted with this QoS (None is any), on a connection that still lives."""
     requests: dict[tuple[int, int], list[str]] = {}
-    granted: list[int] = []
+    last: dict[int, int] = {}
     for entry in adapter_packets(entries, client_id=client_id):
-        key = (entry["connection"], entry.get("packet_id", 0))
+        connection = entry["connection"]
+        key = (connection, entry.get("packet_id", 0))
         if entry["kind"] == "SUBSCRIBE" and entry["direction"] == "in":
             requests[key] = [wanted["filter"] for wanted in entry["filters"]]
         elif entry["kind"] == "SUBACK" and entry["direction"] == "out":
             codes = zip(requests.get(key, []), entry["reason_codes"], strict=False)
-            granted += [code for wanted, code in codes if wanted == filter]
+            for wanted, code in codes:
+                if wanted == filter:
+                    last[connection] = code
+        elif entry["kind"] == "DISCONNECTED" or (
+            entry["kind"] == "UNSUBSCRIBE" and filter in [wanted["filter"] for wanted in entry["filters"]]
+        ):
+            last.pop(connection, None)
+    granted = list(last.values())
     if qos in granted or (qos is None and any(code <= _HIGHEST_QOS for code in granted)):
         return []
     if granted:
@@ -142,6 +151,22 @@ def published_once(
     ]
 
 
+def never_published(entries: Entries, payload: bytes, *, client_id: str | None = None) -> list[Finding]:
+    """No message with these bytes reached the broker, on whatever topic."""
+    found = [entry for entry in adapter_packets(entries, "PUBLISH", "in", client_id) if payload_of(entry) == payload]
+    if not found:
+        return []
+    return [
+        Finding(
+            code="made_up_for",
+            message=f"{payload[:80]!r} was reported as failed and should never have been published, the broker received it "
+            f"{len(found)} time(s)",
+            requirement="WR-010",
+            evidence=shown(entries),
+        )
+    ]
+
+
 def no_packet(entries: Entries, kind: str, *, direction: str = "in", client_id: str | None = None) -> list[Finding]:
     """No packet of this kind, not even a malformed one."""
     packets = [
@@ -163,11 +188,16 @@ def no_packet(entries: Entries, kind: str, *, direction: str = "in", client_id: 
 
 
 def session_stays_up(entries: Entries, client_id: str | None = None) -> list[Finding]:
-    """The adapter's connection did not end."""
+    """The adapter's connection did not end, unless it was made for this one call and left in an orderly way."""
+    packets = adapter_packets(entries, client_id=client_id)
+    made = {entry["connection"] for entry in packets if entry["kind"] == "CONNECT"}
+    left = {entry["connection"] for entry in packets if entry["kind"] == "DISCONNECT" and entry["direction"] == "in"}
+    broken = {entry["connection"] for entry in packets if entry["kind"] == "malformed"}
     ended = [
         entry
-        for entry in adapter_packets(entries, client_id=client_id)
+        for entry in packets
         if entry["kind"] in ("DISCONNECT", "DISCONNECTED", "malformed")
+        and entry["connection"] not in (made & left) - broken
     ]
     if not ended:
         return []

@@ -208,7 +208,8 @@ def exactly_one_write(entries: Entries, node: str, value: Any) -> list[Finding]:
             problem = f"it saw {written}"
         elif items[0].get("has_status") or items[0].get("has_timestamp"):
             # OPC 10000-4, section 5.11.4.1: servers may refuse to have status or timestamps written.
-            requirement, problem = "OUA-005", "a status or a timestamp was written with it"
+            what = " and ".join(name for name in ("status", "timestamp") if items[0].get(f"has_{name}"))
+            requirement, problem = "OUA-005", f"a {what} was written with it"
         elif refused and not refused[0].startswith("Good"):
             problem = f"the server refused it with {refused[0]}"
         else:

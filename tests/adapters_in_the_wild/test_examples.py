@@ -22,12 +22,13 @@ from .conftest import EXAMPLES, Install
 NAMES = sorted(path.parent.name for path in EXAMPLES.glob("*/otmcp.toml"))
 
 MODBUS = "M2 M3 FM1 FM2 S1 S4 S7 S10 R-modbus"
+OPCUA = "O1 O2 FO1 S3 S9 S12 R-opcua"
 
 VERIFIED = {
     # name: (items that pass, items that fail and a word of the finding); all others are not applicable.
     "kukapay-modbus-mcp": (MODBUS, {}),
     "modbus-connector-mcp": (f"{MODBUS} M4", {}),
-    "plctap": (f"{MODBUS} M1 M4", {}),
+    "plctap": (f"{MODBUS} M1 M4 {OPCUA}", {}),
     "mcmqtt": (
         "",
         {

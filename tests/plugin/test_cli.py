@@ -469,7 +469,7 @@ def test_a_record_that_was_changed_sealed_and_certified_again_is_refused(
     change(run)
     run["footer"]["digest"] = digest(run)
     pair[1].write_text(json.dumps(run))
-    with pytest.raises(cli.Refusal, match="is about another run"):
+    with pytest.raises(cli.Refusal, match="is about another run|the footer counts"):
         verify(*pair)
     # A forger who knows this kit makes the certificate as well: now only the run can contradict itself.
     sha256 = hashlib.sha256(pair[1].read_bytes()).hexdigest()

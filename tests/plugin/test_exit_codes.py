@@ -29,10 +29,7 @@ def repository(tmp_path: Path) -> Repository:
 
 def deviations(items: list[str], expires: str) -> str:
     """Known deviations as a subject file has them."""
-    return "".join(
-        f'\n[[deviation]]\nitem = "{item}"\nreason = "known"\nexpires = {expires}\n'
-        for item in items
-    )
+    return "".join(f'\n[[deviation]]\nitem = "{item}"\nreason = "known"\nexpires = {expires}\n' for item in items)
 
 
 def test_known_deviations_make_the_exit_code_green_and_not_the_verdict(repository: Repository) -> None:

@@ -50,6 +50,27 @@ from pytest_otmcp import oracle
 def forgive(monkeypatch):
     monkeypatch.setattr(oracle, "succeeded", lambda reply, **outputs: [])
 """
+ALTERING = """
+async def nothing(run):
+    pass
+
+def pytest_collection_modifyitems(items):
+    for item in items:
+        task = item.callspec.params["task"]
+        if task.id == "M2":
+            task.adapters, task.needs = ("opcua",), ()
+        if task.id == "S7":
+            task.steps = nothing
+"""
+AGAIN = """
+from _pytest.runner import runtestprotocol
+
+def pytest_runtest_protocol(item, nextitem):
+    runtestprotocol(item, nextitem=item)
+    item._initrequest()
+    runtestprotocol(item, nextitem=nextitem)
+    return True
+"""
 EMPTY = "def pytest_pyfunc_call(pyfuncitem):\n    return True\n"
 
 
@@ -127,6 +148,22 @@ def test_items_that_a_plugin_says_were_run_did_not_run(repository: Repository) -
     assert not outcome.report.exists()
 
 
+def test_a_task_that_is_not_as_its_module_declares_it_is_on_record(repository: Repository) -> None:
+    repository.write(conftest_py=ALTERING)
+    outcome = repository.pytest("--otmcp-reps=1", "-k", "M2 or S7")
+    assert (outcome.statuses["M2"], outcome.statuses["S7"]) == ("NOT_APPLICABLE", "PASS")
+    assert "adapters of the task M2 was altered from ('modbus',) to ('opcua',)" in outcome.narrowed
+    assert any("steps of the task S7 were replaced by something from" in sentence for sentence in outcome.narrowed)
+    assert outcome.code == 1
+
+
+def test_of_several_attempts_the_first_counts(repository: Repository) -> None:
+    repository.write(again_py=AGAIN)
+    outcome = repository.pytest("--otmcp-reps=1", "-k", "M1 or M2", "-p", "again", env=here(repository))
+    assert outcome.statuses == {"M1": "PASS", "M2": "FAIL", "FM1": "PASS", "FM2": "PASS"}
+    assert "items ran more than once, the first time counts: M1, M2, FM1, FM2" in outcome.narrowed
+
+
 def test_a_replaced_function_of_the_kit_is_on_record(repository: Repository) -> None:
     repository.write(conftest_py=FORGING)
     outcome = repository.pytest("--otmcp-reps=1", "-k", "M1")
@@ -170,7 +207,7 @@ def test_a_filter_in_the_ini_is_told_from_one_on_the_command_line(repository: Re
 
 
 def test_a_copy_of_the_suite_is_not_the_suite(repository: Repository) -> None:
-    copy = "from pytest_otmcp.conformance.test_normal import *\n"
+    copy = "from pytest_otmcp.conformance.test_normal import *  # with whatever changes\n"
     repository.write(tests__test_copy_py=copy)
     outcome = repository.pytest("--otmcp-reps=1", "tests", "--pyargs", "pytest_otmcp.conformance", "-k", "M1")
     assert list(outcome.statuses) == ["M1", "FM1"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -11,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from pytest_otmcp.bench import Bench, BenchOptions, Plant
+from pytest_otmcp.bench import READ_WRITE, Bench, BenchOptions, Plant, Station
 from pytest_otmcp.loop import LoopThread
 from pytest_otmcp.shipped import tasks_by_id
 from pytest_otmcp.subject import Adapter, Subject, load_subject, reference_subject
@@ -38,29 +39,48 @@ def plant(loop: LoopThread) -> Iterator[Plant]:
     loop.run(shared.close())
 
 
+@pytest.fixture(scope="session")
+def genuine(loop: LoopThread, plant: Plant) -> Iterator[Bench]:
+    """The reference adapters, started once, for tasks that need others beside the one under test."""
+    bench = Bench(reference_subject(), BenchOptions(time_scale=TIME_SCALE), plant)
+    yield bench
+    loop.run(bench.close())
+
+
+class AmongGenuine(Bench):
+    """A bench on which only the adapter of one protocol is under test."""
+
+    def __init__(self, subject: Subject, plant: Plant, protocol: str, genuine: Bench, time_scale: float) -> None:
+        super().__init__(subject, BenchOptions(time_scale=time_scale), plant)
+        self._protocol = protocol
+        self._genuine = genuine
+
+    async def station(self, protocol: str, variant: str = READ_WRITE) -> Station:
+        reference = await self._genuine.station(protocol, variant)
+        if protocol != self._protocol:
+            return reference
+        # Two at the same device would be taken for one.
+        await reference.close()
+        return await super().station(protocol, variant)
+
+
 Results = dict[str, dict[str, Any]]
 Judge = Callable[..., Results]
 
 
-@pytest.fixture
-def run_tasks(loop: LoopThread, plant: Plant) -> Callable[[Subject, list[Task], float], Results]:
-    """Every task once, in this order, over one bench."""
-
-    def run(subject: Subject, chosen: list[Task], time_scale: float) -> Results:
-        async def all_of_them() -> Results:
-            bench = Bench(subject, BenchOptions(time_scale=time_scale), plant)
-            try:
-                return {task.id: await Trial(bench, task, 1).run() for task in chosen}
-            finally:
-                await bench.close()
-
-        return loop.run(all_of_them())
-
-    return run
+async def perform(bench: Bench, tasks: list[Task]) -> Results:
+    """Every task once, in this order."""
+    try:
+        results = {task.id: await Trial(bench, task, 1).run() for task in tasks}
+    finally:
+        await bench.close()
+    # Whatever an adapter answers, it can be recorded.
+    json.dumps(results, allow_nan=False)
+    return results
 
 
 @pytest.fixture
-def judge(run_tasks: Callable[[Subject, list[Task], float], Results]) -> Judge:
+def judge(loop: LoopThread, plant: Plant, genuine: Bench) -> Judge:
     """``judge(protocol, program, mode, …)``: every task that needs the protocol, once, with that adapter replaced."""
 
     def run(
@@ -71,23 +91,36 @@ def judge(run_tasks: Callable[[Subject, list[Task], float], Results]) -> Judge:
         time_scale: float = TIME_SCALE,
     ) -> Results:
         reference = reference_subject()
-        genuine = reference.adapters[protocol]
+        replaced = reference.adapters[protocol]
         if command is None:
             command = (sys.executable, str(HERE / program[0]), *program[1:])
-        variants = {
-            name: replace(variant, command=command, cwd=None) for name, variant in genuine.variants.items()
-        }
-        adapters: dict[str, Adapter] = {**reference.adapters, protocol: replace(genuine, variants=variants)}
+        variants = {name: replace(variant, command=command, cwd=None) for name, variant in replaced.variants.items()}
+        adapters: dict[str, Adapter] = {**reference.adapters, protocol: replace(replaced, variants=variants)}
         subject = Subject(name="defective", version="0", adapters=adapters, source=HERE)
         chosen = [task for task in tasks_by_id().values() if protocol in task.adapters and _wanted(task, tasks)]
-        return run_tasks(subject, chosen, time_scale)
+        return loop.run(perform(AmongGenuine(subject, plant, protocol, genuine, time_scale), chosen))
 
     return run
 
 
 @pytest.fixture
-def judge_foreign(run_tasks: Callable[[Subject, list[Task], float], Results]) -> Judge:
-    """``judge_foreign(name, …, lie=…)``: the tasks of the protocols that subjects of ``subjects/`` speak, once each.
+def judge_described(loop: LoopThread, plant: Plant) -> Judge:
+    """``judge_described(subject)``: the tasks of the protocols that the subject speaks, once each."""
+
+    def run(subject: Subject, tasks: str | None = None) -> Results:
+        chosen = [
+            task
+            for task in tasks_by_id().values()
+            if set(task.adapters) & set(subject.adapters) and _wanted(task, tasks)
+        ]
+        return loop.run(perform(Bench(subject, BenchOptions(time_scale=TIME_SCALE), plant), chosen))
+
+    return run
+
+
+@pytest.fixture
+def judge_foreign(judge_described: Judge) -> Judge:
+    """``judge_foreign(name, …, lie=…)``: the same for subjects of ``subjects/``, each with a protocol of its own.
 
     ``described`` is a pair: what to replace in the subject file, and by what.
     """
@@ -101,10 +134,7 @@ def judge_foreign(run_tasks: Callable[[Subject, list[Task], float], Results]) ->
         subject = Subject(name="foreign", version="0", adapters=adapters, source=SUBJECTS)
         if lie is not None:
             subject = _lying(subject, lie)
-        chosen = [
-            task for task in tasks_by_id().values() if set(task.adapters) & set(adapters) and _wanted(task, tasks)
-        ]
-        return run_tasks(subject, chosen, TIME_SCALE)
+        return judge_described(subject, tasks)
 
     return run
 
@@ -143,9 +173,7 @@ def _lying(subject: Subject, lie: str) -> Subject:
 
 def failing(results: Results) -> set[str]:
     """Ids of the items that neither passed nor do not apply."""
-    return {
-        identifier for identifier, result in results.items() if result["status"] not in ("PASS", "NOT_APPLICABLE")
-    }
+    return {identifier for identifier, result in results.items() if result["status"] not in ("PASS", "NOT_APPLICABLE")}
 
 
 def passing(results: Results) -> set[str]:

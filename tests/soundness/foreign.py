@@ -33,6 +33,7 @@ SHAPES = {
     "modbus-http": "foreign_modbus",
     "mqtt-connect": "foreign_mqtt",
     "mqtt-handle": "foreign_mqtt",
+    "mqtt-collect": "foreign_mqtt",
     "opcua-items": "foreign_opcua",
 }
 
@@ -75,12 +76,14 @@ class Shape:
 
     Attributes:
         tools: name to its arguments (name to JSON type) and its handler.
+        unlisted: names of tools that work, but are not listed.
         open_arguments: the schemas say that they take more than they name.
         unknown: the answer to a call of a tool that is not there.
         http: it is served over streamable HTTP.
     """
 
     tools: dict[str, tuple[dict[str, str], Callable[..., Awaitable[CallToolResult]]]]
+    unlisted: tuple[str, ...] = ()
     open_arguments: bool = False
     unknown: Callable[[str], CallToolResult] = field(default=no_such_tool)
     http: bool = False
@@ -97,6 +100,7 @@ class Shape:
                     },
                 )
                 for name, (arguments, _) in self.tools.items()
+                if name not in self.unlisted
             ]
         )
 

@@ -9,6 +9,7 @@ several; read-only by leaving the writing tool out.
 from __future__ import annotations
 
 import asyncio
+import math
 import os
 from collections.abc import Awaitable, Callable
 from typing import Any
@@ -111,9 +112,9 @@ def modbus_prose(lie: str | None, read_only: bool) -> Shape:
         "read_one": ({"address": "integer"}, read_one),
         "read_many": ({"first": "integer", "quantity": "integer"}, read_many),
     }
-    if not read_only or lie == "guard-in-words":
+    if not read_only or lie in ("guard-in-words", "guard-by-hiding"):
         tools["write_register"] = ({"address": "integer", "value": "integer"}, write_register)
-    return Shape(tools=tools)
+    return Shape(tools=tools, unlisted=("write_register",) if read_only and lie == "guard-by-hiding" else ())
 
 
 # -- JSON in a text ---------------------------------------------------------------------------------------------------
@@ -135,6 +136,8 @@ def modbus_json(lie: str | None, read_only: bool) -> Shape:
 
     async def read_block(host: str, port: int, table: str, start: int, length: int = 1) -> CallToolResult:
         key = (table, start, length)
+        if lie == "not-a-number" and table == "input":
+            return json_text({"ok": True, "data": {"values": [math.nan]}})
         if lie == "silent-cache" and key in memory:
             return json_text({"ok": True, "data": {"values": memory[key]}})
         try:
@@ -197,9 +200,7 @@ def modbus_http(lie: str | None, read_only: bool) -> Shape:
             return bad(failure)
         return structured({"result": "done"})
 
-    tools: dict[str, Any] = {
-        "registers": ({"table": "string", "address": "integer", "count": "integer"}, registers)
-    }
+    tools: dict[str, Any] = {"registers": ({"table": "string", "address": "integer", "count": "integer"}, registers)}
     if not read_only:
         tools["set_register"] = ({"address": "integer", "value": "integer"}, set_register)
     return Shape(tools=tools, unknown=no_such_method, http=True)

@@ -1,20 +1,22 @@
-"""Two MQTT adapters of foreign shape, and their lies.
+"""Three MQTT adapters of foreign shape, and their lies.
 
 ``mqtt-connect``: has to be connected by a tool, does not reconnect; structured content with a ``success`` in it, ``isError``
 never set; one inbox for everything, no QoS.
 ``mqtt-handle``: reconnects; a subscription has a handle that is polled and emptied; ``isError`` set.
+``mqtt-collect``: subscribes, waits and answers in one call; a text block for each message, and nothing else.
 """
 
 from __future__ import annotations
 
 import asyncio
+import json
 import os
 import threading
 from typing import Any
 
 import paho.mqtt.client as paho
 from foreign import Failure, Shape, prose, structured
-from mcp.types import CallToolResult
+from mcp.types import CallToolResult, TextContent
 
 ANSWER_S = 1.0
 
@@ -235,3 +237,24 @@ def mqtt_handle(lie: str | None, read_only: bool) -> Shape:
             "publish": ({"topic": "string", "message": "string", "qos": "integer"}, publish),
         }
     )
+
+
+# -- one call for all -------------------------------------------------------------------------------------------------
+
+
+def mqtt_collect(lie: str | None, read_only: bool) -> Shape:
+    async def collect(topic: str, timeout: float) -> CallToolResult:
+        link = Link(os.environ["BROKER_HOST"], int(os.environ["BROKER_PORT"]), reconnect=False)
+        try:
+            await asyncio.to_thread(link.open)
+            await asyncio.to_thread(link.subscribe, topic, 0)
+        except Failure as failure:
+            return prose(f"Failed: {failure}")
+        await asyncio.sleep(timeout)
+        await asyncio.to_thread(link.close)
+        if lie == "collects-nothing":
+            link.received.clear()
+        content = [TextContent(type="text", text=json.dumps(message)) for message in link.received]
+        return CallToolResult(content=content)
+
+    return Shape(tools={"collect": ({"topic": "string", "timeout": "number"}, collect)})

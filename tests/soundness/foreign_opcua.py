@@ -70,9 +70,7 @@ def opcua_items(lie: str | None, read_only: bool) -> Shape:
                 return {"node": name, "status": "BadTypeMismatch"}
             if kind == ua.VariantType.Double:
                 value = float(value)
-            await node.write_attribute(
-                ua.AttributeIds.Value, ua.DataValue(ua.Variant(value, kind), StatusCode=None)
-            )
+            await node.write_attribute(ua.AttributeIds.Value, ua.DataValue(ua.Variant(value, kind), StatusCode=None))
             return {"node": name, "value": value, "status": "Good"}
 
         return await items(work())

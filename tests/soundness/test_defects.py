@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import pytest
 
-from .conftest import failing, words
+from .conftest import Judge, failing, words
 from .defective import DEFECTS
-
-Judge = Callable[..., dict[str, dict[str, Any]]]
 
 READS_INPUT = "M2 X1 X1p FX1 S1 S7 S10 R-modbus"
 FAILS_IN_WORDS = "M4 FM1 FM2 S10 R-modbus"

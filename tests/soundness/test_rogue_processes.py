@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from typing import Any
 
 import psutil
 import pytest
 
-from .conftest import failing, words
-
-Judge = Callable[..., dict[str, dict[str, Any]]]
+from .conftest import Judge, failing, words
 
 
 @pytest.fixture(autouse=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from pytest_otmcp import __version__
+from pytest_otmcp.certifiable import needed, why_not_claimed
 from pytest_otmcp.record import digest
 from pytest_otmcp.shipped import kit_digest, suite_digest, tasks_by_id
 from pytest_otmcp.task import SUITES, repetitions
@@ -29,7 +30,7 @@ def conformant_run(adapters: dict[str, dict[str, Any]] | None = None) -> dict[st
     items = []
     for task in tasks_by_id().values():
         entry = item(task.id, task.suite, task.family, task.title, [1.0] * planned[task.suite])
-        if not all(claimed(need, adapters) for need in task.needs):
+        if any(why_not_claimed(facet, adapters) is not None for facet in needed(task, adapters)):
             entry |= {"status": "NOT_APPLICABLE", "samples": []}
         items.append(entry)
     record = run(items)
@@ -56,14 +57,17 @@ def conformant_run(adapters: dict[str, dict[str, Any]] | None = None) -> dict[st
     return resealed(record)
 
 
-def claimed(need: str, adapters: dict[str, dict[str, Any]]) -> bool:
-    protocol, _, facet = need.partition(".")
-    return protocol in adapters and not {facet, facet.partition(".")[0]} & set(adapters[protocol]["unclaimed"])
-
-
 def adapter(name: str, revision: str, **more: Any) -> dict[str, Any]:
     facts = {"server_name": name, "server_version": "1.4.0", "protocol_version": revision, "tools": 5}
-    return {**facts, "envelope": "native", "recovery": "same_session", "unclaimed": {}, "unjudged": [], **more}
+    return {
+        **facts,
+        "envelope": "native",
+        "recovery": "same_session",
+        "blocking": [],
+        "unclaimed": {},
+        "unjudged": [],
+        **more,
+    }
 
 
 def resealed(record: dict[str, Any]) -> dict[str, Any]:

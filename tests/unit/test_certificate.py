@@ -90,6 +90,18 @@ def test_a_claimed_facet_that_no_applying_item_needs_is_not_earned() -> None:
     assert "publish" in facets["earned"]
 
 
+def test_messages_can_be_received_without_subscribing_by_a_call_that_waits_for_them() -> None:
+    unclaimed = {"subscribe": "every call subscribes anew"}
+    waiting = adapter("acme-mqtt", "2026-07-28", unclaimed=unclaimed, blocking=["messages"])
+    run = conformant_run({"mqtt": waiting})
+    assert objections(run, TASKS) == []
+    facets = told(certificate(run, FILE, TASKS))["adapters"]["mqtt"]["facets"]
+    assert facets["not_claimed"].keys() == {"subscribe", "subscribe.qos"}
+    assert "Q2" in facets["earned"]["messages"]
+    run["subject"]["adapters"]["mqtt"]["blocking"] = []
+    assert "Q2 is called PASS, which is not what the subject claims" in objections(run, TASKS)
+
+
 def test_server_and_protocol_era_are_named(statement: dict[str, Any]) -> None:
     adapters = told(statement)["adapters"]
     assert adapters["modbus"]["server"] == {"name": "acme-modbus", "version": "1.4.0"}

@@ -58,6 +58,7 @@ def call(operation: str, tool: str, inputs: dict[str, Any], data: dict[str, Any]
         "ok": True,
         "envelope": envelope(operation, data),
         "native": True,
+        "listed": True,
         "outputs": outputs,
         "error_code": None,
         "frames_sha256": "0" * 64,

@@ -314,3 +314,38 @@ def test_a_session_that_ends_is_found() -> None:
     assert oracle.session_stays_up(journal(*SUBSCRIBED, sent("DISCONNECTED", **MOCK))) == []
     ended = words(oracle.session_stays_up(journal(sent("DISCONNECT"), sent("DISCONNECTED"))))
     assert "should have stayed up, it ended with DISCONNECT and DISCONNECTED [ADR-006]" in ended
+
+
+def test_a_connection_made_for_one_call_may_end_in_an_orderly_way() -> None:
+    call = (sent("CONNECT"), sent("DISCONNECT"), sent("DISCONNECTED"))
+    assert oracle.session_stays_up(journal(*call)) == []
+    dropped = (sent("CONNECT"), sent("malformed", packet="PUBLISH", reason="empty topic"), sent("DISCONNECTED"))
+    assert oracle.session_stays_up(journal(*dropped)) != []
+    assert oracle.session_stays_up(journal(sent("CONNECT"), sent("DISCONNECTED"))) != []
+
+
+def test_a_subscription_lasts_until_it_is_ended_or_its_connection_is() -> None:
+    any_qos: dict[str, Any] = {"filter": "sensors/#", "qos": None}
+    assert oracle.subscribed(journal(*SUBSCRIBED, publish()), **any_qos) == []
+    ended = sent("UNSUBSCRIBE", packet_id=4, filters=[{"filter": "sensors/#"}])
+    assert oracle.subscribed(journal(*SUBSCRIBED, ended), **any_qos) != []
+    assert oracle.subscribed(journal(*SUBSCRIBED, sent("DISCONNECTED")), **any_qos) != []
+    lowered = (
+        sent("SUBSCRIBE", packet_id=5, filters=[{"filter": "sensors/#", "qos": 0}]),
+        answered("SUBACK", packet_id=5, reason_codes=[0]),
+    )
+    assert oracle.subscribed(journal(*SUBSCRIBED, *lowered), filter="sensors/#", qos=1) != []
+    assert oracle.subscribed(journal(*SUBSCRIBED), filter="x", qos=None) != []
+
+
+def test_a_message_that_was_reported_as_failed_must_never_come() -> None:
+    assert oracle.never_published(journal(publish(b"other"), publish(b"50", **KIT)), b"50") == []
+    late = words(oracle.never_published(journal(publish(b"50", topic="somewhere", dup=True)), b"50"))
+    assert "should never have been published, the broker received it 1 time(s) [WR-010]" in late
+
+
+def test_a_quality_of_service_that_cannot_be_asked_for_may_be_any() -> None:
+    wanted: dict[str, Any] = {"topic": "control/pump", "payload": b"50", "qos": None}
+    assert oracle.published_once(journal(publish(qos=1, packet_id=4)), **wanted) == []
+    retained = words(oracle.published_once(journal(publish(retain=True)), **wanted))
+    assert "b'50' on 'control/pump' retained" not in retained
