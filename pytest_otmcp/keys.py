@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from .run import Recorder, Run
     from .settings import RunSettings
 
-__all__ = ["LIVE", "NARROWING", "RECORDER", "RESULT", "RUN", "SETTINGS", "STARTED", "WORKSHOP"]
+__all__ = ["LIVE", "NARROWING", "PLANNED", "RECORDER", "RESULT", "RUN", "SETTINGS", "STARTED", "WORKSHOP"]
 
 SETTINGS: pytest.StashKey[RunSettings] = pytest.StashKey()
 """On the config: the checked settings."""
@@ -23,6 +23,9 @@ STARTED: pytest.StashKey[float] = pytest.StashKey()
 
 NARROWING: pytest.StashKey[Narrowing] = pytest.StashKey()
 """On the config of a process that has collected items of the suite: what narrowed or shadowed it."""
+
+PLANNED: pytest.StashKey[list[str]] = pytest.StashKey()
+"""On the config of a process that has collected items of the suite: ids of those to run, in their order."""
 
 RUN: pytest.StashKey[Run] = pytest.StashKey()
 """On the config of a process that executes items: its run."""

@@ -102,6 +102,13 @@ class Narrowing:
         for _, item in ours:
             self._look_at(item)
 
+    def final(self, planned: list[str], executed: list[str]) -> None:
+        """Compare what will run with what the kit has left to run: nobody else may have had the last word."""
+        if gone := [identifier for identifier in planned if identifier not in executed]:
+            self.note(f"items were taken out behind the kit's back: {named(gone)}")
+        elif planned != executed:
+            self.note("the order of the items was changed behind the kit's back")
+
     def _why_not_collected(self) -> str:
         if self._config.args_source is pytest.Config.ArgsSource.ARGS:
             return f": pytest was asked for {' '.join(map(str, self._config.args))}"

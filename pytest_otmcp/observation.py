@@ -12,11 +12,11 @@ from typing import Any
 
 from .envelope import check_result, parse_strict
 from .findings import Finding
-from .subject.answers import extract, interpret, read_answer, synthesised
+from .subject.answers import extract, interpret, read_answer, synthesised, synthesised_from_outputs
 from .subject.model import Answering, OutputRule
 from .subject.operations import OPERATIONS
 
-__all__ = ["Reply", "Wire", "observe"]
+__all__ = ["Reply", "Wire", "observe", "performed"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -192,6 +192,22 @@ def observe(
             )
         )
     return reply
+
+
+def performed(reply: Reply, outputs: Mapping[str, Any], refused: tuple[str, str] | None) -> None:
+    """Let count what a function of the bindings file made of the answers that it got.
+
+    Args:
+        outputs: what it found.
+        refused: code and words, when it took the answers for a refusal.
+    """
+    if reply.envelope is None:
+        return
+    reply.outputs = dict(outputs)
+    reply.envelope = synthesised_from_outputs(outputs, refused, protocol=reply.adapter, operation=reply.operation)
+    if refused is not None:
+        # What admits not to be the device's claims nothing any more: the function has seen that, too.
+        reply.faults[:] = [fault for fault in reply.faults if fault.code != "not_from_the_device"]
 
 
 def _read_envelope(reply: Reply, message: Mapping[str, Any]) -> None:

@@ -25,7 +25,7 @@ from .fixtures import (
     otmcp_subject,
     otmcp_trial,
 )
-from .keys import LIVE, NARROWING, RECORDER, RESULT, RUN, SETTINGS, STARTED
+from .keys import LIVE, NARROWING, PLANNED, RECORDER, RESULT, RUN, SETTINGS, STARTED
 from .settings import add_options, read_settings
 from .task import SUITES, Task
 
@@ -157,6 +157,11 @@ def pytest_collection_modifyitems(
     # Items run in the suite's order, whoever sorts; other tests stay where they are. An item may be there twice.
     ordered = iter(sorted((item for item in items if item in left), key=lambda item: shipped.index(left[item].id)))
     items[:] = [next(ordered) if item in left else item for item in items if item not in deselected]
+    config.stash[PLANNED] = _identifiers(items)
+
+
+def _identifiers(items: list[pytest.Item]) -> list[str]:
+    return [task.id for item in items if (task := task_of(item)) is not None and is_shipped(item.path)]
 
 
 def _shipped_tasks(items: list[pytest.Item]) -> dict[pytest.Item, Task]:
@@ -173,6 +178,7 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     from .run import Run
 
     tasks = list(_shipped_tasks(session.items).values())
+    narrowing.final(config.stash.get(PLANNED, []), _identifiers(session.items))
     with quiet():
         narrowing.note(*changed_files())
         run = config.stash[RUN] = Run(config.stash[SETTINGS], _load_subject(config), tasks)

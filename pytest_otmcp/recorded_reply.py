@@ -20,9 +20,8 @@ from typing import Any
 
 from .envelope import same_json
 from .findings import Finding
-from .observation import Reply, Wire, observe
+from .observation import Reply, Wire, observe, performed
 from .station import READ_WRITE
-from .subject.answers import synthesised_from_outputs
 from .subject.model import Answering, Binding, ErrorRule, OutcomeRule, OutputRule
 
 __all__ = ["UNREADABLE", "HistoryError", "recorded_reply", "restored_bindings"]
@@ -104,11 +103,8 @@ def recorded_reply(
         # Only the read-only variant may do without a tool.
         listed=call["variant"] == READ_WRITE or call["listed"],
     )
-    if binding is None and reply.envelope is not None:
-        reply.outputs = dict(call["outputs"])
-        reply.envelope = synthesised_from_outputs(
-            reply.outputs, _refusal(call), protocol=call["adapter"], operation=call["operation"]
-        )
+    if binding is None:
+        performed(reply, call["outputs"], _refusal(call))
     return reply
 
 

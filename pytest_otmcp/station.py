@@ -17,9 +17,9 @@ from . import __version__
 from .envelope import check_result, parse_strict
 from .errors import KitError, SubjectError, UsageError
 from .mcp_session import Exchange, McpSession, SessionOptions
-from .observation import Reply, Wire, observe
+from .observation import Reply, Wire, observe, performed
 from .plant import MockDevice
-from .subject.answers import interpret, read_answer, synthesised_from_outputs
+from .subject.answers import interpret, read_answer
 from .subject.functions import Refused, ToolAnswer, checked_outputs
 from .subject.model import Adapter, Answering, Binding, Function, replace_placeholders, replace_template
 from .tap_broker import TappedBroker
@@ -286,12 +286,7 @@ class Station:
             binding=None,
             listed=True,
         )
-        if reply.envelope is not None:
-            refused = None if refusal is None else (refusal.code, str(refusal))
-            reply.envelope = synthesised_from_outputs(
-                outputs, refused, protocol=self.adapter.protocol, operation=function.name
-            )
-            reply.outputs = dict(outputs)
+        performed(reply, outputs, None if refusal is None else (refusal.code, str(refusal)))
         return reply
 
 

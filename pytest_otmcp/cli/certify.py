@@ -75,16 +75,16 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"--reps: a certificate needs at least {MINIMUM_REPS} repetitions, found {args.reps}")
     file = _subject_file(args.subject)
     subject = reference_subject() if file is None else load_subject(file)
+    out: Path = args.out.absolute()
+    for name in _OURS:
+        (out / name).unlink(missing_ok=True)
     if subject.deviations:
         known = ", ".join(deviation.item for deviation in subject.deviations)
         raise Refusal(
             f"no certificate: {subject.source} declares known deviations ({known}), and a certificate excuses nothing; "
             f"pytest --otmcp-reps={args.reps} accepts them until they expire"
         )
-    out: Path = args.out.absolute()
     out.mkdir(parents=True, exist_ok=True)
-    for name in _OURS:
-        (out / name).unlink(missing_ok=True)
     print(f"certifying {subject.name} {subject.version} ({file or 'shipped with the kit'})", flush=True)
     return _conclude(out, _run_suite(file, args.reps, out))
 

@@ -58,15 +58,23 @@ def pytest_collection_modifyitems(items):
     for item in items:
         task = item.callspec.params["task"]
         if task.id == "M2":
-            task.adapters, task.needs = ("opcua",), ()
+            task.warm_up = False
         if task.id == "S7":
             task.steps = nothing
+"""
+LAST_WORD = """
+import pytest
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_collection_modifyitems(items):
+    yield
+    del items[1:]
 """
 AGAIN = """
 from _pytest.runner import runtestprotocol
 
 def pytest_runtest_protocol(item, nextitem):
-    runtestprotocol(item, nextitem=item)
+    runtestprotocol(item, nextitem=nextitem)
     item._initrequest()
     runtestprotocol(item, nextitem=nextitem)
     return True
@@ -151,10 +159,17 @@ def test_items_that_a_plugin_says_were_run_did_not_run(repository: Repository) -
 def test_a_task_that_is_not_as_its_module_declares_it_is_on_record(repository: Repository) -> None:
     repository.write(conftest_py=ALTERING)
     outcome = repository.pytest("--otmcp-reps=1", "-k", "M2 or S7")
-    assert (outcome.statuses["M2"], outcome.statuses["S7"]) == ("NOT_APPLICABLE", "PASS")
-    assert "adapters of the task M2 was altered from ('modbus',) to ('opcua',)" in outcome.narrowed
+    assert outcome.statuses["S7"] == "PASS"
+    assert "warm_up of the task M2 was altered from True to False" in outcome.narrowed
     assert any("steps of the task S7 were replaced by something from" in sentence for sentence in outcome.narrowed)
     assert outcome.code == 1
+
+
+def test_whoever_has_the_last_word_on_the_items_is_noticed(repository: Repository) -> None:
+    repository.write(conftest_py=LAST_WORD)
+    outcome = repository.pytest("--otmcp-reps=1")
+    only(outcome, "items were taken out behind the kit's back: M2, M3, M4, Q1, Q2, Q3 and 31 more")
+    assert outcome.verdict == "INCOMPLETE"
 
 
 def test_of_several_attempts_the_first_counts(repository: Repository) -> None:

@@ -2,7 +2,7 @@
 
 ``mqtt-connect``: has to be connected by a tool, does not reconnect; structured content with a ``success`` in it, ``isError``
 never set; one inbox for everything, no QoS.
-``mqtt-handle``: reconnects; a subscription has a handle that is polled and emptied; ``isError`` set.
+``mqtt-handle``: connects again when it has to; a subscription has a handle that is polled and emptied; ``isError`` set.
 ``mqtt-collect``: subscribes, waits and answers in one call; a text block for each message, and nothing else.
 """
 
@@ -24,12 +24,15 @@ ANSWER_S = 1.0
 class Link:
     """A connection to a broker, with answers that can be waited for."""
 
-    def __init__(self, host: str, port: int, *, reconnect: bool) -> None:
+    def __init__(
+        self, host: str, port: int, *, reconnect: bool = False, received: list[dict[str, str]] | None = None
+    ) -> None:
         self.client = paho.Client(paho.CallbackAPIVersion.VERSION2, reconnect_on_failure=reconnect)
-        self.received: list[dict[str, str]] = []
+        self.received = [] if received is None else received
         self._answers: dict[int, Any] = {}
         self._changed = threading.Condition()
         self._where = (host, port)
+        self._reconnects = reconnect
         self.client.reconnect_delay_set(0.05, 0.1)
         self.client.on_message = self._message
         self.client.on_subscribe = lambda client, data, mid, codes, properties: self._answer(mid, codes[0].value)
@@ -83,7 +86,9 @@ class Link:
         return self.wait(self.client.subscribe(filter, qos)[1])
 
     def publish(self, topic: str, payload: str, qos: int) -> None:
-        self.require()
+        if not self._reconnects:
+            # Else paho keeps it until it has a connection again.
+            self.require()
         self.wait(self.client.publish(topic, payload, qos).mid)
 
     def require(self) -> None:
@@ -108,7 +113,7 @@ def mqtt_connect(lie: str | None, read_only: bool) -> Shape:
     async def open_connection(host: str, port: int) -> CallToolResult:
         for old in links:
             await asyncio.to_thread(old.close)
-        links[:] = [Link(host, port, reconnect=False)]
+        links[:] = [Link(host, port)]
         try:
             await asyncio.to_thread(links[-1].open)
         except Failure as failure:
@@ -145,6 +150,8 @@ def mqtt_connect(lie: str | None, read_only: bool) -> Shape:
         try:
             await asyncio.to_thread(link().publish, topic, text, 0)
         except Failure as failure:
+            if lie == "publishes-into-the-void":
+                return structured({"success": True, "topic": topic})
             return bad(failure)
         if lie == "false-failure":
             return bad(Failure("timeout", "timeout or error while publishing"))
@@ -165,55 +172,59 @@ def mqtt_connect(lie: str | None, read_only: bool) -> Shape:
 
 
 def mqtt_handle(lie: str | None, read_only: bool) -> Shape:
-    link = Link(os.environ["BROKER_HOST"], int(os.environ["BROKER_PORT"]), reconnect=True)
+    # The one in use is the last one.
+    links: list[Link] = []
+    received: list[dict[str, str]] = []
     # Name of a handle to its filter and how many of the messages have been fetched.
     handles: dict[str, tuple[str, int]] = {}
     later: set[asyncio.Task[int]] = set()
-    opened = asyncio.Lock()
+    opening = asyncio.Lock()
 
     def bad(failure: Failure) -> CallToolResult:
         return prose(f"{failure.kind}: {failure}", is_error=True)
 
-    async def ready() -> None:
-        async with opened:
-            if not link.client.host:
-                await asyncio.to_thread(link.open)
+    async def link() -> Link:
+        """The link; a new one where the old one is lost, because a client keeps what it could not send."""
+        async with opening:
+            if not links or not (links[-1].client.is_connected() or lie == "makes-up-for-it"):
+                where = os.environ["BROKER_HOST"], int(os.environ["BROKER_PORT"])
+                links.append(Link(*where, reconnect=lie == "makes-up-for-it", received=received))
+                await asyncio.to_thread(links[-1].open)
+        return links[-1]
 
     async def status() -> CallToolResult:
         try:
-            await ready()
-            await asyncio.to_thread(link.check)
+            await asyncio.to_thread((await link()).check)
         except Failure as failure:
             return bad(failure)
         return structured({"connected": True}, text="all is well")
 
     async def start_subscription(topic_filter: str, qos: int) -> CallToolResult:
         try:
-            await ready()
             if lie == "clamps-qos":
                 qos = min(qos, 2)
             if qos not in (0, 1, 2):
                 if lie == "applied-later":
                     later.add(asyncio.create_task(subscribe_soon(topic_filter)))
                 raise Failure("invalid", "qos must be less than or equal to 2")
-            granted = await asyncio.to_thread(link.subscribe, topic_filter, qos)
+            granted = await asyncio.to_thread((await link()).subscribe, topic_filter, qos)
         except Failure as failure:
             return bad(failure)
         handle = f"s{len(handles) + 1}"
-        handles[handle] = (topic_filter, len(link.received))
+        handles[handle] = (topic_filter, len(received))
         return structured({"handle": handle, "granted": granted})
 
     async def subscribe_soon(topic_filter: str) -> int:
         await asyncio.sleep(0.01)
-        return await asyncio.to_thread(link.subscribe, topic_filter, 2)
+        return await asyncio.to_thread((await link()).subscribe, topic_filter, 2)
 
     async def poll(handle: str) -> CallToolResult:
         if handle not in handles:
             return bad(Failure("invalid", f"unknown handle {handle}"))
         wanted, seen = handles[handle]
-        received = [] if lie == "empty-poll" else list(link.received)
-        handles[handle] = (wanted, len(received))
-        fresh = [message for message in received[seen:] if paho.topic_matches_sub(wanted, message["topic"])]
+        so_far = [] if lie == "empty-poll" else list(received)
+        handles[handle] = (wanted, len(so_far))
+        fresh = [message for message in so_far[seen:] if paho.topic_matches_sub(wanted, message["topic"])]
         return structured({"messages": fresh})
 
     async def publish(topic: str, message: str, qos: int) -> CallToolResult:
@@ -223,8 +234,7 @@ def mqtt_handle(lie: str | None, read_only: bool) -> Shape:
                 threading.Event().wait()
             return bad(Failure("invalid", "the topic must not be empty"))
         try:
-            await ready()
-            await asyncio.to_thread(link.publish, topic, message, qos)
+            await asyncio.to_thread((await link()).publish, topic, message, qos)
         except Failure as failure:
             return bad(failure)
         return structured({"topic": topic})
@@ -244,7 +254,7 @@ def mqtt_handle(lie: str | None, read_only: bool) -> Shape:
 
 def mqtt_collect(lie: str | None, read_only: bool) -> Shape:
     async def collect(topic: str, timeout: float) -> CallToolResult:
-        link = Link(os.environ["BROKER_HOST"], int(os.environ["BROKER_PORT"]), reconnect=False)
+        link = Link(os.environ["BROKER_HOST"], int(os.environ["BROKER_PORT"]))
         try:
             await asyncio.to_thread(link.open)
             await asyncio.to_thread(link.subscribe, topic, 0)

@@ -16,7 +16,10 @@ EXPECTED = {
     "unknown-tool": ("M1", "Unknown tool: ping"),
     "traceback-as-text": (FAILS_IN_WORDS, "no structuredContent object"),
     "lying-guard": ("M4", "the device should have seen no write, it saw 1"),
-    "write-not-sent": ("M3 M4 X2 X2p FM2 S4", "should have seen one write of [40] to holding_registers 1, it saw 0"),
+    "write-not-sent": (
+        "M3 M4 X2 X2p FM2 S4 S10",
+        "should have seen one write of [40] to holding_registers 1, it saw 0",
+    ),
     "write-sent-twice": ("M3 M4 X2 X2p S4", "it saw 2"),
     "never-reconnects": ("S10 R-modbus", "expected success, got error 'connect_failed'"),
     "hang": (READS_INPUT, "no reply within the deadline"),
@@ -27,7 +30,7 @@ EXPECTED = {
     "is-error-never-set": (FAILS_IN_WORDS, "isError is False although success is False"),
     "cached-status": ("Q1 X1 X1p S8 S11 R-mqtt", "the broker should have answered the adapter"),
     "clamps-qos": ("FQ2", "it claims success"),
-    "publish-not-sent": ("Q3 X2 X2p FQ1 FX1 S5", "it received 0 message(s)"),
+    "publish-not-sent": ("Q3 X2 X2p FQ1 FX1 S5 S11", "it received 0 message(s)"),
     "incomplete-enumeration": ("O4", "1 missing, for instance"),
     "bad-code": ("FO1 FX1", "error code should be illegal_address, it is 'protocol_error'"),
 }

@@ -45,7 +45,7 @@ def test_the_likeliest_tool_is_the_right_one(operation: str, expected: str) -> N
 
 def test_a_coil_is_no_register() -> None:
     tools = {"write_coil": tool("address value"), "write_register": tool("address value")}
-    assert [guess.tool for guess in guesses("modbus", "write_holding", tools)][0] == "write_register"
+    assert guesses("modbus", "write_holding", tools)[0].tool == "write_register"
 
 
 def test_nodes_and_values_are_put_into_lists_of_objects() -> None:

@@ -13,7 +13,7 @@ from pytest_otmcp.errors import UsageError
 from pytest_otmcp.redaction import REDACTED, Redactor
 from pytest_otmcp.subject import load_subject
 
-SECRET = 'pa"ss/w\\ord ü'
+SECRET = 'pa"ss/w\\ord ü'  # noqa: S105
 
 
 @pytest.mark.parametrize(

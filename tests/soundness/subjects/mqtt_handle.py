@@ -1,31 +1,25 @@
-"""Subscriptions with a handle: polling empties it, so what was fetched is kept here."""
+"""Subscriptions with a handle: polling empties it, so what was fetched is kept here, as long as the session lasts."""
 
 from pytest_otmcp.subject import Refused
-
-_handles = []
-_fetched = []
 
 
 async def subscribe(tools, *, filter, qos):
     answer = await tools.call("start_subscription", topic_filter=filter, qos=qos)
     if answer.is_error:
         raise Refused(_code(answer), answer.text)
-    _handles.append(answer.structured["handle"])
+    tools.state.setdefault("handles", []).append(answer.structured["handle"])
     return {"granted_qos": answer.structured["granted"]}
 
 
 async def messages(tools, *, filter):
-    for handle in list(_handles):
+    fetched = tools.state.setdefault("fetched", [])
+    for handle in tools.state["handles"]:
         answer = await tools.call("poll", handle=handle)
-        if "unknown handle" in answer.text:
-            # Of a session that is over.
-            _handles.remove(handle)
-        elif answer.is_error:
+        if answer.is_error:
             raise Refused(_code(answer), answer.text)
-        else:
-            _fetched.extend(message for message in answer.structured["messages"] if message not in _fetched)
+        fetched += [message for message in answer.structured["messages"] if message not in fetched]
     wanted = filter.removesuffix("#")
-    return {"messages": [message for message in _fetched if message["topic"].startswith(wanted)]}
+    return {"messages": [message for message in fetched if message["topic"].startswith(wanted)]}
 
 
 def _code(answer):
