@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 
@@ -167,7 +168,8 @@ async def a_received_message_can_be_read(run: Repetition) -> None:
     "MQTT",
     "Publish a standard MQTT control payload.",
     needs="mqtt.publish",
-    requirements="MQT-001 MQT-003 WR-003",
+    guards="mqtt",
+    requirements="MQT-001 MQT-003 WR-003 WR-004",
 )
 async def publish_control(run: Repetition) -> None:
     payload = json.dumps({"pump_speed": 50 + run.rep})
@@ -179,12 +181,31 @@ async def publish_control(run: Repetition) -> None:
     run.witnessed(mqtt.published_once(journal, topic="control/pump", payload=payload.encode(), qos=qos))
 
 
+@publish_control.after
+async def nothing_is_published_with_writes_disabled(run: Repetition) -> None:
+    await guarded_publish(run, "publish", topic="control/pump", payload="guarded", qos=0)
+
+
+async def guarded_publish(run: Repetition, operation: str, **inputs: Any) -> None:
+    if not run.mqtt.claims("guard"):
+        return
+    guarded = run.guarded("mqtt")
+    run.fails(await guarded.call(operation, **inputs), "writes_disabled", outcome="not_sent")
+    # A denial proves something only if the session reaches its broker; the same call works in the task itself.
+    if guarded.claims("info"):
+        run.succeeds(await guarded.call("info"))
+        run.witnessed(mqtt.exchange(await guarded.journal()))
+    await guarded.close_session()
+    run.witnessed(mqtt.no_packet(await guarded.session_journal(), "PUBLISH", direction="in"))
+
+
 @NORMAL.task(
     "Q4",
     "MQTT",
     "Publish a Sparkplug B DDATA update for the mock device.",
     needs="mqtt.device_birth mqtt.device_data",
-    requirements="SPB-001 SPB-002 SPB-003 SPB-004",
+    guards="mqtt",
+    requirements="WR-004 SPB-001 SPB-002 SPB-003 SPB-004",
 )
 async def publish_device_data(run: Repetition) -> None:
     value = 20.0 + run.rep
@@ -202,6 +223,12 @@ async def publish_device_data(run: Repetition) -> None:
 async def the_device_is_born(run: Repetition) -> None:
     metrics = [{"name": "temperature", "datatype": "Double", "value": 20.0}]
     run.succeeds(await run.mqtt.call("device_birth", device="device-1", metrics=metrics))
+
+
+@publish_device_data.after
+async def no_device_is_born_with_writes_disabled(run: Repetition) -> None:
+    metrics = [{"name": "temperature", "datatype": "Double", "value": 20.0}]
+    await guarded_publish(run, "device_birth", device="device-1", metrics=metrics)
 
 
 @NORMAL.task(
@@ -247,7 +274,8 @@ async def browse_actuators(run: Repetition) -> None:
     "OPC UA",
     "Write the valve-position variable and confirm the new value.",
     needs="opcua.write opcua.read",
-    requirements="WR-001 WR-002 WR-003",
+    guards="opcua",
+    requirements="WR-004 WR-001 WR-002 WR-003",
 )
 async def write_valve_position(run: Repetition) -> None:
     value = 25.0 + run.rep
@@ -263,6 +291,24 @@ async def write_valve_position(run: Repetition) -> None:
         opcua.exactly_one_write(await run.opcua.journal(), valve, value),
         opcua.only_changed(before, after, {valve: value}),
         opcua.image_holds(await run.opcua.image(), valve, value),
+    )
+
+
+@write_valve_position.after
+async def nothing_is_written_with_writes_disabled(run: Repetition) -> None:
+    if not run.opcua.claims("guard"):
+        return
+    guarded = run.guarded("opcua")
+    before = await guarded.image()
+    run.fails(
+        await guarded.call("write", node="ns=2;s=ValvePosition", value=99.5), "writes_disabled", outcome="not_sent"
+    )
+    run.succeeds(await guarded.call("read", node="ns=2;s=ValvePosition"))
+    await guarded.close_session()
+    run.witnessed(
+        opcua.read_from_device(await guarded.journal(), "ns=2;s=ValvePosition"),
+        opcua.no_state_changing_service(await guarded.session_journal()),
+        opcua.only_changed(before, await guarded.image(), {}),
     )
 
 

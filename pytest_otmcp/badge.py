@@ -21,10 +21,13 @@ _PADDING = 7
 
 
 def badge(certificate: Mapping[str, Any]) -> dict[str, Any]:
-    """What ``badge.json`` holds."""
-    protocols = certificate["predicate"]["otmcp"]["adapters"]
-    names = ", ".join(PROTOCOLS[protocol] for protocol in protocols)
-    return {"schemaVersion": 1, "label": _LABEL, "message": f"conformant: {names}", "color": _COLOUR.removeprefix("#")}
+    """What ``badge.json`` holds: the protocols, and how much of the suite that is when it is not all."""
+    predicate = certificate["predicate"]
+    message = "conformant: " + ", ".join(PROTOCOLS[protocol] for protocol in predicate["otmcp"]["adapters"])
+    passed, left_out = len(predicate["passedTests"]), len(predicate["otmcp"]["not_applicable"])
+    if left_out:
+        message += f" ({passed} of {passed + left_out} items)"
+    return {"schemaVersion": 1, "label": _LABEL, "message": message, "color": _COLOUR.removeprefix("#")}
 
 
 def badge_svg(certificate: Mapping[str, Any]) -> str:

@@ -14,6 +14,7 @@ from .bench import READ_ONLY, READ_WRITE, Bench
 from .history import Images
 from .repetition import Repetition
 from .stage import SessionFacts
+from .subject.operations import GUARD
 from .task import Steps, Task
 from .verdict import Status
 
@@ -50,7 +51,9 @@ class BenchStage:
     async def prepare(self) -> None:
         """Reset the devices and open the sessions."""
         with self.spent("plant start"):
-            for name in self._task.adapters:
+            adapters = self._bench.subject.adapters
+            guarded = [f"{name}@ro" for name in self._task.guards if adapters[name].why_not_claimed(GUARD) is None]
+            for name in (*self._task.adapters, *guarded):
                 protocol, _, variant = name.partition("@")
                 self._places.append(Place(await self._bench.station(protocol, variant or READ_WRITE)))
         for place in self._places:

@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any, TypeGuard
 
-from .subject.operations import PROTOCOLS, behind
+from .subject.operations import GUARD, PROTOCOLS, behind
 from .task import SUITES, Task, repetitions
 from .verdict import Status, Verdict, decide
 
@@ -142,6 +142,12 @@ def needed(task: Task, adapters: Mapping[str, Any]) -> list[str]:
         blocking = adapters[protocol].get("blocking", ()) if protocol in adapters else ()
         found += [f"{protocol}.{real}" for real in behind(name, blocking)]
     return list(dict.fromkeys(found))
+
+
+def exercised(task: Task, adapters: Mapping[str, Any]) -> list[str]:
+    """The facets that a task says something about: those that it needs, and guards that it looks at when there are any."""
+    guards = [f"{protocol}.{GUARD}" for protocol in task.guards]
+    return [*needed(task, adapters), *(facet for facet in guards if why_not_claimed(facet, adapters) is None)]
 
 
 def why_not_claimed(facet: str, adapters: Mapping[str, Any]) -> str | None:

@@ -15,7 +15,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from .certifiable import needed, why_not_claimed
+from .certifiable import exercised, needed, why_not_claimed
 from .statistics import lower_bound, proportion_interval
 from .subject.operations import facets
 from .task import SUITES, Task
@@ -102,7 +102,7 @@ def _adapter(protocol: str, facts: Mapping[str, Any], run: Run, tasks: Tasks) ->
     earned, not_exercised, not_claimed = {}, [], {}
     for name in facets(protocol):
         facet = f"{protocol}.{name}"
-        behind = [item for item in run["items"] if facet in needed(tasks[item["id"]], adapters)]
+        behind = [item for item in run["items"] if facet in exercised(tasks[item["id"]], adapters)]
         applying = [item for item in behind if item["status"] != Status.NOT_APPLICABLE]
         if (reason := why_not_claimed(facet, adapters)) is not None:
             not_claimed[name] = reason

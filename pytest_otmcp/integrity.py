@@ -24,9 +24,10 @@ __all__ = ["altered_task", "changed_files", "replaced_functions"]
 _KIT = Path(__file__).resolve().parent
 _LIBRARY = Path(hashlib.__file__).resolve().parent
 _JUDGES = (
-    "bench collection envelope fixtures integrity mcp_session narrowing observation oracle plant plugin process record run "
-    "shipped station taxonomy trial verdict witness.modbus_oracle witness.mqtt_oracle witness.opcua_oracle "
-    "witness.sparkplug_oracle"
+    "applicability at_device at_station bench bench_stage collection envelope fixtures http_transport integrity mcp_session "
+    "narrowing observation oracle plant plugin process record recording repetition run shipped station stdio_transport "
+    "subject.answers subject.load subject.model taxonomy trial verdict witness.modbus_oracle witness.mqtt_oracle "
+    "witness.opcua_oracle witness.sparkplug_oracle"
 ).split()
 """Modules whose functions decide what a run comes to."""
 

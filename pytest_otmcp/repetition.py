@@ -72,7 +72,11 @@ class Repetition:
     @property
     def modbus_ro(self) -> AtDevice:
         """The Modbus adapter with writes disabled, at a device of its own."""
-        return self._at["modbus", READ_ONLY]
+        return self.guarded("modbus")
+
+    def guarded(self, protocol: str) -> AtDevice:
+        """The adapter of ``protocol`` with writes disabled, at a device of its own."""
+        return self._at[protocol, READ_ONLY]
 
     @property
     def mqtt(self) -> AtDevice:

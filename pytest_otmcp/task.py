@@ -31,6 +31,7 @@ class Task:
         title: the paper's sentence for it, printed in its tables.
         adapters: the protocols it needs.
         needs: facets that the subject must claim, such as ``modbus.write_holding`` or ``modbus.guard``.
+        guards: protocols whose read-only variant takes part when the subject claims that there is one.
         requirements: ids of the requirement catalogue that it exercises.
         steps: one repetition.
         begin: once before the repetitions, with the role ``setup``; or None.
@@ -44,6 +45,7 @@ class Task:
     title: str
     adapters: tuple[str, ...]
     needs: tuple[str, ...]
+    guards: tuple[str, ...]
     requirements: tuple[str, ...]
     steps: Steps
     begin: Steps | None = None
@@ -69,13 +71,16 @@ class Suite(list[Task]):
         self.name = name
         self._warm_up = warm_up
 
-    def task(self, id: str, family: str, title: str, *, needs: str, requirements: str = "") -> Callable[[Steps], Task]:
+    def task(
+        self, id: str, family: str, title: str, *, needs: str, guards: str = "", requirements: str = ""
+    ) -> Callable[[Steps], Task]:
         """Decorator that turns the steps of one repetition into a task of this suite.
 
         Args:
             id, family, title: see :class:`Task`.
             needs: facets, each with its protocol, separated by blanks. With a ``guard`` the task has the read-only
                 variant of that adapter, too, as ``protocol@ro``.
+            guards: see :class:`Task`, separated by blanks.
             requirements: catalogue ids, separated by blanks.
         """
 
@@ -90,6 +95,7 @@ class Suite(list[Task]):
                 title=title,
                 adapters=(*protocols, *guarded),
                 needs=facets,
+                guards=tuple(guards.split()),
                 requirements=tuple(requirements.split()),
                 steps=steps,
                 warm_up=self._warm_up,

@@ -213,7 +213,8 @@ def _guess(protocol: str, operation: str, name: str, tool: Mapping[str, Any]) ->
     score -= 3.0 * len(words & _alternatives(_AGAINST[protocol][operation]))
     described = _words(str(tool.get("description") or "")[:400])
     score += 0.25 * len(described & _alternatives(_FOR[protocol][operation]))
-    inputs = OPERATIONS[protocol][operation].inputs
+    # A call that waits for messages is not proposed: how long it may wait is for whoever knows the adapter to say.
+    inputs = tuple(name for name in OPERATIONS[protocol][operation].inputs if name in _ARGUMENTS)
     arguments, convert = _arguments(operation, inputs, tool)
     placed = _placed(arguments)
     score += 2.0 * len(placed & set(inputs)) - 2.0 * len(

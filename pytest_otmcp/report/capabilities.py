@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
+from ..subject.operations import GUARD, PROTOCOLS
 from ..verdict import Status
 from . import Item, Run
 
@@ -34,11 +35,13 @@ class Capability:
         name: a word or two.
         meaning: what it means when it is earned.
         items: family to the ids of the items behind it, separated by blanks.
+        facet: what the subject has to claim for it, where the items also apply without.
     """
 
     name: str
     meaning: str
     items: Mapping[str, str]
+    facet: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,7 +72,8 @@ CAPABILITIES = (
     Capability(
         name="Write protection",
         meaning="with writes disabled, no write reaches the device",
-        items={"Modbus": "M4"},
+        items={"Modbus": "M4", "MQTT": "Q3 Q4", "OPC UA": "O3"},
+        facet=GUARD,
     ),
     Capability(
         name="Refusing bad requests",
@@ -113,9 +117,15 @@ def earned(run: Run) -> list[tuple[Capability, dict[str, Earned]]]:
         asked.append(Capability(name=_OTHERS, meaning="the other items of the suite passed", items=others))
     items = {item["id"]: item for item in run["items"]}
     return [
-        (capability, {family: _grade(capability.items.get(family, "").split(), items) for family in families(run)})
-        for capability in asked
+        (capability, {family: _of(capability, family, items, run) for family in families(run)}) for capability in asked
     ]
+
+
+def _of(capability: Capability, family: str, items: Mapping[str, Item], run: Run) -> Earned:
+    for protocol, facts in run["subject"]["adapters"].items():
+        if PROTOCOLS.get(protocol) == family and capability.facet in facts.get("unclaimed", {}):
+            return Earned(grade=Grade.NOT_CLAIMED)
+    return _grade(capability.items.get(family, "").split(), items)
 
 
 def _grade(wanted: Sequence[str], items: Mapping[str, Item]) -> Earned:

@@ -46,19 +46,22 @@ def traceback_as_text(server: AdapterServer) -> None:
     core_server._result = result
 
 
-def lying_guard(server: AdapterServer) -> None:
+def lying_guard(name: str) -> Callable[[AdapterServer], None]:
     """Says that writes are disabled, after having written."""
-    tool = server._tools["write_register"]
 
-    async def handler(call: Call, arguments: Any) -> dict[str, Any]:
-        data: dict[str, Any] = await tool.handler(call, arguments)
-        if enabled:
-            return data
-        raise AdapterError("writes_disabled", "writes are disabled", outcome="not_sent")
+    def bend(server: AdapterServer) -> None:
+        tool = server._tools[name]
+        enabled = server.writes_enabled
 
-    enabled = server.writes_enabled
-    server.writes_enabled = True
-    server._tools["write_register"] = replace(tool, handler=handler)
+        async def handler(call: Call, arguments: Any) -> dict[str, Any]:
+            data: dict[str, Any] = await tool.handler(call, arguments)
+            if enabled:
+                return data
+            raise AdapterError("writes_disabled", "writes are disabled", outcome="not_sent")
+
+        server._tools[name] = replace(tool, handler=handler, writes=False)
+
+    return bend
 
 
 def write_not_sent(server: AdapterServer) -> None:
@@ -275,7 +278,7 @@ def bad_code(server: AdapterServer) -> None:
 DEFECTS: dict[str, tuple[str, Callable[[AdapterServer], None]]] = {
     "unknown-tool": ("modbus", unknown_tool),
     "traceback-as-text": ("modbus", traceback_as_text),
-    "lying-guard": ("modbus", lying_guard),
+    "lying-guard": ("modbus", lying_guard("write_register")),
     "write-not-sent": ("modbus", write_not_sent),
     "write-sent-twice": ("modbus", write_sent_twice),
     "never-reconnects": ("modbus", never_reconnects),
@@ -285,9 +288,11 @@ DEFECTS: dict[str, tuple[str, Callable[[AdapterServer], None]]] = {
     "swapped-parallel-replies": ("modbus", swapped_parallel_replies),
     "truncates-overflow": ("modbus", truncates_overflow),
     "is-error-never-set": ("modbus", is_error_never_set),
+    "lying-guard-mqtt": ("mqtt", lying_guard("publish_message")),
     "cached-status": ("mqtt", cached_status),
     "clamps-qos": ("mqtt", clamps_qos),
     "publish-not-sent": ("mqtt", publish_not_sent),
+    "lying-guard-opcua": ("opcua", lying_guard("write_opcua_node")),
     "incomplete-enumeration": ("opcua", incomplete_enumeration),
     "bad-code": ("opcua", bad_code),
     "none": ("modbus", lambda server: None),

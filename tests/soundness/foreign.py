@@ -6,6 +6,7 @@ no envelope, no names, no addresses and no manner of failing in common, like ada
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import sys
@@ -14,18 +15,11 @@ from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any
 
-import anyio
-from mcp import MCPError
-from mcp.server.lowlevel import Server
-from mcp.server.stdio import stdio_server
-from mcp.types import (
-    INVALID_PARAMS,
-    CallToolRequestParams,
-    CallToolResult,
-    ListToolsResult,
-    TextContent,
-    Tool,
-)
+Result = dict[str, Any]
+"""The result of a tool call as it is on the wire."""
+
+INVALID_PARAMS = -32602
+METHOD_NOT_FOUND = -32601
 
 SHAPES = {
     "modbus-prose": "foreign_modbus",
@@ -46,28 +40,34 @@ class Failure(Exception):
         self.kind = kind
 
 
-def prose(text: str, *, is_error: bool = False) -> CallToolResult:
-    return CallToolResult(content=[TextContent(type="text", text=text)], is_error=is_error)
+class ProtocolError(Exception):
+    """An answer that is an error of the protocol, with ``code``, instead of a result."""
+
+    def __init__(self, code: int, text: str) -> None:
+        super().__init__(text)
+        self.code = code
 
 
-def json_text(document: Any) -> CallToolResult:
+def prose(text: str, *, is_error: bool = False) -> Result:
+    return {"content": [{"type": "text", "text": text}], "isError": is_error}
+
+
+def json_text(document: Any) -> Result:
     return prose(json.dumps(document))
 
 
-def structured(document: dict[str, Any], *, text: str | None = None, is_error: bool = False) -> CallToolResult:
-    shown = json.dumps(document) if text is None else text
-    content = [TextContent(type="text", text=shown)]
-    return CallToolResult(content=content, structured_content=document, is_error=is_error)
+def structured(document: dict[str, Any], *, text: str | None = None, is_error: bool = False) -> Result:
+    return prose(json.dumps(document) if text is None else text, is_error=is_error) | {"structuredContent": document}
 
 
-def no_such_tool(name: str) -> CallToolResult:
-    """What the high-level servers answer; the specification wants an error of the protocol."""
+def no_such_tool(name: str) -> Result:
+    """What the SDK's high-level servers answer; the specification wants an error of the protocol."""
     return prose(f"Unknown tool: {name}", is_error=True)
 
 
-def no_such_method(name: str) -> CallToolResult:
+def no_such_method(name: str) -> Result:
     """What the specification wants."""
-    raise MCPError(INVALID_PARAMS, f"Unknown tool: {name}")
+    raise ProtocolError(INVALID_PARAMS, f"Unknown tool: {name}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,32 +79,31 @@ class Shape:
         unlisted: names of tools that work, but are not listed.
         open_arguments: the schemas say that they take more than they name.
         unknown: the answer to a call of a tool that is not there.
-        http: it is served over streamable HTTP.
+        served: by the kit's own few lines over ``stdio``, as most tests are about answers and the SDK takes most of a
+            second to start; or by the ``sdk`` over stdio; or by the SDK over ``http``.
     """
 
-    tools: dict[str, tuple[dict[str, str], Callable[..., Awaitable[CallToolResult]]]]
+    tools: dict[str, tuple[dict[str, str], Callable[..., Awaitable[Result]]]]
     unlisted: tuple[str, ...] = ()
     open_arguments: bool = False
-    unknown: Callable[[str], CallToolResult] = field(default=no_such_tool)
-    http: bool = False
+    unknown: Callable[[str], Result] = field(default=no_such_tool)
+    served: str = "stdio"
 
-    def listing(self) -> ListToolsResult:
-        return ListToolsResult(
-            tools=[
-                Tool(
-                    name=name,
-                    input_schema={
-                        "type": "object",
-                        "properties": {argument: {"type": kind} for argument, kind in arguments.items()},
-                        "additionalProperties": self.open_arguments,
-                    },
-                )
-                for name, (arguments, _) in self.tools.items()
-                if name not in self.unlisted
-            ]
-        )
+    def listing(self) -> list[dict[str, Any]]:
+        return [
+            {
+                "name": name,
+                "inputSchema": {
+                    "type": "object",
+                    "properties": {argument: {"type": kind} for argument, kind in arguments.items()},
+                    "additionalProperties": self.open_arguments,
+                },
+            }
+            for name, (arguments, _) in self.tools.items()
+            if name not in self.unlisted
+        ]
 
-    async def call(self, name: str, given: dict[str, Any]) -> CallToolResult:
+    async def call(self, name: str, given: dict[str, Any]) -> Result:
         if name not in self.tools:
             return self.unknown(name)
         known, handler = self.tools[name]
@@ -112,35 +111,87 @@ class Shape:
         return await handler(**{argument: value for argument, value in given.items() if argument in known})
 
 
-def server_of(shape: Shape) -> Server[Any]:
-    async def list_tools(context: Any, params: Any) -> ListToolsResult:
-        return shape.listing()
+# -- by hand ----------------------------------------------------------------------------------------------------------
 
-    async def call_tool(context: Any, params: CallToolRequestParams) -> CallToolResult:
-        return await shape.call(params.name, params.arguments or {})
+
+async def serve_by_hand(shape: Shape) -> None:
+    """MCP 2025-11-25 over stdio, as far as a client needs it; calls are served at the same time."""
+    reader = asyncio.StreamReader(limit=2**20)
+    await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
+    serving: set[asyncio.Task[None]] = set()
+    while line := await reader.readline():
+        message = json.loads(line)
+        if "id" in message:
+            task = asyncio.create_task(answer(shape, message))
+            serving.add(task)
+            task.add_done_callback(serving.discard)
+
+
+async def answer(shape: Shape, message: dict[str, Any]) -> None:
+    content: dict[str, Any]
+    try:
+        content = {"result": await result_of(shape, message["method"], message.get("params") or {})}
+    except ProtocolError as error:
+        content = {"error": {"code": error.code, "message": str(error)}}
+    print(json.dumps({"jsonrpc": "2.0", "id": message["id"], **content}), flush=True)
+
+
+async def result_of(shape: Shape, method: str, params: dict[str, Any]) -> dict[str, Any]:
+    match method:
+        case "initialize":
+            about = {"name": "foreign", "version": "1.0"}
+            version = params["protocolVersion"]
+            return {"protocolVersion": version, "capabilities": {"tools": {}}, "serverInfo": about}
+        case "tools/list":
+            return {"tools": shape.listing()}
+        case "tools/call":
+            return await shape.call(params["name"], params.get("arguments") or {})
+    raise ProtocolError(METHOD_NOT_FOUND, f"Method not found: {method}")
+
+
+# -- by the SDK -------------------------------------------------------------------------------------------------------
+
+
+def server_of(shape: Shape) -> Any:
+    from mcp import MCPError
+    from mcp.server.lowlevel import Server
+    from mcp.types import CallToolResult, ListToolsResult
+
+    async def list_tools(context: Any, params: Any) -> ListToolsResult:
+        return ListToolsResult.model_validate({"tools": shape.listing()})
+
+    async def call_tool(context: Any, params: Any) -> CallToolResult:
+        try:
+            return CallToolResult.model_validate(await shape.call(params.name, params.arguments or {}))
+        except ProtocolError as error:
+            raise MCPError(error.code, str(error)) from None
 
     return Server("foreign", version="1.0", on_list_tools=list_tools, on_call_tool=call_tool)
 
 
-async def serve_stdio(server: Server[Any]) -> None:
+async def serve_stdio(shape: Shape) -> None:
+    from mcp.server.stdio import stdio_server
+
+    server = server_of(shape)
     async with stdio_server() as (read, write):
         await server.run(read, write, server.create_initialization_options())
+
+
+def serve_http(shape: Shape) -> None:
+    import uvicorn
+
+    port = int(os.environ["FOREIGN_HTTP_PORT"])
+    uvicorn.run(server_of(shape).streamable_http_app(), host="127.0.0.1", port=port, log_level="warning")
 
 
 def main() -> None:
     name = sys.argv[1]
     build = getattr(import_module(SHAPES[name]), name.replace("-", "_"))
     shape: Shape = build(lie=os.environ.get("FOREIGN_LIE"), read_only="--read-only" in sys.argv)
-    server = server_of(shape)
-    if not shape.http:
-        anyio.run(serve_stdio, server)
-        # Without the interpreter's own end, which takes as long as everything before it.
-        sys.stdout.flush()
-        os._exit(0)
-    import uvicorn
-
-    port = int(os.environ["FOREIGN_HTTP_PORT"])
-    uvicorn.run(server.streamable_http_app(), host="127.0.0.1", port=port, log_level="warning")
+    if shape.served == "http":
+        serve_http(shape)
+    else:
+        asyncio.run(serve_by_hand(shape) if shape.served == "stdio" else serve_stdio(shape))
 
 
 if __name__ == "__main__":

@@ -15,8 +15,7 @@ import threading
 from typing import Any
 
 import paho.mqtt.client as paho
-from foreign import Failure, Shape, prose, structured
-from mcp.types import CallToolResult, TextContent
+from foreign import Failure, Result, Shape, prose, structured
 
 ANSWER_S = 1.0
 
@@ -107,10 +106,10 @@ def mqtt_connect(lie: str | None, read_only: bool) -> Shape:
             raise Failure("offline", "not connected: call open_connection first")
         return links[-1]
 
-    def bad(failure: Failure) -> CallToolResult:
+    def bad(failure: Failure) -> Result:
         return structured({"success": False, "message": str(failure)})
 
-    async def open_connection(host: str, port: int) -> CallToolResult:
+    async def open_connection(host: str, port: int) -> Result:
         for old in links:
             await asyncio.to_thread(old.close)
         links[:] = [Link(host, port)]
@@ -120,7 +119,7 @@ def mqtt_connect(lie: str | None, read_only: bool) -> Shape:
             return bad(failure)
         return structured({"success": True, "message": f"connected to {host}:{port}"})
 
-    async def connection_state() -> CallToolResult:
+    async def connection_state() -> Result:
         if lie == "always-connected":
             return structured({"success": True, "state": "connected"})
         try:
@@ -130,7 +129,7 @@ def mqtt_connect(lie: str | None, read_only: bool) -> Shape:
             return structured({"success": True, "state": "not connected"})
         return structured({"success": True, "state": "connected"})
 
-    async def listen(topic: str) -> CallToolResult:
+    async def listen(topic: str) -> Result:
         if lie == "no-wildcards":
             topic = topic.rstrip("#/")
         try:
@@ -139,10 +138,10 @@ def mqtt_connect(lie: str | None, read_only: bool) -> Shape:
             return bad(failure)
         return structured({"success": True, "message": f"listening to {topic}"})
 
-    async def inbox() -> CallToolResult:
+    async def inbox() -> Result:
         return structured({"success": True, "messages": list(links[-1].received) if links else []})
 
-    async def send(topic: str, text: str) -> CallToolResult:
+    async def send(topic: str, text: str) -> Result:
         if lie == "acknowledges-nonsense" and not topic:
             return structured({"success": True, "topic": topic})
         if not topic:
@@ -177,10 +176,9 @@ def mqtt_handle(lie: str | None, read_only: bool) -> Shape:
     received: list[dict[str, str]] = []
     # Name of a handle to its filter and how many of the messages have been fetched.
     handles: dict[str, tuple[str, int]] = {}
-    later: set[asyncio.Task[int]] = set()
     opening = asyncio.Lock()
 
-    def bad(failure: Failure) -> CallToolResult:
+    def bad(failure: Failure) -> Result:
         return prose(f"{failure.kind}: {failure}", is_error=True)
 
     async def link() -> Link:
@@ -192,20 +190,20 @@ def mqtt_handle(lie: str | None, read_only: bool) -> Shape:
                 await asyncio.to_thread(links[-1].open)
         return links[-1]
 
-    async def status() -> CallToolResult:
+    async def status() -> Result:
         try:
             await asyncio.to_thread((await link()).check)
         except Failure as failure:
             return bad(failure)
         return structured({"connected": True}, text="all is well")
 
-    async def start_subscription(topic_filter: str, qos: int) -> CallToolResult:
+    async def start_subscription(topic_filter: str, qos: int) -> Result:
         try:
             if lie == "clamps-qos":
                 qos = min(qos, 2)
             if qos not in (0, 1, 2):
-                if lie == "applied-later":
-                    later.add(asyncio.create_task(subscribe_soon(topic_filter)))
+                if lie == "applied-nevertheless":
+                    (await link()).client.subscribe(topic_filter, 2)
                 raise Failure("invalid", "qos must be less than or equal to 2")
             granted = await asyncio.to_thread((await link()).subscribe, topic_filter, qos)
         except Failure as failure:
@@ -214,11 +212,7 @@ def mqtt_handle(lie: str | None, read_only: bool) -> Shape:
         handles[handle] = (topic_filter, len(received))
         return structured({"handle": handle, "granted": granted})
 
-    async def subscribe_soon(topic_filter: str) -> int:
-        await asyncio.sleep(0.01)
-        return await asyncio.to_thread((await link()).subscribe, topic_filter, 2)
-
-    async def poll(handle: str) -> CallToolResult:
+    async def poll(handle: str) -> Result:
         if handle not in handles:
             return bad(Failure("invalid", f"unknown handle {handle}"))
         wanted, seen = handles[handle]
@@ -227,7 +221,7 @@ def mqtt_handle(lie: str | None, read_only: bool) -> Shape:
         fresh = [message for message in so_far[seen:] if paho.topic_matches_sub(wanted, message["topic"])]
         return structured({"messages": fresh})
 
-    async def publish(topic: str, message: str, qos: int) -> CallToolResult:
+    async def publish(topic: str, message: str, qos: int) -> Result:
         if not topic:
             if lie == "hangs-on-nonsense":
                 # Not only this call: the loop is blocked, as by any synchronous tool.
@@ -239,21 +233,21 @@ def mqtt_handle(lie: str | None, read_only: bool) -> Shape:
             return bad(failure)
         return structured({"topic": topic})
 
-    return Shape(
-        tools={
-            "status": ({}, status),
-            "start_subscription": ({"topic_filter": "string", "qos": "integer"}, start_subscription),
-            "poll": ({"handle": "string"}, poll),
-            "publish": ({"topic": "string", "message": "string", "qos": "integer"}, publish),
-        }
-    )
+    tools: dict[str, Any] = {
+        "status": ({}, status),
+        "start_subscription": ({"topic_filter": "string", "qos": "integer"}, start_subscription),
+        "poll": ({"handle": "string"}, poll),
+    }
+    if not read_only or lie == "guard-by-hiding":
+        tools["publish"] = ({"topic": "string", "message": "string", "qos": "integer"}, publish)
+    return Shape(tools=tools, unlisted=("publish",) if read_only else ())
 
 
 # -- one call for all -------------------------------------------------------------------------------------------------
 
 
 def mqtt_collect(lie: str | None, read_only: bool) -> Shape:
-    async def collect(topic: str, timeout: float) -> CallToolResult:
+    async def collect(topic: str, timeout: float) -> Result:
         link = Link(os.environ["BROKER_HOST"], int(os.environ["BROKER_PORT"]))
         try:
             await asyncio.to_thread(link.open)
@@ -264,7 +258,6 @@ def mqtt_collect(lie: str | None, read_only: bool) -> Shape:
         await asyncio.to_thread(link.close)
         if lie == "collects-nothing":
             link.received.clear()
-        content = [TextContent(type="text", text=json.dumps(message)) for message in link.received]
-        return CallToolResult(content=content)
+        return {"content": [{"type": "text", "text": json.dumps(message)} for message in link.received]}
 
-    return Shape(tools={"collect": ({"topic": "string", "timeout": "number"}, collect)})
+    return Shape(tools={"collect": ({"topic": "string", "timeout": "number"}, collect)}, served="sdk")

@@ -7,7 +7,7 @@ import pytest
 from .conftest import Judge, failing, words
 from .defective import DEFECTS
 
-READS_INPUT = "M2 X1 X1p FX1 S1 S7 S10 R-modbus"
+READS_INPUT = "M2 S1 S7 S10 R-modbus"
 FAILS_IN_WORDS = "M4 FM1 FM2 S10 R-modbus"
 EVERY_MODBUS_TASK = "M1 M2 M3 M4 X1 X2 X1p X2p FM1 FM2 FX1 S1 S4 S7 S10 R-modbus"
 
@@ -28,6 +28,8 @@ EXPECTED = {
     "swapped-parallel-replies": ("S1", "values should be"),
     "truncates-overflow": ("FM2", "it claims success"),
     "is-error-never-set": (FAILS_IN_WORDS, "isError is False although success is False"),
+    "lying-guard-mqtt": ("Q3", "the broker should have seen no PUBLISH from the adapter, it saw 1"),
+    "lying-guard-opcua": ("O3", "the server should have seen no state-changing request, it saw 1"),
     "cached-status": ("Q1 X1 X1p S8 S11 R-mqtt", "the broker should have answered the adapter"),
     "clamps-qos": ("FQ2", "it claims success"),
     "publish-not-sent": ("Q3 X2 X2p FQ1 FX1 S5 S11", "it received 0 message(s)"),
@@ -36,11 +38,15 @@ EXPECTED = {
 }
 
 
+ALONE = {"hang": "M1 M2 M3 M4 FM1 FM2 S1 S4 S7 S10 R-modbus"}
+"""Tasks of this protocol alone: when one adapter hangs, all that take part are started again, which takes its time."""
+
+
 @pytest.mark.parametrize("name", DEFECTS)
 def test_a_defect_fails_exactly_its_tasks(judge: Judge, name: str) -> None:
     tasks, reason = EXPECTED[name]
     protocol, _ = DEFECTS[name]
-    results = judge(protocol, "defective.py", name)
+    results = judge(protocol, "defective.py", name, tasks=ALONE.get(name))
     found = failing(results)
     assert found == set(tasks.split()), f"{found ^ set(tasks.split())}:\n{words(results)}"
     assert reason in words(results)

@@ -238,12 +238,18 @@ def test_true_is_not_one_and_a_whole_number_is_no_fraction() -> None:
 
 
 def test_the_badge_is_what_shields_draws_from(statement: dict[str, Any]) -> None:
+    passed = len(statement["predicate"]["passedTests"])
     assert badge(statement) == {
         "schemaVersion": 1,
         "label": "OT-MCP benchmark",
-        "message": "conformant: Modbus, OPC UA",
+        "message": f"conformant: Modbus, OPC UA ({passed} of {len(TASKS)} items)",
         "color": "1a7f37",
     }
+
+
+def test_a_badge_for_everything_counts_nothing() -> None:
+    everything = conformant_run({name: adapter(name, "2026-07-28") for name in ("modbus", "mqtt", "opcua")})
+    assert badge(certificate(everything, FILE, TASKS))["message"] == "conformant: Modbus, MQTT, OPC UA"
 
 
 def test_the_picture_is_valid_and_says_in_words_what_it_shows(statement: dict[str, Any]) -> None:
@@ -252,11 +258,12 @@ def test_the_picture_is_valid_and_says_in_words_what_it_shows(statement: dict[st
     namespace = "{http://www.w3.org/2000/svg}"
     title = picture.find(f"{namespace}title")
     assert title is not None
-    assert title.text == 'OT-MCP benchmark: conformant: Modbus, OPC UA (a <b> & "c"  1.0)'
+    message = badge(statement)["message"]
+    assert title.text == f'OT-MCP benchmark: {message} (a <b> & "c"  1.0)'
     assert picture.get("aria-label") == title.text
     assert picture.get("role") == "img"
     texts = [element.text for element in picture.iter(f"{namespace}text")]
-    assert texts == ["OT-MCP benchmark", "conformant: Modbus, OPC UA"]
+    assert texts == ["OT-MCP benchmark", message]
     assert "http" not in badge_svg(statement).replace("http://www.w3.org/2000/svg", "")
 
 

@@ -120,9 +120,16 @@ def test_a_capability_whose_item_did_not_run_is_not_earned() -> None:
 
 
 def test_what_no_item_tests_is_said_to_be_untested() -> None:
-    assert grades(item("Q1", "normal", "MQTT", "x", [1.0]))["Write protection"]["MQTT"] == Earned(
-        grade=Grade.NOT_TESTED
-    )
+    crossed = item("X1", "normal", "Cross-protocol", "x", [1.0])
+    assert grades(crossed)["Write protection"]["Cross-protocol"] == Earned(grade=Grade.NOT_TESTED)
+
+
+def test_write_protection_is_not_earned_by_writing_where_it_is_not_claimed() -> None:
+    record = run([item("Q3", "normal", "MQTT", "x", [1.0])])
+    record["subject"]["adapters"] = {"mqtt": {"unclaimed": {"guard": "always writes"}}}
+    by_name = {capability.name: by_family for capability, by_family in earned(record)}
+    assert by_name["Write protection"]["MQTT"] == Earned(grade=Grade.NOT_CLAIMED)
+    assert by_name["Writing"]["MQTT"].grade != Grade.NOT_CLAIMED
 
 
 def test_the_failure_of_an_item_that_no_capability_knows_is_not_overlooked() -> None:
