@@ -54,8 +54,8 @@ def received(reply: Reply, topic: str, payload: str, *, filtered: bool) -> list[
         return findings
     listed = messages if isinstance(messages, list) else []
     found = [message for message in listed if isinstance(message, dict) and message.get("payload") == payload]
-    topics = {message.get("topic") for message in (listed if filtered else found) if isinstance(message, dict)}
-    if len(found) == 1 and topics == {topic}:
+    asked_for = listed if filtered else found
+    if len(found) == 1 and all(isinstance(message, dict) and message.get("topic") == topic for message in asked_for):
         return []
     return [
         Finding(
@@ -108,7 +108,7 @@ def failed(
     if not reply.native:
         return findings
     allowed = [outcome] if isinstance(outcome, str) else list(outcome or [])
-    stated = (envelope.get("error") or {}).get("outcome")
+    stated = _member(envelope.get("error"), "outcome")
     if allowed and stated not in allowed:
         findings.append(
             Finding(
@@ -118,7 +118,7 @@ def failed(
                 evidence=_shown(envelope.get("error")),
             )
         )
-    found_trace = (envelope.get("meta") or {}).get("trace") or {}
+    found_trace = _member(envelope.get("meta"), "trace") or {}
     if trace is not None and not _contains(found_trace, trace):
         findings.append(
             Finding(
@@ -128,6 +128,11 @@ def failed(
             )
         )
     return findings
+
+
+def _member(value: Any, name: str) -> Any:
+    # That an envelope's members are no objects has been reported as such.
+    return value.get(name) if isinstance(value, Mapping) else None
 
 
 def _contains(found: Any, expected: Any) -> bool:

@@ -70,9 +70,10 @@ def read_answer(message: Mapping[str, Any], form: str) -> tuple[Any, str, bool]:
         error = message.get("error")
         return None, str(error.get("message", error) if isinstance(error, dict) else error), True
     # A tool's result has ``content``, a resource's ``contents``.
+    content = result.get("content") or result.get("contents")
     blocks = [
         block["text"]
-        for block in result.get("content") or result.get("contents") or []
+        for block in (content if isinstance(content, list) else [])
         if isinstance(block, dict) and isinstance(block.get("text"), str)
     ]
     text = "\n".join(blocks)

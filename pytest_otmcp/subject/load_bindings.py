@@ -17,7 +17,20 @@ __all__ = ["BindingReader"]
 _FORMS = ("envelope", "structured", "json", "text", "texts")
 _INPUT_TYPES = ("string", "int", "float", "bool", "hex", "json", "list")
 _OUTPUT_TYPES = ("string", "int", "float", "bool", "hex", "json", "python")
-_BINDING_KEYS = ("tool", "arguments", "result", "when", "offset", "names", "as", "answer", "outcome", "errors", "resource", "blocking")
+_BINDING_KEYS = (
+    "tool",
+    "arguments",
+    "result",
+    "when",
+    "offset",
+    "names",
+    "as",
+    "answer",
+    "outcome",
+    "errors",
+    "resource",
+    "blocking",
+)
 
 
 class BindingReader:

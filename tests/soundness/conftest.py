@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import sys
 import tempfile
@@ -14,7 +15,8 @@ import pytest
 
 from pytest_otmcp.bench import READ_WRITE, Bench, BenchOptions, Plant, Station
 from pytest_otmcp.loop import LoopThread
-from pytest_otmcp.shipped import tasks_by_id
+from pytest_otmcp.replay import rejudge
+from pytest_otmcp.shipped import suite_digest, tasks_by_id
 from pytest_otmcp.subject import Adapter, Subject, load_subject, reference_subject
 from pytest_otmcp.task import Task
 from pytest_otmcp.trial import Trial
@@ -69,13 +71,20 @@ Judge = Callable[..., Results]
 
 
 async def perform(bench: Bench, tasks: list[Task]) -> Results:
-    """Every task once, in this order."""
+    """Every task once, in this order. What came of them can be recorded, and follows from the record once more."""
     try:
         results = {task.id: await Trial(bench, task, 1).run() for task in tasks}
+        adapters = bench.facts()
     finally:
         await bench.close()
-    # Whatever an adapter answers, it can be recorded.
-    json.dumps(results, allow_nan=False)
+    record = {
+        "kit": {"suite_digest": suite_digest()},
+        "subject": {"adapters": adapters},
+        "settings": {"seed": 0, "time_scale": bench.options.time_scale, "repetitions": {}},
+        "items": list(results.values()),
+    }
+    disagreements = await asyncio.to_thread(rejudge, json.loads(json.dumps(record, allow_nan=False)))
+    assert disagreements == []
     return results
 
 

@@ -194,6 +194,17 @@ def is_error_never_set(server: AdapterServer) -> None:
     core_server._result = result
 
 
+def error_is_a_word(server: AdapterServer) -> None:
+    """The envelope's error is its code alone, as adapters in the wild have it."""
+    genuine = core_server._result
+
+    def result(envelope: dict[str, Any]) -> dict[str, Any]:
+        error = envelope["error"]
+        return genuine({**envelope, "error": error and error["code"]})
+
+    core_server._result = result
+
+
 # -- MQTT -----------------------------------------------------------------------------------------------------
 
 
@@ -288,6 +299,7 @@ DEFECTS: dict[str, tuple[str, Callable[[AdapterServer], None]]] = {
     "swapped-parallel-replies": ("modbus", swapped_parallel_replies),
     "truncates-overflow": ("modbus", truncates_overflow),
     "is-error-never-set": ("modbus", is_error_never_set),
+    "error-is-a-word": ("modbus", error_is_a_word),
     "lying-guard-mqtt": ("mqtt", lying_guard("publish_message")),
     "cached-status": ("mqtt", cached_status),
     "clamps-qos": ("mqtt", clamps_qos),

@@ -28,6 +28,7 @@ EXPECTED = {
     "swapped-parallel-replies": ("S1", "values should be"),
     "truncates-overflow": ("FM2", "it claims success"),
     "is-error-never-set": (FAILS_IN_WORDS, "isError is False although success is False"),
+    "error-is-a-word": (FAILS_IN_WORDS, "error: "),
     "lying-guard-mqtt": ("Q3", "the broker should have seen no PUBLISH from the adapter, it saw 1"),
     "lying-guard-opcua": ("O3", "the server should have seen no state-changing request, it saw 1"),
     "cached-status": ("Q1 X1 X1p S8 S11 R-mqtt", "the broker should have answered the adapter"),

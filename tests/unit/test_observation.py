@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from pytest_otmcp.observation import Reply, Wire, observe
-from pytest_otmcp.subject.model import Answering, ErrorRule, OutputRule
+from pytest_otmcp.observation import Reply, Wire, observe, performed
+from pytest_otmcp.subject.model import Answering, ErrorRule, OutcomeRule, OutputRule
 
 PROSE = Answering(form="text", errors=(ErrorRule(text="[Uu]nknown|0x02", code="illegal_address"),))
 STRUCTURED = Answering(form="structured")
@@ -114,6 +114,21 @@ def test_a_success_that_admits_to_be_none_is_a_fault(answer: dict[str, Any]) -> 
     assert "claims success, but says itself that it is not the device's" in fault.message
 
 
+def test_a_function_that_takes_a_dry_run_for_a_refusal_is_believed() -> None:
+    echo = result("DRY RUN: would write 5")
+    refused, found = observed(echo), observed(echo)
+    performed(refused, {}, ("writes_disabled", "DRY RUN: would write 5"))
+    assert (refused.success, refused.error_code, codes(refused)) == (False, "writes_disabled", [])
+    performed(found, {"value": 5}, None)
+    assert (found.success, found.outputs, codes(found)) == (True, {"value": 5}, ["not_from_the_device"])
+
+
+def test_what_a_function_made_of_no_answer_does_not_count() -> None:
+    reply = observed(None, failure="timeout")
+    performed(reply, {"value": 5}, None)
+    assert (reply.envelope, reply.outputs, codes(reply)) == (None, {}, ["no_reply"])
+
+
 @pytest.mark.parametrize(
     "text",
     ['{"value": NaN}', '{"value": -Infinity}', '{"value": 1e999}', "[" * 100_000],
@@ -172,3 +187,28 @@ def test_an_answer_after_the_deadline_is_late_and_still_read() -> None:
 def test_what_the_official_client_rejects_is_told_of_a_result_only() -> None:
     assert codes(observed(result("x"), client_complaint="no such member")) == ["client_rejects"]
     assert codes(observed(UNKNOWN_TOOL, client_complaint="Unknown tool: write")) == []
+
+
+ODD = [None, 0, 1.5, True, "", "x", "{}", [], [None], ["a"], [[]], {}, {"type": "text"}, [{"type": "text", "text": 5}]]
+ODD += [{"result": 5}, {"errors": 7}, {"success": "no"}, {"error": "boom"}, {"source": {"a": 1}}, {"demo": [True]}]
+
+
+@pytest.mark.parametrize("form", ["envelope", "structured", "json", "text", "texts"])
+@pytest.mark.parametrize("listed", [True, False])
+def test_no_answer_is_odd_enough_to_break_the_kit(form: str, listed: bool) -> None:
+    rules = {
+        "a": OutputRule(path="a"),
+        "b": OutputRule(path="errors", split=",", convert="int"),
+        "c": OutputRule(regex="x", convert="hex"),
+        "d": OutputRule(path="[].a", then="length(@)"),
+        "e": OutputRule(path="result", convert="bool", wrap=True),
+        "f": OutputRule(strip="x", convert="string"),
+    }
+    rest = {} if form == "envelope" else {"outcome": (OutcomeRule(success=False, path="length(errors) > `0`"),)}
+    answering = Answering(form=form, **rest)
+    bodies = [{name: odd} for odd in ODD for name in ("content", "contents", "structuredContent", "isError")]
+    messages = [{"id": 1, kind: odd} for odd in (*ODD, *bodies) for kind in ("result", "error")]
+    for message in messages:
+        reply = observed(message, answering, listed=listed, outputs=rules)
+        assert reply.success in (True, False, None)
+        json.dumps(reply.as_record(), allow_nan=False)

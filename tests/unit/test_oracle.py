@@ -136,6 +136,21 @@ def test_of_an_adapter_without_envelopes_neither_outcome_nor_trace_is_asked_for(
     assert failed(made, "range_overflow", outcome="not_sent", trace={"exception_code": 2}) == []
 
 
+@pytest.mark.parametrize(
+    "envelope",
+    [
+        {"success": False, "error": "timeout"},
+        {"success": False, "error": ["timeout"], "meta": 5},
+        {"success": False, "error": {"code": 7, "outcome": {}}, "meta": {"trace": "none"}},
+        {"success": False},
+    ],
+    ids=["a word", "a list", "other types", "nothing"],
+)
+def test_an_envelope_with_members_of_other_types_is_judged_like_any_other(envelope: dict[str, Any]) -> None:
+    findings = failed(reply(envelope), "timeout", outcome="not_sent", trace={"exception_code": 2})
+    assert {finding.code for finding in findings} == {"wrong_error_code", "wrong_outcome", "wrong_trace"}
+
+
 # -- messages -----------------------------------------------------------------------------------------------------------
 
 MINE = {"topic": "a/b", "payload": "nonce"}
@@ -161,9 +176,22 @@ def test_a_message_that_is_there_once_was_received(messages: list[Any], filtered
         ([MINE, MINE], False),
         ([MINE, OTHER], True),
         ([{"topic": "a/c", "payload": "nonce"}], False),
+        ([{"topic": ["a/b"], "payload": "nonce"}], False),
+        ([MINE, "another"], True),
         ([OTHER], False),
     ],
-    ids=["none", "nothing", "no list", "no objects", "twice", "one that was not asked for", "another topic", "another"],
+    ids=[
+        "none",
+        "nothing",
+        "no list",
+        "no objects",
+        "twice",
+        "one that was not asked for",
+        "another topic",
+        "a topic that is no text",
+        "one that is no object",
+        "another",
+    ],
 )
 def test_a_message_that_is_not_there_once_and_alone_is_told(messages: Any, filtered: bool) -> None:
     (finding,) = received(success(messages=messages), "a/b", "nonce", filtered=filtered)
