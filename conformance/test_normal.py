@@ -68,6 +68,9 @@ async def read_sensor_block(run: Repetition) -> None:
 )
 async def write_and_read_back(run: Repetition) -> None:
     value = 40 + run.rep
+    # Guard cells on both sides: what was written to, or is read from, a neighbour cannot pass.
+    await run.modbus.poke(unit=1, table="holding_registers", address=0, values=[0xFFFF - value])
+    await run.modbus.poke(unit=1, table="holding_registers", address=2, values=[0xFFFF - value])
     before = await run.modbus.image()
     written = await run.modbus.call("write_holding", address=1, value=value)
     after = await run.modbus.image()

@@ -48,7 +48,7 @@ def outage(protocol: str, operation: str, witness: Witness, **inputs: Any) -> St
 
         attempts = []
         # An adapter that only promises to work in a new session is not asked for more.
-        if at.recovery != "new_session":
+        if at.claims("recovery"):
             attempts = await at.call_until_success(operation, window_s=WINDOW_S, **inputs)
             run.succeeds(attempts[-1])
             run.witnessed(witness(await at.journal()))

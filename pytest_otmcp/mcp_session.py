@@ -92,6 +92,8 @@ class McpSession:
             await asyncio.wait_for(asyncio.shield(ready), self._options.start_timeout_s)
         except TimeoutError:
             stderr = self._stderr_excerpt()
+            # It is still busy with the handshake; waiting for it once more would not make it answer.
+            self._owner.cancel()
             await self.close()
             # Nobody waits for it any more, and its end is no news.
             if ready.done() and not ready.cancelled():

@@ -767,7 +767,9 @@ def test_a_read_that_is_not_answered_is_not_repeated(impatient: Any, plant: Any)
     plant.fault({"service": "Read", "action": {"drop": True}})
     mark = plant.mark()
     reply = impatient.call("read_opcua_node", node_id=TEMPERATURE)
-    assert (reply.error["code"], reply.meta["attempts"], asked(plant, mark)) == ("timeout", 1, ["Read"])
+    # The session that did not answer may have been closed by now.
+    reads = [kind for kind in asked(plant, mark) if kind == "Read"]
+    assert (reply.error["code"], reply.meta["attempts"], reads) == ("timeout", 1, ["Read"])
     assert reply.meta["latency_ms"] >= TIMEOUT_S * 1000
 
 

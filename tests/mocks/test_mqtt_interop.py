@@ -260,6 +260,7 @@ def test_a_disconnect_may_change_the_session_expiry(broker: RunningBroker) -> No
     with Peer(broker.port, "a", clean=False, properties={"SessionExpiryInterval": 1}) as again:
         assert not again.session_present
         again.disconnect(SessionExpiryInterval=0xFFFFFFFF)
+    broker.wait(count=2, kind="DISCONNECTED")
     assert broker.broker.sessions["a"].expiry_s == float("inf")
 
 
