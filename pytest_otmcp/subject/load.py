@@ -28,6 +28,11 @@ _ADAPTER_KEYS = (
     "command cwd env files secrets transport url era start_timeout_s deadline_s rw ro unclaimed connect recovery answer "
     "outcome errors probes bindings bind"
 ).split()
+_SPARKPLUG = {
+    "edge": None,
+    "host": "speaks Sparkplug B as a host application, not as an edge node",
+    "none": "does not speak Sparkplug B",
+}
 _RECOVERY = ("same_session", "connect_step", "new_session")
 _PROBES: dict[str, dict[str, Any]] = {
     "modbus": {"missing_address": 9999},
@@ -103,7 +108,7 @@ class _SubjectReader(Reader):
 
     def _adapter(self, protocol: str, value: Any) -> Adapter:
         key = f"adapter.{protocol}"
-        table = self.table(value, key, _ADAPTER_KEYS)
+        table = self.table(value, key, (*_ADAPTER_KEYS, "sparkplug") if protocol == "mqtt" else _ADAPTER_KEYS)
         recovery = self.choice(table.get("recovery", "same_session"), f"{key}.recovery", _RECOVERY)
         connect = self._connect(table["connect"], f"{key}.connect", recovery) if "connect" in table else None
         if recovery == "connect_step" and connect is None:
@@ -115,6 +120,10 @@ class _SubjectReader(Reader):
                 raise self.refuse(f"{key}.unclaimed.{facet}", "expected the reason")
         if recovery == "new_session":
             unclaimed = {RECOVERY: "needs a new session after an outage", **unclaimed}
+        if (
+            role := _SPARKPLUG[self.choice(table.get("sparkplug", "edge"), f"{key}.sparkplug", _SPARKPLUG)]
+        ) is not None:
+            unclaimed = {"device_birth": role, "device_data": role, **unclaimed}
         bindings = BindingReader(self, protocol)
         answering = bindings.answering(table, key)
         transport, url = self._transport(table, key)

@@ -141,6 +141,15 @@ def test_who_needs_a_new_session_does_not_claim_recovery(tmp_path: Path) -> None
     assert adapter.why_not_claimed("recovery") == "needs a new session after an outage"
 
 
+@pytest.mark.parametrize(("role", "claimed"), [("edge", True), ("host", False), ("none", False)])
+def test_only_an_edge_node_claims_births_and_data(tmp_path: Path, role: str, claimed: bool) -> None:
+    text = f'{MINIMAL}[adapter.mqtt]\ncommand = ["adapter"]\nsparkplug = "{role}"\n'
+    adapter = load(tmp_path, text).adapters["mqtt"]
+    assert (adapter.why_not_claimed("device_data") is None) == claimed
+    assert (adapter.why_not_claimed("device_birth") is None) == claimed
+    assert adapter.why_not_claimed("publish") is None
+
+
 def test_deviations_have_a_last_day(tmp_path: Path) -> None:
     text = LAUNCH + '[[deviation]]\nitem = "FM1"\nreason = "known"\nexpires = 2027-03-31\n'
     (deviation,) = load(tmp_path, text).deviations
@@ -182,6 +191,7 @@ REFUSED = {
     ),
     "no connect step": (LAUNCH + 'recovery = "connect_step"\n', "'connect_step' needs a 'connect' table"),
     "recovery": (LAUNCH + 'recovery = "never"\n', "adapter.modbus.recovery: unknown 'never'; known are"),
+    "sparkplug": (LAUNCH + 'sparkplug = "edge"\n', "adapter.modbus.sparkplug: unknown key"),
     "answer": (LAUNCH + 'answer = "jsn"\n', "adapter.modbus.answer: unknown 'jsn'; did you mean 'json'?"),
     "rules for an envelope": (
         LAUNCH + 'errors = [{ text = "x", code = "timeout" }]\n',
