@@ -144,6 +144,8 @@ async def test_a_launcher_killed_after_a_restart_leaves_no_device(modbus: MockPr
 async def test_a_launcher_whose_listener_has_gone_ends(modbus: MockProgram) -> None:
     transport = modbus.process._transport.get_pipe_transport(1)  # type: ignore[attr-defined]
     transport.close()
+    # The pipe is really closed one turn of the loop later; the launcher must not find it open still.
+    await asyncio.sleep(0)
     modbus.say("stop")
     assert await asyncio.wait_for(modbus.process.wait(), PATIENCE_S) == 0
 
