@@ -86,7 +86,7 @@ async def a_proper_topic_is_accepted(run: Repetition) -> None:
     await run.mqtt.stays_quiet(QUIET_S, lambda journal: mqtt.no_packet(journal, "PUBLISH", direction="in"))
     run.succeeds(await run.mqtt.call("publish", topic="control/pump", payload="control", qos=0))
     await run.mqtt.wait_for(kind="PUBLISH", direction="in", topic="control/pump", timeout_s=1.0)
-    qos = 0 if run.mqtt.takes("publish", "qos") else None
+    qos = run.mqtt.if_taken("publish", "qos", 0)
     journal = await run.mqtt.journal()
     run.witnessed(mqtt.published_once(journal, topic="control/pump", payload=b"control", qos=qos))
 
@@ -168,7 +168,7 @@ async def one_bad_step_of_three(run: Repetition) -> None:
     run.succeeds(block, values=registers)
     run.fails(missing, "illegal_address")
     run.succeeds(message, topic="control/pump")
-    qos = 0 if run.mqtt.takes("publish", "qos") else None
+    qos = run.mqtt.if_taken("publish", "qos", 0)
     await run.mqtt.wait_for(kind="PUBLISH", direction="in", topic="control/pump", timeout_s=1.0)
     run.witnessed(
         modbus.exactly_one_request(await run.modbus.journal(), function=4, address=0, quantity=4),

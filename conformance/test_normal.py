@@ -143,7 +143,7 @@ async def subscribe_to_sensors(run: Repetition) -> None:
         return
     reply = await run.mqtt.call("subscribe", filter="sensors/#", qos=0)
     run.succeeds(reply, granted_qos=0)
-    qos = 0 if run.mqtt.takes("subscribe", "qos") else None
+    qos = run.mqtt.if_taken("subscribe", "qos", 0)
     # An adapter that holds the subscription already need not ask for it again.
     run.witnessed(mqtt.subscribed(await run.mqtt.session_journal(), filter="sensors/#", qos=qos))
     topic, payload = "sensors/temperature", f"nonce-{run.rng.getrandbits(64):016x}".encode()
@@ -179,7 +179,7 @@ async def publish_control(run: Repetition) -> None:
     reply = await run.mqtt.call("publish", topic="control/pump", payload=payload, qos=0)
     run.succeeds(reply, topic="control/pump", delivery="unacknowledged")
     await run.mqtt.wait_for(kind="PUBLISH", direction="in", topic="control/pump", timeout_s=1.0)
-    qos = 0 if run.mqtt.takes("publish", "qos") else None
+    qos = run.mqtt.if_taken("publish", "qos", 0)
     journal = await run.mqtt.journal()
     run.witnessed(mqtt.published_once(journal, topic="control/pump", payload=payload.encode(), qos=qos))
 
@@ -369,7 +369,7 @@ async def control_sequence(run: Repetition, *, parallel: bool) -> None:
     run.succeeds(register, value=60)
     run.succeeds(node, value=True)
     run.succeeds(message, topic="control/line")
-    qos = 0 if run.mqtt.takes("publish", "qos") else None
+    qos = run.mqtt.if_taken("publish", "qos", 0)
     await run.mqtt.wait_for(kind="PUBLISH", direction="in", topic="control/line", timeout_s=1.0)
     run.witnessed(
         modbus.exactly_one_write(await run.modbus.journal(), "holding_registers", address=3, values=[60]),

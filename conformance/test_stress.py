@@ -140,7 +140,7 @@ async def concurrent_info_and_publish(run: Repetition) -> None:
     run.succeeds(info, connected=True)
     run.succeeds(message, topic="control/pump")
     await run.mqtt.wait_for(kind="PUBLISH", direction="in", topic="control/pump", timeout_s=1.0)
-    qos = 0 if run.mqtt.takes("publish", "qos") else None
+    qos = run.mqtt.if_taken("publish", "qos", 0)
     journal = await run.mqtt.journal()
     run.witnessed(mqtt.published_once(journal, topic="control/pump", payload=payload.encode(), qos=qos))
 

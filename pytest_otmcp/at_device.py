@@ -94,6 +94,10 @@ class AtDevice(ABC):
     def takes(self, operation: str, name: str) -> bool:
         """The operation can be given this optional input."""
 
+    def if_taken(self, operation: str, name: str, value: Any) -> Any:
+        """What the device must have seen of an optional input: ``value``, or None for anything, where it cannot be given."""
+        return value if self.takes(operation, name) else None
+
     # -- what the steps of a task do ----------------------------------------------------------------------
 
     async def call(self, operation: str, *, role: str | None = None, **inputs: Any) -> Reply:

@@ -62,7 +62,8 @@ class Live:
         self._line_open = False
         self._write(f"  {result['id']:<9} ")
         self._write(f"{good:>3}/{result['planned']:<3} {result['status']:<5}", **{colour: True})
-        self._write(f" {median}  {result['title']}"[: max(20, self._writer.fullwidth - 27)])
+        # What comes near the edge makes pytest print its percentage there and begin another line.
+        self._write(f" {median}  {result['title']}"[: max(20, self._writer.fullwidth - 36)])
 
     def _write(self, text: str, **markup: bool) -> None:
         if self._capture is None:

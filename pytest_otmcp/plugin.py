@@ -265,8 +265,8 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
 @pytest.hookimpl(tryfirst=True)
 def pytest_report_teststatus(report: pytest.TestReport, config: pytest.Config) -> tuple[str, str, str] | None:
     if getattr(report, _RESULT, None) is not None:
-        # The line of the item says it; no letter beside it.
-        return report.outcome, "", ""
+        # The line of the item says it; no letter beside it. Without a word pytest would not count it as progress.
+        return report.outcome, "", report.outcome.upper()
     return None
 
 

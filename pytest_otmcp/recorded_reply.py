@@ -76,7 +76,7 @@ def recorded_reply(
     if cases is None:
         binding, arguments, tool = None, inputs, call["tool"]
     else:
-        binding = next((case for case in cases if _fits(case, inputs)), None)
+        binding = next((case for case in cases if case.fits(inputs)), None)
         if binding is None:
             raise HistoryError(f"no binding of {call['operation']} is stored for {inputs}")
         arguments, tool = binding.fill(inputs, endpoint), binding.tool
@@ -106,10 +106,6 @@ def recorded_reply(
     if binding is None:
         performed(reply, call["outputs"], _refusal(call))
     return reply
-
-
-def _fits(binding: Binding, inputs: Mapping[str, Any]) -> bool:
-    return all(inputs.get(name) == value for name, value in binding.when.items())
 
 
 def _refusal(call: Mapping[str, Any]) -> tuple[str, str] | None:

@@ -197,7 +197,7 @@ class Station:
         session = self._current(session)
         if isinstance(bound, Function):
             return await self._perform(bound, session, role, inputs)
-        binding = next((case for case in bound or () if _fits(case, inputs)), None)
+        binding = next((case for case in bound or () if case.fits(inputs)), None)
         if binding is None:
             asked = ", ".join(f"{name}={value!r}" for name, value in inputs.items()) if bound else "any input"
             raise NoBindingError(
@@ -331,10 +331,6 @@ def _free_port() -> int:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]
         return port
-
-
-def _fits(binding: Binding, inputs: Mapping[str, Any]) -> bool:
-    return all(inputs.get(name) == value for name, value in binding.when.items())
 
 
 def _wire(exchanges: list[Exchange]) -> Wire:

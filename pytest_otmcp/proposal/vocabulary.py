@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import islice, product
 from typing import Any
 
+from ..subject.model import placeholders
 from ..subject.operations import OPERATIONS
 
 __all__ = ["Guess", "connect_guess", "guesses"]
@@ -216,7 +217,7 @@ def _guess(protocol: str, operation: str, name: str, tool: Mapping[str, Any]) ->
     # A call that waits for messages is not proposed: how long it may wait is for whoever knows the adapter to say.
     inputs = tuple(name for name in OPERATIONS[protocol][operation].inputs if name in _ARGUMENTS)
     arguments, convert = _arguments(operation, inputs, tool)
-    placed = _placed(arguments)
+    placed = placeholders(arguments)
     score += 2.0 * len(placed & set(inputs)) - 2.0 * len(
         set(inputs) - placed - set(OPERATIONS[protocol][operation].optional)
     )
@@ -259,7 +260,7 @@ def _arguments(
     arguments: dict[str, Any] = {}
     convert: dict[str, str] = {}
     for name in inputs:
-        for argument in _alternatives_in_order(_ARGUMENTS[name]):
+        for argument in _ARGUMENTS[name].split("|"):
             actual = next((key for key in properties if key.lower() == argument and key not in arguments), None)
             if actual is not None:
                 arguments[actual] = _template(name, inputs, properties[actual], convert)
@@ -289,10 +290,6 @@ def _batch(inputs: tuple[str, ...], properties: Mapping[str, Any], convert: dict
     return {}
 
 
-def _alternatives_in_order(text: str) -> list[str]:
-    return text.split("|")
-
-
 def _template(name: str, inputs: tuple[str, ...], schema: Mapping[str, Any], convert: dict[str, str]) -> Any:
     kinds = _kinds(schema)
     many = name in ("nodes", "metrics")
@@ -302,7 +299,7 @@ def _template(name: str, inputs: tuple[str, ...], schema: Mapping[str, Any], con
         if isinstance(members, dict) and members:
             element = {}
             for other in inputs:
-                for argument in _alternatives_in_order(_ARGUMENTS[other]):
+                for argument in _ARGUMENTS[other].split("|"):
                     key = next((key for key in members if key.lower() == argument and key not in element), None)
                     if key is not None:
                         element[key] = f"${other}"
@@ -350,18 +347,3 @@ def _endpoint(key: str, schema: Mapping[str, Any]) -> str | None:
         if re.match(pattern, key, re.IGNORECASE):
             return "{port}" if placeholder == "{port:int}" and kinds == {"string"} else placeholder
     return None
-
-
-def _placed(template: Any) -> set[str]:
-    return set(_texts(template))
-
-
-def _texts(template: Any) -> Iterator[str]:
-    if isinstance(template, str) and template.startswith("$"):
-        yield template[1:]
-    elif isinstance(template, Mapping):
-        for value in template.values():
-            yield from _texts(value)
-    elif isinstance(template, list):
-        for value in template:
-            yield from _texts(value)

@@ -175,6 +175,10 @@ class Binding:
             value = _CONVERSIONS[self.convert[name]](value)
         return value
 
+    def fits(self, inputs: Mapping[str, Any]) -> bool:
+        """This is the binding for these inputs."""
+        return all(inputs.get(name) == value for name, value in self.when.items())
+
     def mentions(self, name: str) -> bool:
         """The template has a place for this input."""
         return name in placeholders(self.arguments)
