@@ -17,7 +17,17 @@ import pytest
 
 from .task import Task
 
-__all__ = ["SUITE", "ShippedModule", "is_shipped", "names_suite", "quiet", "suite_by_default", "suite_root", "task_of"]
+__all__ = [
+    "SUITE",
+    "ShippedModule",
+    "is_shipped",
+    "names_shipped",
+    "names_suite",
+    "quiet",
+    "suite_by_default",
+    "suite_root",
+    "task_of",
+]
 
 SUITE = "pytest_otmcp.conformance"
 
@@ -78,6 +88,16 @@ def names_suite(config: pytest.Config) -> bool:
         argument == SUITE or argument.startswith((f"{SUITE}.", f"{SUITE}::")) or _is_root(_path(config, argument))
         for argument in map(str, config.args)
     )
+
+
+def names_shipped(config: pytest.Config, identifier: str) -> bool:
+    """The item of this node id is of the shipped suite.
+
+    pytest writes the file relative to the root directory or, for a file outside of it, relative to what it was asked for.
+    """
+    file = identifier.partition("::")[0]
+    places = [config.rootpath, *(_path(config, argument) for argument in map(str, config.args))]
+    return any(is_shipped(place / file) for place in places)
 
 
 def suite_by_default(config: pytest.Config) -> None:

@@ -13,7 +13,7 @@ from typing import Any, NoReturn
 
 import pytest
 
-from .collection import SUITE, ShippedModule, is_shipped, names_suite, quiet, suite_by_default, task_of
+from .collection import SUITE, ShippedModule, is_shipped, names_shipped, names_suite, quiet, suite_by_default, task_of
 from .errors import UsageError
 from .fixtures import (
     REFUSED,
@@ -215,16 +215,16 @@ def _begin_recording(config: pytest.Config, subject: Any, tasks: list[Task], *, 
 def pytest_xdist_node_collection_finished(node: Any, ids: list[str]) -> None:
     """The controller collects nothing itself; it learns of conformance items from its first worker."""
     config = node.config
-    if RECORDER in config.stash or not (names_suite(config) or any("[" in identifier for identifier in ids)):
+    shipped = [identifier for identifier in ids if names_shipped(config, identifier)]
+    if RECORDER in config.stash or not (shipped or names_suite(config)):
         return
     from .shipped import tasks_by_id
 
     with quiet():
         known = tasks_by_id()
-        wanted = [known[name] for identifier in ids if (name := identifier.rpartition("[")[2].rstrip("]")) in known]
-        if wanted or names_suite(config):
-            workers = config.getoption("numprocesses") or 1
-            _begin_recording(config, _load_subject(config), wanted, workers=workers)
+        wanted = [known[name] for identifier in shipped if (name := identifier.rpartition("[")[2].rstrip("]")) in known]
+        workers = config.getoption("numprocesses") or 1
+        _begin_recording(config, _load_subject(config), wanted, workers=workers)
 
 
 # -- execution ----------------------------------------------------------------------------------------------------

@@ -6,11 +6,19 @@ from pathlib import Path
 
 import pytest
 
+from pytest_otmcp.collection import suite_root
 from pytest_otmcp.shipped import tasks_by_id
 
 from .vendor import Repository
 
 OWN_TEST = "def test_own():\n    pass\n"
+NAMESAKE = """
+import pytest
+
+@pytest.mark.parametrize("task", ["M1", "R-mqtt"])
+def test_normal(task):
+    pass
+"""
 HOSTILE_INI = """
 [pytest]
 testpaths = tests
@@ -80,6 +88,25 @@ def test_the_whole_suite_runs_in_a_hostile_repository_on_two_workers(repository:
     assert [f"test_{item['suite']}[{item['id']}]" for item in outcome.record["items"]] == suite
     assert outcome.narrowed == []
     assert set(outcome.record["subject"]["adapters"]) == {"modbus", "mqtt", "opcua"}
+
+
+def test_own_tests_that_are_called_like_a_task_are_no_conformance_run_on_two_workers(repository: Repository) -> None:
+    repository.write(tests__test_normal_py=NAMESAKE)
+    outcome = repository.pytest("-n", "2", plugins="xdist")
+    assert outcome.code == 0, outcome.output
+    assert "3 passed" in outcome.output
+    assert "VERDICT" not in outcome.output
+
+
+def test_a_file_of_the_suite_can_be_named_by_its_path_on_two_workers(repository: Repository) -> None:
+    repository.subject()
+    path = suite_root() / "test_normal.py"
+    repository.write(pytest_ini="[pytest]\n")
+    options = ["-c", "pytest.ini", "--otmcp-reps=1", "-k", "M1 or M2", "-n", "2"]
+    outcome = repository.pytest(str(path), *options, plugins="xdist")
+    assert [item["id"] for item in outcome.record["items"]] == ["M1", "M2"]
+    assert outcome.code == 1, outcome.output
+    assert "VERDICT: INCOMPLETE" in outcome.output
 
 
 def test_the_time_of_a_run_counts_from_the_beginning_of_the_session(repository: Repository) -> None:
