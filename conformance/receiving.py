@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Mapping
 
 from pytest_otmcp.observation import Reply
-from pytest_otmcp.trial import Repetition
+from pytest_otmcp.repetition import Repetition
 
 __all__ = ["collect"]
 

@@ -11,8 +11,8 @@ from collections.abc import Callable
 
 import pytest
 
+from pytest_otmcp.repetition import Repetition
 from pytest_otmcp.task import Suite, Task
-from pytest_otmcp.trial import Repetition
 from pytest_otmcp.witness import modbus_oracle as modbus
 from pytest_otmcp.witness import mqtt_oracle as mqtt
 from pytest_otmcp.witness import opcua_oracle as opcua

@@ -14,8 +14,8 @@ import pytest
 
 from pytest_otmcp.at_device import Entry
 from pytest_otmcp.findings import Finding
+from pytest_otmcp.repetition import Repetition
 from pytest_otmcp.task import Steps, Suite, Task
-from pytest_otmcp.trial import Repetition
 from pytest_otmcp.witness import modbus_oracle as modbus
 from pytest_otmcp.witness import mqtt_oracle as mqtt
 from pytest_otmcp.witness import opcua_oracle as opcua

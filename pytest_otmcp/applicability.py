@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from .subject.model import Adapter
-from .subject.operations import PROTOCOLS, behind
+from .subject.operations import GUARD, PROTOCOLS, behind
 from .task import Task
 from .verdict import Status
 
-__all__ = ["applicability"]
+__all__ = ["applicability", "stations"]
 
 
 def applicability(task: Task, adapters: Mapping[str, Adapter]) -> tuple[Status, str] | None:
@@ -30,6 +30,12 @@ def applicability(task: Task, adapters: Mapping[str, Adapter]) -> tuple[Status, 
         if (gap := adapters[protocol].why_not_testable(name)) is not None:
             return Status.NOT_TESTABLE, f"{protocol}: {gap}, and {name} is not declared as unclaimed"
     return None
+
+
+def stations(task: Task, adapters: Mapping[str, Adapter]) -> list[str]:
+    """The adapter variants that take part in a task that applies: ``protocol``, or ``protocol@ro`` for the read-only one."""
+    guarded = [f"{name}@ro" for name in task.guards if adapters[name].why_not_claimed(GUARD) is None]
+    return [*task.adapters, *guarded]
 
 
 def _resolved(facet: str, adapters: Mapping[str, Adapter]) -> Iterator[str]:

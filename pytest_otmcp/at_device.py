@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from .findings import Finding
 from .observation import Reply
-from .station import READ_WRITE
+from .subject.model import READ_WRITE
 
 if TYPE_CHECKING:
     from .repetition import Repetition

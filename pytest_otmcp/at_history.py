@@ -13,8 +13,7 @@ from .at_device import AtDevice, Entry, FreshSession, place_name
 from .envelope import same_json
 from .observation import Reply
 from .recorded_reply import HistoryError, recorded_reply, restored_bindings
-from .station import READ_WRITE
-from .subject.model import Binding
+from .subject.model import READ_WRITE, Binding
 
 __all__ = ["AtHistory", "Past", "Place"]
 

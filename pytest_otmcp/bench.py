@@ -1,6 +1,6 @@
-"""The test bench: the plant's devices, one station per adapter variant, and where the time went.
+"""The test bench: one station per adapter variant at the devices of a plant, and where the time went.
 
-The bench starts what is asked for and ends everything; it does not know tasks and does not judge.
+The bench starts what is asked for and ends its sessions; it does not know tasks and does not judge.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
-from .plant import MockDevice
-from .station import READ_ONLY, READ_WRITE, BenchOptions, Device, NoBindingError, Station
+from .plant import Plant
+from .station import BenchOptions, NoBindingError, Station
 from .subject import Subject
 from .subject.drift import drift
-from .tap_broker import TappedBroker
+from .subject.model import READ_WRITE
 
-__all__ = ["READ_ONLY", "READ_WRITE", "Bench", "BenchOptions", "NoBindingError", "Plant", "Station", "TimeSpent"]
+__all__ = ["Bench", "BenchOptions", "NoBindingError", "Station", "TimeSpent"]
 
 
 @dataclass(slots=True)
@@ -53,101 +53,74 @@ class TimeSpent:
         self.seconds[what] = self.seconds.get(what, 0.0) + seconds
 
 
-class Plant:
-    """The devices, each started when it is first asked for.
-
-    Args:
-        broker: URL of an external MQTT broker to use, behind the kit's tap, instead of the embedded one.
-    """
-
-    def __init__(self, broker: str | None = None) -> None:
-        self._broker = broker
-        self._devices: dict[str, Device] = {}
-        self._launches: dict[str, asyncio.Task[None]] = {}
-
-    async def device(self, name: str) -> Device:
-        """The device ``protocol`` or ``protocol@instance``, running.
-
-        Raises:
-            KitError: it could not be started; said again at once to whoever asks next.
-        """
-        if name not in self._devices:
-            protocol = name.partition("@")[0]
-            tapped = self._broker if protocol == "mqtt" else None
-            device = MockDevice(protocol) if tapped is None else TappedBroker(tapped)
-            self._devices[name] = device
-            self._launches[name] = asyncio.create_task(device.launch())
-        # Everybody who asks waits for the one launch; nobody who gives up waiting cancels it for the others.
-        await asyncio.shield(self._launches[name])
-        return self._devices[name]
-
-    async def close(self) -> None:
-        """End every device."""
-        await asyncio.gather(*self._launches.values(), return_exceptions=True)
-        await asyncio.gather(*(device.close() for device in self._devices.values()), return_exceptions=True)
-        self._devices.clear()
-        self._launches.clear()
-
-
 class Bench:
     """Everything that runs during a test run. Use :meth:`prepare` and :meth:`close` on the kit's loop.
 
     Args:
         subject: who is tested.
         options: see :class:`BenchOptions`.
-        plant: the devices, if they are to outlive this bench.
+        plant: the devices; they outlive the bench.
     """
 
-    def __init__(self, subject: Subject, options: BenchOptions | None = None, plant: Plant | None = None) -> None:
+    def __init__(self, subject: Subject, options: BenchOptions, plant: Plant) -> None:
         self.subject = subject
-        self.options = options or BenchOptions()
+        self.options = options
         self.spent = TimeSpent()
-        self._plant = plant or Plant(self.options.broker)
-        self._owns_plant = plant is None
-        self._stations: dict[tuple[str, str], Station] = {}
+        self._plant = plant
+        self._stations: dict[str, Station] = {}
 
-    async def prepare(self, protocols: Iterable[str]) -> None:
-        """Start the devices and the read-write adapters of these protocols, all at once.
+    async def prepare(self, names: Iterable[str]) -> None:
+        """Start devices and adapters, all at once.
 
         An adapter that cannot be started is not an error here: its first task will say so.
+
+        Args:
+            names: ``protocol`` for its read-write variant, or ``protocol@ro``.
 
         Raises:
             KitError: a mock could not be started.
         """
-        wanted = [name for name in dict.fromkeys(protocols) if name in self.subject.adapters]
-        with self.spent.on("plant start"):
-            await asyncio.gather(*(self._plant.device(name) for name in wanted))
-        with self.spent.on("adapter starts"):
-            stations = [await self.station(name) for name in wanted]
-            await asyncio.gather(*(station.open() for station in stations), return_exceptions=True)
+        wanted = list(dict.fromkeys(names))
+        opening = [asyncio.create_task(self._open(name)) for name in wanted]
+        try:
+            with self.spent.on("plant start"):
+                await asyncio.gather(*(self._plant.device(name) for name in wanted))
+        finally:
+            with self.spent.on("adapter starts"):
+                await asyncio.gather(*opening, return_exceptions=True)
 
-    async def station(self, protocol: str, variant: str = READ_WRITE) -> Station:
-        """The station of an adapter variant; its session is not opened.
+    async def _open(self, name: str) -> None:
+        station = await self.station(name)
+        await station.open()
+
+    async def station(self, name: str) -> Station:
+        """The station of an adapter variant, ``protocol`` or ``protocol@ro``; its session is not opened.
 
         The read-only variant gets a device of its own: what reaches that device during the whole life of a session
         can then be nobody else's doing.
         """
-        key = (protocol, variant)
-        if key not in self._stations:
-            device = await self._plant.device(protocol if variant == READ_WRITE else f"{protocol}@{variant}")
-            self._stations[key] = Station(self.subject.adapters[protocol], variant, device, self.options)
-        return self._stations[key]
+        device = await self._plant.device(name)
+        if name not in self._stations:
+            protocol, _, variant = name.partition("@")
+            adapter = self.subject.adapters[protocol]
+            self._stations[name] = Station(adapter, variant or READ_WRITE, device, self.options)
+        return self._stations[name]
 
     def drift(self) -> list[str]:
         """Contradictions between the subject file and the tools that the adapters list, a sentence each."""
         found = []
-        for (_, variant), station in self._stations.items():
+        for station in self._stations.values():
             # The read-only variant need not have every tool.
-            if variant == READ_WRITE and station.tools is not None:
+            if station.variant == READ_WRITE and station.tools is not None:
                 found += drift(station.adapter, station.tools)
         return found
 
     def facts(self) -> dict[str, Any]:
         """What is known of the subject's servers, as ``run.json`` has it under ``subject.adapters``."""
         facts: dict[str, Any] = {}
-        for (protocol, variant), station in self._stations.items():
+        for protocol, station in sorted(self._stations.items()):
             session = station.session
-            if variant == READ_WRITE and session is not None:
+            if station.variant == READ_WRITE and session is not None:
                 facts[protocol] = {
                     **station.adapter.facts(),
                     "unmet": sorted(station.unmet),
@@ -159,9 +132,7 @@ class Bench:
         return facts
 
     async def close(self) -> None:
-        """End every session, and every device unless the plant is somebody else's."""
+        """End every session."""
         with self.spent.on("adapter starts"):
             await asyncio.gather(*(station.close() for station in self._stations.values()), return_exceptions=True)
         self._stations.clear()
-        if self._owns_plant:
-            await self._plant.close()

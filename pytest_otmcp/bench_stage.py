@@ -7,14 +7,15 @@ from contextlib import AbstractContextManager
 from dataclasses import replace
 from typing import Any
 
-from .applicability import applicability
+from .applicability import applicability, stations
 from .at_device import EndedError
 from .at_station import AtStation, Place
-from .bench import READ_ONLY, READ_WRITE, Bench
+from .bench import Bench
+from .garbage import uncollected
 from .history import Images
 from .repetition import Repetition
 from .stage import SessionFacts
-from .subject.operations import GUARD
+from .subject.model import READ_ONLY
 from .task import Steps, Task
 from .verdict import Status
 
@@ -51,11 +52,8 @@ class BenchStage:
     async def prepare(self) -> None:
         """Reset the devices and open the sessions."""
         with self.spent("plant start"):
-            adapters = self._bench.subject.adapters
-            guarded = [f"{name}@ro" for name in self._task.guards if adapters[name].why_not_claimed(GUARD) is None]
-            for name in (*self._task.adapters, *guarded):
-                protocol, _, variant = name.partition("@")
-                self._places.append(Place(await self._bench.station(protocol, variant or READ_WRITE)))
+            for name in stations(self._task, self._bench.subject.adapters):
+                self._places.append(Place(await self._bench.station(name)))
         for place in self._places:
             device = place.station.device
             await device.reset()
@@ -77,13 +75,16 @@ class BenchStage:
     async def perform(self, repetition: Repetition, steps: Steps) -> None:
         """Execute the steps and take the journals."""
         try:
-            await steps(repetition)
+            with uncollected():
+                await steps(repetition)
         except EndedError:
             for at in repetition.all:
                 if not at.running:
                     await at.start_device()
         finally:
-            self._bench.spent.move("kit", "tool calls", repetition.calls_s())
+            on_the_wire, in_client = repetition.calls_s()
+            self._bench.spent.move("kit", "tool calls", on_the_wire)
+            self._bench.spent.move("kit", "MCP client", in_client)
         with self.spent("observing the device"):
             await repetition.close_journals()
         for at in repetition.all:

@@ -9,14 +9,15 @@ import asyncio
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from .bench import Plant
 from .devices import Broker, JournalEntry, ModbusDevice, ModbusEntry, MqttEntry, OpcUaEntry, OpcUaPlant
 from .errors import UsageError
 from .fixture_device import Witness
 from .loop import LoopThread
-from .plant import MockDevice
+from .mock_device import MockDevice
+from .plant import Plant
 from .sessions import Session, SessionFactory, unknown
-from .station import READ_ONLY, READ_WRITE, BenchOptions, Station
+from .station import BenchOptions, Station
+from .subject.model import READ_ONLY, READ_WRITE
 from .subject.operations import PROTOCOLS
 
 if TYPE_CHECKING:

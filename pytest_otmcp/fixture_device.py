@@ -11,7 +11,7 @@ from typing import Any, Generic, TypeVar
 
 from .errors import KitError, UsageError
 from .fixture_entries import JournalEntry
-from .plant import MockDevice
+from .mock_device import MockDevice
 
 __all__ = ["Witness"]
 

@@ -180,6 +180,7 @@ class McpSession:
         self, exchange: Exchange, request: Callable[[Client, RequestParamsMeta], Awaitable[Any]]
     ) -> Exchange:
         client = self._client
+        exchange.asked_ns = exchange.returned_ns = time.monotonic_ns()
         if client is None or self.died:
             exchange.failure = "connection_closed"
             return exchange
@@ -195,6 +196,7 @@ class McpSession:
             if exchange.response is None:
                 exchange.failure = "connection_closed"
         finally:
+            exchange.returned_ns = time.monotonic_ns()
             self._recorder.end(token)
         return exchange
 

@@ -28,6 +28,8 @@ class Wire:
         sent_ns, received_ns: monotonic; request written, response line read.
         failure: ``timeout`` or ``connection_closed`` when there is no response.
         client_complaint: what the official MCP client objected to, or None.
+        asked_ns, returned_ns: monotonic; the MCP client was asked, and was done with the response. 0 where nobody
+            measured how the kit spent its time.
     """
 
     request: bytes
@@ -36,6 +38,8 @@ class Wire:
     received_ns: int | None
     failure: str | None
     client_complaint: str | None
+    asked_ns: int = 0
+    returned_ns: int = 0
 
 
 @dataclass(slots=True, kw_only=True)

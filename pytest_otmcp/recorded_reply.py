@@ -21,8 +21,7 @@ from typing import Any
 from .envelope import same_json
 from .findings import Finding
 from .observation import Reply, Wire, observe, performed
-from .station import READ_WRITE
-from .subject.model import Answering, Binding, ErrorRule, OutcomeRule, OutputRule
+from .subject.model import READ_WRITE, Answering, Binding, ErrorRule, OutcomeRule, OutputRule
 
 __all__ = ["UNREADABLE", "HistoryError", "recorded_reply", "restored_bindings"]
 

@@ -39,6 +39,7 @@ class Exchange:
         received_ns: monotonic time at which the response had been read, or None.
         failure: why there is no usable response (``timeout``, ``connection_closed``), or None.
         client_complaint: what the official SDK client objected to in the response, or None.
+        asked_ns, returned_ns: monotonic; the SDK client was asked, and was done with the response.
     """
 
     tool: str
@@ -49,6 +50,8 @@ class Exchange:
     received_ns: int | None = None
     failure: str | None = None
     client_complaint: str | None = None
+    asked_ns: int = 0
+    returned_ns: int = 0
 
     @property
     def latency_ms(self) -> float | None:

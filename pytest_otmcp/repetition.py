@@ -16,7 +16,7 @@ from .at_device import AtDevice, EndedError, Entry
 from .envelope import same_json
 from .findings import Finding
 from .observation import Reply
-from .station import READ_ONLY, READ_WRITE
+from .subject.model import READ_ONLY, READ_WRITE
 
 __all__ = ["Repetition"]
 
@@ -205,15 +205,33 @@ class Repetition:
         """Time of the task's calls: the sum over sequential calls, concurrent ones counted once."""
         return sum(self._spans("task")) / 1e6
 
-    def calls_s(self) -> float:
-        """Seconds spent in calls of any role."""
-        return sum(self._spans(None)) / 1e9
+    def calls_s(self) -> tuple[float, float]:
+        """Seconds spent in calls of any role: from the first request to the last reply of those made together, and in the
+        MCP client before and after."""
+        between = around = 0
+        for replies in self._groups(self.replies):
+            answered = [reply for reply in replies if reply.wire.received_ns is not None]
+            # Without any reply the client has waited all the time.
+            span = _span(answered) if answered else _whole(replies)
+            between += span
+            around += _whole(replies) - span
+        return between / 1e9, around / 1e9
 
-    def _spans(self, role: str | None) -> Iterable[int]:
+    def _spans(self, role: str) -> Iterable[int]:
+        replies = [reply for reply in self.replies if reply.role == role and reply.wire.received_ns is not None]
+        return map(_span, self._groups(replies))
+
+    @staticmethod
+    def _groups(replies: Iterable[Reply]) -> Iterable[list[Reply]]:
         groups: dict[int, list[Reply]] = {}
-        for reply in self.replies:
-            if (role is None or reply.role == role) and reply.wire.received_ns is not None:
-                groups.setdefault(reply.group, []).append(reply)
-        for replies in groups.values():
-            last = max(reply.wire.received_ns or 0 for reply in replies)
-            yield last - min(reply.wire.sent_ns for reply in replies)
+        for reply in replies:
+            groups.setdefault(reply.group, []).append(reply)
+        return groups.values()
+
+
+def _span(replies: list[Reply]) -> int:
+    return max(reply.wire.received_ns or 0 for reply in replies) - min(reply.wire.sent_ns for reply in replies)
+
+
+def _whole(replies: list[Reply]) -> int:
+    return max(reply.wire.returned_ns for reply in replies) - min(reply.wire.asked_ns for reply in replies)

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from .bench import Bench
     from .loop import LoopThread
+    from .plant import Plant
     from .record import RunWriter
     from .settings import RunSettings
     from .subject import Subject
@@ -47,26 +48,42 @@ class Run:
         self.unfinished: dict[str, Any] | None = None
         self._adapters: dict[str, Any] = {}
         self._loop: LoopThread | None = None
+        self._plant: Plant | None = None
         self._bench: Bench | None = None
 
     def _start(self) -> tuple[LoopThread, Bench]:
         if self._loop is None or self._bench is None:
-            from .bench import Bench, BenchOptions
             from .errors import KitError, UsageError
+            from .garbage import settled
             from .loop import LoopThread
+            from .plant import Plant
 
-            options = BenchOptions(
-                era=self.settings.era, time_scale=self.settings.time_scale, broker=self.settings.broker
-            )
-            self._loop = LoopThread()
-            self._bench = Bench(self.subject, options)
-            wanted = {name.split("@")[0] for task in self.tasks for name in task.adapters}
-            # A mock that cannot be started is reported by every task that needs it.
-            with suppress(KitError):
-                self._loop.run(self._bench.prepare(sorted(wanted)))
+            wanted = self._stations()
+            self._loop, self._plant = LoopThread(), Plant(self.settings.broker)
+            with settled():
+                self._loop.run(self._plant.launch(wanted))
+                # The MCP client takes as long to import as the devices take to start.
+                from .bench import Bench, BenchOptions
+
+                options = BenchOptions(era=self.settings.era, time_scale=self.settings.time_scale)
+                self._bench = Bench(self.subject, options, self._plant)
+                # A mock that cannot be started is reported by every task that needs it.
+                with suppress(KitError):
+                    self._loop.run(self._bench.prepare(wanted))
             if drift := self._bench.drift():
                 raise UsageError(f"{self.subject.source}: " + "; ".join(drift))
         return self._loop, self._bench
+
+    def _stations(self) -> list[str]:
+        """Adapter variants that the tasks will need; the read-write ones also where no task applies, to look at their tools."""
+        from .applicability import applicability, stations
+
+        adapters = self.subject.adapters
+        wanted = {name for task in self.tasks for name in task.adapters if name in adapters}
+        for task in self.tasks:
+            if applicability(task, adapters) is None:
+                wanted |= set(stations(task, adapters))
+        return sorted(wanted)
 
     def execute(self, task: Task) -> dict[str, Any]:
         """Run a task; its result is what ``run.json`` has as an item, without the subject's secrets.
@@ -81,10 +98,11 @@ class Run:
         return result
 
     def _execute(self, task: Task) -> dict[str, Any]:
+        loop, bench = self._start()
+
         from .trial import Trial
 
         planned = self.settings.repetitions[task.suite]
-        loop, bench = self._start()
         report = partial(self.progress, task) if self.progress is not None else None
         trial = Trial(bench, task, planned, seed=self.settings.seed, progress=report)
         try:
@@ -111,10 +129,13 @@ class Run:
 
     def close(self) -> None:
         """End everything that runs."""
-        if self._loop is not None and self._bench is not None:
-            self._loop.run(self._bench.close())
+        if self._loop is not None:
+            if self._bench is not None:
+                self._loop.run(self._bench.close())
+            if self._plant is not None:
+                self._loop.run(self._plant.close())
             self._loop.close()
-        self._loop = self._bench = None
+        self._loop = self._plant = self._bench = None
 
 
 class Recorder:

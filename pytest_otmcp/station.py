@@ -18,18 +18,20 @@ from .envelope import check_result, parse_strict
 from .errors import KitError, SubjectError, UsageError
 from .mcp_session import Exchange, McpSession, SessionOptions
 from .observation import Reply, Wire, observe, performed
-from .plant import MockDevice
+from .plant import Device
 from .subject.answers import interpret, read_answer
 from .subject.functions import Refused, ToolAnswer, checked_outputs
-from .subject.model import Adapter, Answering, Binding, Function, replace_placeholders, replace_template
-from .tap_broker import TappedBroker
+from .subject.model import (
+    READ_WRITE,
+    Adapter,
+    Answering,
+    Binding,
+    Function,
+    replace_placeholders,
+    replace_template,
+)
 
-__all__ = ["READ_ONLY", "READ_WRITE", "BenchOptions", "Device", "NoBindingError", "Station"]
-
-Device = MockDevice | TappedBroker
-
-READ_ONLY = "ro"
-READ_WRITE = "rw"
+__all__ = ["BenchOptions", "NoBindingError", "Station"]
 
 _EXIT_GRACE_S = 5.0
 """From the end of its stdin to the exit (requirement MCP-009)."""
@@ -48,12 +50,10 @@ class BenchOptions:
     Attributes:
         era: MCP protocol era, ``auto`` or ``legacy``.
         time_scale: factor on every deadline and window, for slow machines.
-        broker: URL of an external MQTT broker, or None for the embedded one.
     """
 
     era: str = "auto"
     time_scale: float = 1.0
-    broker: str | None = None
 
 
 class Station:
@@ -343,4 +343,6 @@ def _wire(exchanges: list[Exchange]) -> Wire:
         received_ns=last.received_ns,
         failure=last.failure,
         client_complaint=last.client_complaint,
+        asked_ns=first.asked_ns,
+        returned_ns=last.returned_ns,
     )

@@ -1,6 +1,6 @@
 """A broker of somebody else's as the MQTT device of the bench: the tap in front of it is the witness.
 
-The class offers what :class:`~pytest_otmcp.plant.MockDevice` offers. Stopping and starting it takes the tap's port away
+The class offers what :class:`~pytest_otmcp.mock_device.MockDevice` offers. Stopping and starting it takes the tap's port away
 and brings it back: the broker itself is nobody's to stop, and adapters cannot tell the difference.
 """
 
@@ -15,7 +15,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from .errors import KitError
-from .plant import Entry, Journal
+from .mock_device import Entry, Journal
 from .tap import Tap
 from .tap_journal import TapJournal
 from .witness.framing import Framer

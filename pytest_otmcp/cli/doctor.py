@@ -72,9 +72,10 @@ def _adapters(args: argparse.Namespace) -> Iterator[Adapter]:
 
 async def _examine(adapter: Adapter, variant: str) -> bool:
     from ..diagnosis import advice
-    from ..plant import MockDevice
-    from ..station import READ_WRITE, BenchOptions, Station
+    from ..mock_device import MockDevice
+    from ..station import BenchOptions, Station
     from ..subject.drift import drift
+    from ..subject.model import READ_WRITE
 
     program = adapter.variants[variant].command[0]
     device = MockDevice(adapter.protocol)

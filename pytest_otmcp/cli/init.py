@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"--deadline: expected seconds above 0 and up to 300, found {args.deadline:g}")
 
     from ..loop import LoopThread
-    from ..plant import MockDevice
+    from ..mock_device import MockDevice
     from ..proposal.document import Draft, write_document
     from ..proposal.drafting import bare_adapter, draft
     from ..subject import load_subject

@@ -7,9 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from ..envelope import check_result
-from ..plant import MockDevice
-from ..station import READ_WRITE, BenchOptions, Station
-from ..subject.model import Adapter, Answering, Connect, Variant
+from ..mock_device import MockDevice
+from ..station import BenchOptions, Station
+from ..subject.model import READ_WRITE, Adapter, Answering, Connect, Variant
 from ..subject.operations import OPERATIONS
 from .document import Draft
 from .experiments import Proposal, Trier

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ..envelope import parse_strict
-from ..plant import Entry, MockDevice
+from ..mock_device import Entry, MockDevice
 from ..station import Station
 from ..subject.answers import read_answer
 from ..subject.model import Answering, Binding

@@ -19,6 +19,9 @@ __all__ = ["summary"]
 
 Line = tuple[str, str]
 
+_BENCHMARK = ("tool calls", "MCP client", "endpoint restarts", "fresh sessions")
+"""What the time of a run is spent on that is the benchmark itself, the client's share of a tool call included."""
+
 _SHOWN_FINDINGS = 3
 _WIDE = 120
 """From this width on there is room for mean and interval; a narrower terminal rather shows what the task is."""
@@ -133,7 +136,9 @@ def _counts(run: Run, width: int) -> Iterator[Line]:
             f"{what} {seconds:.1f} s ({100 * seconds / total:.0f} %)"
             for what, seconds in sorted(spent.items(), key=lambda entry: -entry[1])
         )
+        outside = 100 * (1 - sum(spent.get(what, 0.0) for what in _BENCHMARK) / total)
         texts.append(f"{footer['elapsed_s']:.1f} s: {', '.join(parts)}")
+        texts.append(f"{outside:.0f} % of that outside of tool calls, endpoint restarts and fresh sessions")
     if not timing_valid(run):
         texts.append("latencies withheld: the run was parallel, so they measure the neighbours too")
     for text in texts:

@@ -15,6 +15,8 @@ from typing import Any
 from .operations import GUARD, OPERATIONS, RECOVERY
 
 __all__ = [
+    "READ_ONLY",
+    "READ_WRITE",
     "Adapter",
     "Answering",
     "Binding",
@@ -31,6 +33,10 @@ __all__ = [
     "replace_placeholders",
     "replace_template",
 ]
+
+READ_WRITE = "rw"
+READ_ONLY = "ro"
+"""The variants of an adapter: as it works, and with its writes disabled."""
 
 _PLACEHOLDER = re.compile(r"\{(?:env:(?P<env>\w+)|(?P<name>\w+)(?::(?P<int>int))?)\}")
 

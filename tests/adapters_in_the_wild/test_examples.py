@@ -11,8 +11,9 @@ from typing import Any
 
 import pytest
 
-from pytest_otmcp.bench import Bench, BenchOptions, Plant
+from pytest_otmcp.bench import Bench, BenchOptions
 from pytest_otmcp.loop import LoopThread
+from pytest_otmcp.plant import Plant
 from pytest_otmcp.shipped import tasks_by_id
 from pytest_otmcp.subject import load_subject
 from pytest_otmcp.trial import Trial

@@ -13,8 +13,9 @@ from typing import Any
 
 import pytest
 
-from pytest_otmcp.bench import Bench, BenchOptions, Plant
+from pytest_otmcp.bench import Bench, BenchOptions
 from pytest_otmcp.loop import LoopThread
+from pytest_otmcp.plant import Plant
 from pytest_otmcp.record import load
 from pytest_otmcp.replay import rejudge
 from pytest_otmcp.shipped import suite_digest, tasks_by_id

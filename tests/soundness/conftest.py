@@ -13,8 +13,9 @@ from typing import Any
 
 import pytest
 
-from pytest_otmcp.bench import READ_WRITE, Bench, BenchOptions, Plant, Station
+from pytest_otmcp.bench import Bench, BenchOptions, Station
 from pytest_otmcp.loop import LoopThread
+from pytest_otmcp.plant import Plant
 from pytest_otmcp.replay import rejudge
 from pytest_otmcp.shipped import suite_digest, tasks_by_id
 from pytest_otmcp.subject import Adapter, Subject, load_subject, reference_subject
@@ -57,13 +58,13 @@ class AmongGenuine(Bench):
         self._protocol = protocol
         self._genuine = genuine
 
-    async def station(self, protocol: str, variant: str = READ_WRITE) -> Station:
-        reference = await self._genuine.station(protocol, variant)
-        if protocol != self._protocol:
+    async def station(self, name: str) -> Station:
+        reference = await self._genuine.station(name)
+        if name.partition("@")[0] != self._protocol:
             return reference
         # Two at the same device would be taken for one.
         await reference.close()
-        return await super().station(protocol, variant)
+        return await super().station(name)
 
 
 Results = dict[str, dict[str, Any]]

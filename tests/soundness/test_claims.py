@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from pytest_otmcp.bench import Bench, BenchOptions, Plant
+from pytest_otmcp.bench import Bench, BenchOptions
 from pytest_otmcp.loop import LoopThread
+from pytest_otmcp.plant import Plant
 from pytest_otmcp.subject import load_subject
 from pytest_otmcp.verdict import ExitCode, Status, Verdict, decide, exit_code
 

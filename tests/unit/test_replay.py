@@ -12,7 +12,7 @@ import pytest
 
 from pytest_otmcp.at_station import Place
 from pytest_otmcp.history import Images, restored_images
-from pytest_otmcp.plant import MockDevice
+from pytest_otmcp.mock_device import MockDevice
 from pytest_otmcp.replay import rejudge
 from pytest_otmcp.shipped import suite_digest, tasks_by_id
 from pytest_otmcp.station import BenchOptions, Station

@@ -15,7 +15,7 @@ import paho.mqtt.client as untyped_paho
 import pytest
 
 from pytest_otmcp.errors import KitError
-from pytest_otmcp.plant import MockDevice
+from pytest_otmcp.mock_device import MockDevice
 from pytest_otmcp.tap_broker import TappedBroker
 from pytest_otmcp.witness import mqtt_oracle
 

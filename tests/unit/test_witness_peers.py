@@ -18,7 +18,7 @@ from paho.mqtt import properties as untyped_properties
 from paho.mqtt.subscribeoptions import SubscribeOptions
 from pymodbus.client import AsyncModbusTcpClient
 
-from pytest_otmcp.plant import MockDevice
+from pytest_otmcp.mock_device import MockDevice
 from pytest_otmcp.tap import Tap
 from pytest_otmcp.witness import modbus_oracle, mqtt_oracle
 

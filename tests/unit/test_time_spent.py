@@ -1,0 +1,126 @@
+"""How a run accounts for its time, and what it keeps out of what it measures."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import weakref
+from collections.abc import Iterator
+
+import pytest
+
+from pytest_otmcp.garbage import settled, uncollected
+from pytest_otmcp.observation import Reply, Wire, observe
+from pytest_otmcp.repetition import Repetition
+from pytest_otmcp.subject.model import Answering
+
+
+def reply(asked: int, sent: int, received: int | None, returned: int, *, role: str = "task") -> Reply:
+    """A call with these times, in milliseconds."""
+    wire = Wire(
+        request=b"{}",
+        response=None if received is None else b'{"jsonrpc": "2.0", "id": 1, "result": {"content": []}}',
+        sent_ns=sent * 1_000_000,
+        received_ns=None if received is None else received * 1_000_000,
+        failure="timeout" if received is None else None,
+        client_complaint=None,
+        asked_ns=asked * 1_000_000,
+        returned_ns=returned * 1_000_000,
+    )
+    return observe(
+        wire,
+        adapter="modbus",
+        variant="rw",
+        operation="ping",
+        tool="ping",
+        arguments={},
+        role=role,
+        deadline_s=1.0,
+        answering=Answering(form="text"),
+        outputs={},
+        listed=True,
+    )
+
+
+@pytest.fixture
+def repetition() -> Repetition:
+    return Repetition("M1", 0, "task", seed=0, time_scale=1.0, places=[])
+
+
+def test_a_call_is_the_wires_and_the_clients_time(repetition: Repetition) -> None:
+    repetition.add(reply(0, 10, 30, 35), {})
+    repetition.add(reply(100, 101, 103, 107, role="warmup"), {})
+    assert repetition.calls_s() == (pytest.approx(0.022), pytest.approx(0.020))
+    assert repetition.duration_ms == pytest.approx(20)
+
+
+def test_concurrent_calls_count_once(repetition: Repetition) -> None:
+    calls = [reply(0, 10, 30, 45), reply(1, 5, 40, 42), reply(2, 12, 35, 50)]
+
+    async def call(one: Reply) -> Reply:
+        repetition.add(one, {})
+        return one
+
+    asyncio.run(repetition.together(*map(call, calls)))
+    assert repetition.calls_s() == (pytest.approx(0.035), pytest.approx(0.015))
+    assert repetition.duration_ms == pytest.approx(35)
+
+
+def test_an_unanswered_call_is_waited_for_on_the_wire(repetition: Repetition) -> None:
+    repetition.add(reply(0, 1, None, 1000), {})
+    assert repetition.calls_s() == (pytest.approx(1.0), 0.0)
+    assert repetition.duration_ms == 0
+
+
+class Knot:
+    """Garbage that only the collector can find."""
+
+    def __init__(self) -> None:
+        self.itself = self
+
+
+@pytest.fixture
+def eager_collector() -> Iterator[None]:
+    before = gc.get_threshold()
+    gc.set_threshold(1, 1, 1)
+    yield
+    gc.set_threshold(*before)
+
+
+@pytest.mark.usefixtures("eager_collector")
+def test_nothing_is_collected_in_the_midst_of_a_call_and_nothing_adds_up() -> None:
+    with uncollected():
+        lost = weakref.ref(Knot())
+        assert [bytearray() for _ in range(1000)]
+        assert lost() is not None
+    assert lost() is None
+    assert gc.isenabled()
+
+
+def test_a_failure_inside_ends_the_truce() -> None:
+    with pytest.raises(ZeroDivisionError), uncollected():
+        raise ZeroDivisionError
+    assert gc.isenabled()
+
+
+def test_a_collector_that_was_off_stays_off() -> None:
+    gc.disable()
+    try:
+        with uncollected():
+            pass
+        with settled():
+            pass
+        assert not gc.isenabled()
+    finally:
+        gc.enable()
+        gc.unfreeze()
+
+
+def test_what_was_settled_is_not_searched_again() -> None:
+    try:
+        with settled():
+            kept = Knot()
+        assert not any(found is kept for found in gc.get_objects())
+        assert gc.isenabled()
+    finally:
+        gc.unfreeze()
