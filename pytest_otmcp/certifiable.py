@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any, TypeGuard
 
-from .subject.operations import GUARD, PROTOCOLS, behind
+from .subject.operations import GUARD, OPERATIONS, PROTOCOLS, behind
 from .task import SUITES, Task, repetitions
 from .verdict import Status, Verdict, decide
 
@@ -32,7 +32,7 @@ def objections(run: Run, tasks: Tasks) -> list[str]:
         run: a run record that :func:`pytest_otmcp.record.load` accepted.
         tasks: the whole suite.
     """
-    found = [*_verdict_objections(run, tasks), *(_gaps(run) or _settings_objections(run))]
+    found = [*_verdict_objections(run, tasks), *(_gaps(run) or [*_settings_objections(run), *_guard_objections(run)])]
     # What did not pass needs no further reason; what did must be everything that the subject claims.
     return found or list(_item_objections(run, tasks))
 
@@ -100,6 +100,19 @@ def _settings_objections(run: Run) -> Iterator[str]:
         yield "the broker was not the kit's own"
     if settings.get("suites") != list(SUITES):
         yield f"not every suite was chosen: {settings.get('suites')}"
+
+
+def _guard_objections(run: Run) -> Iterator[str]:
+    # Requirement WR-004 is a MUST for every adapter: a claim that is left out must not be its way around it.
+    adapters = run["subject"]["adapters"]
+    for protocol in adapters:
+        writing = [name for name, operation in OPERATIONS[protocol].items() if operation.writes]
+        reason = why_not_claimed(f"{protocol}.{GUARD}", adapters)
+        if reason is not None and any(why_not_claimed(f"{protocol}.{name}", adapters) is None for name in writing):
+            yield (
+                f"{protocol}: it writes, and that its writes can be disabled ({GUARD}, requirement WR-004) "
+                f"is not claimed: {reason}"
+            )
 
 
 def _item_objections(run: Run, tasks: Tasks) -> Iterator[str]:

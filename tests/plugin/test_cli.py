@@ -280,7 +280,7 @@ def concluded(record: dict[str, Any] | None, ended: int, tmp_path: Path, monkeyp
         ({"M1": "FAIL"}, 1, 1, "no certificate: the verdict is NOT CONFORMANT: M1 did not pass"),
         ({"M1": "KIT_ERROR"}, 3, 3, "no certificate: the verdict is INDETERMINATE: M1 did not pass"),
         ({"M1": "KIT_ERROR", "M2": "FAIL"}, 3, 3, "no certificate: the verdict is INDETERMINATE: M1, M2 did not pass"),
-        ({"M1": "NOT_APPLICABLE"}, 0, 1, "no certificate: M1 is called NOT_APPLICABLE"),
+        ({"M2": "NOT_APPLICABLE"}, 0, 1, "no certificate: M2 is called NOT_APPLICABLE"),
     ],
 )
 def test_without_a_certificate_the_exit_code_says_whose_fault_it_is(
@@ -316,7 +316,7 @@ def test_what_is_not_claimed_is_printed_with_its_reason(
 ) -> None:
     assert concluded(conformant_run(), 0, tmp_path, monkeypatch) == 0
     told = capsys.readouterr().out
-    assert "modbus: not claimed: guard (it has no read-only mode)" in told
+    assert "modbus: not claimed: ping (it has no such tool)" in told
     assert "mqtt" not in told
     assert {"certificate.json", "badge.json", "badge.svg"} <= set(os.listdir(tmp_path))
 

@@ -12,18 +12,18 @@ from pytest_otmcp.task import SUITES, repetitions
 
 from .samples import item, run
 
-NO_GUARD = "it has no read-only mode"
+NO_PING = "it has no such tool"
 
 
 def conformant_run(adapters: dict[str, dict[str, Any]] | None = None) -> dict[str, Any]:
     """Everything that applies passed 30 times.
 
     Args:
-        adapters: the subject's, see :func:`adapter`; by default Modbus without a guard, OPC UA, and no MQTT.
+        adapters: the subject's, see :func:`adapter`; by default Modbus without a ping, OPC UA, and no MQTT.
     """
     if adapters is None:
         adapters = {
-            "modbus": adapter("acme-modbus", "2026-07-28", unclaimed={"guard": NO_GUARD}),
+            "modbus": adapter("acme-modbus", "2026-07-28", unclaimed={"ping": NO_PING}),
             "opcua": adapter("acme-opcua", "2025-11-25", envelope="synthesised", unmet=["ENV-001"]),
         }
     planned = repetitions(30)

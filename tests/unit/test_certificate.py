@@ -22,7 +22,7 @@ from pytest_otmcp.cli.verify import verify
 from pytest_otmcp.errors import UsageError
 from pytest_otmcp.shipped import tasks_by_id
 
-from .certified import NO_GUARD, adapter, conformant_run, resealed
+from .certified import NO_PING, adapter, conformant_run, resealed
 
 TASKS = tasks_by_id()
 FILE = "ab" * 32
@@ -68,17 +68,17 @@ def test_every_item_has_passed_or_says_why_it_does_not_apply(statement: dict[str
     passed, not_applicable = set(statement["predicate"]["passedTests"]), told(statement)["not_applicable"]
     assert passed | not_applicable.keys() == TASKS.keys()
     assert not passed & not_applicable.keys()
-    assert not_applicable["M4"] == f"modbus.guard: {NO_GUARD}"
+    assert not_applicable["M1"] == f"modbus.ping: {NO_PING}"
     assert not_applicable["Q1"] == "mqtt.info: the subject has no adapter for MQTT"
-    assert {"M1", "O1", "R-opcua"} <= passed
+    assert {"M4", "O1", "R-opcua"} <= passed
 
 
 def test_facets_are_earned_not_exercised_or_not_claimed_with_the_reason(statement: dict[str, Any]) -> None:
     facets = told(statement)["adapters"]["modbus"]["facets"]
-    assert facets["not_claimed"] == {"guard": NO_GUARD}
-    assert {"ping", "read_input", "write_holding", "recovery"} <= set(facets["earned"])
+    assert facets["not_claimed"] == {"ping": NO_PING}
+    assert {"guard", "read_input", "write_holding", "recovery"} <= set(facets["earned"])
     assert {"M2", "S1"} <= set(facets["earned"]["read_input"])
-    assert "M4" not in facets["earned"]["write_holding"]
+    assert "M1" not in facets["earned"]["recovery"]
     assert set(told(statement)["adapters"]) == {"modbus", "opcua"}
 
 
@@ -114,7 +114,7 @@ def test_server_and_protocol_era_are_named(statement: dict[str, Any]) -> None:
 def test_counts_have_exact_bounds_that_are_never_rounded_up(statement: dict[str, Any]) -> None:
     counts = told(statement)["counts"]
     # 0.05^(1/30) and 0.025^(1/30), to four digits towards zero.
-    assert counts["items"]["M1"] == {"passed": 30, "planned": 30, "at_least": 0.9049, "interval": [0.8842, 1.0]}
+    assert counts["items"]["M2"] == {"passed": 30, "planned": 30, "at_least": 0.9049, "interval": [0.8842, 1.0]}
     assert counts["items"]["R-modbus"]["planned"] == 20
     assert "Q1" not in counts["items"]
     total = counts["total"]
@@ -138,6 +138,15 @@ def by_id(record: dict[str, Any], name: str) -> dict[str, Any]:
     return next(item for item in record["items"] if item["id"] == name)
 
 
+def unclaim(record: dict[str, Any], protocol: str, **reasons: str) -> None:
+    record["subject"]["adapters"][protocol]["unclaimed"].update(reasons)
+
+
+def test_an_adapter_that_does_not_write_needs_no_guard() -> None:
+    reading = adapter("acme-opcua", "2025-11-25", unclaimed={"guard": "does not write", "write": "does not write"})
+    assert objections(conformant_run({"opcua": reading}), TASKS) == []
+
+
 OBJECTIONABLE: list[tuple[Change, str]] = [
     (lambda run: by_id(run, "M1").update(status="FAIL"), "the verdict is NOT CONFORMANT: M1 did not pass"),
     (lambda run: by_id(run, "M1").update(status="NOT_TESTABLE"), "the verdict is NOT CONFORMANT: M1 did not pass"),
@@ -146,12 +155,16 @@ OBJECTIONABLE: list[tuple[Change, str]] = [
     (lambda run: run["items"].remove(by_id(run, "M2")), "the verdict is INCOMPLETE: M2 did not run"),
     (lambda run: [item.update(status="NOT_APPLICABLE") for item in run["items"]], "nothing applies to the subject"),
     (lambda run: by_id(run, "M2").update(status="NOT_APPLICABLE"), "M2 is called NOT_APPLICABLE, which is not"),
-    (lambda run: by_id(run, "M4").update(status="PASS"), "M4 is called PASS, which is not what the subject claims"),
+    (lambda run: by_id(run, "M1").update(status="PASS"), "M1 is called PASS, which is not what the subject claims"),
     (lambda run: run["items"].append({**by_id(run, "M1"), "id": "M9"}), "there is no item M9 in the suite"),
     (lambda run: by_id(run, "M1").update(suite="stress"), "M1 is an item of normal, Modbus"),
     (lambda run: by_id(run, "M1").update(planned=29), "M1 has 29 repetitions, the settings say 30"),
     (lambda run: run["footer"].update(complete=False, reason="interrupted"), "the run is incomplete: interrupted"),
     (lambda run: run["footer"].update(verdict="NOT CONFORMANT"), "the record calls the run NOT CONFORMANT"),
+    (
+        lambda run: unclaim(run, "modbus", guard="has no read-only mode"),
+        "modbus: it writes, and that its writes can be disabled (guard, requirement WR-004) is not claimed: has no",
+    ),
     (lambda run: run["settings"].update(reps=29), "29 repetitions are not the 30"),
     (lambda run: run["settings"].update(reps=True), "True repetitions are not the 30"),
     (lambda run: run["settings"].update(time_scale=2.0), "deadlines and windows were scaled by 2.0"),
@@ -385,7 +398,7 @@ def test_a_run_by_another_version_or_by_a_changed_kit_is_refused(
         (lambda run: run["settings"].update(reps=7), "7 repetitions are not the 30"),
         (lambda run: by_id(run, "M2").update(status="NOT_APPLICABLE"), "M2 is called NOT_APPLICABLE"),
         (lambda run: run["subject"]["adapters"].pop("opcua"), "O1 is called PASS"),
-        (lambda run: run["subject"]["adapters"]["modbus"]["unclaimed"].clear(), "M4 is called NOT_APPLICABLE"),
+        (lambda run: run["subject"]["adapters"]["modbus"]["unclaimed"].clear(), "M1 is called NOT_APPLICABLE"),
     ],
 )
 def test_a_forged_pair_is_refused_where_it_contradicts_itself(
@@ -407,7 +420,7 @@ def test_a_history_that_deserves_another_judgement_is_refused(
 def test_a_history_that_cannot_be_judged_at_all_is_refused(
     files: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pytest_otmcp.replay.rejudge", lambda run: run["items"][0]["samples"][0]["nothing"])
+    monkeypatch.setattr("pytest_otmcp.replay.rejudge", lambda run: run["items"][1]["samples"][0]["nothing"])
     assert "holds what no run of this kit has written (KeyError('nothing'))" in refusal(*files)
 
 
