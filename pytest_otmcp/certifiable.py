@@ -14,7 +14,7 @@ from .subject.operations import GUARD, OPERATIONS, PROTOCOLS, behind
 from .task import SUITES, Task, repetitions
 from .verdict import Status, Verdict, decide
 
-__all__ = ["MINIMUM_REPS", "needed", "objections", "why_not_claimed"]
+__all__ = ["MINIMUM_REPS", "needed", "objections", "unguarded", "why_not_claimed"]
 
 MINIMUM_REPS = 30
 """The paper's matrix: thirty passes of thirty mean at least 90 % with 95 % confidence, fewer mean less."""
@@ -32,7 +32,10 @@ def objections(run: Run, tasks: Tasks) -> list[str]:
         run: a run record that :func:`pytest_otmcp.record.load` accepted.
         tasks: the whole suite.
     """
-    found = [*_verdict_objections(run, tasks), *(_gaps(run) or [*_settings_objections(run), *_guard_objections(run)])]
+    found = [
+        *_verdict_objections(run, tasks),
+        *(_gaps(run) or [*_settings_objections(run), *unguarded(run["subject"]["adapters"])]),
+    ]
     # What did not pass needs no further reason; what did must be everything that the subject claims.
     return found or list(_item_objections(run, tasks))
 
@@ -102,9 +105,14 @@ def _settings_objections(run: Run) -> Iterator[str]:
         yield f"not every suite was chosen: {settings.get('suites')}"
 
 
-def _guard_objections(run: Run) -> Iterator[str]:
-    # Requirement WR-004 is a MUST for every adapter: a claim that is left out must not be its way around it.
-    adapters = run["subject"]["adapters"]
+def unguarded(adapters: Mapping[str, Any]) -> Iterator[str]:
+    """A sentence for each adapter that writes and is not claimed to refuse that when it is told to.
+
+    Requirement WR-004 is a MUST for every adapter: a claim that is left out must not be the way around it.
+
+    Args:
+        adapters: as in ``subject.adapters`` of a run record.
+    """
     for protocol in adapters:
         writing = [name for name, operation in OPERATIONS[protocol].items() if operation.writes]
         reason = why_not_claimed(f"{protocol}.{GUARD}", adapters)

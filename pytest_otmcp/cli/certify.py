@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
         KitError: the suite did not run.
         Refusal: no certificate.
     """
-    from ..certifiable import MINIMUM_REPS
+    from ..certifiable import MINIMUM_REPS, unguarded
     from ..subject import load_subject, reference_subject
 
     if args.reps < MINIMUM_REPS:
@@ -84,6 +84,8 @@ def run(args: argparse.Namespace) -> int:
             f"no certificate: {subject.source} declares known deviations ({known}), and a certificate excuses nothing; "
             f"pytest --otmcp-reps={args.reps} accepts them until they expire"
         )
+    if without := list(unguarded({protocol: adapter.facts() for protocol, adapter in subject.adapters.items()})):
+        raise Refusal(f"no certificate: {'; '.join(without)}")
     out.mkdir(parents=True, exist_ok=True)
     print(f"certifying {subject.name} {subject.version} ({file or 'shipped with the kit'})", flush=True)
     return _conclude(out, _run_suite(file, args.reps, out))

@@ -65,6 +65,7 @@ def write_document(draft: Draft) -> str:
         "# How are writes disabled? The variant `ro` must refuse every write, `rw` must allow them, for instance:",
         '# ro = { args = ["--read-only"] }',
         '# rw = { env = { WRITES_ENABLED = "true" } }',
+        "# Without that there can be a conformant run, but no certificate:",
         '# unclaimed = { guard = "has no read-only mode" }',
     ]
     draft.left.append("how writes are disabled: 'ro' and 'rw', or the facet 'guard' as unclaimed")

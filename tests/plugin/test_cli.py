@@ -218,6 +218,17 @@ def test_known_deviations_forbid_a_certificate_before_anything_runs(tmp_path: Pa
     assert os.listdir(older.parent) == []
 
 
+def test_who_writes_and_claims_no_guard_is_told_before_anything_runs(tmp_path: Path) -> None:
+    (tmp_path / "otmcp.toml").write_text(SILENT + 'unclaimed = { guard = "has no read-only mode" }\n')
+    done = otmcp("certify", cwd=tmp_path)
+    assert done.returncode == 1
+    assert sentence(done) == (
+        "otmcp: no certificate: modbus: it writes, and that its writes can be disabled (guard, requirement WR-004) "
+        "is not claimed: has no read-only mode"
+    )
+    assert not (tmp_path / "reports").exists()
+
+
 def test_what_fails_gets_no_certificate_and_keeps_no_older_one(tmp_path: Path) -> None:
     (tmp_path / "otmcp.toml").write_text(SILENT)
     (tmp_path / "out").mkdir()
