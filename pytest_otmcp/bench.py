@@ -85,9 +85,13 @@ class Bench:
         try:
             with self.spent.on("plant start"):
                 await asyncio.gather(*(self._plant.device(name) for name in wanted))
-        finally:
             with self.spent.on("adapter starts"):
                 await asyncio.gather(*opening, return_exceptions=True)
+        except BaseException:
+            for task in opening:
+                task.cancel()
+            await asyncio.gather(*opening, return_exceptions=True)
+            raise
 
     async def _open(self, name: str) -> None:
         station = await self.station(name)

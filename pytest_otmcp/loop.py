@@ -18,6 +18,9 @@ __all__ = ["LoopThread"]
 
 T = TypeVar("T")
 
+_CLEAN_UP_S = 15.0
+"""An adapter that ignores the end of its stdin and the wish that it may end is killed well before."""
+
 
 class LoopThread:
     """An event loop that runs until :meth:`close`."""
@@ -40,19 +43,25 @@ class LoopThread:
         """Run ``work`` on the loop and return its result.
 
         When the waiting thread is interrupted (Ctrl-C), the work is cancelled and given the time to clean up
-        before the interrupt goes on.
+        before the interrupt goes on: it may have processes to end.
         """
-        future = self._submit(work)
+        finished = threading.Event()
+        future = self._submit(self._followed(work, finished))
         try:
             return future.result()
         except KeyboardInterrupt:
             future.cancel()
-            finished = threading.Event()
-            asyncio.run_coroutine_threadsafe(self._settle(finished), self._loop)
-            finished.wait(timeout=5.0)
+            finished.wait(_CLEAN_UP_S)
             raise
         except CancelledError:
             raise KeyboardInterrupt from None
+
+    @staticmethod
+    async def _followed(work: Coroutine[Any, Any, T], finished: threading.Event) -> T:
+        try:
+            return await work
+        finally:
+            finished.set()
 
     def _submit(self, work: Coroutine[Any, Any, T]) -> Future[T]:
         # In a context of its own: one that came along from a test would tell anyio that this is trio's thread, or hand a
@@ -72,12 +81,6 @@ class LoopThread:
 
             return await to_thread.run_sync(future.result, abandon_on_cancel=True)
         return await asyncio.wrap_future(future)
-
-    @staticmethod
-    async def _settle(finished: threading.Event) -> None:
-        # One turn of the loop lets the cancelled task run its ``finally`` clauses up to their first wait.
-        await asyncio.sleep(0)
-        finished.set()
 
     def close(self) -> None:
         """Cancel what is left and end the thread."""

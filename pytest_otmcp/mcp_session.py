@@ -92,23 +92,29 @@ class McpSession:
             await asyncio.wait_for(asyncio.shield(ready), self._options.start_timeout_s)
         except TimeoutError:
             stderr = self._stderr_excerpt()
-            # It is still busy with the handshake; waiting for it once more would not make it answer.
-            self._owner.cancel()
-            await self.close()
-            # Nobody waits for it any more, and its end is no news.
-            if ready.done() and not ready.cancelled():
-                ready.exception()
+            await self._give_up(self._owner, ready)
             raise SubjectError(
                 "start_timeout",
                 f"the adapter did not finish its handshake within {self._options.start_timeout_s:g} s "
                 f"(command: {self._command_line()}){stderr}",
             ) from None
+        except asyncio.CancelledError:
+            await self._give_up(self._owner, ready)
+            raise
         except BaseException as error:
             await self.close()
-            if isinstance(error, SubjectError | asyncio.CancelledError):
+            if isinstance(error, SubjectError):
                 raise
             raise SubjectError("cannot_start", self._why_not_started(error)) from error
         self.ready_ns = time.monotonic_ns()
+
+    async def _give_up(self, owner: asyncio.Task[None], ready: asyncio.Future[None]) -> None:
+        # It is still busy with the handshake; waiting for it once more would not make it answer.
+        owner.cancel()
+        await self.close()
+        # Nobody waits for it any more, and its end is no news.
+        if ready.done() and not ready.cancelled():
+            ready.exception()
 
     async def _own(self, ready: asyncio.Future[None]) -> None:
         # anyio's cancel scopes must be left by the task that entered them: this task owns the client from

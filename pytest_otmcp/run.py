@@ -6,6 +6,7 @@ plain data on the test reports, and only the controller writes.
 
 from __future__ import annotations
 
+import asyncio
 import os
 import platform
 import time
@@ -13,7 +14,7 @@ import traceback
 from contextlib import suppress
 from datetime import UTC, datetime
 from functools import partial
-from importlib import metadata
+from importlib import import_module, metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -62,7 +63,9 @@ class Run:
             self._loop, self._plant = LoopThread(), Plant(self.settings.broker)
             with settled():
                 self._loop.run(self._plant.launch(wanted))
-                # The MCP client takes as long to import as the devices take to start.
+                # The MCP client takes as long to import as the devices take to start. Not on this thread: pydantic would
+                # make an error of its own of Ctrl-C.
+                self._loop.run(asyncio.to_thread(import_module, "pytest_otmcp.bench"))
                 from .bench import Bench, BenchOptions
 
                 options = BenchOptions(era=self.settings.era, time_scale=self.settings.time_scale)

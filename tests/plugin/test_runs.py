@@ -45,8 +45,15 @@ def run(tmp_path: Path) -> Run:
     return start
 
 
-def children() -> set[int]:
-    return {process.pid for process in psutil.Process().children(recursive=True)}
+def offspring(process: subprocess.Popen[str]) -> list[psutil.Process]:
+    """What a run has started, to be looked at when the run is over and nobody's child any more."""
+    started = psutil.Process(process.pid).children(recursive=True)
+    assert started
+    return started
+
+
+def nothing_is_left(started: list[psutil.Process]) -> bool:
+    return not psutil.wait_procs(started, timeout=10)[1]
 
 
 def test_a_narrowed_run_is_recorded_and_called_incomplete(run: Run, tmp_path: Path) -> None:
@@ -96,7 +103,6 @@ def test_a_protocol_that_is_not_claimed_is_not_applicable(run: Run, tmp_path: Pa
 
 
 def test_an_interrupted_run_keeps_what_it_measured(tmp_path: Path) -> None:
-    before = children()
     report = tmp_path / "report"
     command = [
         *PYTEST,
@@ -115,6 +121,7 @@ def test_an_interrupted_run_keeps_what_it_measured(tmp_path: Path) -> None:
             break
     # M3 takes many seconds; nothing tells from outside when its first repetition is over.
     time.sleep(1.0)
+    started = offspring(process)
     process.send_signal(signal.SIGINT)
     rest = process.stdout.read()
     process.stdout.close()
@@ -126,7 +133,32 @@ def test_an_interrupted_run_keeps_what_it_measured(tmp_path: Path) -> None:
     items = {item["id"]: item for item in record["items"]}
     assert [len(items[name]["samples"]) for name in ("M1", "M2")] == [2000, 2000]
     assert items["M3"]["status"] == "INTERRUPTED"
-    assert children() <= before
+    assert nothing_is_left(started)
+
+
+def test_a_run_that_is_interrupted_while_an_adapter_starts_leaves_nothing_running(tmp_path: Path) -> None:
+    silent = 'import pathlib, sys\npathlib.Path("started").touch()\nsys.stdin.read()\n'
+    (tmp_path / "silent.py").write_text(silent)
+    (tmp_path / "otmcp.toml").write_text(
+        '[subject]\nname = "silent"\nversion = "1"\n'
+        '[adapter.modbus]\ncommand = ["{python}", "{dir}/silent.py"]\nunclaimed = { guard = "says nothing" }\n'
+    )
+    process = subprocess.Popen(
+        [*PYTEST, *SUITE, "--otmcp-reps=1", f"--otmcp-subject={tmp_path / 'otmcp.toml'}"],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    while not (tmp_path / "started").exists():
+        assert process.poll() is None
+        time.sleep(0.02)
+    started = offspring(process)
+    process.send_signal(signal.SIGINT)
+    told, _ = process.communicate(timeout=60)
+    assert process.returncode == pytest.ExitCode.INTERRUPTED, told
+    assert "Traceback" not in told
+    assert nothing_is_left(started)
 
 
 def test_a_mock_that_dies_is_the_kits_fault(tmp_path: Path) -> None:
