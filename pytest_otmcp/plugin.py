@@ -181,7 +181,7 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     narrowing.final(config.stash.get(PLANNED, []), _identifiers(session.items))
     with quiet():
         narrowing.note(*changed_files())
-        run = config.stash[RUN] = Run(config.stash[SETTINGS], _load_subject(config), tasks)
+        run = config.stash[RUN] = Run(config.stash[SETTINGS], _load_subject(config), tasks, shared=_is_worker(config))
         if not _is_worker(config):
             _begin_recording(config, run.subject, tasks, workers=0)
     live = config.stash.get(LIVE, None)

@@ -39,12 +39,19 @@ _PACKAGES = ("mcp", "pymodbus", "paho-mqtt", "asyncua", "protobuf", "pytest", "p
 
 
 class Run:
-    """Executes tasks on a bench that is started when the first of them is."""
+    """Executes tasks on a bench that is started when the first of them is.
 
-    def __init__(self, settings: RunSettings, subject: Subject, tasks: list[Task]) -> None:
+    Args:
+        settings, subject: of the run.
+        tasks: what may be executed.
+        shared: by other processes, too; nobody knows by whom which.
+    """
+
+    def __init__(self, settings: RunSettings, subject: Subject, tasks: list[Task], *, shared: bool) -> None:
         self.settings = settings
         self.subject = subject
         self.tasks = tasks
+        self._shared = shared
         self.progress: Callable[[Task, int, int], None] | None = None
         self.unfinished: dict[str, Any] | None = None
         self._adapters: dict[str, Any] = {}
@@ -83,7 +90,8 @@ class Run:
 
         adapters = self.subject.adapters
         wanted = {name for task in self.tasks for name in task.adapters if name in adapters}
-        for task in self.tasks:
+        # Few tasks have a read-only variant. Where somebody else may get them, it is started with the first of them.
+        for task in () if self._shared else self.tasks:
             if applicability(task, adapters) is None:
                 wanted |= set(stations(task, adapters))
         return sorted(wanted)
