@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import statistics
 import time
+from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING, Any
+
+from .report.text import shortened
 
 if TYPE_CHECKING:
     import pytest
@@ -40,7 +43,9 @@ class Live:
             return
         self._drawn = now
         text = f"  {task.id:<9} {done}/{planned}   item {self._done + 1} of {self._total}, {self._left(task, done, planned)}"
-        self._write(("\r" if self._line_open else "\n") + text[: self._writer.fullwidth - 1].ljust(70))
+        if not self._line_open:
+            self._write("\n")
+        self._overwrite(text[: self._writer.fullwidth - 1].ljust(70))
         self._line_open = True
 
     def _left(self, task: Task, done: int, planned: int) -> str:
@@ -58,17 +63,26 @@ class Live:
         times = [sample["duration_ms"] for sample in result["samples"]]
         median = f"{statistics.median(times):8.2f} ms" if times else " " * 11
         colour = {"PASS": "green", "NOT_APPLICABLE": "yellow"}.get(result["status"], "red")
-        self._write("\r" if self._line_open else "\n")
+        if self._line_open:
+            self._overwrite("")
+        else:
+            self._write("\n")
         self._line_open = False
         self._write(f"  {result['id']:<9} ")
         self._write(f"{good:>3}/{result['planned']:<3} {result['status']:<5}", **{colour: True})
         # What comes near the edge makes pytest print its percentage there and begin another line.
-        self._write(f" {median}  {result['title']}"[: max(20, self._writer.fullwidth - 36)])
+        self._write(shortened(f" {median}  {result['title']}", max(20, self._writer.fullwidth - 36)))
 
     def _write(self, text: str, **markup: bool) -> None:
-        if self._capture is None:
+        with self._uncaptured():
             self._writer.write(text, flush=True, **markup)
-            return
+
+    def _overwrite(self, text: str) -> None:
+        # Past pytest's writer, which takes a line with a carriage return for one of no width: it would put its percentage
+        # beyond the edge.
+        with self._uncaptured():
+            print("\r" + text, end="", flush=True)
+
+    def _uncaptured(self) -> AbstractContextManager[None]:
         # Standard output belongs to the running test; progress goes past its capturing.
-        with self._capture.global_and_fixture_disabled():
-            self._writer.write(text, flush=True, **markup)
+        return nullcontext() if self._capture is None else self._capture.global_and_fixture_disabled()

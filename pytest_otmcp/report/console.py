@@ -13,7 +13,7 @@ from ..record import count_calls
 from ..statistics import mean, mean_interval, percentile
 from ..task import SUITES
 from . import Item, Run, applies, durations, least, phases, recovered, tally, timing_valid
-from .text import printable
+from .text import printable, shortened
 
 __all__ = ["summary"]
 
@@ -60,7 +60,7 @@ def _suite(run: Run, suite: str, items: list[Item], width: int) -> Iterator[Line
             interval = mean_interval(times)
             row += f"{_number(mean(times)):>9}"
             row += f"{f'{interval[0]:.2f}..{interval[1]:.2f}' if interval else '---':>17}"
-        yield _clip(f"{row}   {_title(item)}", width), _style(item)
+        yield shortened(f"{row}   {_title(item)}", width), _style(item)
 
 
 def _recovery(run: Run, items: list[Item], width: int) -> Iterator[Line]:
@@ -72,7 +72,7 @@ def _recovery(run: Run, items: list[Item], width: int) -> Iterator[Line]:
             row += f"{_count(*recovered([item], way)):>{columns}}"
             row += f"{_number(percentile(phases(run, item, way), 50)):>11}"
         note = "" if item["status"] == "PASS" else f"   {item['status']}"
-        yield _clip(row + note, width), _style(item)
+        yield shortened(row + note, width), _style(item)
 
 
 def _count(good: int, total: int) -> str:
@@ -91,11 +91,6 @@ def _style(item: Item) -> str:
     return "plain" if item["status"] in ("PASS", "NOT_APPLICABLE") else "bad"
 
 
-def _clip(text: str, width: int) -> str:
-    text = printable(text)
-    return text if len(text) <= width else text[: width - 3].rstrip() + "..."
-
-
 def _wrapped(text: str, width: int, indent: str) -> Iterator[str]:
     # The lines of a text, such as the last ones of an adapter's stderr, stay lines, but none begins where ours do.
     for number, line in enumerate(text.splitlines() or [""]):
@@ -109,7 +104,7 @@ def _findings(run: Run, width: int) -> Iterator[Line]:
         return
     yield "findings", "head"
     for item in failing:
-        yield _clip(f"  {item['id']} {item['status']}: {item['title']}", width), "bad"
+        yield shortened(f"  {item['id']} {item['status']}: {item['title']}", width), "bad"
         shown = [("", finding) for finding in item["findings"]]
         for sample in item["samples"]:
             where = f"rep {sample['repetition'] + 1}/{item['planned']}: "

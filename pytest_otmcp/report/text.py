@@ -5,7 +5,7 @@ Everything in a run record may have been written by the adapter under test: its 
 
 from __future__ import annotations
 
-__all__ = ["clipped", "printable"]
+__all__ = ["clipped", "printable", "shortened"]
 
 
 def printable(text: str, keep: str = "") -> str:
@@ -20,3 +20,9 @@ def printable(text: str, keep: str = "") -> str:
 def clipped(text: str, limit: int) -> str:
     """At most ``limit`` characters of a text, and how many there were."""
     return text if len(text) <= limit else f"{text[:limit]}… ({len(text)} characters, all are in run.json)"
+
+
+def shortened(text: str, width: int) -> str:
+    """As much of a text as fits a line of a terminal, made printable."""
+    text = printable(text)
+    return text if len(text) <= width else text[: width - 3].rstrip() + "..."

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import json
 import os
+import pty
+import re
 import signal
+import struct
 import subprocess
 import sys
+import termios
 import time
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
@@ -134,6 +140,30 @@ def test_an_interrupted_run_keeps_what_it_measured(tmp_path: Path) -> None:
     assert [len(items[name]["samples"]) for name in ("M1", "M2")] == [2000, 2000]
     assert items["M3"]["status"] == "INTERRUPTED"
     assert nothing_is_left(started)
+
+
+def test_progress_on_a_terminal_moves_and_stays_within_its_edges(tmp_path: Path) -> None:
+    columns = 90
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 40, columns, 0, 0))
+    command = [*PYTEST, *SUITE, "--otmcp-report-dir", str(tmp_path / "report"), "--otmcp-reps=300", "-k", "M1 or M4"]
+    # COLUMNS in the environment would win over what the terminal says.
+    environment = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "NO_COLOR", "CI")}
+    with subprocess.Popen(command, cwd=tmp_path, stdout=theirs, stderr=theirs, env=environment | {"TERM": "xterm"}):
+        os.close(theirs)
+        told = b""
+        # Linux answers EIO when nobody holds the other end any more.
+        with contextlib.suppress(OSError):
+            while chunk := os.read(ours, 65536):
+                told += chunk
+    os.close(ours)
+    text = re.sub(r"\x1b\[[0-9;]*m", "", told.decode())
+    assert re.search(r"\r  M1 +\d+/300   item 1 of 3, about", text), text
+    parts = [part for line in text.split("\n") for part in line.rstrip("\r").split("\r")]
+    drawn = [part for part in parts if part.startswith(("  M1 ", "  M4 "))]
+    assert max(map(len, drawn)) <= columns
+    (last,) = (line for line in drawn if "%]" in line)
+    assert len(last) >= columns - 2
 
 
 def test_a_run_that_is_interrupted_while_an_adapter_starts_leaves_nothing_running(tmp_path: Path) -> None:
