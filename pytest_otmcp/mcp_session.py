@@ -216,7 +216,7 @@ class McpSession:
         process = self._transport.process
         if process is None:
             return "the adapter is not running"
-        await process.settle_stderr()
+        await process.settle()
         code = process.returncode
         how = "closed its stdout" if code is None else _exit_words(code)
         return f"the adapter {how}{self._stderr_excerpt()}"

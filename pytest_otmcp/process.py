@@ -170,8 +170,11 @@ class SubjectProcess:
         """The newest non-empty lines of stderr, oldest first."""
         return [line for line in self._pipes.stderr if line.strip()][-lines:]
 
-    async def settle_stderr(self) -> None:
-        """After the exit: wait (shortly) until what it said last has been read."""
+    async def settle(self) -> None:
+        """After its stdout was closed: wait (shortly) until it is known how it ended, and what it said last has been read."""
+        # The pipes of a process that ends are closed before it can be waited for.
+        if not await self._ended(1.0):
+            return
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(self._pipes.stderr_closed.wait(), 0.5)
 
