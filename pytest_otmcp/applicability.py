@@ -1,4 +1,5 @@
-"""Whether a task applies to a subject: a pure function of the facets that it needs and that the subject claims."""
+"""Whether a task applies to a subject, and which of its adapters take part: pure functions of the facets that the task needs
+and that the subject claims."""
 
 from __future__ import annotations
 

@@ -73,11 +73,6 @@ class AtDevice(ABC):
 
     # -- what the subject says of itself ------------------------------------------------------------------
 
-    @property
-    @abstractmethod
-    def recovery(self) -> str:
-        """How work goes on after an outage; see :attr:`pytest_otmcp.subject.Adapter.recovery`."""
-
     @abstractmethod
     def claims(self, facet: str) -> bool:
         """The subject claims this facet of its adapter."""

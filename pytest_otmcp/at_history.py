@@ -32,7 +32,6 @@ class Place:
         self.deadline_s: float = station["deadline_s"]
         self.endpoint: Mapping[str, str] = station["endpoint"]
         self.bindings: Mapping[str, list[Binding] | None] = restored_bindings(station["bindings"])
-        self.recovery: str = station["recovery"]
         self.unclaimed: list[str] = station["unclaimed"]
         self.probes: Mapping[str, Any] = station["probes"]
         self.lacks: list[str] = station["lacks"]
@@ -97,10 +96,6 @@ class AtHistory(AtDevice):
             for entry in device
             if (entry["protocol"], entry.get("variant", READ_WRITE)) == (place.protocol, place.variant)
         ]
-
-    @property
-    def recovery(self) -> str:
-        return self._place.recovery
 
     def claims(self, facet: str) -> bool:
         return not {facet, facet.partition(".")[0]} & set(self._place.unclaimed)

@@ -75,10 +75,6 @@ class AtStation(AtDevice):
         self._since = place.station.mark
         self._bugs: list[tuple[Finding, McpSession]] = []
 
-    @property
-    def recovery(self) -> str:
-        return self.station.adapter.recovery
-
     def claims(self, facet: str) -> bool:
         return self.station.adapter.why_not_claimed(facet) is None
 
@@ -167,7 +163,7 @@ class AtStation(AtDevice):
         # after a pause that keeps an adapter which fails at once from being hammered.
         seen = len(await self.device.wait(0, {"kind": "CONNECTED"}, timeout_s=0.0))
         await self.device.wait(0, {"kind": "CONNECTED"}, timeout_s=0.05, count=seen + 1)
-        if self.recovery == "connect_step":
+        if self.station.adapter.recovery == "connect_step":
             # It may fail as long as the device is not ready; then the call after it fails as well, and says so.
             with self._bench.spent.on("tool calls"):
                 await self.station.connect()

@@ -18,8 +18,8 @@ __all__ = ["LoopThread"]
 
 T = TypeVar("T")
 
-_CLEAN_UP_S = 15.0
-"""An adapter that ignores the end of its stdin and the wish that it may end is killed well before."""
+_CLEAN_UP_S = 60.0
+"""An adapter that ignores the end of its stdin and SIGTERM is killed after two grace periods. Ctrl-C again ends the waiting."""
 
 
 class LoopThread:

@@ -96,8 +96,10 @@ class _Control:
 class MockDevice:
     """One mock device: its life and its witness.
 
-    All times are monotonic nanoseconds or seconds, as the names say. ``restart_s`` adds up what stops and starts
-    took, so that a run can tell how its time was spent.
+    Attributes:
+        host, port: where adapters connect.
+        running: it accepts connections.
+        accepting_ns: monotonic; since when it does.
     """
 
     def __init__(self, name: str, *, arguments: tuple[str, ...] = ()) -> None:
@@ -110,7 +112,6 @@ class MockDevice:
         self.port = 0
         self.running = False
         self.accepting_ns = 0
-        self.restart_s = 0.0
 
     # -- life ---------------------------------------------------------------------------------------------
 
@@ -156,21 +157,17 @@ class MockDevice:
 
     async def stop(self) -> None:
         """Kill the device process: its connections die, its port refuses."""
-        begun = time.monotonic()
         await self._command("stop")
         await self._event("stopped")
         self.running = False
         if self._control is not None:
             await self._control.close()
             self._control = None
-        self.restart_s += time.monotonic() - begun
 
     async def start(self) -> None:
         """Start a new device process on the same port and wait until it accepts; ``accepting_ns`` says when."""
-        begun = time.monotonic()
         await self._command("start")
         await self._ready()
-        self.restart_s += time.monotonic() - begun
 
     async def _command(self, word: str) -> None:
         assert self._launcher is not None

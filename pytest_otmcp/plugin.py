@@ -215,8 +215,10 @@ def _begin_recording(config: pytest.Config, subject: Any, tasks: list[Task], *, 
 def pytest_xdist_node_collection_finished(node: Any, ids: list[str]) -> None:
     """The controller collects nothing itself; it learns of conformance items from its first worker."""
     config = node.config
+    if RECORDER in config.stash:
+        return
     shipped = [identifier for identifier in ids if names_shipped(config, identifier)]
-    if RECORDER in config.stash or not (shipped or names_suite(config)):
+    if not (shipped or names_suite(config)):
         return
     from .shipped import tasks_by_id
 

@@ -35,7 +35,6 @@ class TappedBroker:
         host, port: where adapters connect: the tap.
         running: the tap accepts connections.
         accepting_ns: monotonic; since when it does.
-        restart_s: seconds that stops and starts took.
     """
 
     name = "mqtt"
@@ -49,7 +48,6 @@ class TappedBroker:
         self.port = 0
         self.running = False
         self.accepting_ns = 0
-        self.restart_s = 0.0
 
     # -- life ---------------------------------------------------------------------------------------------
 
@@ -71,18 +69,14 @@ class TappedBroker:
 
     async def stop(self) -> None:
         """The endpoint vanishes: its connections are reset, its port refuses."""
-        begun = time.monotonic()
         await self.tap.down()
         self.running = False
-        self.restart_s += time.monotonic() - begun
 
     async def start(self) -> None:
         """The endpoint is back on the same port, with an empty journal that counts from 0 again."""
-        begun = time.monotonic()
         self.tap.medium.journal = TapJournal()
         await self.tap.up()
         self._accepts()
-        self.restart_s += time.monotonic() - begun
 
     async def close(self) -> None:
         """End the tap; the broker is left as it is."""

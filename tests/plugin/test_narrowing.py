@@ -50,6 +50,19 @@ from pytest_otmcp import oracle
 def forgive(monkeypatch):
     monkeypatch.setattr(oracle, "succeeded", lambda reply, **outputs: [])
 """
+BRIBING = """
+import pytest
+from pytest_otmcp.mock_device import MockDevice
+
+@pytest.fixture(autouse=True)
+def bribe(monkeypatch):
+    true = MockDevice.image
+
+    async def image(self):
+        return await true(self)
+
+    monkeypatch.setattr(MockDevice, "image", image)
+"""
 ALTERING = """
 async def nothing(run):
     pass
@@ -179,11 +192,14 @@ def test_of_several_attempts_the_first_counts(repository: Repository) -> None:
     assert "items ran more than once, the first time counts: M1, M2, FM1, FM2" in outcome.narrowed
 
 
-def test_a_replaced_function_of_the_kit_is_on_record(repository: Repository) -> None:
-    repository.write(conftest_py=FORGING)
+@pytest.mark.parametrize(
+    ("conftest", "replaced"), [(FORGING, "oracle.succeeded"), (BRIBING, "mock_device.MockDevice.image")]
+)
+def test_a_replaced_function_of_the_kit_is_on_record(repository: Repository, conftest: str, replaced: str) -> None:
+    repository.write(conftest_py=conftest)
     outcome = repository.pytest("--otmcp-reps=1", "-k", "M1")
     assert any(
-        sentence.startswith("pytest_otmcp.oracle.succeeded was replaced by something from")
+        sentence.startswith(f"pytest_otmcp.{replaced} was replaced by something from")
         and sentence.endswith("conftest.py")
         for sentence in outcome.narrowed
     )
