@@ -139,8 +139,11 @@ class AtDevice(ABC):
         await self.poke(publish=message)
 
     async def stays_quiet(self, seconds: float, judge: Callable[[list[Entry]], list[Finding]]) -> None:
-        """Watch the device for a while, then judge what reached it; for things that must not happen."""
-        await self._watch(seconds * self._repetition.time_scale)
+        """Watch the device for a while, then judge what reached it; for things that must not happen.
+
+        Shorter deadlines make nothing come sooner, so a time scale below 1 leaves this window as it is.
+        """
+        await self._watch(seconds * max(1.0, self._repetition.time_scale))
         self._repetition.witnessed(judge(await self.journal()))
 
     async def stop_device(self) -> float:

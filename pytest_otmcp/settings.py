@@ -29,7 +29,10 @@ _OPTIONS = {
     "report-dir": ("DIR", "directory for run record, tables and figures (default reports/latest)"),
     "seed": ("N", "seed of the values that repetitions use (default 0)"),
     "era": ("ERA", "MCP protocol era: auto or legacy (default auto)"),
-    "time-scale": ("X", "factor on every deadline and window, for slow machines (default 1)"),
+    "time-scale": (
+        "X",
+        "factor on deadlines and windows, for slow machines; quiet windows are never shortened (default 1)",
+    ),
     "broker": ("URL", "external MQTT broker, mqtt://host:port, instead of the embedded one"),
 }
 
@@ -41,7 +44,7 @@ class RunSettings:
     Attributes:
         repetitions: suite name to number of repetitions.
         subject: subject file, or None for the shipped reference adapters.
-        time_scale: factor on deadlines and windows.
+        time_scale: factor on deadlines and windows; those in which nothing may happen are never shortened.
         broker: URL of an external broker, or None.
     """
 

@@ -49,7 +49,7 @@ class BenchOptions:
 
     Attributes:
         era: MCP protocol era, ``auto`` or ``legacy``.
-        time_scale: factor on every deadline and window, for slow machines.
+        time_scale: factor on deadlines and windows, for slow machines.
     """
 
     era: str = "auto"

@@ -32,7 +32,7 @@ def narrowed(run: Run) -> list[str]:
     if unclaimed := [item["id"] for item in run["items"] if not applies(item)]:
         reasons.append(f"About things that the subject does not claim, so not tested: {', '.join(unclaimed)}.")
     if settings.get("time_scale", 1.0) != 1.0:
-        reasons.append(f"Every deadline and window was multiplied by {settings['time_scale']}.")
+        reasons.append(f"Deadlines and windows were multiplied by {settings['time_scale']}.")
     if settings.get("era", "auto") != "auto":
         reasons.append(f"The session was held in the {settings['era']} era of the Model Context Protocol only.")
     if settings.get("broker", "embedded") != "embedded":

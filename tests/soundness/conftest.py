@@ -24,8 +24,8 @@ from pytest_otmcp.trial import Trial
 
 HERE = Path(__file__).parent
 SUBJECTS = HERE / "subjects"
-TIME_SCALE = 0.3
-"""Deadlines of 1.5 s: long enough for an honest adapter on a busy machine, short enough to wait for a hanging one."""
+IMPATIENT = 0.3
+"""Time scale for adapters that hang: deadlines of 1.5 s, still long enough for what is honest beside them."""
 
 
 @pytest.fixture(scope="session")
@@ -45,7 +45,7 @@ def plant(loop: LoopThread) -> Iterator[Plant]:
 @pytest.fixture(scope="session")
 def genuine(loop: LoopThread, plant: Plant) -> Iterator[Bench]:
     """The reference adapters, started once, for tasks that need others beside the one under test."""
-    bench = Bench(reference_subject(), BenchOptions(time_scale=TIME_SCALE), plant)
+    bench = Bench(reference_subject(), BenchOptions(), plant)
     yield bench
     loop.run(bench.close())
 
@@ -98,7 +98,7 @@ def judge(loop: LoopThread, plant: Plant, genuine: Bench) -> Judge:
         *program: str,
         command: tuple[str, ...] | None = None,
         tasks: str | None = None,
-        time_scale: float = TIME_SCALE,
+        time_scale: float = 1.0,
     ) -> Results:
         reference = reference_subject()
         replaced = reference.adapters[protocol]
@@ -117,13 +117,13 @@ def judge(loop: LoopThread, plant: Plant, genuine: Bench) -> Judge:
 def judge_described(loop: LoopThread, plant: Plant) -> Judge:
     """``judge_described(subject)``: the tasks of the protocols that the subject speaks, once each."""
 
-    def run(subject: Subject, tasks: str | None = None) -> Results:
+    def run(subject: Subject, tasks: str | None = None, time_scale: float = 1.0) -> Results:
         chosen = [
             task
             for task in tasks_by_id().values()
             if set(task.adapters) & set(subject.adapters) and _wanted(task, tasks)
         ]
-        return loop.run(perform(Bench(subject, BenchOptions(time_scale=TIME_SCALE), plant), chosen))
+        return loop.run(perform(Bench(subject, BenchOptions(time_scale=time_scale), plant), chosen))
 
     return run
 
@@ -136,7 +136,11 @@ def judge_foreign(judge_described: Judge) -> Judge:
     """
 
     def run(
-        *names: str, lie: str | None = None, tasks: str | None = None, described: tuple[str, str] | None = None
+        *names: str,
+        lie: str | None = None,
+        tasks: str | None = None,
+        described: tuple[str, str] | None = None,
+        time_scale: float = 1.0,
     ) -> Results:
         adapters: dict[str, Adapter] = {}
         for name in names:
@@ -144,7 +148,7 @@ def judge_foreign(judge_described: Judge) -> Judge:
         subject = Subject(name="foreign", version="0", adapters=adapters, source=SUBJECTS)
         if lie is not None:
             subject = _lying(subject, lie)
-        return judge_described(subject, tasks)
+        return judge_described(subject, tasks, time_scale)
 
     return run
 

@@ -17,7 +17,7 @@ from typing import Any
 import paho.mqtt.client as paho
 from foreign import Failure, Result, Shape, prose, structured
 
-ANSWER_S = 1.0
+ANSWER_S = 3.0
 
 
 class Link:
@@ -203,7 +203,7 @@ def mqtt_handle(lie: str | None, read_only: bool) -> Shape:
                 qos = min(qos, 2)
             if qos not in (0, 1, 2):
                 if lie == "applied-nevertheless":
-                    (await link()).client.subscribe(topic_filter, 2)
+                    await asyncio.to_thread((await link()).subscribe, topic_filter, 2)
                 raise Failure("invalid", "qos must be less than or equal to 2")
             granted = await asyncio.to_thread((await link()).subscribe, topic_filter, qos)
         except Failure as failure:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from .conftest import Judge, failing, words
+from .conftest import IMPATIENT, Judge, failing, words
 from .defective import DEFECTS
 
 READS_INPUT = "M2 S1 S7 S10 R-modbus"
@@ -43,12 +43,22 @@ ALONE = {"hang": "M1 M2 M3 M4 FM1 FM2 S1 S4 S7 S10 R-modbus"}
 """Tasks of this protocol alone: when one adapter hangs, all that take part are started again, which takes its time."""
 
 
+WAITED_FOR = ("hang", "publish-not-sent")
+
+
 @pytest.mark.parametrize("name", DEFECTS)
 def test_a_defect_fails_exactly_its_tasks(judge: Judge, name: str) -> None:
     tasks, reason = EXPECTED[name]
     protocol, _ = DEFECTS[name]
-    results = judge(protocol, "defective.py", name, tasks=ALONE.get(name))
+    time_scale = IMPATIENT if name in WAITED_FOR else 1.0
+    results = judge(protocol, "defective.py", name, tasks=ALONE.get(name), time_scale=time_scale)
     found = failing(results)
     assert found == set(tasks.split()), f"{found ^ set(tasks.split())}:\n{words(results)}"
     assert reason in words(results)
     assert "KIT_ERROR" not in {result["status"] for result in results.values()}
+
+
+def test_short_deadlines_leave_the_watch_for_what_must_not_happen_as_long_as_it_is(judge: Judge) -> None:
+    results = judge("modbus", "defective.py", "none", tasks="FM2", time_scale=IMPATIENT)
+    assert results["FM2"]["status"] == "PASS"
+    assert results["FM2"]["timing_ms"]["quiet windows"] >= 250

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from .conftest import Judge, failing, passing, words
+from .conftest import IMPATIENT, Judge, failing, passing, words
 
 NO_MQTT = "the subject has no adapter for MQTT"
 NO_OPCUA = "the subject has no adapter for OPC UA"
@@ -100,7 +100,7 @@ LIES = {
 @pytest.mark.parametrize(("name", "lie"), LIES)
 def test_a_lie_fails_exactly_its_tasks(judge_foreign: Judge, name: str, lie: str) -> None:
     tasks, reason = LIES[name, lie]
-    results = judge_foreign(name, lie=lie)
+    results = judge_foreign(name, lie=lie, time_scale=IMPATIENT if lie.startswith("hangs") else 1.0)
     assert failing(results) == set(tasks.split()), words(results)
     assert reason in words(results)
     assert {result["status"] for result in results.values()} <= {"PASS", "FAIL", "NOT_APPLICABLE"}

@@ -8,7 +8,7 @@ from typing import Any
 import psutil
 import pytest
 
-from .conftest import Judge, failing, words
+from .conftest import IMPATIENT, Judge, failing, words
 
 
 @pytest.fixture(autouse=True)
@@ -38,7 +38,7 @@ def nothing_is_left_behind() -> Any:
     ],
 )
 def test_the_finding_says_what_the_process_did(judge: Judge, mode: str, expected: str) -> None:
-    results = judge("modbus", "rogue.py", mode, tasks="M1")
+    results = judge("modbus", "rogue.py", mode, tasks="M1", time_scale=IMPATIENT)
     assert failing(results) == {"M1"}
     assert results["M1"]["status"] == "FAIL"
     assert re.search(expected, words(results), re.DOTALL), words(results)
@@ -56,7 +56,7 @@ def test_a_missing_command_is_named(judge: Judge) -> None:
 
 
 def test_a_process_that_never_exits_is_killed_and_reported(judge: Judge) -> None:
-    results = judge("modbus", "rogue.py", "never-exits", tasks="R-modbus")
+    results = judge("modbus", "rogue.py", "never-exits", tasks="R-modbus", time_scale=IMPATIENT)
     assert "did not exit within" in words(results)
 
 

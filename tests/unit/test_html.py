@@ -309,7 +309,7 @@ def test_the_verdict_is_in_words_first_and_what_narrowed_the_run_is_beside_it() 
         "These suites were left out: fault, stress, recovery.",
         "With N = 3 instead of 30, an item that passes every time is shown to pass at least 37 % of the time",
         "About things that the subject does not claim, so not tested: Q2.",
-        "Every deadline and window was multiplied by 2.0.",
+        "Deadlines and windows were multiplied by 2.0.",
         "in the legacy era",
         "a foreign one, mqtt://127.0.0.1:1884",
         "Items ran in parallel",
