@@ -10,7 +10,7 @@ from typing import Any
 from asyncua import Client, ua
 from foreign import Result, Shape, structured
 
-DEADLINE_S = 1.0
+DEADLINE_S = 3.0
 FORWARD = ua.BrowseDirection.Forward
 HIERARCHICAL = ua.NodeId(ua.ObjectIds.HierarchicalReferences)
 
