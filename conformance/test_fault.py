@@ -64,7 +64,10 @@ async def write_overflow(run: Repetition) -> None:
 async def the_largest_value_is_accepted(run: Repetition) -> None:
     await run.modbus.stays_quiet(QUIET_S, modbus.no_state_changing_request)
     run.succeeds(await run.modbus.call("write_holding", address=1, value=65535), value=65535)
-    run.witnessed(modbus.image_holds(await run.modbus.image(), "holding_registers", 1, [65535]))
+    run.witnessed(
+        modbus.exactly_one_write(await run.modbus.journal(), "holding_registers", address=1, values=[65535]),
+        modbus.image_holds(await run.modbus.image(), "holding_registers", 1, [65535]),
+    )
 
 
 @FAULT.task(
@@ -141,13 +144,20 @@ async def write_wrong_type(run: Repetition) -> None:
     before = await run.opcua.image()
     reply = await run.opcua.call("write", node=VALVE, value="fully open")
     run.fails(reply, "type_mismatch", outcome=("not_sent", "rejected"))
-    run.witnessed(opcua.only_changed(before, await run.opcua.image(), {}))
+    run.witnessed(
+        opcua.only_changed(before, await run.opcua.image(), {}),
+        opcua.accepted_writes(await run.opcua.journal(), 0),
+    )
 
 
 @write_wrong_type.after
 async def a_number_is_accepted(run: Repetition) -> None:
+    await run.opcua.stays_quiet(QUIET_S, lambda journal: opcua.accepted_writes(journal, 0))
     run.succeeds(await run.opcua.call("write", node=VALVE, value=31.25), value=31.25)
-    run.witnessed(opcua.image_holds(await run.opcua.image(), VALVE, 31.25))
+    run.witnessed(
+        opcua.accepted_writes(await run.opcua.journal(), 1),
+        opcua.image_holds(await run.opcua.image(), VALVE, 31.25),
+    )
 
 
 @FAULT.task(

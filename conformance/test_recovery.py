@@ -16,6 +16,7 @@ from pytest_otmcp.at_device import Entry
 from pytest_otmcp.findings import Finding
 from pytest_otmcp.repetition import Repetition
 from pytest_otmcp.task import Steps, Suite, Task
+from pytest_otmcp.unasked import nothing_commanded
 from pytest_otmcp.witness import modbus_oracle as modbus
 from pytest_otmcp.witness import mqtt_oracle as mqtt
 from pytest_otmcp.witness import opcua_oracle as opcua
@@ -41,6 +42,8 @@ def outage(protocol: str, operation: str, witness: Witness, **inputs: Any) -> St
         at = run.at(protocol)
         warm = await at.call(operation, **inputs)
         run.must_succeed(warm)
+        # Nothing of what was asked for in other items may come now.
+        run.witnessed(nothing_commanded(protocol, await at.journal()))
         stop_ms = await at.stop_device()
         failing = await at.call_until_failure(operation, window_s=NOTICING_S, **inputs)
         run.fails(failing, *CONNECTION_FAULTS)
@@ -55,11 +58,12 @@ def outage(protocol: str, operation: str, witness: Witness, **inputs: Any) -> St
         recovered = attempts[-1] if attempts and attempts[-1].success else None
         accepting_ns = at.accepting_ns
 
-        before = len(await at.journal())
         fresh = await at.fresh_session()
         first = await at.call(operation, **inputs)
         run.succeeds(first)
-        run.witnessed(witness((await at.journal())[before:]))
+        run.witnessed(witness(await at.session_journal()))
+
+        run.witnessed(nothing_commanded(protocol, await at.journal()))
 
         run.phases = {
             "warm_call": warm.latency_ms,

@@ -19,7 +19,7 @@ from pytest_otmcp.witness import modbus_oracle as modbus
 from pytest_otmcp.witness import mqtt_oracle as mqtt
 from pytest_otmcp.witness import opcua_oracle as opcua
 
-from .receiving import collect
+from .receiving import collect, let_it_read
 
 STRESS = Suite("stress", warm_up=False)
 
@@ -69,8 +69,7 @@ async def concurrent_message_reads(run: Repetition) -> None:
     for topic, nonce in nonces.items():
         await run.mqtt.publish_from_kit(topic, nonce.encode())
     await run.mqtt.wait_for(kind="PUBLISH", direction="out", topic="stress/3", timeout_s=1.0)
-    if run.mqtt.claims("info"):
-        run.succeeds(await run.mqtt.call("info", role="control"))
+    await let_it_read(run, "stress/#")
     replies = await run.together(*(run.mqtt.call("messages", filter=topic) for topic in nonces))
     for reply, (topic, nonce) in zip(replies, nonces.items(), strict=True):
         run.receives(reply, topic, nonce)
@@ -246,6 +245,9 @@ async def a_failed_register_write_is_not_made_up_for(run: Repetition) -> None:
     # When it answers again it has its connection back: what it had kept for later would have been sent by now.
     run.succeeds((await run.modbus.call_until_success("read_input", window_s=SETTLING_S, address=0, count=4))[-1])
     await run.modbus.stays_quiet(QUIET_S, modbus.no_state_changing_request)
+    # One more answer: adapter and device did run in that time.
+    run.succeeds(await run.modbus.call("read_input", address=0, count=4))
+    run.witnessed(modbus.no_state_changing_request(await run.modbus.journal()))
 
 
 @STRESS.task(
@@ -271,6 +273,8 @@ async def a_failed_publish_is_not_made_up_for(run: Repetition) -> None:
     await run.mqtt.start_device()
     run.succeeds((await run.mqtt.call_until_success("info", window_s=SETTLING_S))[-1])
     await run.mqtt.stays_quiet(QUIET_S, lambda journal: mqtt.never_published(journal, payload.encode()))
+    run.succeeds(await run.mqtt.call("info"))
+    run.witnessed(mqtt.never_published(await run.mqtt.journal(), payload.encode()))
 
 
 @STRESS.task(
@@ -296,6 +300,8 @@ async def a_failed_node_write_is_not_made_up_for(run: Repetition) -> None:
     read = await run.opcua.call_until_success("read", window_s=SETTLING_S, node="ns=2;s=Temperature")
     run.succeeds(read[-1])
     await run.opcua.stays_quiet(QUIET_S, opcua.no_state_changing_service)
+    run.succeeds(await run.opcua.call("read", node="ns=2;s=Temperature"))
+    run.witnessed(opcua.no_state_changing_service(await run.opcua.journal()))
 
 
 @pytest.mark.parametrize("task", STRESS, ids=lambda task: task.id)

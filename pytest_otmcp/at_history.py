@@ -22,6 +22,7 @@ class Place:
     """A station during one item, as its history has it.
 
     Attributes:
+        before: the journal from the end of the last item that had the device to the beginning of this one.
         since: sequence number at which the next slice of the journal begins.
         past: the journal before that, as far as the history has it.
     """
@@ -38,6 +39,10 @@ class Place:
         self.blocking: list[str] = station["blocking"]
         self.accepting_ns: int = station["accepting_ns"]
         self.since: int = station["begin"]
+        self.before: list[Entry] = list(station["before"])
+        found = [entry.get("seq") for entry in self.before]
+        if found != list(range(self.since - len(found), self.since)):
+            raise HistoryError(f"what reached {self.protocol} before should end with entry {self.since - 1}: {found}")
         self.past: list[Entry] = list(station["earlier"])
         self.name = place_name(self.protocol, self.variant)
         self.running = True

@@ -25,6 +25,7 @@ class Place:
 
     Attributes:
         begin: sequence number in the device's journal at which the item began.
+        before: the entries before that, from the end of the last item that had this adapter at its device.
         accepting_ns: since when the device accepted connections then.
         earlier: entries before ``begin`` that were looked at nevertheless.
         used: operations that were performed.
@@ -34,9 +35,20 @@ class Place:
         self.station = station
         self.begin = 0
         self.accepting_ns = 0
+        self.before: list[Entry] = []
         self.earlier: list[Entry] = []
         self.used: dict[str, None] = {}
         self.restarted = False
+
+    async def enter(self) -> None:
+        """The item begins."""
+        station = self.station
+        if station.session is not None and station.looked_through:
+            journal = await station.device.journal(station.mark)
+            self.before, self.begin = journal.entries, journal.next
+        else:
+            self.begin = await station.device.mark()
+        station.mark = self.begin
 
     def as_record(self) -> dict[str, Any]:
         """What judging again needs to know of it."""
@@ -49,6 +61,7 @@ class Place:
             "endpoint": self.station.endpoint,
             "accepting_ns": self.accepting_ns,
             "begin": self.begin,
+            "before": self.before,
             "earlier": self.earlier,
             "recovery": adapter.recovery,
             "unclaimed": sorted(adapter.unclaimed),

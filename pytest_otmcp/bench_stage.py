@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from typing import Any
@@ -10,7 +10,8 @@ from typing import Any
 from .applicability import applicability, stations
 from .at_device import EndedError
 from .at_station import AtStation, Place
-from .bench import Bench
+from .bench import Bench, NoBindingError
+from .errors import SubjectError
 from .garbage import uncollected
 from .history import Images
 from .repetition import Repetition
@@ -57,9 +58,13 @@ class BenchStage:
         for place in self._places:
             device = place.station.device
             await device.reset()
-            place.station.mark = place.begin = await device.mark()
+            await place.enter()
             place.accepting_ns = device.accepting_ns
         await self.open_sessions()
+
+    def before(self) -> Mapping[str, Sequence[Mapping[str, Any]]]:
+        """What reached the devices since the last item that had them."""
+        return {place.station.adapter.protocol: place.before for place in self._places}
 
     def repetition(self, rep: int, role: str) -> Repetition:
         """A repetition on this bench."""
@@ -74,19 +79,25 @@ class BenchStage:
 
     async def perform(self, repetition: Repetition, steps: Steps) -> None:
         """Execute the steps and take the journals."""
+        for place in self._places:
+            place.station.looked_through = False
         try:
             with uncollected():
                 await steps(repetition)
         except EndedError:
-            for at in repetition.all:
-                if not at.running:
-                    await at.start_device()
+            await _all_running(repetition)
+        except (NoBindingError, SubjectError):
+            # The item is over; the next ones need the device.
+            await _all_running(repetition)
+            raise
         finally:
             on_the_wire, in_client = repetition.calls_s()
             self._bench.spent.move("kit", "tool calls", on_the_wire)
             self._bench.spent.move("kit", "MCP client", in_client)
         with self.spent("observing the device"):
             await repetition.close_journals()
+        for place in self._places:
+            place.station.looked_through = True
         for at in repetition.all:
             if isinstance(at, AtStation):
                 at.add_last_words()
@@ -155,3 +166,9 @@ class BenchStage:
             "images": self._images.kept,
             "sessions": self._sessions,
         }
+
+
+async def _all_running(repetition: Repetition) -> None:
+    for at in repetition.all:
+        if not at.running:
+            await at.start_device()

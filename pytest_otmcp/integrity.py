@@ -26,7 +26,7 @@ _LIBRARY = Path(hashlib.__file__).resolve().parent
 _JUDGES = (
     "applicability at_device at_station bench bench_stage collection envelope fixtures http_transport integrity mcp_session "
     "mock_device narrowing observation oracle plant plugin process record recording repetition run shipped station stdio_transport "
-    "subject.answers subject.load subject.model taxonomy trial verdict witness.modbus_oracle witness.mqtt_oracle "
+    "subject.answers subject.load subject.model taxonomy trial unasked verdict witness.modbus_oracle witness.mqtt_oracle "
     "witness.opcua_oracle witness.sparkplug_oracle"
 ).split()
 """Modules whose functions decide what a run comes to."""

@@ -42,6 +42,16 @@ class Journal:
     entries: list[Entry]
     next: int
 
+    def whole(self, since: int) -> Journal:
+        """This slice, which was asked for from ``since`` on.
+
+        Raises:
+            KitError: its oldest entries have given way to newer ones.
+        """
+        if len(self.entries) < self.next - since:
+            raise KitError(f"the journal no longer goes back to entry {since}: it holds the newest 200 000 only")
+        return self
+
 
 class _Control:
     """Client of a device's control port: pipelined requests, answers matched by id."""
@@ -218,9 +228,13 @@ class MockDevice:
         return int((await self.ask("journal", since=sys.maxsize))["next"])
 
     async def journal(self, since: int) -> Journal:
-        """The entries from ``since`` on."""
+        """The entries from ``since`` on.
+
+        Raises:
+            KitError: the oldest of them have given way to newer ones.
+        """
         answer = await self.ask("journal", since=since)
-        return Journal(entries=answer["entries"], next=answer["next"])
+        return Journal(entries=answer["entries"], next=answer["next"]).whole(since)
 
     async def wait(self, since: int, match: Mapping[str, Any], *, timeout_s: float, count: int = 1) -> list[Entry]:
         """The entries from ``since`` on whose fields equal ``match``, as soon as there are ``count`` of them, or

@@ -23,6 +23,7 @@ __all__ = ["MAX_FRAME_BYTES", "StopReport", "SubjectProcess", "subject_environme
 MAX_FRAME_BYTES = 16 * 1024 * 1024
 """A longer line on stdout is not read to its end: no OT reply has a reason to be this long."""
 
+_SETTLE_S = 3.0
 _STDERR_LINES = 60
 _STDERR_LINE_BYTES = 2000
 
@@ -173,10 +174,11 @@ class SubjectProcess:
     async def settle(self) -> None:
         """After its stdout was closed: wait (shortly) until it is known how it ended, and what it said last has been read."""
         # The pipes of a process that ends are closed before it can be waited for.
-        if not await self._ended(1.0):
+        if not await self._ended(_SETTLE_S):
             return
+        # A child that lives on may hold the pipe.
         with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(self._pipes.stderr_closed.wait(), 0.5)
+            await asyncio.wait_for(self._pipes.stderr_closed.wait(), _SETTLE_S)
 
     def write(self, data: bytes) -> None:
         """Hand bytes to stdin; they are written at once unless the pipe is full.
@@ -200,7 +202,7 @@ class SubjectProcess:
         begun = time.monotonic()
         if self._pipes.stdout_closed.is_set():
             # Its end of the pipe closes a moment before the process is reaped: it was leaving before it was asked.
-            await self._ended(0.5)
+            await self._ended(grace_s)
         how = "exited" if self._pipes.exited.is_set() else "killed"
         if how != "exited":
             stdin = self._transport.get_pipe_transport(0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
@@ -72,6 +72,10 @@ class RecordedStage:
         missing = sorted(set(self._task.adapters) - {place.name for place in self._places})
         if missing and not self._ended:
             raise HistoryError(f"{' and '.join(missing)} did not take part")
+
+    def before(self) -> Mapping[str, Sequence[Mapping[str, Any]]]:
+        """What had reached the devices since the last item that had them."""
+        return {place.protocol: place.before for place in self._places}
 
     def repetition(self, rep: int, role: str) -> Repetition:
         """The next execution of steps that is stored."""

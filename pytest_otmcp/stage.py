@@ -5,7 +5,7 @@ A trial decides what happens and what it means; a stage makes it happen, or look
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass
 from typing import Any, Protocol
@@ -58,6 +58,9 @@ class Stage(Protocol):
 
     async def prepare(self) -> None:
         """Bring the devices into their initial state and open the sessions."""
+
+    def before(self) -> Mapping[str, Sequence[Mapping[str, Any]]]:
+        """Protocol to the journal of its device, from the last item that had it to this one: nobody called then."""
 
     def repetition(self, rep: int, role: str) -> Repetition:
         """The next execution of steps."""

@@ -61,6 +61,8 @@ class Station:
 
     Attributes:
         tools: what the adapter last listed, name to its entry; None as long as no session was opened.
+        mark: sequence number in the device's journal at which the next slice begins.
+        looked_through: everything before ``mark`` has been looked at, and since then nobody has called the adapter.
         unmet: requirements of the envelope that the adapter's own answers do not meet, where it does not claim to have one.
     """
 
@@ -75,6 +77,7 @@ class Station:
         self._start_failure: SubjectError | None = None
         self._work: tempfile.TemporaryDirectory[str] | None = None
         self.mark = 0
+        self.looked_through = False
         self.session_mark = 0
 
     @property

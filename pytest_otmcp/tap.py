@@ -143,6 +143,7 @@ class _Link:
         self._target = target
         self._forget = forget
         self._connecting: asyncio.Task[None] | None = None
+        self._condemned = False
         conversation = protocol[1]() if protocol else None
         self._lanes = [
             Lane(
@@ -162,7 +163,7 @@ class _Link:
 
     def connected(self, side: _Side) -> None:
         """A side has its transport."""
-        if self.ended.is_set():
+        if self.ended.is_set() or self._condemned:
             self.reset()
         elif side is self.client:
             self._medium.journal.event(self.number, "in", "CONNECTED")
@@ -198,7 +199,8 @@ class _Link:
             self.ended.set()
 
     def reset(self) -> None:
-        """Both sides get a TCP reset."""
+        """Both sides get a TCP reset, also one that has been accepted and has no transport yet."""
+        self._condemned = True
         for side in (self.client, self._device):
             if side.transport is not None:
                 reset_connection(side.transport)

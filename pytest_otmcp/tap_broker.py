@@ -98,8 +98,12 @@ class TappedBroker:
         return self.tap.journal.next_seq
 
     async def journal(self, since: int) -> Journal:
-        """The entries from ``since`` on."""
-        return Journal(entries=self.tap.journal.entries(since), next=self.tap.journal.next_seq)
+        """The entries from ``since`` on.
+
+        Raises:
+            KitError: the oldest of them have given way to newer ones.
+        """
+        return Journal(entries=self.tap.journal.entries(since), next=self.tap.journal.next_seq).whole(since)
 
     async def wait(self, since: int, match: Mapping[str, Any], *, timeout_s: float, count: int = 1) -> list[Entry]:
         """The entries from ``since`` on whose fields equal ``match``, as soon as there are ``count`` of them, or

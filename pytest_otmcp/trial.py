@@ -17,6 +17,7 @@ from .observation import Reply
 from .repetition import Repetition
 from .stage import SessionFacts, Stage
 from .task import Steps, Task
+from .unasked import nothing_commanded
 
 __all__ = ["Repetition", "Trial"]
 
@@ -90,6 +91,12 @@ class Trial:
     async def _execute(self) -> None:
         task, stage = self._task, self._stage
         await stage.prepare()
+        for protocol, entries in stage.before().items():
+            for finding in nothing_commanded(protocol, entries):
+                when = "before this item, when nobody called the adapter"
+                self._note(
+                    finding.code, f"{protocol}: {when}: {finding.message}", finding.requirement, finding.evidence
+                )
         if task.begin is not None:
             await self._around(task.begin, "setup")
         if task.warm_up:

@@ -15,6 +15,7 @@ __all__ = [
     "delivered",
     "exchange",
     "never_published",
+    "no_command",
     "no_packet",
     "published_once",
     "session_stays_up",
@@ -33,6 +34,8 @@ _ANSWERS = {
 }
 _REQUESTS = frozenset(_ANSWERS.values())
 _HIGHEST_QOS = 2
+_COMMANDS = "control/"
+"""Where the plant listens for commands. What an adapter tells of itself elsewhere commands nothing."""
 
 
 def exchange(entries: Entries, at_least: int = 1, client_id: str | None = None) -> list[Finding]:
@@ -163,6 +166,21 @@ def never_published(entries: Entries, payload: bytes, *, client_id: str | None =
             f"{len(found)} time(s)",
             requirement="WR-010",
             evidence=shown(entries),
+        )
+    ]
+
+
+def no_command(entries: Entries) -> list[Finding]:
+    """No message of the adapter reached the topics on which the plant listens for commands."""
+    found = [entry for entry in adapter_packets(entries, "PUBLISH", "in") if entry["topic"].startswith(_COMMANDS)]
+    if not found:
+        return []
+    return [
+        Finding(
+            code="wrote",
+            message=f"the broker should have seen no command from the adapter, it saw {len(found)}",
+            requirement="WR-010",
+            evidence=shown(found),
         )
     ]
 

@@ -14,6 +14,7 @@ from pytest_otmcp.envelope import same_json
 from pytest_otmcp.findings import Finding
 
 __all__ = [
+    "accepted_writes",
     "browsed",
     "children_of",
     "complete_enumeration",
@@ -239,6 +240,23 @@ def no_state_changing_service(entries: Entries) -> list[Finding]:
             message=f"the server should have seen no state-changing request, it saw {len(changing)}",
             requirement="WR-004",
             evidence=_seen(changing),
+        )
+    ]
+
+
+def accepted_writes(entries: Entries, count: int) -> list[Finding]:
+    """The server accepted a value from so many Writes; it may have refused others."""
+    accepted = [
+        entry for entry in _answers(entries, "Write") if any(status.startswith("Good") for status in _statuses(entry))
+    ]
+    if len(accepted) == count:
+        return []
+    return [
+        Finding(
+            code="wrote",
+            message=f"the server should have accepted {count} Write(s), it accepted {len(accepted)}",
+            requirement="WR-004",
+            evidence=_seen(entries),
         )
     ]
 

@@ -32,7 +32,7 @@ __all__ = ["Connection", "ConnectionLostError", "Delivery", "Endpoint", "Message
 # Half-open connections are found after two of these.
 KEEPALIVE_S = 5
 # Leaving in an orderly way must not hold up the end of the process.
-_FAREWELL_S = 0.2
+_FAREWELL_S = 2.0
 # Packets that are read before one is sent; a flood of messages must not keep us from speaking.
 _CATCH_UP = 100
 

@@ -30,7 +30,7 @@ _FIRST_RETRY_S, _LAST_RETRY_S = 0.05, 0.2
 # A connection that keeps ending at once is probably taken over by another client with our identifier [MQTT-3.1.4-2];
 # two adapters must not throw each other out for ever.
 _SHORT_LIVED_S, _TAKEN_OVER_RETRY_S = 0.5, 5.0
-_FAREWELL_S = 0.5
+_FAREWELL_S = 2.0
 # Repeating these in the background would only lock an account.
 _PERMANENT = ("auth_failed", "access_denied", "config_error", "tls_error")
 

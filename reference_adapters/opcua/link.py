@@ -27,7 +27,7 @@ T = TypeVar("T")
 # The library logs refusals, which are answers here, and endpoints, which may carry credentials.
 logging.getLogger("asyncua").setLevel(logging.CRITICAL)
 
-_FAREWELL_S = 0.5
+_FAREWELL_S = 2.0
 _GONE = {
     "BadSessionIdInvalid",
     "BadSessionClosed",

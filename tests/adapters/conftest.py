@@ -58,6 +58,10 @@ class Reply:
         return meta
 
 
+PATIENCE_S = 40.0
+"""How long something is waited for that must come; whatever waits goes on as soon as it is there."""
+
+
 class Client:
     """One adapter process and a raw JSON-RPC client on its pipes."""
 
@@ -83,7 +87,14 @@ class Client:
         self._answers: dict[Any, dict[str, Any]] = {}
         self._id = 0
         self.ended = False
-        if era == LEGACY:
+        try:
+            self._shake_hands()
+        except BaseException:
+            self.abandon()
+            raise
+
+    def _shake_hands(self) -> None:
+        if self.era == LEGACY:
             parameters = {"protocolVersion": LEGACY, "capabilities": {}, "clientInfo": {"name": "t", "version": "1"}}
             self.server = self.request("initialize", parameters)["result"]
             self.write({"jsonrpc": "2.0", "method": "notifications/initialized"})
@@ -100,13 +111,17 @@ class Client:
 
     def send(self, method: str, params: Mapping[str, Any]) -> int:
         """Write a request; its id."""
+        request = self._request(method, params)
+        self.write(request)
+        return int(request["id"])
+
+    def _request(self, method: str, params: Mapping[str, Any]) -> dict[str, Any]:
         self._id += 1
         if self.era == MODERN:
             params = {**params, "_meta": _META}
-        self.write({"jsonrpc": "2.0", "id": self._id, "method": method, "params": params})
-        return self._id
+        return {"jsonrpc": "2.0", "id": self._id, "method": method, "params": params}
 
-    def answer(self, identifier: Any, timeout_s: float = 10.0) -> dict[str, Any]:
+    def answer(self, identifier: Any, timeout_s: float = PATIENCE_S) -> dict[str, Any]:
         """The response to a request.
 
         Raises:
@@ -146,7 +161,13 @@ class Client:
     def start(self, tool: str, arguments: Any) -> int:
         return self.send("tools/call", {"name": tool, "arguments": arguments})
 
-    def reply(self, tool: str, identifier: int, timeout_s: float = 10.0) -> Reply:
+    def start_together(self, *calls: tuple[str, Any]) -> list[int]:
+        """Start calls, each a tool and its arguments, with one write: nothing can come between them. Their ids."""
+        requests = [self._request("tools/call", {"name": tool, "arguments": given}) for tool, given in calls]
+        self.write(b"\n".join(json.dumps(request).encode() for request in requests))
+        return [request["id"] for request in requests]
+
+    def reply(self, tool: str, identifier: int, timeout_s: float = PATIENCE_S) -> Reply:
         response = self.answer(identifier, timeout_s)
         assert "result" in response, response
         result = response["result"]
@@ -159,9 +180,9 @@ class Client:
         """Close stdin; exit code and seconds until the end."""
         started = time.monotonic()
         self.stdin.close()
-        while self._selector.get_map() and time.monotonic() < started + 5.0:
+        while self._selector.get_map() and time.monotonic() < started + PATIENCE_S:
             self._read(1.0)
-        code = self.process.wait(timeout=20.0)
+        code = self.process.wait(timeout=PATIENCE_S)
         elapsed = time.monotonic() - started
         self.stdout.close()
         assert self.process.stderr
@@ -196,7 +217,7 @@ class Mock:
         ready = self._event("ready")
         self.port: int = ready["port"]
         self.pid: int = ready["pid"]
-        self._control = socket.create_connection(("127.0.0.1", ready["control"]), timeout=20.0)
+        self._control = socket.create_connection(("127.0.0.1", ready["control"]), timeout=2 * PATIENCE_S)
         self._lines = self._control.makefile("rb")
 
     def _event(self, expected: str) -> dict[str, Any]:
@@ -226,7 +247,7 @@ class Mock:
         entries: list[dict[str, Any]] = self("journal", since=mark)["entries"]
         return [entry for entry in entries if all(entry.get(name) == value for name, value in fields.items())]
 
-    def wait(self, mark: int, count: int = 1, timeout_s: float = 2.0, **fields: Any) -> list[dict[str, Any]]:
+    def wait(self, mark: int, count: int = 1, timeout_s: float = PATIENCE_S, **fields: Any) -> list[dict[str, Any]]:
         """Journal entries with these fields, as soon as there are so many; there have to be."""
         entries = self._wait(mark, count, timeout_s, fields)
         assert len(entries) >= count, f"{fields} happened {len(entries)} time(s)"
@@ -264,7 +285,7 @@ class Mock:
         assert self.launcher.stdout
         self._hang_up()
         self.launcher.stdin.close()
-        self.launcher.wait(timeout=20.0)
+        self.launcher.wait(timeout=PATIENCE_S)
         self.launcher.stdout.close()
 
 

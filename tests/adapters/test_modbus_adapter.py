@@ -5,18 +5,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
 import struct
 import subprocess
-import time
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
 from pytest_otmcp.reference_adapters.modbus.wire import BadReply, reply_pdu, request_facts
 
-TIMEOUT_S, DEADLINE_S = 0.3, 1.0
+TIMEOUT_S, DEADLINE_S = 2.5, 5.0
+"""For what must time out. Whoever is held up for two seconds is held up for less than either, and than what is between
+them."""
 WRITES = {
     "write_register": {"address": 20, "value": 7},
     "write_registers": {"address": 20, "values": [7, 8]},
@@ -64,8 +67,8 @@ def env(device: Any, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]
     return {
         "MODBUS_HOST": "127.0.0.1",
         "MODBUS_PORT": str(device.port),
-        "MODBUS_TIMEOUT_S": str(TIMEOUT_S),
-        "MODBUS_DEADLINE_S": str(DEADLINE_S),
+        "MODBUS_TIMEOUT_S": "7",
+        "MODBUS_DEADLINE_S": "9",
         "MODBUS_TAG_MAP": str(tags),
     }
 
@@ -78,6 +81,31 @@ def adapter(sessions: Any, adapter_command: Any, env: dict[str, str]) -> Any:
 @pytest.fixture(scope="module")
 def guarded(sessions: Any, adapter_command: Any, env: dict[str, str]) -> Any:
     return sessions(adapter_command("modbus"), env)
+
+
+@pytest.fixture(scope="module")
+def crowd(sessions: Any, adapter_command: Any, env: dict[str, str]) -> Iterator[list[Any]]:
+    """For what must time out, one for each writing tool: at the same time they wait no longer than one of them."""
+    hasty = {"MODBUS_WRITES_ENABLED": "true", "MODBUS_TIMEOUT_S": str(TIMEOUT_S), "MODBUS_DEADLINE_S": str(DEADLINE_S)}
+    clients = [sessions(adapter_command("modbus"), {**env, **hasty}) for _ in WRITES]
+    yield clients
+    for client in clients:
+        client.abandon()
+
+
+@pytest.fixture(scope="module")
+def impatient(crowd: list[Any]) -> Any:
+    return crowd[0]
+
+
+@contextlib.contextmanager
+def switched_off(device: Any) -> Iterator[None]:
+    """The device is gone for a while, and back for the tests that follow whatever this one finds."""
+    device.stop()
+    try:
+        yield
+    finally:
+        device.start()
 
 
 def poke(device: Any, table: str, address: int, *values: Any) -> None:
@@ -368,31 +396,35 @@ def test_another_unit_is_asked_when_it_is_named(adapter: Any, device: Any) -> No
 # -- replies that are none -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "action",
-    [
-        {"transaction_id": 1},
-        {"answer_unit": 9},
-        {"garbage": True},
-        {"truncate": 10},
-        {"answer_values": [1, 2]},
-        {"answer_values": []},
-    ],
-)
-def test_a_reply_to_something_else_is_never_data(adapter: Any, device: Any, action: dict[str, Any]) -> None:
+@pytest.mark.parametrize("values", [[1, 2], []])
+def test_a_reply_to_another_question_is_never_data(adapter: Any, device: Any, values: list[int]) -> None:
     poke(device, "holding_registers", 20, 4711)
-    device.fault({"times": 1, "action": action})
+    device.fault({"times": 1, "action": {"answer_values": values}})
     assert adapter.call("read_register", address=20).error["code"] == "protocol_error"
     assert adapter.call("read_register", address=20).data["value"] == 4711
 
 
-def test_transaction_identifier_zero_is_nobodys_reply(
-    sessions: Any, adapter_command: Any, env: Any, device: Any
-) -> None:
-    fresh = sessions(adapter_command("modbus"), env)
-    # The first request of a connection has identifier 1.
-    device.fault({"times": 1, "action": {"transaction_id": -1}})
-    assert fresh.call("read_register", address=20).error["code"] == "protocol_error"
+def test_what_is_no_reply_to_the_request_is_never_data(crowd: list[Any], device: Any) -> None:
+    # The first one's next reply has identifier 0.
+    last = crowd[0].call("ping").meta["trace"]["transaction_ids"][-1]
+    actions = [
+        {"transaction_id": -(last + 1)},
+        {"transaction_id": 1},
+        {"answer_unit": 9},
+        {"garbage": True},
+        {"truncate": 10},
+    ]
+    subjects = list(zip(crowd, range(20, 20 + len(actions)), strict=False))
+    poke(device, "holding_registers", 20, *(4700 + address for _, address in subjects))
+    device.fault(*({"address": 20 + i, "times": 1, "action": action} for i, action in enumerate(actions)))
+    mark = device.mark()
+    # The adapters wait for something better until the time is up, so they do it at the same time.
+    started = [(subject, subject.start("read_register", {"address": address})) for subject, address in subjects]
+    replies = [subject.reply("read_register", identifier) for subject, identifier in started]
+    assert [reply.error["code"] for reply in replies] == ["protocol_error"] * len(actions)
+    assert len(device.since(mark, kind="response", transaction_id=0)) == 1
+    for subject, address in subjects:
+        assert subject.call("read_register", address=address).data["value"] == 4700 + address
 
 
 REQUESTS = {
@@ -458,21 +490,35 @@ def test_only_the_reply_to_the_request_is_accepted(function: int) -> None:
 
 
 @pytest.mark.parametrize("tool", WRITES)
-@pytest.mark.parametrize(
-    ("action", "code"),
-    [({"drop": True}, "timeout"), ({"reset": True}, "connection_lost"), ({"close": True}, "connection_lost")],
-)
-def test_a_write_is_sent_once_whatever_happens(
-    adapter: Any, device: Any, tool: str, action: dict[str, Any], code: str
+@pytest.mark.parametrize("action", [{"reset": True}, {"close": True}])
+def test_a_write_over_a_connection_that_breaks_is_sent_once(
+    adapter: Any, device: Any, tool: str, action: dict[str, Any]
 ) -> None:
     device.fault({"action": action})
     mark = device.mark()
     reply = adapter.call(tool, WRITES[tool])
-    assert (reply.error["code"], reply.error["outcome"], reply.error["retryable"]) == (code, "unknown", False)
+    assert (reply.error["code"], reply.error["outcome"]) == ("connection_lost", "unknown")
+    assert not reply.error["retryable"]
     device.fault()
     assert adapter.call("ping").envelope["success"]
     assert len(requests(device, mark, state_changing=True)) == 1
     assert reply.meta["attempts"] == 1
+
+
+def test_a_write_that_is_not_answered_is_sent_once(crowd: list[Any], device: Any) -> None:
+    device.fault({"action": {"drop": True}})
+    mark = device.mark()
+    started = [(each, tool, each.start(tool, WRITES[tool])) for each, tool in zip(crowd, WRITES, strict=True)]
+    for subject, tool, identifier in started:
+        reply = subject.reply(tool, identifier)
+        assert (reply.error["code"], reply.error["outcome"], reply.error["retryable"]) == ("timeout", "unknown", False)
+        assert reply.meta["attempts"] == 1
+    device.wait(mark, len(WRITES), kind="request", state_changing=True)
+    device.fault()
+    assert all(subject.call("ping").envelope["success"] for subject in crowd)
+    # Each over its own connection.
+    connections = [request["connection"] for request in requests(device, mark, state_changing=True)]
+    assert len(connections) == len(set(connections)) == len(WRITES)
 
 
 @pytest.mark.parametrize("action", [{"reset": True}, {"close": True}])
@@ -490,36 +536,45 @@ def test_a_read_is_repeated_once_over_a_new_connection(adapter: Any, device: Any
     assert (reply.error["code"], reply.meta["attempts"], len(requests(device, mark))) == ("connection_lost", 2, 2)
 
 
-def test_a_late_reply_is_not_the_answer_to_the_next_request(adapter: Any, device: Any) -> None:
+def test_a_late_reply_is_not_the_answer_to_the_next_request(impatient: Any, device: Any) -> None:
     poke(device, "holding_registers", 20, 1111, 2222)
-    device.fault({"address": 20, "times": 1, "action": {"delay_s": TIMEOUT_S * 1.5}})
-    assert adapter.call("read_register", address=20).error["code"] == "timeout"
+    # Late enough for an adapter that is held up when its time is over.
+    device.fault({"address": 20, "times": 1, "action": {"delay_s": TIMEOUT_S + 3.0}})
+    mark = device.mark()
+    assert impatient.call("read_register", address=20).error["code"] == "timeout"
     for _ in range(3):
-        assert adapter.call("read_register", address=21).data["value"] == 2222
+        assert impatient.call("read_register", address=21).data["value"] == 2222
+    # The late reply reaches nobody: its connection is gone.
+    (late,) = requests(device, mark, address=20)
+    device.wait(mark, kind="DISCONNECTED", connection=late["connection"])
+    assert device.since(mark, kind="response", connection=late["connection"]) == []
 
 
-def test_every_call_ends_by_its_deadline_though_the_device_swallows_them_all(adapter: Any, device: Any) -> None:
+def test_every_call_ends_by_its_deadline_though_the_device_swallows_them_all(impatient: Any, device: Any) -> None:
     device.fault({"action": {"drop": True}})
     mark = device.mark()
-    started = time.monotonic()
-    ids = [adapter.start("write_register", {"address": 20, "value": i}) for i in range(8)]
-    replies = [adapter.reply("write_register", identifier) for identifier in ids]
-    assert time.monotonic() - started < DEADLINE_S + 2.0
+    ids = impatient.start_together(*(("write_register", {"address": 20, "value": i}) for i in range(8)))
+    replies = [impatient.reply("write_register", identifier) for identifier in ids]
     assert {reply.error["code"] for reply in replies} == {"timeout"}
     sent = [reply for reply in replies if reply.error["outcome"] == "unknown"]
     kept = [reply for reply in replies if reply.error["outcome"] == "not_sent"]
     assert len(sent) + len(kept) == 8
+    # One after the other they would all be sent; the deadline came first.
     assert kept
+    # The device may not even have accepted the last connection yet.
+    device.wait(mark, len(sent), kind="request")
     assert len(requests(device, mark)) == len(sent) == sum(reply.meta["attempts"] for reply in replies)
 
 
-def test_tools_are_listed_while_the_device_stalls(adapter: Any, device: Any) -> None:
+def test_tools_are_listed_while_the_device_stalls(impatient: Any, device: Any) -> None:
     device.fault({"times": 1, "action": {"drop": True}})
-    stalled = adapter.start("ping", {})
-    assert adapter.call("list_tags").envelope["success"]
-    with pytest.raises(TimeoutError):
-        adapter.answer(stalled, timeout_s=0.0)
-    assert adapter.reply("ping", stalled).error["code"] == "timeout"
+    stalled, listed = impatient.start_together(("ping", {}), ("list_tags", {}))
+    while not impatient._answers.keys() >= {stalled, listed}:
+        assert impatient._read(60.0)
+    # They are kept in the order in which they came.
+    assert list(impatient._answers) == [listed, stalled]
+    assert impatient.reply("list_tags", listed).envelope["success"]
+    assert impatient.reply("ping", stalled).error["code"] == "timeout"
 
 
 def test_a_cancelled_call_sends_nothing_more_and_the_next_one_works(adapter: Any, device: Any) -> None:
@@ -527,7 +582,7 @@ def test_a_cancelled_call_sends_nothing_more_and_the_next_one_works(adapter: Any
     device.fault({"times": 1, "action": {"drop": True}})
     mark = device.mark()
     identifier = adapter.start("write_register", {"address": 20, "value": 5})
-    device("wait", since=mark, match={"kind": "request"}, count=1, timeout_s=2.0)
+    device.wait(mark, kind="request")
     queued = adapter.start("write_register", {"address": 21, "value": 6})
     for cancelled in (queued, identifier):
         adapter.write({"jsonrpc": "2.0", "method": "notifications/cancelled", "params": {"requestId": cancelled}})
@@ -551,20 +606,18 @@ def test_parallel_calls_get_their_own_answers_over_one_connection(adapter: Any, 
 def test_the_adapter_starts_without_its_device_and_heals_in_the_same_session(
     sessions: Any, adapter_command: Any, env: Any, device: Any
 ) -> None:
-    device.stop()
-    fresh = sessions(adapter_command("modbus"), {**env, "MODBUS_WRITES_ENABLED": "true"})
-    assert len(fresh.tools) == 17
-    for tool, arguments in {**READS, **WRITES}.items():
-        reply = fresh.call(tool, arguments)
-        assert (reply.error["code"], reply.error["retryable"]) == ("connect_failed", True)
-        assert (reply.meta["attempts"], reply.meta["connection"]["state"]) == (0, "disconnected")
-    assert fresh.call("write_register", address=1, value=70000).error["code"] == "range_overflow"
-    device.start()
+    with switched_off(device):
+        fresh = sessions(adapter_command("modbus"), {**env, "MODBUS_WRITES_ENABLED": "true"})
+        assert len(fresh.tools) == 17
+        for tool, arguments in {**READS, **WRITES}.items():
+            reply = fresh.call(tool, arguments)
+            assert (reply.error["code"], reply.error["retryable"]) == ("connect_failed", True)
+            assert (reply.meta["attempts"], reply.meta["connection"]["state"]) == (0, "disconnected")
+        assert fresh.call("write_register", address=1, value=70000).error["code"] == "range_overflow"
     assert fresh.call("ping").meta["connection"] == {"state": "connected", "generation": 1}
-    device.stop()
-    assert fresh.call("ping").error["code"] == "connect_failed"
-    assert fresh.call("write_register", address=1, value=1).error["outcome"] == "not_sent"
-    device.start()
+    with switched_off(device):
+        assert fresh.call("ping").error["code"] == "connect_failed"
+        assert fresh.call("write_register", address=1, value=1).error["outcome"] == "not_sent"
     assert fresh.call("ping").meta["connection"] == {"state": "reconnected", "generation": 2}
     assert fresh.call("ping", x=1).meta["connection"] == {"state": "connected", "generation": 2}
 
@@ -581,7 +634,8 @@ def test_closing_stdin_closes_the_connection(sessions: Any, adapter_command: Any
     fresh.call("ping")
     code, _ = fresh.close()
     assert code == 0
-    assert device("wait", since=mark, match={"kind": "DISCONNECTED"}, count=1, timeout_s=2.0)["entries"]
+    (request,) = requests(device, mark)
+    device.wait(mark, kind="DISCONNECTED", connection=request["connection"])
 
 
 @pytest.mark.parametrize(
@@ -614,7 +668,7 @@ def test_a_bad_setting_is_one_sentence_and_exit_code_2(adapter_command: Any, env
         env={**os.environ, **env, name: value},
         capture_output=True,
         text=True,
-        timeout=10,
+        timeout=60,
         check=False,
     )
     assert done.returncode == 2

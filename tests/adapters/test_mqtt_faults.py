@@ -19,10 +19,16 @@ from typing import Any
 import pytest
 from pytest_otmcp.reference_adapters.mqtt.connection import Connection, ConnectionLostError, Endpoint, Message
 
-CLIENT = "mqtt-faults"
-TIMEOUT_S, DEADLINE_S = 0.3, 1.0
-BACK_S, SLACK_S = 0.25, 0.2
+CLIENT, HASTY = "mqtt-faults", "mqtt-faults-hasty"
+# Where everything answers, a process that the machine leaves standing for two seconds must not look like a fault. Where
+# something does not answer, the test waits that long; the deadline leaves room for such a pause before the time-out, too.
+TIMEOUT_S, DEADLINE_S = 7.0, 9.0
+HASTY_TIMEOUT_S, HASTY_DEADLINE_S = 2.5, 6.0
+# Later than that pause after the time-out.
+TOO_LATE_S = 6.0
+BACK_S = 0.25
 QUIET_S = 0.3
+PATIENCE_S = 40.0
 
 
 @pytest.fixture(scope="module")
@@ -47,13 +53,44 @@ def env(broker: Any) -> dict[str, str]:
 
 
 @pytest.fixture(scope="module")
+def hasty_env(env: dict[str, str]) -> dict[str, str]:
+    return {
+        **env,
+        "MQTT_CLIENT_ID": HASTY,
+        "MQTT_TIMEOUT_S": str(HASTY_TIMEOUT_S),
+        "MQTT_DEADLINE_S": str(HASTY_DEADLINE_S),
+    }
+
+
+@pytest.fixture(scope="module")
 def adapter(sessions: Any, adapter_command: Any, env: dict[str, str]) -> Any:
     return sessions(adapter_command("mqtt"), env)
 
 
-def sent(broker: Any, mark: int, kind: str | None = None) -> list[dict[str, Any]]:
+@pytest.fixture(scope="module")
+def hasty(sessions: Any, adapter_command: Any, hasty_env: dict[str, str]) -> Any:
+    """An adapter for what is not answered."""
+    return sessions(adapter_command("mqtt"), hasty_env)
+
+
+@contextlib.contextmanager
+def outage(broker: Any) -> Iterator[None]:
+    """There is no broker. It comes back whatever happens: the tests that follow need it."""
+    broker.stop()
+    try:
+        yield
+    finally:
+        broker.start()
+
+
+def back(broker: Any, mark: int, client: str = CLIENT) -> None:
+    """The adapter was let in, so that its next call does not join an attempt that began before and has failed."""
+    broker.wait(mark, kind="CONNACK", client_id=client, reason_codes=[0])
+
+
+def sent(broker: Any, mark: int, kind: str | None = None, client: str = CLIENT) -> list[dict[str, Any]]:
     """What the adapter sent since."""
-    entries = broker.since(mark, direction="in", client_id=CLIENT)
+    entries = broker.since(mark, direction="in", client_id=client)
     return [entry for entry in entries if kind in (None, entry["kind"])]
 
 
@@ -84,62 +121,60 @@ def refused(reply: Any) -> tuple[str, str, bool]:
         (2, "PUBLISH", {"close": True}, "connection_lost"),
         (2, "PUBREL", {"reset": True}, "connection_lost"),
         (1, "PUBLISH", {"reset": True}, "connection_lost"),
-        (1, "PUBLISH", {"delay_s": 0.4}, "timeout"),
+        (1, "PUBLISH", {"delay_s": TOO_LATE_S}, "timeout"),
     ],
 )
 def test_a_message_without_an_answer_is_unknown_and_never_sent_again(
-    adapter: Any, broker: Any, qos: int, packet: str, action: dict[str, Any], code: str
+    request: pytest.FixtureRequest, broker: Any, qos: int, packet: str, action: dict[str, Any], code: str
 ) -> None:
+    name, client = ("hasty", HASTY) if code == "timeout" else ("adapter", CLIENT)
+    adapter = request.getfixturevalue(name)
     before = adapter.call("get_broker_info").meta["connection"]["generation"]
     mark = broker.mark()
-    broker.fault({"packet": packet, "client_id": CLIENT, "times": 1, "action": action})
-    started = time.monotonic()
+    broker.fault({"packet": packet, "client_id": client, "times": 1, "action": action})
     reply = publish(adapter, "once", qos)
-    assert time.monotonic() - started < DEADLINE_S
     assert refused(reply) == (code, "unknown", False)
     assert reply.meta["attempts"] == 1
     assert reply.meta["connection"] == {"state": "disconnected", "generation": before}
     assert reply.meta["trace"]["topic"] == "once"
     # The next connection comes by itself; with it, after what it publishes, a replay would have been there.
-    broker.wait(mark, kind="CONNECT", client_id=CLIENT)
+    back(broker, mark, client)
     after = publish(adapter, "next", 2)
     assert after.data["delivery"] == "acknowledged"
     assert after.meta["connection"]["generation"] == before + 1
-    assert [entry["topic"] for entry in sent(broker, mark, "PUBLISH")] == ["once", "next"]
-    assert [entry["dup"] for entry in sent(broker, mark, "PUBLISH")] == [False, False]
+    assert [entry["topic"] for entry in sent(broker, mark, "PUBLISH", client)] == ["once", "next"]
+    assert [entry["dup"] for entry in sent(broker, mark, "PUBLISH", client)] == [False, False]
     # Neither is the second half of a QoS 2 exchange that was given up.
-    assert len(sent(broker, mark, "PUBREL")) == 1 + (packet == "PUBREL")
+    assert len(sent(broker, mark, "PUBREL", client)) == 1 + (packet == "PUBREL")
 
 
-def test_many_messages_that_fail_together_are_sent_once_each(adapter: Any, broker: Any) -> None:
-    adapter.call("get_broker_info")
+def test_many_messages_that_fail_together_are_sent_once_each(hasty: Any, broker: Any) -> None:
+    hasty.call("get_broker_info")
     mark = broker.mark()
-    broker.fault({"packet": "PUBLISH", "client_id": CLIENT, "times": 40, "action": {"no_answer": True}})
-    arguments = [{"topic": f"together/{i}", "payload": "x", "qos": 1} for i in range(40)]
-    ids = [adapter.start("publish_message", one) for one in arguments]
-    outcomes = {adapter.reply("publish_message", one).error["outcome"] for one in ids}
+    broker.fault({"packet": "PUBLISH", "client_id": HASTY, "times": 40, "action": {"no_answer": True}})
+    topics = [f"together/{i}" for i in range(40)]
+    # All of them are on their way before the first of them times out.
+    ids = hasty.start_together(*(("publish_message", {"topic": one, "payload": "x", "qos": 1}) for one in topics))
+    outcomes = {hasty.reply("publish_message", one).error["outcome"] for one in ids}
     assert outcomes == {"unknown"}
-    broker.wait(mark, kind="CONNECT", client_id=CLIENT)
-    publish(adapter, "next")
+    back(broker, mark, HASTY)
+    assert publish(hasty, "next").data["delivery"] == "acknowledged"
     # More than twenty were in flight: paho's own limit would have kept the others for later.
-    assert [entry["topic"] for entry in sent(broker, mark, "PUBLISH")] == [f"together/{i}" for i in range(40)] + [
-        "next"
-    ]
+    assert [entry["topic"] for entry in sent(broker, mark, "PUBLISH", HASTY)] == [*topics, "next"]
 
 
 def test_the_deadline_ends_a_call_and_what_it_had_begun(
     sessions: Any, adapter_command: Any, env: Any, broker: Any
 ) -> None:
-    patient = sessions(
-        adapter_command("mqtt"), {**env, "MQTT_CLIENT_ID": "patient", "MQTT_TIMEOUT_S": "30", "MQTT_DEADLINE_S": "0.4"}
-    )
+    limits = {"MQTT_TIMEOUT_S": "600", "MQTT_DEADLINE_S": str(HASTY_TIMEOUT_S)}
+    patient = sessions(adapter_command("mqtt"), {**env, "MQTT_CLIENT_ID": "patient", **limits})
     patient.call("get_broker_info")
     mark = broker.mark()
     broker.fault({"packet": "PUBREL", "client_id": "patient", "action": {"no_answer": True}})
     started = time.monotonic()
     assert refused(publish(patient, "late", 2)) == ("timeout", "unknown", False)
-    assert 0.4 <= time.monotonic() - started < 1.0
-    broker.wait(mark, kind="CONNECT", client_id="patient")
+    assert time.monotonic() - started >= HASTY_TIMEOUT_S
+    back(broker, mark, "patient")
     broker.fault()
     patient.call("get_broker_info")
     assert len(broker.since(mark, kind="PUBLISH", direction="in", client_id="patient")) == 1
@@ -148,21 +183,21 @@ def test_the_deadline_ends_a_call_and_what_it_had_begun(
     patient.close()
 
 
-def test_what_the_socket_could_not_take_in_time_is_not_sent_later(adapter: Any, broker: Any) -> None:
-    adapter.call("get_broker_info")
+def test_what_the_socket_could_not_take_in_time_is_not_sent_later(hasty: Any, broker: Any) -> None:
+    hasty.call("get_broker_info")
     mark = broker.mark()
     os.kill(broker.pid, signal.SIGSTOP)
     try:
         for number in range(64):
-            reply = adapter.call("publish_message", topic=f"stuck/{number}", payload="x" * 1_000_000, qos=0)
+            reply = hasty.call("publish_message", topic=f"stuck/{number}", payload="x" * 1_000_000, qos=0)
             if not reply.envelope["success"]:
                 break
     finally:
         os.kill(broker.pid, signal.SIGCONT)
     assert refused(reply) == ("timeout", "unknown", False)
-    broker.wait(mark, kind="CONNECT", client_id=CLIENT)
-    adapter.call("get_broker_info")
-    assert f"stuck/{number}" not in [entry["topic"] for entry in sent(broker, mark, "PUBLISH")]
+    back(broker, mark, HASTY)
+    assert hasty.call("get_broker_info").envelope["success"]
+    assert f"stuck/{number}" not in [entry["topic"] for entry in sent(broker, mark, "PUBLISH", HASTY)]
 
 
 # -- requests that change nothing ------------------------------------------------------------------------------
@@ -183,14 +218,14 @@ def test_a_question_is_repeated_once_over_a_new_connection(adapter: Any, broker:
     assert adapter.call("get_broker_info").envelope["success"]
 
 
-def test_a_subscription_without_an_answer_is_not_listed(adapter: Any, broker: Any) -> None:
-    adapter.call("get_broker_info")
-    broker.fault({"packet": "SUBSCRIBE", "client_id": CLIENT, "times": 1, "action": {"no_answer": True}})
-    reply = adapter.call("subscribe_topic", topic="silent/#")
+def test_a_subscription_without_an_answer_is_not_listed(hasty: Any, broker: Any) -> None:
+    hasty.call("get_broker_info")
+    broker.fault({"packet": "SUBSCRIBE", "client_id": HASTY, "times": 1, "action": {"no_answer": True}})
+    reply = hasty.call("subscribe_topic", topic="silent/#")
     assert refused(reply) == ("timeout", "not_applicable", True)
-    assert adapter.call("list_subscriptions").data["subscriptions"] == []
-    assert adapter.call("subscribe_topic", topic="silent/#").data["granted_qos"] == 0
-    adapter.call("unsubscribe_topic", topic="silent/#")
+    assert hasty.call("list_subscriptions").data["subscriptions"] == []
+    assert hasty.call("subscribe_topic", topic="silent/#").data["granted_qos"] == 0
+    hasty.call("unsubscribe_topic", topic="silent/#")
 
 
 # -- connecting --------------------------------------------------------------------------------------------------
@@ -209,20 +244,39 @@ def test_each_refusal_of_a_connection_has_its_code(sessions: Any, adapter_comman
             quiet = broker.within(QUIET_S, mark, kind="CONNECT", client_id="refused", direction="in")
             assert len(quiet) == 1
     broker.fault()
+    back(broker, mark, "refused")
     assert publish(fresh, "refused").data["delivery"] == "acknowledged"
     fresh.close()
 
 
 def test_a_broker_that_does_not_answer_connect_is_a_timeout_for_everybody_who_waits(
-    sessions: Any, adapter_command: Any, env: Any, broker: Any
+    sessions: Any, adapter_command: Any, hasty_env: Any, broker: Any
 ) -> None:
-    fresh = sessions(adapter_command("mqtt"), {**env, "MQTT_CLIENT_ID": "unanswered"})
+    fresh = sessions(adapter_command("mqtt"), {**hasty_env, "MQTT_CLIENT_ID": "unanswered"})
     broker.fault({"packet": "CONNECT", "client_id": "unanswered", "action": {"no_answer": True}})
-    started = time.monotonic()
-    ids = [fresh.start("publish_message", {"topic": "a", "payload": "x"}) for _ in range(8)]
-    assert {refused(fresh.reply("publish_message", one)) for one in ids} == {("timeout", "not_sent", True)}
-    assert time.monotonic() - started < DEADLINE_S
+    ids = fresh.start_together(*[("publish_message", {"topic": "a", "payload": "x"})] * 8)
+    replies = [fresh.reply("publish_message", one) for one in ids]
+    assert {refused(reply) for reply in replies} == {("timeout", "not_sent", True)}
+    # Nobody had to wait for the deadline, as whoever only comes after the attempts of others would.
+    assert {reply.error["message"] for reply in replies} == {"the broker did not answer CONNECT"}
     fresh.close()
+
+
+def test_a_lost_connection_is_tried_again_at_least_every_quarter_of_a_second(adapter: Any, broker: Any) -> None:
+    adapter.call("get_broker_info")
+    mark = broker.mark()
+    broker.fault(
+        {"packet": "UNSUBSCRIBE", "client_id": CLIENT, "times": 1, "action": {"reset": True}},
+        {"packet": "CONNECT", "client_id": CLIENT, "times": 12, "action": {"reason_code": 3}},
+    )
+    assert adapter.call("get_broker_info").error["code"] == "connect_failed"
+    # Nobody calls the adapter: it comes back on its own.
+    back(broker, mark)
+    tries = [entry["t_ns"] for entry in sent(broker, mark, "CONNECT")]
+    assert len(tries) == 13
+    # The pauses have grown by then. The machine can make any of them longer, but none shorter than the adapter means it.
+    pauses = [later - earlier for earlier, later in itertools.pairwise(tries)][4:]
+    assert min(pauses) <= BACK_S * 1e9
 
 
 @contextlib.contextmanager
@@ -240,9 +294,11 @@ def impostor(answers: list[bytes]) -> Iterator[int]:
 
         thread = threading.Thread(target=serve)
         thread.start()
-        yield listener.getsockname()[1]
-        listener.shutdown(socket.SHUT_RDWR)
-        thread.join()
+        try:
+            yield listener.getsockname()[1]
+        finally:
+            listener.shutdown(socket.SHUT_RDWR)
+            thread.join()
 
 
 def test_what_is_no_broker_is_told_and_nothing_is_published_to_it(
@@ -259,8 +315,10 @@ def test_what_is_no_broker_is_told_and_nothing_is_published_to_it(
             b"\xff" * 9: "config_error",
         }.items():
             answers.append(answer)
-            assert fresh.call("get_broker_info").error["code"] == code, answer
-            assert publish(fresh, "a").error["outcome"] == "not_sent"
+            # May fail with an attempt that got the answer before; then the next call makes another.
+            assert fresh.call("get_broker_info").error["code"] in (code, "connect_failed"), answer
+            error = publish(fresh, "a").error
+            assert (error["code"], error["outcome"]) == (code, "not_sent"), answer
         assert fresh.close()[0] == 0
 
 
@@ -268,19 +326,19 @@ def test_what_is_no_broker_is_told_and_nothing_is_published_to_it(
 def mute_broker() -> Iterator[tuple[socket.socket, int]]:
     """A listening socket and its port, for a broker of which the test plays every part."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
-        listener.settimeout(5.0)
+        listener.settimeout(PATIENCE_S)
         yield listener, listener.getsockname()[1]
 
 
 def test_a_connection_that_was_given_up_is_reset_so_that_the_kernel_sends_nothing_more(
-    sessions: Any, adapter_command: Any, env: Any
+    sessions: Any, adapter_command: Any, hasty_env: Any
 ) -> None:
     with mute_broker() as (listener, port):
-        fresh = sessions(adapter_command("mqtt"), {**env, "MQTT_URL": f"mqtt://127.0.0.1:{port}"})
+        fresh = sessions(adapter_command("mqtt"), {**hasty_env, "MQTT_URL": f"mqtt://127.0.0.1:{port}"})
         call = fresh.start("publish_message", {"topic": "a", "payload": "x", "qos": 1})
         connection, _ = listener.accept()
         with connection:
-            connection.settimeout(5.0)
+            connection.settimeout(PATIENCE_S)
             connection.recv(1000)
             connection.sendall(b"\x20\x02\0\0")
             assert connection.recv(1000)[0] == 0x32
@@ -294,7 +352,7 @@ def test_a_connection_that_was_given_up_is_reset_so_that_the_kernel_sends_nothin
 async def test_a_connection_knows_its_end_before_the_loop_has_read_it() -> None:
     with mute_broker() as (listener, port):
         endpoint = Endpoint(
-            host="127.0.0.1", port=port, tls=False, client_id="c", username=None, password=None, timeout_s=5.0
+            host="127.0.0.1", port=port, tls=False, client_id="c", username=None, password=None, timeout_s=PATIENCE_S
         )
         connection = Connection(endpoint, lambda message: None)
         opening = asyncio.create_task(connection.open(None))
@@ -303,7 +361,10 @@ async def test_a_connection_knows_its_end_before_the_loop_has_read_it() -> None:
             peer.sendall(b"\x20\x02\0\0")
             await opening
             assert connection.is_live()
-        # Loopback delivers the end at once; the loop does not get to run in between.
+        # Loopback delivers the end at once, or, on a busy machine, soon; the loop does not get to run in between.
+        given_up = time.monotonic() + PATIENCE_S
+        while connection.is_live() and time.monotonic() < given_up:
+            pass
         assert not connection.is_live()
         with pytest.raises(ConnectionLostError):
             connection.send(Message(topic="a", payload=b"x"))
@@ -316,9 +377,8 @@ def test_two_clients_with_one_identifier_do_not_throw_each_other_out_for_ever(
     twins = [sessions(adapter_command("mqtt"), {**env, "MQTT_CLIENT_ID": "twin"}) for _ in range(2)]
     for twin in twins:
         twin.call("get_broker_info")
-    connects = broker.within(2.0, mark, kind="CONNECT", direction="in", client_id="twin")
-    assert len(connects) > 5
-    # They start at a twentieth of a second, and go slower and slower.
+    # They start at a twentieth of a second, and go slower and slower: the sixteenth comes after two seconds.
+    connects = broker.wait(mark, count=16, kind="CONNECT", direction="in", client_id="twin")
     pauses = [later["t_ns"] - earlier["t_ns"] for earlier, later in itertools.pairwise(connects)]
     assert max(pauses) > 0.35e9
     for twin in twins:
@@ -329,36 +389,34 @@ def test_two_clients_with_one_identifier_do_not_throw_each_other_out_for_ever(
 
 
 def test_nothing_is_queued_over_an_outage_and_subscriptions_come_back_by_themselves(adapter: Any, broker: Any) -> None:
-    adapter.call("subscribe_topic", topic="sensors/#", qos=1)
+    # Not the topics of the plant: after its start the broker may live a second of it before it is told to pause.
+    adapter.call("subscribe_topic", topic="probes/#", qos=1)
     generation = adapter.call("get_broker_info").meta["connection"]["generation"]
-    broker("poke", params={"publish": {"topic": "sensors/a", "payload": "b2xk"}})
-    assert received(adapter, "sensors/b") == []
-    broker.stop()
-    for qos in (0, 1, 2):
-        reply = publish(adapter, "stale", qos)
-        assert refused(reply) == ("connect_failed", "not_sent", True)
-        assert (reply.meta["attempts"], reply.meta["connection"]["state"]) == (0, "disconnected")
-    assert adapter.call("get_broker_info").error["code"] == "connect_failed"
-    assert adapter.call("subscribe_topic", topic="later/#").error["code"] == "connect_failed"
-    # Validation does not need a broker.
-    assert adapter.call("publish_message", topic="", payload="x").error["code"] == "invalid_input"
-    listed = adapter.call("list_subscriptions")
-    assert listed.data["subscriptions"] == [{"topic": "sensors/#", "qos": 1, "granted_qos": 1, "active": False}]
-    left = adapter.call("read_messages", topic="#").data
-    assert ([one["payload"] for one in left["messages"]], left["connected"]) == (["old"], False)
-    broker.start()
-    started = time.monotonic()
+    broker("poke", params={"publish": {"topic": "probes/a", "payload": "b2xk"}})
+    assert received(adapter, "probes/b") == []
+    with outage(broker):
+        for qos in (0, 1, 2):
+            reply = publish(adapter, "stale", qos)
+            assert refused(reply) == ("connect_failed", "not_sent", True)
+            assert (reply.meta["attempts"], reply.meta["connection"]["state"]) == (0, "disconnected")
+        assert adapter.call("get_broker_info").error["code"] == "connect_failed"
+        assert adapter.call("subscribe_topic", topic="later/#").error["code"] == "connect_failed"
+        # Validation does not need a broker.
+        assert adapter.call("publish_message", topic="", payload="x").error["code"] == "invalid_input"
+        listed = adapter.call("list_subscriptions")
+        assert listed.data["subscriptions"] == [{"topic": "probes/#", "qos": 1, "granted_qos": 1, "active": False}]
+        left = adapter.call("read_messages", topic="#").data
+        assert ([one["payload"] for one in left["messages"]], left["connected"]) == (["old"], False)
     # Nobody calls the adapter: it comes back on its own.
     (granted,) = broker.wait(0, kind="SUBACK", client_id=CLIENT)
-    assert time.monotonic() - started < BACK_S + SLACK_S
     assert granted["reason_codes"] == [1]
-    broker("poke", params={"publish": {"topic": "sensors/a", "payload": "bmV3", "qos": 1}})
-    assert received(adapter, "sensors/#") == ["new"]
+    broker("poke", params={"publish": {"topic": "probes/a", "payload": "bmV3", "qos": 1}})
+    assert received(adapter, "probes/#") == ["new"]
     reply = adapter.call("list_subscriptions")
-    assert reply.data["subscriptions"] == [{"topic": "sensors/#", "qos": 1, "granted_qos": 1, "active": True}]
+    assert reply.data["subscriptions"] == [{"topic": "probes/#", "qos": 1, "granted_qos": 1, "active": True}]
     assert reply.meta["connection"]["generation"] == generation + 1
     assert sent(broker, 0, "PUBLISH") == []
-    adapter.call("unsubscribe_topic", topic="sensors/#")
+    adapter.call("unsubscribe_topic", topic="probes/#")
 
 
 def test_a_restored_subscription_that_is_refused_is_shown_as_inactive(adapter: Any, broker: Any) -> None:
@@ -378,35 +436,34 @@ def test_a_restored_subscription_that_is_refused_is_shown_as_inactive(adapter: A
 def test_a_message_right_after_the_brokers_end_does_not_succeed(adapter: Any, broker: Any) -> None:
     for _ in range(3):
         adapter.call("get_broker_info")
-        broker.stop()
-        # QoS 0 has no answer: only looking at the connection before writing can tell.
-        assert refused(publish(adapter, "into the void", 0))[:2] == ("connect_failed", "not_sent")
-        broker.start()
+        with outage(broker):
+            # QoS 0 has no answer: only looking at the connection before writing can tell.
+            assert refused(publish(adapter, "into the void", 0))[:2] == ("connect_failed", "not_sent")
+        back(broker, 0)
         assert publish(adapter, "back", 0).meta["connection"]["state"] in ("connected", "reconnected")
 
 
 def test_the_adapter_starts_without_its_broker_and_heals_in_the_same_session(
     sessions: Any, adapter_command: Any, env: Any, broker: Any
 ) -> None:
-    broker.stop()
-    fresh = sessions(adapter_command("mqtt"), {**env, "MQTT_CLIENT_ID": "early"})
-    assert len(fresh.tools) == 16
     birth = {"device_id": "d", "metrics": [{"name": "m", "datatype": "Int8", "value": 1}]}
-    for tool, arguments in (
-        ("get_broker_info", {}),
-        ("subscribe_topic", {"topic": "a"}),
-        ("unsubscribe_topic", {"topic": "a"}),
-        ("publish_message", {"topic": "a", "payload": "x"}),
-        ("publish_device_birth", birth),
-        ("publish_node_birth", {}),
-        ("publish_node_command", {"edge_node_id": "n", "metrics": birth["metrics"]}),
-        ("list_sparkplug_nodes", {}),
-    ):
-        reply = fresh.call(tool, arguments)
-        assert (reply.error["code"], reply.error["retryable"]) == ("connect_failed", True)
-        assert (reply.meta["attempts"], reply.meta["connection"]["state"]) == (0, "disconnected")
-    assert fresh.call("subscribe_topic", topic="a", qos=5).error["code"] == "invalid_input"
-    broker.start()
+    with outage(broker):
+        fresh = sessions(adapter_command("mqtt"), {**env, "MQTT_CLIENT_ID": "early"})
+        assert len(fresh.tools) == 16
+        for tool, arguments in (
+            ("get_broker_info", {}),
+            ("subscribe_topic", {"topic": "a"}),
+            ("unsubscribe_topic", {"topic": "a"}),
+            ("publish_message", {"topic": "a", "payload": "x"}),
+            ("publish_device_birth", birth),
+            ("publish_node_birth", {}),
+            ("publish_node_command", {"edge_node_id": "n", "metrics": birth["metrics"]}),
+            ("list_sparkplug_nodes", {}),
+        ):
+            reply = fresh.call(tool, arguments)
+            assert (reply.error["code"], reply.error["retryable"]) == ("connect_failed", True)
+            assert (reply.meta["attempts"], reply.meta["connection"]["state"]) == (0, "disconnected")
+        assert fresh.call("subscribe_topic", topic="a", qos=5).error["code"] == "invalid_input"
     (connected,) = broker.wait(0, kind="CONNACK", client_id="early")
     assert connected["reason_codes"] == [0]
     assert fresh.call("get_broker_info").meta["connection"]["generation"] == 1
@@ -423,11 +480,10 @@ def test_closing_stdin_says_goodbye_to_the_broker(sessions: Any, adapter_command
     fresh = sessions(adapter_command("mqtt"), {**env, "MQTT_CLIENT_ID": "leaving"})
     fresh.call("get_broker_info")
     mark = broker.mark()
-    code, elapsed = fresh.close()
-    assert code == 0
-    assert elapsed < 2.0
+    assert fresh.close()[0] == 0
     broker.wait(mark, kind="DISCONNECT", client_id="leaving")
-    assert broker.since(mark, kind="WILL") == []
+    broker.wait(mark, kind="DISCONNECTED", client_id="leaving")
+    assert broker.since(mark, kind="WILL", client_id="leaving") == []
 
 
 def test_an_unknown_host_is_named_as_such(sessions: Any, adapter_command: Any, env: Any) -> None:

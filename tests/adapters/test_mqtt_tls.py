@@ -20,6 +20,8 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 
 CLIENT = "mqtt-tls"
+# Nothing here has to time out.
+PATIENCE = {"MQTT_TIMEOUT_S": "7", "MQTT_DEADLINE_S": "9"}
 
 
 def certificate(folder: Path, address: str) -> tuple[Path, Path]:
@@ -73,7 +75,7 @@ def tls_before(port: int, files: tuple[Path, Path]) -> Iterator[int]:
 
     thread = threading.Thread(target=lambda: asyncio.run(serve()))
     thread.start()
-    own_port, loop, stop = started.get(timeout=5.0)
+    own_port, loop, stop = started.get(timeout=40.0)
     try:
         yield own_port
     finally:
@@ -91,7 +93,7 @@ def test_everything_works_over_tls_and_bursts_do_not_get_stuck(
 ) -> None:
     files = certificate(tmp_path, "127.0.0.1")
     with tls_before(broker.port, files) as port:
-        env = {"MQTT_CLIENT_ID": CLIENT, "MQTT_WRITES_ENABLED": "true", "SSL_CERT_FILE": str(files[0])}
+        env = {"MQTT_CLIENT_ID": CLIENT, "MQTT_WRITES_ENABLED": "true", "SSL_CERT_FILE": str(files[0]), **PATIENCE}
         adapter = sessions(adapter_command("mqtt"), {**env, "MQTT_URL": f"mqtts://127.0.0.1:{port}"})
         assert adapter.call("get_broker_info").data["endpoint"] == f"mqtts://127.0.0.1:{port}"
         assert adapter.call("subscribe_topic", topic="tls/#", qos=1).data["granted_qos"] == 1
@@ -113,7 +115,7 @@ def test_a_broker_that_cannot_prove_who_it_is_gets_nothing(
     sessions: Any, adapter_command: Any, broker: Any, tmp_path: Path
 ) -> None:
     trusted, wrong_address = certificate(tmp_path, "127.0.0.1"), certificate(tmp_path, "127.0.0.2")
-    env = {"MQTT_CLIENT_ID": CLIENT, "MQTT_WRITES_ENABLED": "true", "SSL_CERT_FILE": str(wrong_address[0])}
+    env = {"MQTT_CLIENT_ID": CLIENT, "MQTT_WRITES_ENABLED": "true", "SSL_CERT_FILE": str(wrong_address[0]), **PATIENCE}
     for files in (trusted, wrong_address):
         mark = broker.mark()
         with tls_before(broker.port, files) as port:
@@ -125,7 +127,7 @@ def test_a_broker_that_cannot_prove_who_it_is_gets_nothing(
 
 
 def test_a_broker_without_tls_is_a_tls_error(sessions: Any, adapter_command: Any, broker: Any) -> None:
-    env = {"MQTT_CLIENT_ID": CLIENT, "MQTT_URL": f"mqtts://127.0.0.1:{broker.port}"}
+    env = {"MQTT_CLIENT_ID": CLIENT, "MQTT_URL": f"mqtts://127.0.0.1:{broker.port}", **PATIENCE}
     adapter = sessions(adapter_command("mqtt"), env)
     assert adapter.call("get_broker_info").error["code"] in ("tls_error", "connect_failed")
     adapter.close()

@@ -10,9 +10,10 @@ whole session are the witness's, too.
 from __future__ import annotations
 
 import base64
+import contextlib
 import math
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import pytest
@@ -51,7 +52,9 @@ def start(sessions: Any, adapter_command: Any, broker: Any) -> Start:
             {
                 "MQTT_URL": f"mqtt://127.0.0.1:{broker.port}",
                 "MQTT_CLIENT_ID": name,
-                "MQTT_TIMEOUT_S": "0.5",
+                # Nothing here has to time out.
+                "MQTT_TIMEOUT_S": "7",
+                "MQTT_DEADLINE_S": "9",
                 "MQTT_WRITES_ENABLED": "true",
                 "SPARKPLUG_GROUP_ID": GROUP,
                 "SPARKPLUG_EDGE_NODE_ID": name,
@@ -75,6 +78,16 @@ def born(adapter: Any) -> Any:
     adapter.call("publish_node_birth", metrics=[{"name": "mode", "datatype": "String", "value": "auto"}])
     adapter.call("publish_device_birth", device_id="tank", metrics=[LEVEL, COUNT])
     return adapter
+
+
+@contextlib.contextmanager
+def outage(broker: Any) -> Iterator[None]:
+    """There is no broker. It comes back whatever happens: the tests that follow need it."""
+    broker.stop()
+    try:
+        yield
+    finally:
+        broker.start()
 
 
 def sent(broker: Any, mark: int, client: str = NODE) -> list[dict[str, Any]]:
@@ -376,9 +389,8 @@ def test_every_connection_counts_bdseq_and_is_born_with_the_wills(born: Any, bro
 
 def test_a_failed_message_uses_up_no_number_and_no_birth_tells_its_value(born: Any, broker: Any) -> None:
     assert data(born, ("level", 7.0), ("count", 7)).data["seq"] == 2
-    broker.stop()
-    assert data(born, ("level", 8.0)).error["outcome"] == "not_sent"
-    broker.start()
+    with outage(broker):
+        assert data(born, ("level", 8.0)).error["outcome"] == "not_sent"
     births = broker.wait(0, count=2, kind="PUBLISH", direction="in", client_id=NODE)
     assert [told(entry)["type"] for entry in births] == ["NBIRTH", "DBIRTH"]
     # The last values that were delivered, not those of the first birth (…-data-publish-dbirth-values).
@@ -390,10 +402,9 @@ def test_a_failed_message_uses_up_no_number_and_no_birth_tells_its_value(born: A
 
 
 def test_a_birth_that_failed_is_not_the_next_life(born: Any, broker: Any) -> None:
-    broker.stop()
-    assert born.call("publish_device_birth", device_id="late", metrics=[LEVEL]).error["code"] == "connect_failed"
-    assert born.call("publish_node_death").error["code"] == "connect_failed"
-    broker.start()
+    with outage(broker):
+        assert born.call("publish_device_birth", device_id="late", metrics=[LEVEL]).error["code"] == "connect_failed"
+        assert born.call("publish_node_death").error["code"] == "connect_failed"
     broker.wait(0, count=2, kind="PUBLISH", direction="in", client_id=NODE)
     settled(born)
     assert [(one["type"], one["device"]) for one in sent(broker, 0)] == [("NBIRTH", None), ("DBIRTH", "tank")]
@@ -405,7 +416,7 @@ def test_the_will_speaks_for_an_adapter_that_was_killed(start: Start, broker: An
     fresh = start("killed")
     fresh.call("publish_node_birth")
     fresh.process.kill()
-    (will,) = broker.wait(mark, kind="WILL")
+    (will,) = broker.wait(mark, kind="WILL", client_id="killed")
     (birth,) = broker.since(mark, kind="PUBLISH", direction="in", client_id="killed")
     assert will["topic"] == f"{TOPIC}/NDEATH/killed"
     assert bd_seq(will) == bd_seq(birth)
@@ -423,7 +434,7 @@ def test_an_orderly_end_publishes_the_death_before_the_goodbye(start: Start, bro
     birth, death = (entry for entry in entries if entry["kind"] == "PUBLISH")
     assert bd_seq(death) == bd_seq(birth)
     assert decode_payload(payload_of(death))["seq"] is None
-    assert broker.since(mark, kind="WILL") == []
+    assert broker.since(mark, kind="WILL", client_id="orderly") == []
 
 
 def test_after_its_death_a_node_has_to_be_born_again(born: Any, broker: Any) -> None:
@@ -651,9 +662,10 @@ def test_after_an_outage_what_was_known_is_in_doubt(host: Any, broker: Any) -> N
     host.call("list_sparkplug_nodes")
     broker("reset")
     assert known(host, "edge-node-1")["status"] == "online"
-    broker.stop()
-    assert host.call("list_sparkplug_nodes").error["code"] == "connect_failed"
-    broker.start()
+    with outage(broker):
+        assert host.call("list_sparkplug_nodes").error["code"] == "connect_failed"
+    # Or the next call might join an attempt that began before and has failed.
+    broker.wait(0, kind="SUBACK", client_id="host")
     assert known(host, "edge-node-1")["status"] == "unknown"
     broker("reset")
     assert known(host, "edge-node-1")["status"] == "online"
@@ -665,7 +677,8 @@ def test_what_the_tools_unsubscribe_the_host_goes_on_hearing(host: Any, broker: 
     host.call("unsubscribe_topic", topic="spBv1.0/#")
     poke(broker, "spBv1.0/g/NBIRTH/later", payload(metric("bdSeq", 0, "Int64"), seq=0))
     assert known(host, "later", "g")["status"] == "online"
-    assert host.call("read_messages", topic="#").data["messages"] == []
+    # Other nodes may have been born while the tools were subscribed: after an outage they come back by themselves.
+    assert host.call("read_messages", topic="spBv1.0/g/#").data["messages"] == []
 
 
 def test_hostile_names_are_cleaned_and_marked(host: Any, broker: Any) -> None:

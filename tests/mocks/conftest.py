@@ -25,9 +25,8 @@ async def start_mock() -> AsyncIterator[StartMock]:
         return program
 
     yield start
-    for program in started:
-        _, stderr = await program.end()
-        assert stderr == ""
+    ended = [await program.end() for program in started]
+    assert [stderr for _, stderr in ended] == [""] * len(ended)
 
 
 @pytest_asyncio.fixture

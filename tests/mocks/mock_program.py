@@ -14,8 +14,8 @@ from typing import Any
 
 __all__ = ["PATIENCE_S", "Control", "MockProgram", "RefusedError"]
 
-PATIENCE_S = 20.0
-"""How long a test waits for what must happen."""
+PATIENCE_S = 40.0
+"""How long a test waits for what must happen; whatever waits goes on as soon as it has."""
 
 _LINE_LIMIT = 64 * 1024 * 1024
 
@@ -166,14 +166,20 @@ class MockProgram:
 
     async def end(self) -> tuple[int, str]:
         """Close standard input; exit code and standard error."""
-        for control in self._controls:
-            await control.close()
-        self._controls.clear()
-        assert self.process.stdin is not None
-        assert self.process.stderr is not None
-        self.process.stdin.close()
-        with contextlib.suppress(ConnectionError):
-            await self.process.stdin.wait_closed()
-        # Ends with the last process that holds it: launcher and device.
-        stderr = await asyncio.wait_for(self.process.stderr.read(), PATIENCE_S)
-        return await asyncio.wait_for(self.process.wait(), PATIENCE_S), stderr.decode()
+        try:
+            for control in self._controls:
+                await control.close()
+            self._controls.clear()
+            assert self.process.stdin is not None
+            assert self.process.stderr is not None
+            self.process.stdin.close()
+            with contextlib.suppress(ConnectionError):
+                await self.process.stdin.wait_closed()
+            # Ends with the last process that holds it: launcher and device.
+            stderr = await asyncio.wait_for(self.process.stderr.read(), PATIENCE_S)
+            return await asyncio.wait_for(self.process.wait(), PATIENCE_S), stderr.decode()
+        finally:
+            # One that does not end must not outlive the test, and be somebody else's warning.
+            if self.process.returncode is None:
+                self.process.kill()
+                await self.process.wait()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import queue
 import socket
 import threading
@@ -19,8 +20,8 @@ from pytest_otmcp.mocks.journal import Entry, Journal
 from pytest_otmcp.mocks.mqtt.broker import Broker, Limits
 from pytest_otmcp.mocks.mqtt.connection import Connection
 
-PATIENCE_S = 10.0
-"""How long a test waits for what must happen."""
+PATIENCE_S = 40.0
+"""How long a test waits for what must happen; whatever waits goes on as soon as it has."""
 
 T = TypeVar("T")
 
@@ -33,12 +34,17 @@ class RunningBroker:
         self.problems: list[dict[str, Any]] = []
         self._loop = asyncio.new_event_loop()
         self._loop.set_exception_handler(lambda loop, context: self.problems.append(context))
+        self._ahead_s, clock = 0.0, self._loop.time
+        self._loop.time = lambda: clock() + self._ahead_s  # type: ignore[method-assign]
         self._thread = threading.Thread(target=self._loop.run_forever)
         self._thread.start()
-        self.broker = self.call(lambda: Broker(self.journal, limits))
-        server = self._run(self._loop.create_server(lambda: Connection(self.broker), "127.0.0.1", 0))
-        self._server = server
-        self.port: int = server.sockets[0].getsockname()[1]
+        try:
+            self.broker = self.call(lambda: Broker(self.journal, limits))
+            self._server = self._run(self._loop.create_server(lambda: Connection(self.broker), "127.0.0.1", 0))
+        except BaseException:
+            self._end()
+            raise
+        self.port: int = self._server.sockets[0].getsockname()[1]
 
     def _run(self, awaitable: Any) -> Any:
         return asyncio.run_coroutine_threadsafe(awaitable, self._loop).result(PATIENCE_S)
@@ -51,6 +57,17 @@ class RunningBroker:
 
         result: T = self._run(run())
         return result
+
+    def leap(self, seconds: float) -> None:
+        """Let the loop's clock leap: what is due by then has happened when this returns."""
+
+        async def leap() -> None:
+            self._ahead_s += seconds
+            # In the loop's next turn what is due is noted, and done at the end of that turn.
+            await asyncio.sleep(0)
+            await asyncio.sleep(0)
+
+        self._run(leap())
 
     def entries(self, **match: Any) -> list[Entry]:
         """The journal entries with these fields, as of now."""
@@ -70,12 +87,17 @@ class RunningBroker:
 
     def close(self) -> None:
         """Stop; the broker must have run without a problem."""
-        self.call(self._server.close)
-        self._run(self.broker.aclose())
+        try:
+            self.call(self._server.close)
+            self._run(self.broker.aclose())
+        finally:
+            self._end()
+        assert self.problems == []
+
+    def _end(self) -> None:
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join()
         self._loop.close()
-        assert self.problems == []
 
 
 class Peer:
@@ -93,6 +115,7 @@ class Peer:
             reconnect_on_failure=False,
             manual_ack=settings.pop("manual_ack", False),
         )
+        self.client.connect_timeout = PATIENCE_S
         self.connect_properties: dict[str, Any] = settings.pop("properties", {})
         self.keepalive: int = settings.pop("keepalive", 60)
         will = dict(settings.pop("will", {}))
@@ -124,7 +147,11 @@ class Peer:
             }
         self.client.connect("127.0.0.1", self.port, self.keepalive, **extra)
         self.client.loop_start()
-        self.session_present, self.connack, self.connack_properties = self.connacks.get(timeout=PATIENCE_S)
+        try:
+            self.session_present, self.connack, self.connack_properties = self.connacks.get(timeout=PATIENCE_S)
+        except BaseException:
+            self.cut()
+            raise
         return self
 
     def __enter__(self) -> Peer:
@@ -143,10 +170,11 @@ class Peer:
         self.client.loop_stop()
 
     def cut(self) -> None:
-        """End the network connection without DISCONNECT."""
+        """End the network connection without DISCONNECT, if the broker has not been quicker."""
         sock = self.client.socket()
-        assert sock is not None
-        sock.shutdown(socket.SHUT_RDWR)
+        if sock is not None:
+            with contextlib.suppress(OSError):
+                sock.shutdown(socket.SHUT_RDWR)
         self.client.loop_stop()
 
     def subscribe(self, topic_filter: str, qos: int = 0, *, identifier: int | None = None, **options: Any) -> list[int]:

@@ -8,6 +8,7 @@ import os
 import signal
 import socket
 import sys
+from collections.abc import Awaitable, Callable
 
 import psutil
 import pytest
@@ -174,12 +175,13 @@ async def test_a_port_that_another_mock_has_is_refused_even_while_its_device_is_
     assert (await complaint("modbus", "--port", str(modbus.port)))[0] == 1
 
 
-async def test_a_mock_can_take_the_port_of_one_that_just_ended(modbus: MockProgram) -> None:
+async def test_a_mock_can_take_the_port_of_one_that_just_ended(
+    modbus: MockProgram, start_mock: Callable[..., Awaitable[MockProgram]]
+) -> None:
     _, writer = await asyncio.open_connection(modbus.host, modbus.port)
     await modbus.restart()  # leaves the connection in TIME_WAIT
     await modbus.end()
-    again = await MockProgram.start("modbus", "--port", str(modbus.port))
-    await again.ready()
+    again = await start_mock("modbus", "--port", str(modbus.port))
     assert await again.end() == (0, "")
     writer.close()
 

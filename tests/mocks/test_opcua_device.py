@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import AsyncExitStack
 from datetime import UTC, datetime
 from typing import Any
 
@@ -28,9 +29,11 @@ pytestmark = pytest.mark.asyncio(loop_scope="module")
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
 async def program() -> AsyncIterator[MockProgram]:
     started = await MockProgram.start("opcua")
-    await started.ready()
-    yield started
-    _, stderr = await started.end()
+    try:
+        await started.ready()
+        yield started
+    finally:
+        _, stderr = await started.end()
     assert stderr == ""
 
 
@@ -56,8 +59,9 @@ async def connect(plant: MockProgram) -> AsyncIterator[Connect]:
         return client
 
     yield opens
-    for client in opened:
-        await client.disconnect()
+    async with AsyncExitStack() as leaving:
+        for client in opened:
+            leaving.push_async_callback(client.disconnect)
 
 
 @pytest_asyncio.fixture(loop_scope="module")
@@ -221,7 +225,8 @@ async def test_the_simulation_runs_freely_until_it_is_paused(plant: MockProgram,
     await subscription.subscribe_data_change(client.get_node(node("Uptime")))
     assert await asyncio.wait_for(changed.get(), PATIENCE_S) == 0
     await plant.control.ask("resume")
-    assert await asyncio.wait_for(changed.get(), PATIENCE_S) == 1
+    # A machine that was busy makes up for the seconds that it missed: the first that is told of may be the third.
+    assert await asyncio.wait_for(changed.get(), PATIENCE_S) > 0
     await plant.control.ask("pause")
     await subscription.delete()
 
@@ -496,7 +501,8 @@ async def test_a_restart_keeps_the_port_and_nothing_else(program: MockProgram) -
     await program.control.ask("poke", params={"node": "FanSpeed", "value": 99.0})
     await program.restart()
     assert program.port == port
-    async with Client(f"opc.tcp://{program.host}:{port}") as client:
+    url = f"opc.tcp://{program.host}:{port}"
+    async with Client(url, timeout=PATIENCE_S, watchdog_intervall=600) as client:
         assert (await read(client, "FanSpeed")).Value.Value == 40.0
         assert (await client.get_namespace_array())[2] == URI
 
@@ -515,7 +521,7 @@ async def test_a_clamped_write_says_so(plant: MockProgram, client: Client) -> No
 
 
 async def test_a_delayed_answer_holds_up_no_other(plant: MockProgram, client: Client) -> None:
-    await fault(plant, service="Read", node="ns=2;s=Pressure", delay_s=0.2)
+    await fault(plant, service="Read", node="ns=2;s=Pressure", delay_s=3.0)
     order: list[str] = []
 
     async def ask(name: str) -> None:

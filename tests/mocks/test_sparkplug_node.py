@@ -163,9 +163,12 @@ async def plant() -> AsyncIterator[Plant]:
     listener = socket.socket()
     listener.bind(("127.0.0.1", 0))
     device = MqttDevice()
-    await device.serve(listener)
-    yield Plant(device, listener.getsockname()[1])
-    await device.aclose()
+    try:
+        await device.serve(listener)
+        yield Plant(device, listener.getsockname()[1])
+    finally:
+        await device.aclose()
+        listener.close()
 
 
 def metric(name: str, datatype: str, value: Any) -> dict[str, Any]:

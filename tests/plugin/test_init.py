@@ -87,14 +87,15 @@ def test_a_prose_adapter_is_described_by_what_the_device_saw(otmcp: Otmcp, tmp_p
 
 @pytest.mark.parametrize("protocol", ["modbus", "mqtt", "opcua"])
 def test_every_tool_of_a_reference_adapter_is_found_and_proven(otmcp: Otmcp, tmp_path: Path, protocol: str) -> None:
-    variable = {
-        "modbus": ("--env", "MODBUS_HOST={host}", "--env", "MODBUS_PORT={port}"),
-        "mqtt": ("--env", "MQTT_URL={url}"),
-        "opcua": ("--env", "OPCUA_URL={url}"),
+    endpoint = {
+        "modbus": ("MODBUS_HOST={host}", "MODBUS_PORT={port}"),
+        "mqtt": ("MQTT_URL={url}",),
+        "opcua": ("OPCUA_URL={url}",),
     }[protocol]
-    switch = f"{protocol.upper()}_WRITES_ENABLED=true"
+    settings = ("WRITES_ENABLED=true", "TIMEOUT_S=20", "DEADLINE_S=25")
+    variables = (*endpoint, *(f"{protocol.upper()}_{setting}" for setting in settings))
     adapter = ("--", sys.executable, "-m", "pytest_otmcp.reference_adapters", protocol)
-    done = otmcp("init", *variable, "--env", switch, *adapter)
+    done = otmcp("init", *(part for one in variables for part in ("--env", one)), *adapter)
     assert done.returncode == 0, done.stderr
     assert "not proven" not in done.stdout
     assert "no tool found" not in done.stdout

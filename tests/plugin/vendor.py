@@ -21,9 +21,9 @@ version = "1.0"
 
 [adapter.modbus]
 command = ["{{python}}", "{program}", "{mode}"]
-env = {{ MODBUS_HOST = "{{host}}", MODBUS_PORT = "{{port}}" }}
+env = {{ MODBUS_HOST = "{{host}}", MODBUS_PORT = "{{port}}", MODBUS_TIMEOUT_S = "20", MODBUS_DEADLINE_S = "25" }}
 rw = {{ env = {{ MODBUS_WRITES_ENABLED = "true" }} }}
-deadline_s = 2
+deadline_s = 30
 """
 
 

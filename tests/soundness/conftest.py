@@ -78,15 +78,21 @@ async def perform(bench: Bench, tasks: list[Task]) -> Results:
         adapters = bench.facts()
     finally:
         await bench.close()
+    record = as_record(bench, adapters, results)
+    assert await asyncio.to_thread(rejudge, record) == []
+    return results
+
+
+def as_record(bench: Bench, adapters: dict[str, Any], results: Results) -> dict[str, Any]:
+    """What judging again needs of a run record, as if read from a file."""
     record = {
         "kit": {"suite_digest": suite_digest()},
         "subject": {"adapters": adapters},
         "settings": {"seed": 0, "time_scale": bench.options.time_scale, "repetitions": {}},
         "items": list(results.values()),
     }
-    disagreements = await asyncio.to_thread(rejudge, json.loads(json.dumps(record, allow_nan=False)))
-    assert disagreements == []
-    return results
+    restored: dict[str, Any] = json.loads(json.dumps(record, allow_nan=False))
+    return restored
 
 
 @pytest.fixture
@@ -147,7 +153,7 @@ def judge_foreign(judge_described: Judge) -> Judge:
             adapters |= foreign_subject(name, described).adapters
         subject = Subject(name="foreign", version="0", adapters=adapters, source=SUBJECTS)
         if lie is not None:
-            subject = _lying(subject, lie)
+            subject = lying(subject, lie)
         return judge_described(subject, tasks, time_scale)
 
     return run
@@ -169,14 +175,15 @@ def _wanted(task: Task, tasks: str | None) -> bool:
     return tasks is None or task.id in tasks.split()
 
 
-def _lying(subject: Subject, lie: str) -> Subject:
+def lying(subject: Subject, lie: str, **env: str) -> Subject:
+    """The subject with this lie, and these variables in its environment."""
     return replace(
         subject,
         adapters={
             protocol: replace(
                 adapter,
                 variants={
-                    name: replace(variant, env={**variant.env, "FOREIGN_LIE": lie})
+                    name: replace(variant, env={**variant.env, "FOREIGN_LIE": lie, **env})
                     for name, variant in adapter.variants.items()
                 },
             )

@@ -150,12 +150,22 @@ def swapped_parallel_replies(server: AdapterServer) -> None:
 
     def swapped(genuine: Handler) -> Handler:
         waiting: list[tuple[asyncio.Future[Any], Any]] = []
+        served = 0
+        nobody = asyncio.Event()
 
         async def handler(call: Call, arguments: Any) -> Any:
+            nonlocal served
             answer: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
-            waiting.append((answer, await genuine(call, arguments)))
-            # Whoever else is being served has arrived after a few milliseconds.
-            await asyncio.sleep(0.01)
+            served += 1
+            nobody.clear()
+            try:
+                waiting.append((answer, await genuine(call, arguments)))
+            finally:
+                served -= 1
+                if not served:
+                    nobody.set()
+            # Whoever is being served meanwhile is waited for.
+            await nobody.wait()
             if not answer.done():
                 together, waiting[:] = list(waiting), []
                 results = [data for _, data in together]

@@ -13,6 +13,7 @@ import contextlib
 import math
 import os
 from collections.abc import Awaitable, Callable
+from pathlib import Path
 from typing import Any
 
 from foreign import Failure, Result, Shape, json_text, no_such_method, prose, structured
@@ -27,8 +28,12 @@ READS = {
 }
 
 
+READS_OF_S10 = 2
+"""How often S10 reads after its write has failed."""
+
+
 async def transact(host: str, port: int, ask: Callable[[AsyncModbusTcpClient], Awaitable[Any]]) -> Any:
-    client = AsyncModbusTcpClient(host, port=port, timeout=1.0, retries=0, reconnect_delay=0)
+    client = AsyncModbusTcpClient(host, port=port, timeout=4.0, retries=0, reconnect_delay=0)
     try:
         if not await client.connect():
             raise Failure("offline", f"could not connect to {host}:{port}")
@@ -123,6 +128,9 @@ def modbus_prose(lie: str | None, read_only: bool) -> Shape:
 def modbus_json(lie: str | None, read_only: bool) -> Shape:
     memory: dict[tuple[str, int, int], list[int | bool]] = {}
     later: set[asyncio.Task[None]] = set()
+    # Writes that were said to have failed, and how many reads have succeeded since.
+    kept: list[tuple[int, int]] = []
+    reads = 0
 
     def bad(failure: Failure) -> Result:
         return json_text({"ok": False, "error": {"kind": failure.kind, "detail": str(failure)}})
@@ -135,6 +143,7 @@ def modbus_json(lie: str | None, read_only: bool) -> Shape:
         return json_text({"ok": True, "data": {"alive": True}})
 
     async def read_block(host: str, port: int, table: str, start: int, length: int = 1) -> Result:
+        nonlocal reads
         key = (table, start, length)
         if lie == "silent-cache" and key in memory:
             return json_text({"ok": True, "data": {"values": memory[key]}})
@@ -144,6 +153,12 @@ def modbus_json(lie: str | None, read_only: bool) -> Shape:
             if lie == "cache" and failure.kind == "offline" and key in memory:
                 return json_text({"ok": True, "data": {"values": memory[key]}, "source": "cache"})
             return bad(failure)
+        if kept:
+            reads += 1
+            if lie == "makes-up-late" and reads == READS_OF_S10 + 1:
+                await write(host, port, *kept.pop())
+            if lie == "makes-up-between-items" and reads == READS_OF_S10:
+                later.add(asyncio.create_task(write_when_told(host, port)))
         values = [math.nan] if lie == "not-a-number" and table == "input" else memory[key]
         return json_text({"ok": True, "data": {"values": values}})
 
@@ -156,11 +171,19 @@ def modbus_json(lie: str | None, read_only: bool) -> Shape:
             return json_text({"ok": True, "dry_run": True, "data": {"written": value}})
         if lie == "clamps-value":
             value = min(value, 65535)
+        if lie == "applied-late":
+            if value > 65535:
+                kept.append((start - 1, value % 65536))
+            else:
+                while kept:
+                    await write(host, port, *kept.pop())
         try:
             await write(host, port, start - 1, value)
         except Failure as failure:
             if lie == "makes-up-for-it" and failure.kind == "offline":
                 later.add(asyncio.create_task(write_soon(host, port, start, value)))
+            if lie in ("makes-up-late", "makes-up-between-items") and failure.kind == "offline":
+                kept.append((start - 1, value))
             return bad(failure)
         return json_text({"ok": True, "data": {"written": value}})
 
@@ -169,6 +192,11 @@ def modbus_json(lie: str | None, read_only: bool) -> Shape:
             with contextlib.suppress(Failure):
                 return await write(host, port, start - 1, value)
             await asyncio.sleep(0.005)
+
+    async def write_when_told(host: str, port: int) -> None:
+        # A FIFO: it can be read as soon as somebody writes to it.
+        await asyncio.to_thread(Path(os.environ["FOREIGN_TRIGGER"]).read_bytes)
+        await write(host, port, *kept.pop())
 
     where = {"host": "string", "port": "integer"}
     return Shape(

@@ -9,6 +9,7 @@ never set; one inbox for everything, no QoS.
 from __future__ import annotations
 
 import asyncio
+import atexit
 import json
 import os
 import threading
@@ -190,7 +191,15 @@ def mqtt_handle(lie: str | None, read_only: bool) -> Shape:
                 await asyncio.to_thread(links[-1].open)
         return links[-1]
 
+    greeted = lie != "farewell-for-hello"
+    if not greeted:
+        atexit.register(lambda: links and links[-1].check())
+
     async def status() -> Result:
+        nonlocal greeted
+        if not greeted:
+            greeted = True
+            return structured({"connected": True}, text="all is well")
         try:
             await asyncio.to_thread((await link()).check)
         except Failure as failure:

@@ -18,6 +18,7 @@ HIERARCHICAL = ua.NodeId(ua.ObjectIds.HierarchicalReferences)
 def opcua_items(lie: str | None, read_only: bool) -> Shape:
     clients: list[Client] = []
     opening = asyncio.Lock()
+    kept: list[str] = []
 
     async def client() -> Client:
         async with opening:
@@ -65,6 +66,12 @@ def opcua_items(lie: str | None, read_only: bool) -> Shape:
             node = (await client()).get_node(name)
             kind = await node.read_data_type_as_variant_type()
             fits = isinstance(value, bool) if kind == ua.VariantType.Boolean else isinstance(value, int | float)
+            if lie == "applied-late" and not fits:
+                kept.append(name)
+            if fits and kept:
+                kept.clear()
+                zero = ua.Variant(0.0, ua.VariantType.Double)
+                await node.write_attribute(ua.AttributeIds.Value, ua.DataValue(zero, StatusCode=None))
             if lie == "applied-nevertheless" and not fits:
                 kind, value = ua.VariantType.Double, 0.0
                 await node.write_attribute(ua.AttributeIds.Value, ua.DataValue(ua.Variant(value, kind)))

@@ -20,7 +20,7 @@ EXPECTED = {
         "M3 M4 X2 X2p FM2 S4 S10",
         "should have seen one write of [40] to holding_registers 1, it saw 0",
     ),
-    "write-sent-twice": ("M3 M4 X2 X2p S4", "it saw 2"),
+    "write-sent-twice": ("M3 M4 X2 X2p FM2 S4", "it saw 2"),
     "never-reconnects": ("S10 R-modbus", "expected success, got error 'connect_failed'"),
     "hang": (READS_INPUT, "no reply within the deadline"),
     "stdout-noise": (EVERY_MODBUS_TASK, "'Connected to Modbus device'"),

@@ -71,6 +71,8 @@ LIES = {
     ("modbus-json", "silent-cache"): ("M2 S7 S10 R-modbus", "values should be"),
     ("modbus-json", "dry-run"): ("M3 M4 FM2 S4 S10", "not the device's: dry_run is True"),
     ("modbus-json", "clamps-value"): ("FM2", "it claims success"),
+    ("modbus-json", "applied-late"): ("FM2", "should have seen one write of [65535] to holding_registers 1, it saw 3"),
+    ("modbus-json", "makes-up-late"): ("R-modbus", "the device should have seen no write, it saw 1"),
     ("modbus-json", "applied-later"): ("M4", "the device should have seen no write, it saw"),
     ("modbus-json", "makes-up-for-it"): ("S10", "the device should have seen no write, it saw 1"),
     ("modbus-http", "reads-neighbour"): ("M2 M3 FM1 S1 S4 S7 S10", "with function 4, address 0, quantity 4, it saw 0"),
@@ -84,6 +86,7 @@ LIES = {
         "FQ2",
         "the broker should have seen no SUBSCRIBE from the adapter, it saw",
     ),
+    ("mqtt-handle", "farewell-for-hello"): ("Q1 Q3 R-mqtt", "the broker should have answered the adapter"),
     ("mqtt-handle", "makes-up-for-it"): ("S11", "was reported as failed and should never have been published"),
     ("mqtt-handle", "guard-by-hiding"): ("Q3", "the broker should have seen no PUBLISH from the adapter, it saw 1"),
     ("mqtt-handle", "empty-poll"): ("Q2 S2", "should be there once"),
@@ -93,6 +96,7 @@ LIES = {
     ("opcua-items", "guard-in-words"): ("O3", "the server should have seen no state-changing request, it saw 1"),
     ("opcua-items", "echoes-write"): ("O3 FO2 S6", "the server should have seen one Write"),
     ("opcua-items", "all-is-good"): ("FO1", "it claims success"),
+    ("opcua-items", "applied-late"): ("FO2", "should have accepted 1 Write(s), it accepted 2"),
     ("opcua-items", "applied-nevertheless"): ("FO2", "ns=2;s=ValvePosition should hold"),
 }
 

@@ -81,11 +81,11 @@ def mutated(document: dict[str, Any], choice: random.Random) -> dict[str, Any]:
             place = place[step]
         what = choice.random()
         if what < 0.6:
-            place[last] = choice.choice(JUNK)
+            place[last] = copy.deepcopy(choice.choice(JUNK))
         elif what < 0.8:
             del place[last]
         elif isinstance(place, dict):
-            place[choice.choice(NAMES)] = choice.choice(JUNK)
+            place[choice.choice(NAMES)] = copy.deepcopy(choice.choice(JUNK))
     return document
 
 

@@ -70,8 +70,9 @@ async def client(tap: Tap) -> AsyncIterator[tuple[asyncio.StreamReader, asyncio.
         writer.transport.abort()
 
 
-async def within(seconds: float, awaitable: Awaitable[Received]) -> Received:
-    return await asyncio.wait_for(awaitable, seconds)
+async def soon(awaitable: Awaitable[Received]) -> Received:
+    """What must happen; the limit only keeps a broken tap from hanging the tests."""
+    return await asyncio.wait_for(awaitable, 60)
 
 
 async def test_a_megabyte_passes_unchanged_in_both_directions() -> None:
@@ -79,7 +80,7 @@ async def test_a_megabyte_passes_unchanged_in_both_directions() -> None:
     async with tapped(None) as tap, client(tap) as (reader, writer):
         writer.write(data)
         writer.write_eof()
-        assert await within(10, reader.read(-1)) == data
+        assert await soon(reader.read(-1)) == data
         passed = {
             direction: b"".join(chunk.data for chunk in tap.chunks if chunk.direction == direction)
             for direction in ("in", "out")
@@ -93,7 +94,7 @@ async def test_a_slow_reader_slows_the_sender_down_and_loses_nothing() -> None:
         writer.write(data)
         writer.write_eof()
         received = bytearray()
-        while piece := await within(10, reader.read(50_000)):
+        while piece := await soon(reader.read(50_000)):
             received += piece
             await asyncio.sleep(0)
     assert bytes(received) == data
@@ -103,8 +104,8 @@ async def test_a_half_closed_connection_still_delivers_the_answer() -> None:
     async with tapped() as tap, client(tap) as (reader, writer):
         writer.write(READ)
         writer.write_eof()
-        assert await within(2, reader.read(-1)) == READ
-        await tap.journal.wait(0, {"kind": "DISCONNECTED"}, timeout_s=2.0)
+        assert await soon(reader.read(-1)) == READ
+        await tap.journal.wait(0, {"kind": "DISCONNECTED"}, timeout_s=60.0)
         assert tap.open_connections == 0
 
 
@@ -115,7 +116,7 @@ async def test_what_a_client_sends_before_the_device_is_connected_is_not_lost() 
         sock.setblocking(False)
         received = b""
         while len(received) < 24:
-            received += await within(2, asyncio.get_running_loop().sock_recv(sock, 100))
+            received += await soon(asyncio.get_running_loop().sock_recv(sock, 100))
         sock.close()
     assert received == READ + OTHER
 
@@ -124,7 +125,7 @@ async def test_frames_are_on_the_journal_in_the_shape_of_a_mock() -> None:
     async with tapped() as tap, client(tap) as (reader, writer):
         writer.write(READ[:5])
         writer.write(READ[5:] + OTHER)
-        await within(2, reader.readexactly(24))
+        await soon(reader.readexactly(24))
         entries = tap.journal.entries()
     assert [(entry["seq"], entry["connection"], entry["direction"], entry["kind"]) for entry in entries] == [
         (0, 1, "in", "CONNECTED"),
@@ -139,14 +140,14 @@ async def test_frames_are_on_the_journal_in_the_shape_of_a_mock() -> None:
 
 async def test_the_journal_can_be_awaited_sliced_and_reset() -> None:
     async with tapped() as tap, client(tap) as (reader, writer):
-        waiting = asyncio.create_task(tap.journal.wait(0, {"kind": "request"}, count=2, timeout_s=5.0))
+        waiting = asyncio.create_task(tap.journal.wait(0, {"kind": "request"}, count=2, timeout_s=60.0))
         writer.write(READ)
-        await within(2, reader.readexactly(12))
+        await soon(reader.readexactly(12))
         assert not waiting.done()
         mark = tap.journal.next_seq
         writer.write(OTHER)
         assert [entry["address"] for entry in await waiting] == [0x6B, 0]
-        await within(2, reader.readexactly(12))
+        await soon(reader.readexactly(12))
         assert [entry["kind"] for entry in tap.journal.entries(mark)] == ["request", "response"]
         tap.journal.reset()
         assert tap.journal.entries() == []
@@ -158,18 +159,37 @@ async def test_down_resets_and_refuses_and_up_accepts_on_the_same_port() -> None
     async with tapped() as tap, client(tap) as (reader, writer):
         port = tap.port
         writer.write(READ)
-        await within(2, reader.readexactly(12))
+        await soon(reader.readexactly(12))
         await tap.down()
         with pytest.raises(ConnectionResetError):
-            await within(2, reader.read(1))
+            await soon(reader.read(1))
         with pytest.raises(ConnectionRefusedError):
             await asyncio.open_connection("127.0.0.1", port)
         await tap.up()
         assert tap.port == port
         async with client(tap) as (again, write_again):
             write_again.write(READ)
-            assert await within(2, again.readexactly(12)) == READ
+            assert await soon(again.readexactly(12)) == READ
         assert tap.journal.entries()[-1]["connection"] == 2
+
+
+async def test_a_connection_that_comes_in_the_moment_of_going_down_is_reset_too() -> None:
+    async with tapped() as tap:
+        going: list[asyncio.Task[None]] = []
+        accept = tap._accept
+
+        def accept_and_go_down() -> asyncio.BaseProtocol:
+            going.append(asyncio.create_task(tap.down()))
+            return accept()
+
+        await tap.down()
+        tap._accept = accept_and_go_down  # type: ignore[method-assign, assignment]
+        await tap.up()
+        async with client(tap) as (reader, _):
+            with pytest.raises(ConnectionResetError):
+                await soon(reader.read(1))
+            await soon(asyncio.gather(*going))
+        assert tap.open_connections == 0
 
 
 async def test_a_device_that_refuses_makes_the_tap_reset() -> None:
@@ -179,7 +199,7 @@ async def test_a_device_that_refuses_makes_the_tap_reset() -> None:
     await tap.start()
     async with client(tap) as (reader, _):
         with pytest.raises(ConnectionResetError):
-            await within(2, reader.read(1))
+            await soon(reader.read(1))
     await tap.aclose()
     unused.close()
 
@@ -189,7 +209,7 @@ async def test_closing_the_tap_while_it_connects_leaves_nothing_behind() -> None
     tap = Tap("192.0.2.1", 9, protocol="modbus")
     await tap.start()
     async with client(tap):
-        await tap.journal.wait(0, {"kind": "CONNECTED"}, timeout_s=2.0)
+        await tap.journal.wait(0, {"kind": "CONNECTED"}, timeout_s=60.0)
         await tap.aclose()
     assert tap.open_connections == 0
 
@@ -199,13 +219,13 @@ async def test_a_refused_connection_is_reset_and_the_next_one_works() -> None:
         tap.inject(FaultRule(action=Action.REFUSE, frame=2))
         async with client(tap) as (reader, writer):
             writer.write(READ)
-            assert await within(2, reader.readexactly(12)) == READ
+            assert await soon(reader.readexactly(12)) == READ
         async with client(tap) as (reader, _):
             with pytest.raises(ConnectionResetError):
-                await within(2, reader.read(1))
+                await soon(reader.read(1))
         async with client(tap) as (reader, writer):
             writer.write(READ)
-            assert await within(2, reader.readexactly(12)) == READ
+            assert await soon(reader.readexactly(12)) == READ
         assert tap.injected == {Action.REFUSE: 1}
 
 
@@ -213,10 +233,10 @@ async def test_reset_comes_instead_of_the_second_answer() -> None:
     async with tapped() as tap, client(tap) as (reader, writer):
         tap.inject(FaultRule(action=Action.RESET, direction="out", frame=2))
         writer.write(READ)
-        assert await within(2, reader.readexactly(12)) == READ
+        assert await soon(reader.readexactly(12)) == READ
         writer.write(OTHER)
         with pytest.raises(ConnectionResetError):
-            await within(2, reader.readexactly(12))
+            await soon(reader.readexactly(12))
         assert tap.injected == {Action.RESET: 1}
         assert [entry["fault"] for entry in tap.journal.entries() if "fault" in entry] == ["reset"]
 
@@ -228,7 +248,7 @@ async def test_a_black_hole_swallows_both_directions_and_leaves_other_connection
         writer.write(OTHER)
         async with client(tap) as (other, write_other):
             write_other.write(READ)
-            assert await within(2, other.readexactly(12)) == READ
+            assert await soon(other.readexactly(12)) == READ
         assert not reader.at_eof()
         with pytest.raises(TimeoutError):
             await asyncio.wait_for(reader.read(1), 0.05)
@@ -240,7 +260,7 @@ async def test_a_delayed_frame_keeps_its_place_before_later_ones() -> None:
         tap.inject(FaultRule(action=Action.DELAY, direction="in", seconds=0.05))
         began = asyncio.get_running_loop().time()
         writer.write(READ + OTHER)
-        assert await within(2, reader.readexactly(24)) == READ + OTHER
+        assert await soon(reader.readexactly(24)) == READ + OTHER
         # A lower bound is no measurement of performance: the frame cannot have come earlier.
         assert asyncio.get_running_loop().time() - began >= 0.045
         assert tap.injected == {Action.DELAY: 1}
@@ -251,7 +271,7 @@ async def test_the_end_of_the_stream_waits_for_delayed_frames() -> None:
         tap.inject(FaultRule(action=Action.DELAY, direction="in", seconds=0.05))
         writer.write(READ + OTHER[:3])
         writer.write_eof()
-        assert await within(2, reader.read(-1)) == READ + OTHER[:3]
+        assert await soon(reader.read(-1)) == READ + OTHER[:3]
 
 
 async def test_a_dripping_answer_arrives_byte_by_byte() -> None:
@@ -260,7 +280,7 @@ async def test_a_dripping_answer_arrives_byte_by_byte() -> None:
         writer.write(READ + OTHER)
         pieces: list[bytes] = []
         while sum(map(len, pieces)) < 24:
-            piece = await within(2, reader.read(100))
+            piece = await soon(reader.read(100))
             pieces.append(piece)
         assert b"".join(pieces) == READ + OTHER
         assert len(pieces) >= 6
@@ -271,24 +291,24 @@ async def test_truncate_passes_only_the_beginning() -> None:
     async with tapped() as tap, client(tap) as (reader, writer):
         tap.inject(FaultRule(action=Action.TRUNCATE, direction="out", length=7))
         writer.write(READ + OTHER)
-        assert await within(2, reader.readexactly(19)) == READ[:7] + OTHER
+        assert await soon(reader.readexactly(19)) == READ[:7] + OTHER
 
 
 async def test_corrupt_changes_one_byte_of_the_chosen_frame() -> None:
     async with tapped() as tap, client(tap) as (reader, writer):
         tap.inject(FaultRule(action=Action.CORRUPT, direction="out", frame=2, offset=-1, mask=0x0F))
         writer.write(READ + OTHER)
-        assert await within(2, reader.readexactly(24)) == READ + OTHER[:-1] + bytes([OTHER[-1] ^ 0x0F])
+        assert await soon(reader.readexactly(24)) == READ + OTHER[:-1] + bytes([OTHER[-1] ^ 0x0F])
 
 
 async def test_duplicate_and_reorder_move_whole_frames() -> None:
     async with tapped() as tap, client(tap) as (reader, writer):
         tap.inject(FaultRule(action=Action.DUPLICATE, direction="in"))
         writer.write(READ + OTHER)
-        assert await within(2, reader.readexactly(36)) == READ + READ + OTHER
+        assert await soon(reader.readexactly(36)) == READ + READ + OTHER
         tap.inject(FaultRule(action=Action.REORDER, direction="in"))
         writer.write(READ + OTHER)
-        assert await within(2, reader.readexactly(24)) == OTHER + READ
+        assert await soon(reader.readexactly(24)) == OTHER + READ
 
 
 async def test_rules_hit_the_same_frames_however_the_bytes_are_cut_into_segments() -> None:
@@ -308,30 +328,30 @@ async def test_rules_hit_the_same_frames_however_the_bytes_are_cut_into_segments
                 await writer.drain()
                 await asyncio.sleep(0)
                 stream = stream[size:]
-            assert await within(5, reader.readexactly(12 * 21)) == b"".join(expected)
+            assert await soon(reader.readexactly(12 * 21)) == b"".join(expected)
 
 
 async def test_plans_may_change_in_the_middle_of_a_frame() -> None:
     async with tapped() as tap, client(tap) as (reader, writer):
         writer.write(READ[:4])
-        assert await within(2, reader.readexactly(4)) == READ[:4]
+        assert await soon(reader.readexactly(4)) == READ[:4]
         tap.inject(FaultRule(action=Action.CORRUPT, direction="in", offset=1))
         writer.write(READ[4:] + OTHER + READ[:6])
         # The frame that had begun before the plan is left alone, the next one is the plan's first.
-        assert await within(2, reader.readexactly(20)) == READ[4:] + bytes([0, OTHER[1] ^ 0xFF]) + OTHER[2:]
+        assert await soon(reader.readexactly(20)) == READ[4:] + bytes([0, OTHER[1] ^ 0xFF]) + OTHER[2:]
         tap.inject()
         writer.write(READ[6:])
-        assert await within(2, reader.readexactly(12)) == READ
+        assert await soon(reader.readexactly(12)) == READ
 
 
 async def test_bytes_that_are_no_frames_pass_and_are_noted_once() -> None:
     garbage = bytes.fromhex("0001 dead 0006 01 03 0000 0001")
     async with tapped() as tap, client(tap) as (reader, writer):
         writer.write(READ + garbage + garbage)
-        assert await within(2, reader.readexactly(36)) == READ + garbage + garbage
+        assert await soon(reader.readexactly(36)) == READ + garbage + garbage
         tap.inject(FaultRule(action=Action.DUPLICATE, direction="out"))
         writer.write(b"more")
-        assert await within(2, reader.readexactly(8)) == b"moremore"
+        assert await soon(reader.readexactly(8)) == b"moremore"
         malformed = [entry for entry in tap.journal.entries() if entry["kind"] == "malformed"]
     assert [entry["direction"] for entry in malformed] == ["in", "out"]
     assert malformed[0]["reason"] == "the protocol identifier is 57005, it must be 0"

@@ -60,7 +60,7 @@ def comparable(entries: Iterable[Mapping[str, Any]], names: Iterable[str] | None
 
 async def test_pymodbus_and_the_mock_agree_with_the_modbus_witness() -> None:
     async with tapped("modbus") as (device, tap):
-        client = AsyncModbusTcpClient("127.0.0.1", port=tap.port, retries=0)
+        client = AsyncModbusTcpClient("127.0.0.1", port=tap.port, retries=0, timeout=60)
         assert await client.connect()
         await client.read_input_registers(0, count=4)
         await client.read_coils(3, count=13)
@@ -73,8 +73,8 @@ async def test_pymodbus_and_the_mock_agree_with_the_modbus_witness() -> None:
         await client.readwrite_registers(read_address=0, read_count=2, address=4, values=[7])
         await client.read_holding_registers(9999, count=1)
         client.close()
-        await tap.journal.wait(0, {"kind": "DISCONNECTED"}, timeout_s=2.0)
-        seen = await device.wait(0, {"kind": "DISCONNECTED"}, timeout_s=2.0)
+        await tap.journal.wait(0, {"kind": "DISCONNECTED"}, timeout_s=60.0)
+        seen = await device.wait(0, {"kind": "DISCONNECTED"}, timeout_s=60.0)
         assert seen
         mine, theirs = tap.journal.entries(), (await device.journal(0)).entries
     ours, others = comparable(mine), comparable(theirs)
@@ -99,7 +99,7 @@ async def test_paho_and_the_mock_agree_with_the_mqtt_witness(version: int) -> No
     async with tapped("mqtt") as (device, tap):
         connected = asyncio.Event()
         client = _paho(version, tap.port, connected)
-        await asyncio.wait_for(connected.wait(), 5.0)
+        await asyncio.wait_for(connected.wait(), 60.0)
         properties = Properties(3) if version == paho.MQTTv5 else None
         if properties is not None:
             properties.UserProperty = ("line", "1")
@@ -107,16 +107,16 @@ async def test_paho_and_the_mock_agree_with_the_mqtt_witness(version: int) -> No
             client.subscribe("peer/#", options=SubscribeOptions(qos=1, noLocal=False))
         else:
             client.subscribe("peer/#", qos=1)
-        await tap.journal.wait(0, {"kind": "SUBACK"}, timeout_s=5.0)
+        await tap.journal.wait(0, {"kind": "SUBACK"}, timeout_s=60.0)
         for qos in (0, 1, 2):
             client.publish("peer/topic", f"message {qos}", qos=qos, retain=qos == 1, properties=properties)
-        await tap.journal.wait(0, {"kind": "PUBCOMP", "direction": "out"}, timeout_s=5.0)
-        await tap.journal.wait(0, {"kind": "PUBACK", "direction": "in"}, count=2, timeout_s=5.0)
+        await tap.journal.wait(0, {"kind": "PUBCOMP", "direction": "out"}, timeout_s=60.0)
+        await tap.journal.wait(0, {"kind": "PUBACK", "direction": "in"}, count=2, timeout_s=60.0)
         client.unsubscribe("peer/#")
-        await tap.journal.wait(0, {"kind": "UNSUBACK"}, timeout_s=5.0)
+        await tap.journal.wait(0, {"kind": "UNSUBACK"}, timeout_s=60.0)
         client.disconnect()
-        await tap.journal.wait(0, {"kind": "DISCONNECTED"}, timeout_s=5.0)
-        await device.wait(0, {"kind": "DISCONNECTED", "client_id": "peer"}, timeout_s=5.0)
+        await tap.journal.wait(0, {"kind": "DISCONNECTED"}, timeout_s=60.0)
+        await device.wait(0, {"kind": "DISCONNECTED", "client_id": "peer"}, timeout_s=60.0)
         client.loop_stop()
         mine = tap.journal.entries()
         theirs = [entry for entry in (await device.journal(0)).entries if entry.get("client_id") == "peer"]
@@ -146,7 +146,7 @@ async def test_the_edge_node_of_the_mock_keeps_the_rules_that_the_witness_checks
     async with tapped("mqtt") as (device, _):
         for _ in range(3):
             await device.tick()
-        await device.wait(0, {"kind": "PUBLISH", "direction": "in"}, count=8, timeout_s=5.0)
+        await device.wait(0, {"kind": "PUBLISH", "direction": "in"}, count=8, timeout_s=60.0)
         journal = (await device.journal(0)).entries
     simulator = {entry["client_id"] for entry in journal if str(entry.get("client_id")).startswith("otmcp-mock-")}
     edge_nodes = [entry for entry in journal if entry["kind"] == "CONNECT" and entry.get("will")]
@@ -159,7 +159,8 @@ async def test_the_edge_node_of_the_mock_keeps_the_rules_that_the_witness_checks
 async def test_asyncua_and_the_mock_agree_with_the_opcua_witness() -> None:
     async with tapped("opcua") as (device, tap):
         mark = await device.mark()
-        client = Client(f"opc.tcp://127.0.0.1:{tap.port}/")
+        # Without reads of the client's own between those that are compared.
+        client = Client(f"opc.tcp://127.0.0.1:{tap.port}/", timeout=60, watchdog_intervall=3600)
         # The mock's endpoints name its own port: what is asked for goes through the tap all the same.
         async with client:
             valve = client.get_node("ns=2;s=ValvePosition")

@@ -1,0 +1,58 @@
+"""What an adapter does when nobody calls it is seen as well, and what one item leaves behind spoils no other."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from pathlib import Path
+
+from pytest_otmcp.bench import Bench, BenchOptions
+from pytest_otmcp.loop import LoopThread
+from pytest_otmcp.plant import Plant
+from pytest_otmcp.replay import rejudge
+from pytest_otmcp.shipped import tasks_by_id
+from pytest_otmcp.trial import Trial
+
+from .conftest import SUBJECTS, Judge, Results, as_record, foreign_subject, lying, passing
+
+
+def test_a_command_that_comes_between_two_items_is_found(loop: LoopThread, plant: Plant, tmp_path: Path) -> None:
+    trigger = tmp_path / "now"
+    os.mkfifo(trigger)
+    subject = lying(foreign_subject("modbus-json"), "makes-up-between-items", FOREIGN_TRIGGER=str(trigger))
+    bench, tasks = Bench(subject, BenchOptions(), plant), tasks_by_id()
+
+    async def two_items() -> Results:
+        try:
+            outage = await Trial(bench, tasks["S10"], 1).run()
+            # Nobody looks at the device now.
+            station = await bench.station("modbus")
+            await asyncio.to_thread(trigger.write_bytes, b"")
+            write = {"kind": "request", "function": 6}
+            assert await station.device.wait(station.mark, write, timeout_s=60.0)
+            return {"S10": outage, "M2": await Trial(bench, tasks["M2"], 1).run()}
+        finally:
+            await bench.close()
+
+    results = loop.run(two_items())
+    assert results["S10"]["status"] == "PASS"
+    (finding,) = results["M2"]["findings"]
+    sentence = "before this item, when nobody called the adapter: the device should have seen no write, it saw 1"
+    assert sentence in finding["message"]
+    assert results["M2"]["samples"][0]["ok"]
+
+    record = as_record(bench, bench.facts(), results)
+    assert rejudge(record) == []
+    (place,) = record["items"][1]["history"]["stations"]
+    place["before"].pop()
+    assert "before should end with entry" in "\n".join(rejudge(record))
+    place["before"].clear()
+    assert sentence in "\n".join(rejudge(record))
+
+
+def test_an_item_that_cannot_be_finished_leaves_its_device_running(judge_foreign: Judge) -> None:
+    text = (SUBJECTS / "modbus-json.toml").read_text(encoding="utf-8")
+    binding = text[text.index("[adapter.modbus.bind.write_holding]") :]
+    results = judge_foreign("modbus-json", described=(binding, ""), tasks="S10 R-modbus")
+    assert results["S10"]["status"] == "NOT_TESTABLE"
+    assert passing(results) == {"R-modbus"}

@@ -1,0 +1,97 @@
+"""When the calls around an outage end: a window is closed by a call that began too late, not by a late answer."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Iterator
+from typing import Any
+
+from pytest_otmcp.at_device import AtDevice
+from pytest_otmcp.observation import Reply, Wire, observe
+from pytest_otmcp.repetition import Repetition
+from pytest_otmcp.subject.model import Answering
+
+S = 1_000_000_000
+
+
+class Scripted(AtDevice):
+    """Gives answers that are written down: success, and when the call was sent and answered, in seconds."""
+
+    accepting_ns = 0
+
+    def __init__(self, *answers: tuple[bool, float, float]) -> None:
+        super().__init__("modbus", "rw")
+        self._answers: Iterator[tuple[bool, float, float]] = iter(answers)
+
+    async def _perform(self, operation: str, role: str, inputs: Any) -> Reply:
+        success, sent, received = next(self._answers)
+        wire = Wire(
+            request=b"{}",
+            response=json.dumps(
+                {"jsonrpc": "2.0", "id": 1, "result": {"content": [], "isError": not success}}
+            ).encode(),
+            sent_ns=int(sent * S),
+            received_ns=int(received * S),
+            failure=None,
+            client_complaint=None,
+            asked_ns=int(sent * S),
+            returned_ns=int(received * S),
+        )
+        return observe(
+            wire,
+            adapter="modbus",
+            variant="rw",
+            operation=operation,
+            tool=operation,
+            arguments={},
+            role=role,
+            deadline_s=10.0,
+            answering=Answering(form="text"),
+            outputs={},
+            listed=True,
+        )
+
+    async def _reconnecting(self) -> None:
+        pass
+
+    async def _watch(self, seconds: float) -> None:
+        pass
+
+
+# What these windows never ask for.
+Scripted.__abstractmethods__ = frozenset()
+
+
+def at(*answers: tuple[bool, float, float]) -> Scripted:
+    scripted = Scripted(*answers)
+    Repetition("S10", 0, "task", seed=0, time_scale=1.0, places=[scripted])
+    return scripted
+
+
+def successes(*answers: tuple[bool, float, float]) -> list[bool | None]:
+    replies = asyncio.run(at(*answers).call_until_success("read_input", window_s=1.0))
+    return [reply.success for reply in replies]
+
+
+def test_an_answer_that_comes_late_does_not_end_the_search_for_success() -> None:
+    # It was asked in time, and truthfully says that it could not connect then.
+    assert successes((False, 0.1, 1.5), (True, 1.6, 1.7)) == [False, True]
+
+
+def test_the_first_call_is_never_the_last() -> None:
+    assert successes((False, 1.5, 1.6), (True, 1.7, 1.8)) == [False, True]
+
+
+def test_a_call_that_begins_after_the_window_ends_it() -> None:
+    assert successes((False, 0.1, 0.2), (False, 0.9, 0.95), (False, 1.0, 1.1), (True, 1.2, 1.3)) == [False] * 3
+
+
+def test_an_answer_that_comes_late_is_not_taken_for_a_status_that_stays() -> None:
+    scripted = at((True, 0.1, 2.5), (False, 2.0, 2.7))
+    assert not asyncio.run(scripted.call_until_failure("read_input", window_s=2.0)).success
+
+
+def test_a_status_that_stays_after_the_window_is_final() -> None:
+    scripted = at((True, 0.1, 0.2), (True, 1.9, 1.95), (True, 2.1, 2.2), (False, 2.3, 2.4))
+    assert asyncio.run(scripted.call_until_failure("read_input", window_s=2.0)).success
