@@ -7,6 +7,7 @@ here: nothing else in the project may.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -146,32 +147,26 @@ def wrong_value(server: AdapterServer) -> None:
 
 
 def swapped_parallel_replies(server: AdapterServer) -> None:
-    """When reads run at the same time, each gets the answer to another one."""
+    """When two of the registers 10 to 13 are read at the same time, each read gets the answer to the other one."""
 
     def swapped(genuine: Handler) -> Handler:
         waiting: list[tuple[asyncio.Future[Any], Any]] = []
-        served = 0
-        nobody = asyncio.Event()
 
         async def handler(call: Call, arguments: Any) -> Any:
-            nonlocal served
+            data = await genuine(call, arguments)
+            if arguments.count != 1 or arguments.address not in range(10, 14):
+                return data
+            if waiting:
+                other, others_data = waiting.pop()
+                other.set_result(data)
+                return others_data
             answer: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
-            served += 1
-            nobody.clear()
-            try:
-                waiting.append((answer, await genuine(call, arguments)))
-            finally:
-                served -= 1
-                if not served:
-                    nobody.set()
-            # Whoever is being served meanwhile is waited for.
-            await nobody.wait()
-            if not answer.done():
-                together, waiting[:] = list(waiting), []
-                results = [data for _, data in together]
-                for (other, _), data in zip(together, results[1:] + results[:1], strict=True):
-                    other.set_result(data)
-            return await answer
+            waiting.append((answer, data))
+            # On a busy machine it takes its time until the adapter has read what was asked at the same time.
+            with contextlib.suppress(TimeoutError):
+                return await asyncio.wait_for(answer, 2.0)
+            waiting.clear()
+            return data
 
         return handler
 
