@@ -62,9 +62,9 @@ class BenchStage:
             place.accepting_ns = device.accepting_ns
         await self.open_sessions()
 
-    def before(self) -> Mapping[str, Sequence[Mapping[str, Any]]]:
+    def before(self) -> Sequence[tuple[str, Sequence[Mapping[str, Any]]]]:
         """What reached the devices since the last item that had them."""
-        return {place.station.adapter.protocol: place.before for place in self._places}
+        return [(place.station.adapter.protocol, place.before) for place in self._places]
 
     def repetition(self, rep: int, role: str) -> Repetition:
         """A repetition on this bench."""

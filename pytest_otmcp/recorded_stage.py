@@ -73,9 +73,9 @@ class RecordedStage:
         if missing and not self._ended:
             raise HistoryError(f"{' and '.join(missing)} did not take part")
 
-    def before(self) -> Mapping[str, Sequence[Mapping[str, Any]]]:
+    def before(self) -> Sequence[tuple[str, Sequence[Mapping[str, Any]]]]:
         """What had reached the devices since the last item that had them."""
-        return {place.protocol: place.before for place in self._places}
+        return [(place.protocol, place.before) for place in self._places]
 
     def repetition(self, rep: int, role: str) -> Repetition:
         """The next execution of steps that is stored."""

@@ -59,8 +59,8 @@ class Stage(Protocol):
     async def prepare(self) -> None:
         """Bring the devices into their initial state and open the sessions."""
 
-    def before(self) -> Mapping[str, Sequence[Mapping[str, Any]]]:
-        """Protocol to the journal of its device, from the last item that had it to this one: nobody called then."""
+    def before(self) -> Sequence[tuple[str, Sequence[Mapping[str, Any]]]]:
+        """Protocol and journal of each device, from the last item that had it to this one: nobody called then."""
 
     def repetition(self, rep: int, role: str) -> Repetition:
         """The next execution of steps."""

@@ -91,7 +91,7 @@ class Trial:
     async def _execute(self) -> None:
         task, stage = self._task, self._stage
         await stage.prepare()
-        for protocol, entries in stage.before().items():
+        for protocol, entries in stage.before():
             for finding in nothing_commanded(protocol, entries):
                 when = "before this item, when nobody called the adapter"
                 self._note(

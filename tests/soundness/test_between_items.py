@@ -6,6 +6,8 @@ import asyncio
 import os
 from pathlib import Path
 
+import pytest
+
 from pytest_otmcp.bench import Bench, BenchOptions
 from pytest_otmcp.loop import LoopThread
 from pytest_otmcp.plant import Plant
@@ -16,7 +18,10 @@ from pytest_otmcp.trial import Trial
 from .conftest import SUBJECTS, Judge, Results, as_record, foreign_subject, lying, passing
 
 
-def test_a_command_that_comes_between_two_items_is_found(loop: LoopThread, plant: Plant, tmp_path: Path) -> None:
+@pytest.mark.parametrize("following", ["M2", "M4"])
+def test_a_command_that_comes_between_two_items_is_found(
+    loop: LoopThread, plant: Plant, tmp_path: Path, following: str
+) -> None:
     trigger = tmp_path / "now"
     os.mkfifo(trigger)
     subject = lying(foreign_subject("modbus-json"), "makes-up-between-items", FOREIGN_TRIGGER=str(trigger))
@@ -30,20 +35,20 @@ def test_a_command_that_comes_between_two_items_is_found(loop: LoopThread, plant
             await asyncio.to_thread(trigger.write_bytes, b"")
             write = {"kind": "request", "function": 6}
             assert await station.device.wait(station.mark, write, timeout_s=60.0)
-            return {"S10": outage, "M2": await Trial(bench, tasks["M2"], 1).run()}
+            return {"S10": outage, following: await Trial(bench, tasks[following], 1).run()}
         finally:
             await bench.close()
 
     results = loop.run(two_items())
     assert results["S10"]["status"] == "PASS"
-    (finding,) = results["M2"]["findings"]
+    (finding,) = results[following]["findings"]
     sentence = "before this item, when nobody called the adapter: the device should have seen no write, it saw 1"
     assert sentence in finding["message"]
-    assert results["M2"]["samples"][0]["ok"]
+    assert results[following]["samples"][0]["ok"]
 
     record = as_record(bench, bench.facts(), results)
     assert rejudge(record) == []
-    (place,) = record["items"][1]["history"]["stations"]
+    place, *_ = record["items"][1]["history"]["stations"]
     place["before"].pop()
     assert "before should end with entry" in "\n".join(rejudge(record))
     place["before"].clear()
