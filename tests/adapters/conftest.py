@@ -6,6 +6,7 @@ and checks every result against the rules of the envelope and the output schema 
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import selectors
@@ -273,6 +274,15 @@ class Mock:
         self.launcher.stdin.write("start\n")
         self._connect()
         self("pause")
+
+    @contextlib.contextmanager
+    def outage(self) -> Iterator[None]:
+        """It is gone for a while, and back for the tests that follow whatever this one finds."""
+        self.stop()
+        try:
+            yield
+        finally:
+            self.start()
 
     def _hang_up(self) -> None:
         if self._control is not None:

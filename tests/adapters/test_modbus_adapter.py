@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
 import os
@@ -96,16 +95,6 @@ def crowd(sessions: Any, adapter_command: Any, env: dict[str, str]) -> Iterator[
 @pytest.fixture(scope="module")
 def impatient(crowd: list[Any]) -> Any:
     return crowd[0]
-
-
-@contextlib.contextmanager
-def switched_off(device: Any) -> Iterator[None]:
-    """The device is gone for a while, and back for the tests that follow whatever this one finds."""
-    device.stop()
-    try:
-        yield
-    finally:
-        device.start()
 
 
 def poke(device: Any, table: str, address: int, *values: Any) -> None:
@@ -606,7 +595,7 @@ def test_parallel_calls_get_their_own_answers_over_one_connection(adapter: Any, 
 def test_the_adapter_starts_without_its_device_and_heals_in_the_same_session(
     sessions: Any, adapter_command: Any, env: Any, device: Any
 ) -> None:
-    with switched_off(device):
+    with device.outage():
         fresh = sessions(adapter_command("modbus"), {**env, "MODBUS_WRITES_ENABLED": "true"})
         assert len(fresh.tools) == 17
         for tool, arguments in {**READS, **WRITES}.items():
@@ -615,7 +604,7 @@ def test_the_adapter_starts_without_its_device_and_heals_in_the_same_session(
             assert (reply.meta["attempts"], reply.meta["connection"]["state"]) == (0, "disconnected")
         assert fresh.call("write_register", address=1, value=70000).error["code"] == "range_overflow"
     assert fresh.call("ping").meta["connection"] == {"state": "connected", "generation": 1}
-    with switched_off(device):
+    with device.outage():
         assert fresh.call("ping").error["code"] == "connect_failed"
         assert fresh.call("write_register", address=1, value=1).error["outcome"] == "not_sent"
     assert fresh.call("ping").meta["connection"] == {"state": "reconnected", "generation": 2}

@@ -73,16 +73,6 @@ def hasty(sessions: Any, adapter_command: Any, hasty_env: dict[str, str]) -> Any
     return sessions(adapter_command("mqtt"), hasty_env)
 
 
-@contextlib.contextmanager
-def outage(broker: Any) -> Iterator[None]:
-    """There is no broker. It comes back whatever happens: the tests that follow need it."""
-    broker.stop()
-    try:
-        yield
-    finally:
-        broker.start()
-
-
 def back(broker: Any, mark: int, client: str = CLIENT) -> None:
     """The adapter was let in, so that its next call does not join an attempt that began before and has failed."""
     broker.wait(mark, kind="CONNACK", client_id=client, reason_codes=[0])
@@ -394,7 +384,7 @@ def test_nothing_is_queued_over_an_outage_and_subscriptions_come_back_by_themsel
     generation = adapter.call("get_broker_info").meta["connection"]["generation"]
     broker("poke", params={"publish": {"topic": "probes/a", "payload": "b2xk"}})
     assert received(adapter, "probes/b") == []
-    with outage(broker):
+    with broker.outage():
         for qos in (0, 1, 2):
             reply = publish(adapter, "stale", qos)
             assert refused(reply) == ("connect_failed", "not_sent", True)
@@ -436,7 +426,7 @@ def test_a_restored_subscription_that_is_refused_is_shown_as_inactive(adapter: A
 def test_a_message_right_after_the_brokers_end_does_not_succeed(adapter: Any, broker: Any) -> None:
     for _ in range(3):
         adapter.call("get_broker_info")
-        with outage(broker):
+        with broker.outage():
             # QoS 0 has no answer: only looking at the connection before writing can tell.
             assert refused(publish(adapter, "into the void", 0))[:2] == ("connect_failed", "not_sent")
         back(broker, 0)
@@ -447,7 +437,7 @@ def test_the_adapter_starts_without_its_broker_and_heals_in_the_same_session(
     sessions: Any, adapter_command: Any, env: Any, broker: Any
 ) -> None:
     birth = {"device_id": "d", "metrics": [{"name": "m", "datatype": "Int8", "value": 1}]}
-    with outage(broker):
+    with broker.outage():
         fresh = sessions(adapter_command("mqtt"), {**env, "MQTT_CLIENT_ID": "early"})
         assert len(fresh.tools) == 16
         for tool, arguments in (

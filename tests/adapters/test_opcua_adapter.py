@@ -11,7 +11,6 @@ import struct
 import subprocess
 import threading
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import pytest
@@ -114,16 +113,6 @@ def asked(plant: Any, mark: int, **fields: Any) -> list[str]:
     """
     entries = [entry for entry in plant.since(mark, direction="in", **fields) if entry["kind"] not in FAREWELL]
     return [entry["kind"] for entry in entries if entry.get("nodes") != [{"node_id": "i=2259", "attribute": "Value"}]]
-
-
-@contextmanager
-def stopped(plant: Any) -> Iterator[None]:
-    """While the server is gone; whatever happens, the next test finds it there again."""
-    plant.stop()
-    try:
-        yield
-    finally:
-        plant.start()
 
 
 # -- what is read and written ------------------------------------------------------------------------------------
@@ -714,7 +703,7 @@ def test_a_namespace_uri_finds_its_node_wherever_the_server_puts_it(adapter: Any
     create(plant, a, b)
     target = "nsu=urn:1.0;s=X"
     assert adapter.call("read_opcua_node", node_id=target).data["value"] == 1.0
-    with stopped(plant):
+    with plant.outage():
         pass
     create(plant, b, a)
     # A read finds out that the connection is gone, and is repeated. A write would not be.
@@ -873,7 +862,7 @@ def test_a_cancelled_call_sends_nothing_more_and_the_next_one_works(adapter: Any
 def test_the_adapter_starts_without_its_server_and_heals_in_the_same_session(
     sessions: Any, adapter_command: Any, env: Any, plant: Any
 ) -> None:
-    with stopped(plant):
+    with plant.outage():
         fresh = sessions(adapter_command("opcua"), {**env, "OPCUA_WRITES_ENABLED": "true"})
         assert len(fresh.tools) == 7
         for tool, arguments in {**READS, **WRITES}.items():
@@ -884,7 +873,7 @@ def test_the_adapter_starts_without_its_server_and_heals_in_the_same_session(
         assert fresh.call("read_opcua_node", node_id="garbage").error["code"] == "invalid_input"
     reply = fresh.call("read_opcua_node", node_id=TEMPERATURE)
     assert reply.meta["connection"] == {"state": "connected", "generation": 1}
-    with stopped(plant):
+    with plant.outage():
         assert fresh.call("read_opcua_node", node_id=TEMPERATURE).error["code"] == "connect_failed"
         assert fresh.call("write_opcua_node", node_id=FAN, value=1).error["outcome"] == "not_sent"
     for tool, arguments in {**WRITES, **READS}.items():

@@ -10,10 +10,9 @@ whole session are the witness's, too.
 from __future__ import annotations
 
 import base64
-import contextlib
 import math
 import struct
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import pytest
@@ -78,16 +77,6 @@ def born(adapter: Any) -> Any:
     adapter.call("publish_node_birth", metrics=[{"name": "mode", "datatype": "String", "value": "auto"}])
     adapter.call("publish_device_birth", device_id="tank", metrics=[LEVEL, COUNT])
     return adapter
-
-
-@contextlib.contextmanager
-def outage(broker: Any) -> Iterator[None]:
-    """There is no broker. It comes back whatever happens: the tests that follow need it."""
-    broker.stop()
-    try:
-        yield
-    finally:
-        broker.start()
 
 
 def sent(broker: Any, mark: int, client: str = NODE) -> list[dict[str, Any]]:
@@ -389,7 +378,7 @@ def test_every_connection_counts_bdseq_and_is_born_with_the_wills(born: Any, bro
 
 def test_a_failed_message_uses_up_no_number_and_no_birth_tells_its_value(born: Any, broker: Any) -> None:
     assert data(born, ("level", 7.0), ("count", 7)).data["seq"] == 2
-    with outage(broker):
+    with broker.outage():
         assert data(born, ("level", 8.0)).error["outcome"] == "not_sent"
     births = broker.wait(0, count=2, kind="PUBLISH", direction="in", client_id=NODE)
     assert [told(entry)["type"] for entry in births] == ["NBIRTH", "DBIRTH"]
@@ -402,7 +391,7 @@ def test_a_failed_message_uses_up_no_number_and_no_birth_tells_its_value(born: A
 
 
 def test_a_birth_that_failed_is_not_the_next_life(born: Any, broker: Any) -> None:
-    with outage(broker):
+    with broker.outage():
         assert born.call("publish_device_birth", device_id="late", metrics=[LEVEL]).error["code"] == "connect_failed"
         assert born.call("publish_node_death").error["code"] == "connect_failed"
     broker.wait(0, count=2, kind="PUBLISH", direction="in", client_id=NODE)
@@ -662,7 +651,7 @@ def test_after_an_outage_what_was_known_is_in_doubt(host: Any, broker: Any) -> N
     host.call("list_sparkplug_nodes")
     broker("reset")
     assert known(host, "edge-node-1")["status"] == "online"
-    with outage(broker):
+    with broker.outage():
         assert host.call("list_sparkplug_nodes").error["code"] == "connect_failed"
     # Or the next call might join an attempt that began before and has failed.
     broker.wait(0, kind="SUBACK", client_id="host")
