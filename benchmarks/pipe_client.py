@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pytest_otmcp.process import subject_environment
+from pytest_otmcp.session.process import subject_environment
 
 __all__ = ["PipeClient"]
 

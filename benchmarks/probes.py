@@ -8,7 +8,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 
-from pytest_otmcp.mock_device import MockDevice
+from pytest_otmcp.plant.mock_device import MockDevice
 
 from .pipe_client import PipeClient
 from .workload import INPUT_REGISTERS, PAYLOAD, TEMPERATURE, TOPIC

@@ -6,8 +6,8 @@ import asyncio
 import math
 from collections.abc import Mapping
 
-from pytest_otmcp.observation import Reply
-from pytest_otmcp.repetition import Repetition
+from pytest_otmcp.trial.repetition import Repetition
+from pytest_otmcp.trial.reply import Reply
 
 __all__ = ["collect", "let_it_read"]
 

@@ -12,14 +12,14 @@ from typing import Any
 
 import pytest
 
-from pytest_otmcp.at_device import Entry
-from pytest_otmcp.findings import Finding
-from pytest_otmcp.repetition import Repetition
-from pytest_otmcp.task import Steps, Suite, Task
-from pytest_otmcp.unasked import nothing_commanded
-from pytest_otmcp.witness import modbus_oracle as modbus
-from pytest_otmcp.witness import mqtt_oracle as mqtt
-from pytest_otmcp.witness import opcua_oracle as opcua
+from pytest_otmcp.core.finding import Finding
+from pytest_otmcp.protocols.modbus import oracle as modbus
+from pytest_otmcp.protocols.mqtt import oracle as mqtt
+from pytest_otmcp.protocols.opcua import oracle as opcua
+from pytest_otmcp.protocols.unsolicited import nothing_commanded
+from pytest_otmcp.trial.repetition import Repetition
+from pytest_otmcp.trial.rig import Entry
+from pytest_otmcp.trial.task import Steps, Suite, Task
 
 RECOVERY = Suite("recovery", warm_up=False)
 

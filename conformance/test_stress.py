@@ -13,11 +13,11 @@ from typing import Any
 
 import pytest
 
-from pytest_otmcp.repetition import Repetition
-from pytest_otmcp.task import Suite, Task
-from pytest_otmcp.witness import modbus_oracle as modbus
-from pytest_otmcp.witness import mqtt_oracle as mqtt
-from pytest_otmcp.witness import opcua_oracle as opcua
+from pytest_otmcp.protocols.modbus import oracle as modbus
+from pytest_otmcp.protocols.mqtt import oracle as mqtt
+from pytest_otmcp.protocols.opcua import oracle as opcua
+from pytest_otmcp.trial.repetition import Repetition
+from pytest_otmcp.trial.task import Suite, Task
 
 from .receiving import collect, let_it_read
 

@@ -1,7 +1,7 @@
 """The command ``otmcp``: one module for each subcommand, and the one place where errors become exit codes.
 
 A subcommand's module has ``add_parser(subparsers)`` and ``run(args) -> int``, and imports what is heavy inside ``run``.
-Exit codes are those of :class:`pytest_otmcp.verdict.ExitCode`. Whatever goes wrong ends in one sentence: no traceback.
+Exit codes are those of :class:`pytest_otmcp.core.verdict.ExitCode`. Whatever goes wrong ends in one sentence: no traceback.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 
-from ..errors import KitError, UsageError
-from ..verdict import ExitCode
+from ..core.errors import KitError, UsageError
+from ..core.verdict import ExitCode
 
 __all__ = ["Refusal", "main"]
 

@@ -22,8 +22,8 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from ..errors import KitError, UsageError
-from ..verdict import ExitCode, Status, decide, exit_code
+from ..core.errors import KitError, UsageError
+from ..core.verdict import ExitCode, Status, decide, exit_code
 from . import Refusal
 
 __all__ = ["add_parser", "run"]
@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
         KitError: the suite did not run.
         Refusal: no certificate.
     """
-    from ..certifiable import MINIMUM_REPS, unguarded
+    from ..certificate.eligibility import MINIMUM_REPS, unguarded
     from ..subject import load_subject, reference_subject
 
     if args.reps < MINIMUM_REPS:
@@ -162,10 +162,10 @@ def _interruptible() -> Iterator[None]:
 
 def _conclude(out: Path, ended: int) -> int:
     """Write the certificate, or say why there is none."""
-    from ..certifiable import objections
-    from ..certificate import certificate
-    from ..record import RecordError, load
-    from ..shipped import tasks_by_id
+    from ..certificate.eligibility import objections
+    from ..certificate.statement import certificate
+    from ..record.run_file import RecordError, load
+    from ..suite.catalogue import tasks_by_id
 
     path = out / "run.json"
     if not path.is_file():
@@ -186,7 +186,7 @@ def _conclude(out: Path, ended: int) -> int:
 
 
 def _write(out: Path, statement: dict[str, Any]) -> None:
-    from ..badge import badge, badge_svg
+    from ..certificate.badge import badge, badge_svg
 
     def dumped(document: dict[str, Any]) -> str:
         return json.dumps(document, indent=1, ensure_ascii=False) + "\n"

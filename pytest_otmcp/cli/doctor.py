@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import SubjectError, UsageError
-from ..subject.operations import PROTOCOLS
+from ..core.errors import SubjectError, UsageError
+from ..protocols.operations import PROTOCOLS
 from .init import environment, spoken
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Examine every adapter; 0 when all of them start and fit their description."""
-    from ..loop import LoopThread
+    from ..session.loop import LoopThread
 
     loop = LoopThread()
     healthy = True
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _adapters(args: argparse.Namespace) -> Iterator[Adapter]:
-    from ..proposal.drafting import bare_adapter
+    from ..onboarding.drafting import bare_adapter
     from ..subject import load_subject, reference_subject
 
     if args.command:
@@ -71,18 +71,18 @@ def _adapters(args: argparse.Namespace) -> Iterator[Adapter]:
 
 
 async def _examine(adapter: Adapter, variant: str) -> bool:
-    from ..diagnosis import advice
-    from ..mock_device import MockDevice
-    from ..station import BenchOptions, Station
-    from ..subject.drift import drift
+    from ..onboarding.known_causes import advice
+    from ..plant.mock_device import MockDevice
+    from ..subject.binding_check import drift
     from ..subject.model import READ_WRITE
+    from ..trial.adapter_under_test import AdapterUnderTest, BenchOptions
 
     program = adapter.variants[variant].command[0]
     device = MockDevice(adapter.protocol)
     station = None
     try:
         await device.launch()
-        station = Station(adapter, variant, device, BenchOptions())
+        station = AdapterUnderTest(adapter, variant, device, BenchOptions())
         await station.open()
         session = station.session
         assert session is not None

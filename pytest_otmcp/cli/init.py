@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..errors import SubjectError, UsageError
-from ..subject.operations import PROTOCOLS
+from ..core.errors import SubjectError, UsageError
+from ..protocols.operations import PROTOCOLS
 from . import Refusal
 
 __all__ = ["add_parser", "run"]
@@ -54,10 +54,10 @@ def run(args: argparse.Namespace) -> int:
     if not 0 < args.deadline <= 300:
         raise UsageError(f"--deadline: expected seconds above 0 and up to 300, found {args.deadline:g}")
 
-    from ..loop import LoopThread
-    from ..mock_device import MockDevice
-    from ..proposal.document import Draft, write_document
-    from ..proposal.drafting import bare_adapter, draft
+    from ..onboarding.document import Draft, write_document
+    from ..onboarding.drafting import bare_adapter, draft
+    from ..plant.mock_device import MockDevice
+    from ..session.loop import LoopThread
     from ..subject import load_subject
 
     adapter = bare_adapter(

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from ..errors import KitError, UsageError
+from ..core.errors import KitError, UsageError
 from . import Refusal
 
 __all__ = ["add_parser", "run"]
@@ -32,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
         Refusal: it is no record that can be believed.
         KitError: a report could not be written; the others were.
     """
-    from ..record import RecordError, load
+    from ..record.run_file import RecordError, load
     from ..report.render import write_all
 
     if not args.record.is_file():

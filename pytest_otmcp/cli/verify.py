@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ..errors import UsageError
+from ..core.errors import UsageError
 from . import Refusal
 
 __all__ = ["add_parser", "run", "verify"]
@@ -56,11 +56,11 @@ def verify(certificate_path: Path, record_path: Path) -> dict[str, Any]:
         UsageError: one of the files is not there.
         Refusal: something does not hold; one sentence.
     """
-    from ..certifiable import objections
-    from ..certificate import certificate, differences
-    from ..record import RecordError, load
-    from ..replay import rejudge
-    from ..shipped import tasks_by_id
+    from ..certificate.eligibility import objections
+    from ..certificate.statement import certificate, differences
+    from ..record.run_file import RecordError, load
+    from ..replay.rejudge import rejudge
+    from ..suite.catalogue import tasks_by_id
 
     told = _statement(certificate_path)
     if not record_path.is_file():
@@ -86,8 +86,8 @@ def verify(certificate_path: Path, record_path: Path) -> dict[str, Any]:
 
 
 def _statement(path: Path) -> Any:
-    from ..certificate import PREDICATE_TYPE, STATEMENT_TYPE
-    from ..envelope import parse_strict
+    from ..certificate.statement import PREDICATE_TYPE, STATEMENT_TYPE
+    from ..core.strict_json import parse_strict
 
     if not path.is_file():
         raise UsageError(f"{path}: there is no such file")
@@ -112,7 +112,7 @@ def _bound(statement: Any) -> list[Any]:
 
 def _check_kit(path: Path, judged_by: Mapping[str, Any]) -> None:
     from .. import __version__
-    from ..shipped import kit_digest, suite_digest
+    from ..suite.catalogue import kit_digest, suite_digest
 
     found = tuple(judged_by.get(name) for name in ("version", "suite_digest", "digest"))
     if found == (__version__, suite_digest(), kit_digest()):

@@ -10,8 +10,8 @@ from collections.abc import Iterable, Mapping
 from itertools import count
 from typing import Any
 
-from ..statistics import lower_bound
-from ..task import SUITES, repetitions
+from ..core.matrix import SUITES, repetitions
+from ..core.statistics import lower_bound
 
 __all__ = [
     "Item",

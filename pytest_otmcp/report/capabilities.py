@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from ..subject.operations import GUARD, PROTOCOLS
-from ..verdict import Status
+from ..core.verdict import Status
+from ..protocols.operations import GUARD, PROTOCOLS
 from . import Item, Run
 
 __all__ = ["CAPABILITIES", "Capability", "Earned", "Grade", "earned", "families"]

@@ -9,9 +9,9 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterator
 
-from ..record import count_calls
-from ..statistics import mean, mean_interval, percentile
-from ..task import SUITES
+from ..core.matrix import SUITES
+from ..core.statistics import mean, mean_interval, percentile
+from ..record.run_file import count_calls
 from . import Item, Run, applies, durations, least, phases, recovered, tally, timing_valid
 from .text import printable, shortened
 

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 from markupsafe import Markup
 
-from ..statistics import percentile
+from ..core.statistics import percentile
 from . import Item, Run, durations, phases
 from .text import printable
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..statistics import percentile, proportion_interval
+from ..core.statistics import percentile, proportion_interval
 from . import Item, Run, durations, phases, recovered, timing_valid
 
 if TYPE_CHECKING:

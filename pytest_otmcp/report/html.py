@@ -18,7 +18,7 @@ from typing import Any
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
-from ..task import SUITES
+from ..core.matrix import SUITES
 from . import Item, Run, command, overview, tally, timing_valid
 from .capabilities import earned, families
 from .drawings import latencies, recovery, strip

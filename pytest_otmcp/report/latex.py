@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from ..record import count_calls
-from ..statistics import mean, mean_interval, median_interval, outliers, percentile, standard_deviation
-from ..task import SUITES
+from ..core.matrix import SUITES
+from ..core.statistics import mean, mean_interval, median_interval, outliers, percentile, standard_deviation
+from ..record.run_file import count_calls
 from . import Item, Run, applies, command, durations, least, phases, recovered, tally, task_calls
 
 __all__ = ["escape", "write_tables"]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from ..statistics import lower_bound
-from ..task import SUITES
+from ..core.matrix import SUITES
+from ..core.statistics import lower_bound
 from . import Run, applies, timing_valid
 
 __all__ = ["narrowed"]

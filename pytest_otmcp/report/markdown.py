@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from ..task import SUITES
+from ..core.matrix import SUITES
 from . import Item, Run, command, tally
 from .capabilities import earned, families
 from .evidence import failures, findings_of

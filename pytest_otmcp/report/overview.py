@@ -9,7 +9,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from ..statistics import lower_bound, mean, mean_interval, median_interval, outliers, percentile, standard_deviation
+from ..core.statistics import (
+    lower_bound,
+    mean,
+    mean_interval,
+    median_interval,
+    outliers,
+    percentile,
+    standard_deviation,
+)
 from . import Item, Run, durations, least, phases, recovered, tally
 from .evidence import findings_of
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from ..record import RecordError, load
+from ..record.run_file import RecordError, load
 from . import Run
 
 __all__ = ["NAMES", "render", "write_all"]

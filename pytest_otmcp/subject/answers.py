@@ -16,9 +16,9 @@ from typing import Any
 
 import jmespath
 
-from ..taxonomy import registry
+from ..core.error_registry import registry
+from ..protocols.operations import OPERATIONS
 from .model import Answering, OutputRule
-from .operations import OPERATIONS
 
 __all__ = [
     "UNCLASSIFIED",

@@ -27,9 +27,9 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Protocol
 
-from ..errors import UsageError
+from ..core.errors import UsageError
+from ..protocols.operations import OPERATIONS
 from .model import Function
-from .operations import OPERATIONS
 
 __all__ = ["Refused", "ToolAnswer", "Tools", "load_functions"]
 

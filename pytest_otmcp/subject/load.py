@@ -12,11 +12,11 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from .. import __version__
-from ..errors import UsageError
+from ..core.errors import UsageError
+from ..protocols.operations import PROTOCOLS, RECOVERY, facets
 from .functions import load_functions
 from .load_bindings import BindingReader
 from .model import Adapter, Answering, Binding, Connect, Deviation, Function, Subject, Variant, environment_names
-from .operations import PROTOCOLS, RECOVERY, facets
 from .reading import Reader, kind
 
 __all__ = ["load_subject", "reference_subject"]

@@ -6,10 +6,10 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from ..taxonomy import registry
+from ..core.error_registry import registry
+from ..protocols.operations import OPERATIONS, Operation
 from .answers import UNCLASSIFIED
 from .model import Answering, Binding, ErrorRule, OutcomeRule, OutputRule
-from .operations import OPERATIONS, Operation
 from .reading import Reader, kind
 
 __all__ = ["BindingReader"]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from .operations import GUARD, OPERATIONS, RECOVERY
+from ..protocols.operations import GUARD, OPERATIONS, RECOVERY
 
 __all__ = [
     "READ_ONLY",

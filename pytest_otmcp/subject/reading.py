@@ -11,7 +11,7 @@ from typing import Any
 
 import jmespath
 
-from ..errors import UsageError
+from ..core.errors import UsageError
 
 __all__ = ["Reader"]
 

@@ -9,7 +9,7 @@ import pytest
 from pytest_otmcp.reference_adapters.core import AdapterError, Call, ConfigError, Environment, device_text
 from pytest_otmcp.reference_adapters.core.errors import REGISTRY
 
-from pytest_otmcp.taxonomy import registry
+from pytest_otmcp.core.error_registry import registry
 
 
 @pytest.mark.parametrize("code", REGISTRY)

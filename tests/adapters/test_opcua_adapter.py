@@ -18,7 +18,7 @@ from pytest_otmcp.reference_adapters.core import AdapterError, ConfigError
 from pytest_otmcp.reference_adapters.opcua import build
 from pytest_otmcp.reference_adapters.opcua.nodes import parse_node
 
-from pytest_otmcp.taxonomy import wire_codes
+from pytest_otmcp.core.error_registry import wire_codes
 
 PATIENT = {"OPCUA_TIMEOUT_S": "20", "OPCUA_DEADLINE_S": "30"}
 """For adapters whose calls are answered: no time-out may come in between on a busy machine."""

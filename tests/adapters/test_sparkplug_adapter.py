@@ -19,9 +19,9 @@ import pytest
 from pytest_otmcp.reference_adapters.mqtt.connection import Message
 from pytest_otmcp.reference_adapters.mqtt.nodes import MAX_HELD, NodeTracker
 
-from pytest_otmcp.witness.mqtt_entries import payload_of
-from pytest_otmcp.witness.sparkplug import DATA_TYPES, decode_payload, payload_class
-from pytest_otmcp.witness.sparkplug_oracle import sparkplug_sequence
+from pytest_otmcp.protocols.mqtt.entries import payload_of
+from pytest_otmcp.protocols.mqtt.sparkplug_decoder import DATA_TYPES, decode_payload, payload_class
+from pytest_otmcp.protocols.mqtt.sparkplug_oracle import sparkplug_sequence
 
 GROUP, NODE, CLIENT = "lab", "edge-tests", "sparkplug-tests"
 TOPIC = f"spBv1.0/{GROUP}"

@@ -11,12 +11,14 @@ from typing import Any
 
 import pytest
 
-from pytest_otmcp.bench import Bench, BenchOptions
-from pytest_otmcp.loop import LoopThread
-from pytest_otmcp.plant import Plant
-from pytest_otmcp.shipped import tasks_by_id
+from pytest_otmcp.plant.devices import Plant
+from pytest_otmcp.session.loop import LoopThread
 from pytest_otmcp.subject import load_subject
-from pytest_otmcp.trial import Trial
+from pytest_otmcp.suite.catalogue import tasks_by_id
+from pytest_otmcp.trial.adapter_under_test import BenchOptions
+from pytest_otmcp.trial.bench import Bench
+from pytest_otmcp.trial.live_driver import LiveDriver
+from pytest_otmcp.trial.trial import Trial
 
 from .conftest import EXAMPLES, Install
 
@@ -102,7 +104,10 @@ async def judged(subject_file: Path, plant: Plant) -> tuple[dict[str, Any], list
     try:
         await bench.prepare(subject.adapters)
         drift = bench.drift()
-        return {identifier: await Trial(bench, task, 1).run() for identifier, task in tasks_by_id().items()}, drift
+        return {
+            identifier: await Trial(LiveDriver(bench, task, seed=0), task, 1).run()
+            for identifier, task in tasks_by_id().items()
+        }, drift
     finally:
         await bench.close()
 

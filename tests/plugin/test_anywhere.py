@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from pytest_otmcp.collection import suite_root
-from pytest_otmcp.shipped import tasks_by_id
+from pytest_otmcp.plugin.collection import suite_root
+from pytest_otmcp.suite.catalogue import tasks_by_id
 
 from .vendor import Repository
 

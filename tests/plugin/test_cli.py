@@ -20,12 +20,12 @@ import psutil
 import pytest
 
 from pytest_otmcp import cli
-from pytest_otmcp.certifiable import objections
-from pytest_otmcp.certificate import certificate
+from pytest_otmcp.certificate.eligibility import objections
+from pytest_otmcp.certificate.statement import certificate
 from pytest_otmcp.cli.verify import verify
 from pytest_otmcp.errors import KitError, UsageError
-from pytest_otmcp.record import digest, load
-from pytest_otmcp.shipped import tasks_by_id
+from pytest_otmcp.record.run_file import digest, load
+from pytest_otmcp.suite.catalogue import tasks_by_id
 from tests.unit.certified import conformant_run, resealed
 
 OTMCP = [sys.executable, "-P", "-m", "pytest_otmcp.cli"]

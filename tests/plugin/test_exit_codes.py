@@ -68,7 +68,7 @@ def test_a_bug_of_the_kit_is_neither_success_nor_failure(repository: Repository)
     assert outcome.code == 3
     assert outcome.statuses["M1"] == "KIT_ERROR"
     assert "RuntimeError: a bug. This is the kit's fault; please file a bug." in " ".join(outcome.output.split())
-    assert "pytest_otmcp.trial.Trial.run was replaced by something from" in " ".join(outcome.narrowed)
+    assert "pytest_otmcp.trial.trial.Trial.run was replaced by something from" in " ".join(outcome.narrowed)
 
 
 def test_an_adapter_without_the_tool_that_its_subject_names_is_a_usage_error(repository: Repository) -> None:

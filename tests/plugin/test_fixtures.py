@@ -9,7 +9,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from pytest_otmcp.loop import LoopThread
+from pytest_otmcp.session.loop import LoopThread
 
 from .vendor import Outcome, Repository
 
@@ -147,8 +147,8 @@ def test_misuse_is_one_sentence_at_the_line_of_the_test(repository: Repository) 
         assert f"UsageError: {sentence}" in outcome.output, sentence
     assert "otmcp_trial runs the shipped suite only: pytest --pyargs pytest_otmcp.conformance" in outcome.output
     assert "tests/test_it.py:3: UsageError" in outcome.output
-    assert "pytest_otmcp/loop.py" not in outcome.output
-    assert "pytest_otmcp/station.py" not in outcome.output
+    assert "pytest_otmcp/session/loop.py" not in outcome.output
+    assert "pytest_otmcp/trial/adapter_under_test.py" not in outcome.output
 
 
 def test_an_adapter_that_cannot_start_is_said_with_its_last_words(repository: Repository) -> None:

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from pytest_otmcp.protocols.operations import OPERATIONS
 from pytest_otmcp.subject import load_subject
-from pytest_otmcp.subject.operations import OPERATIONS
 
 OTMCP = [sys.executable, "-m", "pytest_otmcp.cli"]
 

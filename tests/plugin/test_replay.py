@@ -13,14 +13,16 @@ from typing import Any
 
 import pytest
 
-from pytest_otmcp.bench import Bench, BenchOptions
-from pytest_otmcp.loop import LoopThread
-from pytest_otmcp.plant import Plant
-from pytest_otmcp.record import load
-from pytest_otmcp.replay import rejudge
-from pytest_otmcp.shipped import suite_digest, tasks_by_id
+from pytest_otmcp.plant.devices import Plant
+from pytest_otmcp.record.run_file import load
+from pytest_otmcp.replay.rejudge import rejudge
+from pytest_otmcp.session.loop import LoopThread
 from pytest_otmcp.subject import Subject, load_subject, reference_subject
-from pytest_otmcp.trial import Trial
+from pytest_otmcp.suite.catalogue import suite_digest, tasks_by_id
+from pytest_otmcp.trial.adapter_under_test import BenchOptions
+from pytest_otmcp.trial.bench import Bench
+from pytest_otmcp.trial.live_driver import LiveDriver
+from pytest_otmcp.trial.trial import Trial
 
 Record = dict[str, Any]
 
@@ -97,7 +99,9 @@ def bench_of() -> Iterator[Callable[..., Record]]:
             bench = Bench(subject, BenchOptions(time_scale=time_scale), plant)
             try:
                 known = tasks_by_id()
-                items = [await Trial(bench, known[name], 2).run() for name in tasks.split()]
+                items = [
+                    await Trial(LiveDriver(bench, known[name], seed=0), known[name], 2).run() for name in tasks.split()
+                ]
                 return {"items": items, "subject": {"adapters": bench.facts()}}
             finally:
                 await bench.close()

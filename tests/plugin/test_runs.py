@@ -21,7 +21,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from pytest_otmcp.record import load
+from pytest_otmcp.record.run_file import load
 
 SUITE = ["--pyargs", "pytest_otmcp.conformance"]
 PYTEST = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider"]
@@ -254,7 +254,7 @@ def test_the_plugin_is_inert_where_nothing_of_it_is_collected(tmp_path: Path) ->
         "import sys\n"
         "def test_own():\n"
         "    heavy = {'mcp', 'pymodbus', 'asyncua', 'paho', 'scipy', 'numpy', 'matplotlib', 'jmespath', 'jsonschema'}\n"
-        "    heavy |= {'anyio', 'pydantic', 'google', 'jinja2', 'pytest_otmcp.bench', 'pytest_otmcp.subject'}\n"
+        "    heavy |= {'anyio', 'pydantic', 'google', 'jinja2', 'pytest_otmcp.trial.bench', 'pytest_otmcp.subject'}\n"
         "    assert not heavy & set(sys.modules)\n"
     )
     environment = {**os.environ, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pytest_otmcp.record import load
+from pytest_otmcp.record.run_file import load
 
 __all__ = ["DEFECTIVE", "Outcome", "Repository"]
 

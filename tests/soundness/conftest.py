@@ -13,14 +13,16 @@ from typing import Any
 
 import pytest
 
-from pytest_otmcp.bench import Bench, BenchOptions, Station
-from pytest_otmcp.loop import LoopThread
-from pytest_otmcp.plant import Plant
-from pytest_otmcp.replay import rejudge
-from pytest_otmcp.shipped import suite_digest, tasks_by_id
+from pytest_otmcp.plant.devices import Plant
+from pytest_otmcp.replay.rejudge import rejudge
+from pytest_otmcp.session.loop import LoopThread
 from pytest_otmcp.subject import Adapter, Subject, load_subject, reference_subject
-from pytest_otmcp.task import Task
-from pytest_otmcp.trial import Trial
+from pytest_otmcp.suite.catalogue import suite_digest, tasks_by_id
+from pytest_otmcp.trial.adapter_under_test import AdapterUnderTest, BenchOptions
+from pytest_otmcp.trial.bench import Bench
+from pytest_otmcp.trial.live_driver import LiveDriver
+from pytest_otmcp.trial.task import Task
+from pytest_otmcp.trial.trial import Trial
 
 HERE = Path(__file__).parent
 SUBJECTS = HERE / "subjects"
@@ -58,7 +60,7 @@ class AmongGenuine(Bench):
         self._protocol = protocol
         self._genuine = genuine
 
-    async def station(self, name: str) -> Station:
+    async def station(self, name: str) -> AdapterUnderTest:
         reference = await self._genuine.station(name)
         if name.partition("@")[0] != self._protocol:
             return reference
@@ -74,7 +76,7 @@ Judge = Callable[..., Results]
 async def perform(bench: Bench, tasks: list[Task]) -> Results:
     """Every task once, in this order. What came of them can be recorded, and follows from the record once more."""
     try:
-        results = {task.id: await Trial(bench, task, 1).run() for task in tasks}
+        results = {task.id: await Trial(LiveDriver(bench, task, seed=0), task, 1).run() for task in tasks}
         adapters = bench.facts()
     finally:
         await bench.close()

@@ -8,12 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from pytest_otmcp.bench import Bench, BenchOptions
-from pytest_otmcp.loop import LoopThread
-from pytest_otmcp.plant import Plant
-from pytest_otmcp.replay import rejudge
-from pytest_otmcp.shipped import tasks_by_id
-from pytest_otmcp.trial import Trial
+from pytest_otmcp.plant.devices import Plant
+from pytest_otmcp.replay.rejudge import rejudge
+from pytest_otmcp.session.loop import LoopThread
+from pytest_otmcp.suite.catalogue import tasks_by_id
+from pytest_otmcp.trial.adapter_under_test import BenchOptions
+from pytest_otmcp.trial.bench import Bench
+from pytest_otmcp.trial.live_driver import LiveDriver
+from pytest_otmcp.trial.trial import Trial
 
 from .conftest import SUBJECTS, Judge, Results, as_record, foreign_subject, lying, passing
 
@@ -29,13 +31,16 @@ def test_a_command_that_comes_between_two_items_is_found(
 
     async def two_items() -> Results:
         try:
-            outage = await Trial(bench, tasks["S10"], 1).run()
+            outage = await Trial(LiveDriver(bench, tasks["S10"], seed=0), tasks["S10"], 1).run()
             # Nobody looks at the device now.
             station = await bench.station("modbus")
             await asyncio.to_thread(trigger.write_bytes, b"")
             write = {"kind": "request", "function": 6}
             assert await station.device.wait(station.mark, write, timeout_s=60.0)
-            return {"S10": outage, following: await Trial(bench, tasks[following], 1).run()}
+            return {
+                "S10": outage,
+                following: await Trial(LiveDriver(bench, tasks[following], seed=0), tasks[following], 1).run(),
+            }
         finally:
             await bench.close()
 

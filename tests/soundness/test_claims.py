@@ -8,11 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from pytest_otmcp.bench import Bench, BenchOptions
-from pytest_otmcp.loop import LoopThread
-from pytest_otmcp.plant import Plant
+from pytest_otmcp.core.verdict import ExitCode, Status, Verdict, decide, exit_code
+from pytest_otmcp.plant.devices import Plant
+from pytest_otmcp.session.loop import LoopThread
 from pytest_otmcp.subject import load_subject
-from pytest_otmcp.verdict import ExitCode, Status, Verdict, decide, exit_code
+from pytest_otmcp.trial.adapter_under_test import BenchOptions
+from pytest_otmcp.trial.bench import Bench
 
 from .conftest import HERE, SUBJECTS, Judge, Results, failing, foreign_subject, passing, words
 

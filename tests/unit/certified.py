@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from pytest_otmcp import __version__
-from pytest_otmcp.certifiable import needed, why_not_claimed
-from pytest_otmcp.record import digest
-from pytest_otmcp.shipped import kit_digest, suite_digest, tasks_by_id
-from pytest_otmcp.task import SUITES, repetitions
+from pytest_otmcp.certificate.eligibility import needed, why_not_claimed
+from pytest_otmcp.core.matrix import SUITES, repetitions
+from pytest_otmcp.record.run_file import digest
+from pytest_otmcp.suite.catalogue import kit_digest, suite_digest, tasks_by_id
 
 from .samples import item, run
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from pytest_otmcp.record import count_calls, digest
-from pytest_otmcp.verdict import Status, Verdict, decide
+from pytest_otmcp.core.verdict import Status, Verdict, decide
+from pytest_otmcp.record.run_file import count_calls, digest
 
 PHASES = {
     "warm_call": 1.0,

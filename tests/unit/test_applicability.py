@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from pytest_otmcp.applicability import applicability
-from pytest_otmcp.shipped import tasks_by_id
+from pytest_otmcp.core.verdict import Status
 from pytest_otmcp.subject import load_subject
-from pytest_otmcp.verdict import Status
+from pytest_otmcp.suite.catalogue import tasks_by_id
+from pytest_otmcp.trial.applicability import applicability
 
 HEAD = """
 [subject]

@@ -14,13 +14,13 @@ from xml.etree import ElementTree
 import pytest
 
 from pytest_otmcp import __version__
-from pytest_otmcp.badge import badge, badge_svg
-from pytest_otmcp.certifiable import objections
-from pytest_otmcp.certificate import certificate, differences
+from pytest_otmcp.certificate.badge import badge, badge_svg
+from pytest_otmcp.certificate.eligibility import objections
+from pytest_otmcp.certificate.statement import certificate, differences
 from pytest_otmcp.cli import Refusal
 from pytest_otmcp.cli.verify import verify
 from pytest_otmcp.errors import UsageError
-from pytest_otmcp.shipped import tasks_by_id
+from pytest_otmcp.suite.catalogue import tasks_by_id
 
 from .certified import NO_PING, adapter, conformant_run, resealed
 
@@ -286,7 +286,7 @@ def test_the_picture_is_valid_and_says_in_words_what_it_shows(statement: dict[st
 @pytest.fixture
 def files(record: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Path]:
     """A certificate and its record, which has no history that could be judged again."""
-    monkeypatch.setattr("pytest_otmcp.replay.rejudge", lambda run: [])
+    monkeypatch.setattr("pytest_otmcp.replay.rejudge.rejudge", lambda run: [])
     cert, run = tmp_path / "certificate.json", tmp_path / "run.json"
     issue(cert, run, record)
     return cert, run
@@ -413,14 +413,14 @@ def test_a_history_that_deserves_another_judgement_is_refused(
     files: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = ["M1: the record says PASS, the history FAIL", "M2: so too", "M3: so too", "M4: so too"]
-    monkeypatch.setattr("pytest_otmcp.replay.rejudge", lambda run: found)
+    monkeypatch.setattr("pytest_otmcp.replay.rejudge.rejudge", lambda run: found)
     assert refusal(*files).endswith("M1: the record says PASS, the history FAIL; M2: so too; M3: so too (and 1 more)")
 
 
 def test_a_history_that_cannot_be_judged_at_all_is_refused(
     files: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pytest_otmcp.replay.rejudge", lambda run: run["items"][1]["samples"][0]["nothing"])
+    monkeypatch.setattr("pytest_otmcp.replay.rejudge.rejudge", lambda run: run["items"][1]["samples"][0]["nothing"])
     assert "holds what no run of this kit has written (KeyError('nothing'))" in refusal(*files)
 
 

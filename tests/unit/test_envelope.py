@@ -12,7 +12,8 @@ from typing import Any
 
 import pytest
 
-from pytest_otmcp.envelope import check_result, parse_strict, same_json
+from pytest_otmcp.core.envelope import check_result
+from pytest_otmcp.core.strict_json import parse_strict, same_json
 
 Envelope = dict[str, Any]
 

@@ -12,7 +12,7 @@ from contextlib import asynccontextmanager
 import pytest
 
 from pytest_otmcp.errors import SubjectError
-from pytest_otmcp.mcp_session import McpSession, SessionOptions
+from pytest_otmcp.session.session import McpSession, SessionOptions
 
 ADAPTER = [sys.executable, "-m", "pytest_otmcp.reference_adapters", "modbus"]
 

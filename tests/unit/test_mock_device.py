@@ -12,7 +12,7 @@ from contextlib import asynccontextmanager
 import pytest
 
 from pytest_otmcp.errors import KitError
-from pytest_otmcp.mock_device import MockDevice
+from pytest_otmcp.plant.mock_device import MockDevice
 
 pytestmark = pytest.mark.asyncio
 

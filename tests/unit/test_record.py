@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from pytest_otmcp.record import RecordError, RunWriter, count_calls, digest, load
+from pytest_otmcp.record.run_file import RecordError, RunWriter, count_calls, digest, load
 
 from .samples import call, item, run
 

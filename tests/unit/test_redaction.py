@@ -10,7 +10,7 @@ from urllib.parse import quote
 import pytest
 
 from pytest_otmcp.errors import UsageError
-from pytest_otmcp.redaction import REDACTED, Redactor
+from pytest_otmcp.record.redaction import REDACTED, Redactor
 from pytest_otmcp.subject import load_subject
 
 SECRET = 'pa"ss/w\\ord ü'  # noqa: S105

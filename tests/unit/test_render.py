@@ -8,13 +8,13 @@ from typing import Any
 
 import pytest
 
-from pytest_otmcp.record import RunWriter, load
+from pytest_otmcp.core.matrix import repetitions
+from pytest_otmcp.record.run_file import RunWriter, load
 from pytest_otmcp.report import command
 from pytest_otmcp.report.capabilities import Earned, Grade, earned
 from pytest_otmcp.report.html import page
 from pytest_otmcp.report.markdown import summary
 from pytest_otmcp.report.render import NAMES, write_all
-from pytest_otmcp.task import repetitions
 
 from .samples import item, run, written_twice
 from .test_latex import ALL
@@ -139,7 +139,7 @@ def test_the_failure_of_an_item_that_no_capability_knows_is_not_overlooked() -> 
 
 
 def test_every_task_of_the_benchmark_stands_behind_some_capability() -> None:
-    from pytest_otmcp.shipped import tasks_by_id
+    from pytest_otmcp.suite.catalogue import tasks_by_id
 
     tasks = [task for task in tasks_by_id().values() if task.suite in ("normal", "fault", "stress", "recovery")]
     items = [item(task.id, task.suite, task.family, task.title, [1.0]) for task in tasks]

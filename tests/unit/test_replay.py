@@ -10,13 +10,13 @@ from typing import Any
 
 import pytest
 
-from pytest_otmcp.at_station import Place
-from pytest_otmcp.history import Images, restored_images
-from pytest_otmcp.mock_device import MockDevice
-from pytest_otmcp.replay import rejudge
-from pytest_otmcp.shipped import suite_digest, tasks_by_id
-from pytest_otmcp.station import BenchOptions, Station
+from pytest_otmcp.plant.mock_device import MockDevice
+from pytest_otmcp.record.images import Images, restored_images
+from pytest_otmcp.replay.rejudge import rejudge
 from pytest_otmcp.subject import reference_subject
+from pytest_otmcp.suite.catalogue import suite_digest, tasks_by_id
+from pytest_otmcp.trial.adapter_under_test import AdapterUnderTest, BenchOptions
+from pytest_otmcp.trial.live_rig import LiveItemState
 
 Item = dict[str, Any]
 
@@ -78,7 +78,7 @@ def entry(seq: int, kind: str, function: int, **fields: Any) -> dict[str, Any]:
 def station() -> dict[str, Any]:
     """What an item keeps of the reference adapter's station: nothing is started for it."""
     adapter = reference_subject().adapters["modbus"]
-    place = Place(Station(adapter, "rw", MockDevice("modbus"), BenchOptions()))
+    place = LiveItemState(AdapterUnderTest(adapter, "rw", MockDevice("modbus"), BenchOptions()))
     place.begin = 1
     place.used = {"write_holding": None, "read_holding": None}
     return place.as_record()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pytest_otmcp.statistics import (
+from pytest_otmcp.core.statistics import (
     lower_bound,
     mean,
     mean_interval,

@@ -13,8 +13,8 @@ import jsonschema
 import pytest
 
 from pytest_otmcp.errors import UsageError
+from pytest_otmcp.protocols.operations import OPERATIONS, PROTOCOLS, facets
 from pytest_otmcp.subject import Binding, Function, Subject, load_subject, reference_subject
-from pytest_otmcp.subject.operations import OPERATIONS, PROTOCOLS, facets
 
 MINIMAL = """
 [subject]

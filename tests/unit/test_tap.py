@@ -11,8 +11,8 @@ from typing import TypeVar
 
 import pytest
 
-from pytest_otmcp.tap import Tap
-from pytest_otmcp.tap_faults import Action, FaultRule
+from pytest_otmcp.plant.tap.faults import Action, FaultRule
+from pytest_otmcp.plant.tap.proxy import Tap
 
 pytestmark = pytest.mark.asyncio
 

@@ -9,10 +9,10 @@ from collections.abc import Iterator
 
 import pytest
 
-from pytest_otmcp.garbage import settled, uncollected
-from pytest_otmcp.observation import Reply, Wire, observe
-from pytest_otmcp.repetition import Repetition
 from pytest_otmcp.subject.model import Answering
+from pytest_otmcp.trial.gc_pause import settled, uncollected
+from pytest_otmcp.trial.repetition import Repetition
+from pytest_otmcp.trial.reply import Reply, Wire, observe
 
 
 def reply(asked: int, sent: int, received: int | None, returned: int, *, role: str = "task") -> Reply:
@@ -48,8 +48,8 @@ def repetition() -> Repetition:
 
 
 def test_a_call_is_the_wires_and_the_clients_time(repetition: Repetition) -> None:
-    repetition.add(reply(0, 10, 30, 35), {})
-    repetition.add(reply(100, 101, 103, 107, role="warmup"), {})
+    repetition.ledger.add(reply(0, 10, 30, 35), {})
+    repetition.ledger.add(reply(100, 101, 103, 107, role="warmup"), {})
     assert repetition.calls_s() == (pytest.approx(0.022), pytest.approx(0.020))
     assert repetition.duration_ms == pytest.approx(20)
 
@@ -58,7 +58,7 @@ def test_concurrent_calls_count_once(repetition: Repetition) -> None:
     calls = [reply(0, 10, 30, 45), reply(1, 5, 40, 42), reply(2, 12, 35, 50)]
 
     async def call(one: Reply) -> Reply:
-        repetition.add(one, {})
+        repetition.ledger.add(one, {})
         return one
 
     asyncio.run(repetition.together(*map(call, calls)))
@@ -67,7 +67,7 @@ def test_concurrent_calls_count_once(repetition: Repetition) -> None:
 
 
 def test_an_unanswered_call_is_waited_for_on_the_wire(repetition: Repetition) -> None:
-    repetition.add(reply(0, 1, None, 1000), {})
+    repetition.ledger.add(reply(0, 1, None, 1000), {})
     assert repetition.calls_s() == (pytest.approx(1.0), 0.0)
     assert repetition.duration_ms == 0
 

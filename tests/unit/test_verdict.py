@@ -9,8 +9,8 @@ from itertools import chain, combinations, permutations, product
 
 import pytest
 
+from pytest_otmcp.core.verdict import ExitCode, Status, Verdict, decide, exit_code, judge_deviations
 from pytest_otmcp.errors import UsageError
-from pytest_otmcp.verdict import ExitCode, Status, Verdict, decide, exit_code, judge_deviations
 
 TODAY = date(2027, 3, 31)
 YESTERDAY = TODAY - timedelta(days=1)

@@ -7,15 +7,15 @@ import json
 from collections.abc import Iterator
 from typing import Any
 
-from pytest_otmcp.at_device import AtDevice
-from pytest_otmcp.observation import Reply, Wire, observe
-from pytest_otmcp.repetition import Repetition
 from pytest_otmcp.subject.model import Answering
+from pytest_otmcp.trial.repetition import Repetition
+from pytest_otmcp.trial.reply import Reply, Wire, observe
+from pytest_otmcp.trial.rig import Rig
 
 S = 1_000_000_000
 
 
-class Scripted(AtDevice):
+class Scripted(Rig):
     """Gives answers that are written down: success, and when the call was sent and answered, in seconds."""
 
     accepting_ns = 0

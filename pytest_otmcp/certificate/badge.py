@@ -1,0 +1,58 @@
+"""The badge of a certificate: the JSON that shields.io draws from, and a small picture that needs nobody. Pure.
+
+Schema of the JSON: https://shields.io/badges/endpoint-badge.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+from xml.sax.saxutils import escape, quoteattr
+
+from ..protocols.operations import PROTOCOLS
+
+__all__ = ["badge", "badge_svg"]
+
+_LABEL = "OT-MCP benchmark"
+_COLOUR = "#1a7f37"
+_LETTER = 6.6
+"""Pixels of an average letter of an 11 pixel sans serif; ``textLength`` makes any font fit."""
+_PADDING = 7
+
+
+def badge(certificate: Mapping[str, Any]) -> dict[str, Any]:
+    """What ``badge.json`` holds: the protocols, and how much of the suite that is when it is not all."""
+    predicate = certificate["predicate"]
+    message = "conformant: " + ", ".join(PROTOCOLS[protocol] for protocol in predicate["otmcp"]["adapters"])
+    passed, left_out = len(predicate["passedTests"]), len(predicate["otmcp"]["not_applicable"])
+    if left_out:
+        message += f" ({passed} of {passed + left_out} items)"
+    return {"schemaVersion": 1, "label": _LABEL, "message": message, "color": _COLOUR.removeprefix("#")}
+
+
+def badge_svg(certificate: Mapping[str, Any]) -> str:
+    """The badge as a picture, with a title that a screen reader reads."""
+    shown = badge(certificate)
+    title = f"{shown['label']}: {shown['message']} ({certificate['subject'][0]['name']})"
+    title = "".join(letter if letter.isprintable() else " " for letter in title)
+    left, right = (_width(shown[side]) for side in ("label", "message"))
+    width = left + right
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="20" viewBox="0 0 {width} 20" '
+        f'role="img" aria-label={quoteattr(title)}>\n'
+        f"<title>{escape(title)}</title>\n"
+        f'<clipPath id="r"><rect width="{width}" height="20" rx="3"/></clipPath>\n'
+        f'<g clip-path="url(#r)"><rect width="{left}" height="20" fill="#444"/>'
+        f'<rect x="{left}" width="{right}" height="20" fill="{_COLOUR}"/></g>\n'
+        '<g fill="#fff" font-family="Verdana,DejaVu Sans,Geneva,sans-serif" font-size="11">\n'
+        f"{_text(shown['label'], 0, left)}{_text(shown['message'], left, right)}</g>\n"
+        "</svg>\n"
+    )
+
+
+def _width(text: str) -> int:
+    return round(len(text) * _LETTER) + 2 * _PADDING
+
+
+def _text(text: str, x: int, width: int) -> str:
+    return f'<text x="{x + _PADDING}" y="14" textLength="{width - 2 * _PADDING}">{escape(text)}</text>\n'

@@ -1,0 +1,197 @@
+"""The certificate of a run: an in-toto statement that says what was earned, and nothing that the run does not. Pure.
+
+A certificate is a function of the run record and of nothing else, so whoever has the record can make it again and compare:
+:func:`certificate` twice over the same record gives the same document. It is not signed here. Sources:
+
+- Statement: in-toto Attestation Framework, Statement v1, https://in-toto.io/Statement/v1;
+- predicate: Test Result v0.1, https://in-toto.io/attestation/test-result/v0.1; what it has no field for is below
+  ``otmcp``, an extension field as the framework's parsing rules allow it;
+- bounds: Clopper and Pearson, see :mod:`pytest_otmcp.core.statistics`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from ..core.matrix import SUITES
+from ..core.statistics import lower_bound, proportion_interval
+from ..core.verdict import Status
+from ..protocols.operations import facets
+from ..trial.task import Task
+from .eligibility import exercised, needed, why_not_claimed
+
+__all__ = ["PREDICATE_TYPE", "STATEMENT_TYPE", "certificate", "differences"]
+
+STATEMENT_TYPE = "https://in-toto.io/Statement/v1"
+PREDICATE_TYPE = "https://in-toto.io/attestation/test-result/v0.1"
+SCHEMA = "otmcp-certificate/1"
+
+_CONFIDENCE = 0.95
+_FIRST_STATELESS = "2026-07-28"
+"""The first revision of MCP without ``initialize``: revisions are dates, and compare as text."""
+
+_LEVEL = {
+    "awarded": None,
+    "why": "benchmark suite only; no level is awarded: the requirement catalogue, over which levels are defined, is not "
+    "part of this suite",
+}
+_LIMITS = [
+    "Self-certification: the kit was run by whoever shows this certificate. It is not signed here; sign it to say who that was.",
+    "Tamper-evident, not tamper-proof: otmcp verify makes this document again from run.json and judges the stored history again.",
+    "It is about the subject with this digest, started as its subject file says, at simulated devices, in the environment "
+    "below; another version of the adapter needs another run.",
+    "Bounds take repetitions as independent; they share a session.",
+]
+
+Run = Mapping[str, Any]
+Tasks = Mapping[str, Task]
+
+
+def certificate(run: Run, run_sha256: str, tasks: Tasks) -> dict[str, Any]:
+    """The certificate of a run without :func:`~pytest_otmcp.certificate.eligibility.objections`.
+
+    Args:
+        run: the run record.
+        run_sha256: hexadecimal digest of the file that holds it.
+        tasks: the whole suite.
+    """
+    subject, kit, footer = run["subject"], run["kit"], run["footer"]
+    passed = [item["id"] for item in run["items"] if item["status"] == Status.PASS]
+    return {
+        "_type": STATEMENT_TYPE,
+        "subject": [{"name": f"{subject['name']} {subject['version']}", "digest": _digest_set(subject["digest"])}],
+        "predicateType": PREDICATE_TYPE,
+        "predicate": {
+            "result": "PASSED",
+            "configuration": [
+                {"name": f"{kit['name']} {kit['version']}", "digest": _digest_set(kit["digest"])},
+                {"name": "conformance suite", "digest": _digest_set(kit["suite_digest"])},
+                {"name": "run.json", "digest": {"sha256": run_sha256}, "mediaType": "application/json"},
+            ],
+            "passedTests": passed,
+            "warnedTests": [],
+            "failedTests": [],
+            "otmcp": {
+                "schema": SCHEMA,
+                "verdict": footer["verdict"],
+                "level": dict(_LEVEL),
+                "measured_at": run["environment"]["started_at"],
+                "adapters": {
+                    protocol: _adapter(protocol, facts, run, tasks)
+                    for protocol, facts in sorted(subject["adapters"].items())
+                },
+                "counts": _counts(run),
+                "not_applicable": _not_applicable(run, tasks),
+                "deviations": [],
+                "settings": run["settings"],
+                "environment": run["environment"],
+                "limits": list(_LIMITS),
+            },
+        },
+    }
+
+
+def _digest_set(digest: str) -> dict[str, str]:
+    algorithm, _, value = digest.partition(":")
+    return {algorithm: value}
+
+
+def _adapter(protocol: str, facts: Mapping[str, Any], run: Run, tasks: Tasks) -> dict[str, Any]:
+    adapters = run["subject"]["adapters"]
+    earned, not_exercised, not_claimed = {}, [], {}
+    for name in facets(protocol):
+        facet = f"{protocol}.{name}"
+        behind = [item for item in run["items"] if facet in exercised(tasks[item["id"]], adapters)]
+        applying = [item for item in behind if item["status"] != Status.NOT_APPLICABLE]
+        if (reason := why_not_claimed(facet, adapters)) is not None:
+            not_claimed[name] = reason
+        elif applying:
+            # They have all passed, or there would be no certificate.
+            earned[name] = [item["id"] for item in applying]
+        else:
+            not_exercised.append(name)
+    revision = str(facts.get("protocol_version"))
+    return {
+        "server": {"name": facts.get("server_name"), "version": facts.get("server_version")},
+        "mcp": {"revision": revision, "era": "stateless" if revision >= _FIRST_STATELESS else "initialize"},
+        "envelope": facts.get("envelope", "native"),
+        "envelope_requirements_unmet": facts.get("unmet", []),
+        "outputs_not_judged": facts.get("unjudged", []),
+        "recovery": facts.get("recovery"),
+        "facets": {"earned": earned, "claimed_not_exercised": not_exercised, "not_claimed": not_claimed},
+    }
+
+
+def _counts(run: Run) -> dict[str, Any]:
+    items = run["items"]
+    return {
+        "confidence": _CONFIDENCE,
+        "bounds": "Clopper-Pearson: at_least is one-sided, interval two-sided",
+        "items": {item["id"]: _item_counts(item) for item in items if item["status"] != Status.NOT_APPLICABLE},
+        "suites": {suite: _tally(item for item in items if item["suite"] == suite) for suite in SUITES},
+        "total": _tally(items),
+        "tool_calls": run["footer"]["tool_calls"],
+    }
+
+
+def _item_counts(item: Mapping[str, Any]) -> dict[str, Any]:
+    good, planned = sum(sample["ok"] for sample in item["samples"]), item["planned"]
+    least, interval = lower_bound(good, planned, _CONFIDENCE), proportion_interval(good, planned, _CONFIDENCE)
+    assert least is not None
+    assert interval is not None
+    # Rounded outwards: what is printed is never more than what was shown.
+    return {
+        "passed": good,
+        "planned": planned,
+        "at_least": math.floor(least * 1e4) / 1e4,
+        "interval": [math.floor(interval[0] * 1e4) / 1e4, math.ceil(interval[1] * 1e4) / 1e4],
+    }
+
+
+def _tally(items: Any) -> dict[str, int]:
+    counted = [item for item in items if item["status"] != Status.NOT_APPLICABLE]
+    return {
+        "items": len(counted),
+        "passed": sum(sample["ok"] for item in counted for sample in item["samples"]),
+        "planned": sum(item["planned"] for item in counted),
+    }
+
+
+def _not_applicable(run: Run, tasks: Tasks) -> dict[str, str]:
+    """Item to the first thing that it needs and the subject does not claim."""
+    adapters = run["subject"]["adapters"]
+    return {
+        item["id"]: next(
+            f"{facet}: {reason}"
+            for facet in needed(tasks[item["id"]], adapters)
+            if (reason := why_not_claimed(facet, adapters)) is not None
+        )
+        for item in run["items"]
+        if item["status"] == Status.NOT_APPLICABLE
+    }
+
+
+def differences(found: Any, expected: Any, where: str = "") -> Iterator[str]:
+    """Where two JSON documents differ, one sentence for each place: what the first says, and what it should say."""
+    if isinstance(found, dict) and isinstance(expected, dict):
+        for name in {**expected, **found}:
+            place = f"{where}.{name}" if where else name
+            if name not in found:
+                yield f"{place} is missing"
+            elif name not in expected:
+                yield f"{place} does not follow from the run"
+            else:
+                yield from differences(found[name], expected[name], place)
+    elif isinstance(found, list) and isinstance(expected, list) and len(found) == len(expected):
+        for index, (left, right) in enumerate(zip(found, expected, strict=True)):
+            yield from differences(left, right, f"{where}[{index}]")
+    # JSON's true is not 1, though Python's is.
+    elif type(found) is not type(expected) or found != expected:
+        yield f"{where} is {_short(found)}, from the run follows {_short(expected)}"
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."

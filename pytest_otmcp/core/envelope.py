@@ -1,0 +1,249 @@
+"""The response envelope ``{success, data, error, meta}``: the rules that every result must keep. Pure.
+
+The schema is data (``envelope.schema.json``); the rules that a schema cannot say are below, each a finding with the id
+of its requirement.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from datetime import datetime
+from functools import cache
+from importlib import resources
+from typing import Any
+
+from .error_registry import registry
+from .finding import Finding
+from .strict_json import parse_strict, same_json
+
+__all__ = ["check_result"]
+
+# What must never reach an assistant in a message: tracebacks, source paths, representations of objects and exceptions,
+# and the endpoint of a client that was never configured ("on None:None").
+_LEAKS = re.compile(
+    r"""Traceback\ \(most\ recent | File\ "[^"]+",\ line | <[\w.]+\ object\ at\ 0x | <(?:class|function|module)\ '?
+    | (?:/[\w.-]+){2,}\.(?:py|js|ts|go|rs|java)\b | [A-Za-z]:\\[\w.-]+\\ | \b\w+(?:Error|Exception)\( | \bNone:None\b""",
+    re.VERBOSE,
+)
+_ENDPOINT = re.compile(r"[a-z][a-z0-9+.-]*://(?:\[[0-9a-fA-F:.]+\]|[^/@\s:]+):\d{1,5}(?:/\S*)?")
+_ROUNDING_MS = 0.1
+"""Envelopes round their latency; no judgement depends on less than this."""
+
+
+@cache
+def _validator() -> Any:
+    from jsonschema import Draft202012Validator
+
+    schema = json.loads((resources.files(__package__) / "envelope.schema.json").read_text(encoding="utf-8"))
+    return Draft202012Validator(schema)
+
+
+def check_result(
+    result: Mapping[str, Any],
+    *,
+    measured_latency_ms: float | None = None,
+    injected_delay_ms: float = 0.0,
+) -> list[Finding]:
+    """Judge the ``result`` of a ``tools/call`` response, whatever its task expected.
+
+    Args:
+        result: as parsed from the wire.
+        measured_latency_ms: from request written to response read, as the kit measured it.
+        injected_delay_ms: how long the kit made the device wait during the call; the adapter cannot have been faster.
+    """
+    return list(_faults(result, measured_latency_ms, injected_delay_ms))
+
+
+def _faults(result: Mapping[str, Any], measured_ms: float | None, delay_ms: float) -> Iterator[Finding]:
+    envelope = result.get("structuredContent")
+    if not isinstance(envelope, dict):
+        yield Finding(
+            code="no_envelope",
+            message="the result has no structuredContent object {success, data, error, meta}",
+            requirement="ENV-001",
+            evidence=json.dumps(result, ensure_ascii=False)[:400],
+        )
+        return
+    yield from _renderings(result, envelope)
+    schema_faults = sorted(_validator().iter_errors(envelope), key=lambda error: list(map(str, error.absolute_path)))
+    for fault in schema_faults[:3]:
+        where = "/".join(map(str, fault.absolute_path)) or "the envelope"
+        yield Finding(code="envelope_schema", message=f"{where}: {_reason(fault)[:300]}", requirement="ENV-001")
+    success, error = envelope.get("success"), envelope.get("error")
+    # The protocol's default for an absent isError is false (MCP 2025-11-25, CallToolResult).
+    is_error = result.get("isError", False)
+    if not isinstance(is_error, bool) or is_error == bool(success):
+        yield Finding(
+            code="is_error",
+            message=f"isError is {is_error} although success is {success}",
+            requirement="MCP-006",
+        )
+    if (success is True) != (error is None):
+        yield Finding(
+            code="success_and_error",
+            message=f"success is {success} while error is {'null' if error is None else 'given'}",
+            requirement="ENV-002",
+        )
+    if success is False and isinstance(data := envelope.get("data"), dict) and set(data) != {"partial"}:
+        yield Finding(code="data_on_failure", message="a failure carries data", requirement="ENV-002")
+    if path := _not_finite(envelope):
+        yield Finding(code="not_finite", message=f"{path} is no finite number", requirement="ENV-003")
+    if isinstance(error, dict):
+        yield from _error_faults(error)
+    meta = envelope.get("meta")
+    if isinstance(meta, dict):
+        yield from _meta_faults(meta, measured_ms, delay_ms)
+        yield from _contradictions(meta, error if isinstance(error, dict) else {})
+
+
+def _reason(fault: Any) -> str:
+    # "is not valid under any of the given schemas" helps nobody: say what keeps the error object from being one.
+    if fault.validator == "oneOf" and isinstance(fault.instance, dict):
+        for inner in fault.context:
+            if inner.absolute_schema_path[-1] != "type" or inner.absolute_path != fault.absolute_path:
+                member = "/".join(map(str, inner.relative_path))
+                return f"{member}: {inner.message}" if member else str(inner.message)
+    return str(fault.message)
+
+
+def _not_finite(value: Any, path: str = "") -> str | None:
+    if isinstance(value, float):
+        return None if math.isfinite(value) else path
+    if isinstance(value, dict):
+        members: Iterable[tuple[Any, Any]] = value.items()
+    elif isinstance(value, list):
+        members = enumerate(value)
+    else:
+        return None
+    for name, member in members:
+        if isinstance(member, dict | list | float) and (found := _not_finite(member, f"{path}/{name}")):
+            return found
+    return None
+
+
+def _renderings(result: Mapping[str, Any], envelope: Mapping[str, Any]) -> Iterator[Finding]:
+    texts = [block.get("text") for block in result.get("content") or [] if isinstance(block, dict) and "text" in block]
+    if not texts:
+        yield Finding(code="no_text", message="the result has no text block", requirement="MCP-006")
+        return
+    try:
+        text = parse_strict(str(texts[0]))
+    except ValueError as reason:
+        yield Finding(
+            code="text_not_json",
+            message=f"the text block is not strict JSON: {reason}",
+            requirement="ENV-003",
+        )
+        return
+    if not same_json(text, envelope):
+        yield Finding(
+            code="renderings_differ",
+            message="the text block and structuredContent are different",
+            requirement="MCP-006",
+            evidence=str(texts[0])[:400],
+        )
+
+
+def _error_faults(error: Mapping[str, Any]) -> Iterator[Finding]:
+    code = error.get("code")
+    entry = registry().get(code) if isinstance(code, str) else None
+    if entry is None and not str(code).startswith("x_"):
+        yield Finding(code="unknown_code", message=f"error code {code!r} is not in the registry", requirement="ERR-001")
+    if code == "internal_error":
+        yield Finding(
+            code="internal_error",
+            message=f"the adapter reports a bug of its own: {error.get('message')}",
+            requirement="ERR-001",
+        )
+    if leak := _LEAKS.search(str(error.get("message"))):
+        yield Finding(
+            code="leaky_message",
+            message=f"the error message leaks internals: {leak.group()!r}",
+            requirement="ENV-006",
+        )
+    if entry is None:
+        return
+    if error.get("class") not in entry.classes:
+        yield Finding(
+            code="wrong_class",
+            message=f"error class of {code} should be {' or '.join(entry.classes)}, it is {error.get('class')!r}",
+            requirement="ERR-001",
+        )
+    retryable = error.get("retryable")
+    if isinstance(retryable, bool) and not entry.allows_retryable(retryable):
+        yield Finding(code="wrong_retryable", message=f"retryable is {retryable} for {code}", requirement="ERR-001")
+    outcome = error.get("outcome")
+    if isinstance(outcome, str) and not entry.allows_outcome(outcome):
+        yield Finding(
+            code="impossible_outcome",
+            message=f"error outcome of {code} should be {' or '.join(entry.outcomes)}, it is {outcome!r}",
+            requirement="ERR-006",
+        )
+
+
+def _meta_faults(meta: Mapping[str, Any], measured_ms: float | None, delay_ms: float) -> Iterator[Finding]:
+    claimed = meta.get("latency_ms")
+    if isinstance(claimed, int | float) and not isinstance(claimed, bool):
+        # The adapter's clock runs inside the kit's span.
+        if measured_ms is not None and claimed > measured_ms + _ROUNDING_MS:
+            yield Finding(
+                code="latency_too_long",
+                message=f"meta.latency_ms says {claimed} ms, the whole call took {measured_ms:.3f} ms",
+                requirement="ENV-004",
+            )
+        if delay_ms and claimed < delay_ms - _ROUNDING_MS:
+            yield Finding(
+                code="latency_too_short",
+                message=f"meta.latency_ms says {claimed} ms, the device alone took {delay_ms:.3f} ms",
+                requirement="ENV-004",
+            )
+    endpoint = meta.get("endpoint")
+    if isinstance(endpoint, str):
+        if "@" in endpoint.partition("://")[2].partition("/")[0]:
+            yield Finding(code="credentials", message="meta.endpoint carries user information", requirement="ENV-006")
+        elif not _ENDPOINT.fullmatch(endpoint):
+            yield Finding(
+                code="endpoint",
+                message=f"meta.endpoint should be scheme://host:port, it is {endpoint!r}",
+                requirement="ENV-006",
+            )
+    started = meta.get("started_at")
+    if isinstance(started, str) and not _is_utc(started):
+        yield Finding(
+            code="started_at",
+            message=f"meta.started_at should be an RFC 3339 time in UTC, it is {started!r}",
+            requirement="ENC-007",
+        )
+
+
+def _is_utc(text: str) -> bool:
+    if "T" not in text or not text.endswith("Z"):
+        return False
+    try:
+        datetime.fromisoformat(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _contradictions(meta: Mapping[str, Any], error: Mapping[str, Any]) -> Iterator[Finding]:
+    """What ``attempts: 0`` rules out: nothing left the process, so nothing came back and nothing can have happened."""
+    if meta.get("attempts") != 0:
+        return
+    if meta.get("source") == "device":
+        yield Finding(
+            code="source_without_exchange",
+            message="meta.source is 'device' although meta.attempts is 0",
+            requirement="ENV-008",
+        )
+    if error.get("outcome") in ("partial", "applied") or (
+        error.get("outcome") == "unknown" and error.get("code") != "internal_error"
+    ):
+        yield Finding(
+            code="outcome_without_attempt",
+            message=f"error outcome is {error['outcome']!r} although meta.attempts is 0",
+            requirement="ERR-006",
+        )

@@ -1,0 +1,35 @@
+"""The kit's own exceptions: whose fault something is decides which type it is.
+
+::
+
+    Exception
+    ├── UsageError      the user's: a bad option or file; one sentence, exit code 2
+    ├── KitError        ours: a mock died, the plant could not start; the verdict becomes INDETERMINATE
+    └── SubjectError    the adapter's: it could not start or serve; becomes a Finding, never a traceback
+
+A fault of the adapter found by an oracle is no exception at all but a :class:`~pytest_otmcp.core.finding.Finding`.
+"""
+
+from __future__ import annotations
+
+__all__ = ["KitError", "SubjectError", "UsageError"]
+
+
+class UsageError(Exception):
+    """What the user asked for cannot be done; the message says what, where and what to do."""
+
+
+class KitError(Exception):
+    """The kit or its plant failed. Never the adapter's fault; please file a bug."""
+
+
+class SubjectError(Exception):
+    """The adapter under test could not be started or served.
+
+    Attributes:
+        code: the finding's code, such as ``cannot_start`` or ``start_timeout``.
+    """
+
+    def __init__(self, code: str, message: str) -> None:
+        super().__init__(message)
+        self.code = code

@@ -1,0 +1,74 @@
+"""JSON read strictly (RFC 8259, RFC 7493) and compared as JSON: nothing that two readers could read differently. Pure."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from typing import Any
+
+__all__ = ["parse_strict", "same_json"]
+
+
+def parse_strict(text: bytes | str) -> Any:
+    """Read one JSON text as RFC 8259 and RFC 7493 have it.
+
+    Raises:
+        ValueError: with one reason: not UTF-8, not JSON, NaN or Infinity, a number beyond doubles, a duplicate
+            member name, a lone surrogate.
+    """
+
+    def refuse_constant(name: str) -> Any:
+        raise ValueError(f"{name} is no JSON number")
+
+    def finite(digits: str) -> float:
+        number = float(digits)
+        if math.isinf(number):
+            raise ValueError(f"{digits} is beyond the range of a double")
+        return number
+
+    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        members = dict(pairs)
+        if len(members) != len(pairs):
+            names = [name for name, _ in pairs]
+            twice = next(name for name in names if names.count(name) > 1)
+            raise ValueError(f"the member {twice!r} occurs twice")
+        return members
+
+    if isinstance(text, bytes):
+        try:
+            text = text.decode("utf-8")
+        except UnicodeDecodeError as error:
+            raise ValueError(f"not UTF-8 at byte {error.start}") from None
+    try:
+        value = json.loads(text, parse_constant=refuse_constant, parse_float=finite, object_pairs_hook=unique)
+    except json.JSONDecodeError as error:
+        raise ValueError(f"{error.msg} at character {error.pos}") from None
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
+    if "\\ud" in text.lower():
+        _refuse_surrogates(value)
+    return value
+
+
+def _refuse_surrogates(value: Any) -> None:
+    if isinstance(value, str) and any("\ud800" <= character <= "\udfff" for character in value):
+        raise ValueError("a string holds a lone surrogate")
+    if isinstance(value, Mapping):
+        for name, member in value.items():
+            _refuse_surrogates(name)
+            _refuse_surrogates(member)
+    elif isinstance(value, list):
+        for member in value:
+            _refuse_surrogates(member)
+
+
+def same_json(one: Any, other: Any) -> bool:
+    """Equality as JSON has it: ``1`` equals ``1.0``, but ``true`` is not ``1``."""
+    if isinstance(one, bool) or isinstance(other, bool):
+        return one is other
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        return one.keys() == other.keys() and all(same_json(one[name], other[name]) for name in one)
+    if isinstance(one, list | tuple) and isinstance(other, list | tuple):
+        return len(one) == len(other) and all(map(same_json, one, other))
+    return bool(one == other)

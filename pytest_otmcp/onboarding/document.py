@@ -1,0 +1,204 @@
+"""Writes a subject file with the evidence for everything it says as comments. Pure."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from ..protocols.operations import OPERATIONS
+from ..subject.answers import read_answer
+from .evidence import failure_rules, known_errors
+from .experiments import Proposal
+
+__all__ = ["Draft", "write_document"]
+
+_BARE = re.compile(r"[A-Za-z0-9_-]+")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Draft:
+    """What is known of an adapter.
+
+    Attributes:
+        native: its answers are the kit's envelope.
+        proposals: operation to what is proposed for it; an operation that is missing found no tool.
+        connect: tool and arguments of a connect step.
+        tools: names of all its tools.
+    """
+
+    protocol: str
+    name: str
+    version: str
+    command: Sequence[str]
+    env: Mapping[str, str]
+    transport_url: str | None
+    native: bool
+    proposals: Mapping[str, Proposal]
+    connect: tuple[str, Mapping[str, Any]] | None
+    tools: Sequence[str]
+    left: list[str] = field(default_factory=list)
+
+
+def write_document(draft: Draft) -> str:
+    """The subject file; what is left to be filled in is added to ``draft.left``."""
+    form = _form(draft.proposals.values())
+    lines = [
+        "# Proposed by `otmcp init`: guessed from names, tried at a mock device. Read every line; docs/subject-file.md says",
+        "# what each key means.",
+        "",
+        "[subject]",
+        f"name = {_value(draft.name)}",
+        f"version = {_value(draft.version)}",
+        "",
+        f"[adapter.{draft.protocol}]",
+        f"command = {_value(list(draft.command))}",
+    ]
+    if draft.env:
+        lines.append(f"env = {_value(dict(draft.env))}")
+    if draft.transport_url is not None:
+        lines += ['transport = "http"', f"url = {_value(draft.transport_url)}"]
+    lines += [
+        "# How are writes disabled? The variant `ro` must refuse every write, `rw` must allow them, for instance:",
+        '# ro = { args = ["--read-only"] }',
+        '# rw = { env = { WRITES_ENABLED = "true" } }',
+        "# Without that there can be a conformant run, but no certificate:",
+        '# unclaimed = { guard = "has no read-only mode" }',
+    ]
+    draft.left.append("how writes are disabled: 'ro' and 'rw', or the facet 'guard' as unclaimed")
+    if draft.connect is not None:
+        tool, arguments = draft.connect
+        lines += [
+            "# By its name this tool has to be called before all others; 'connect_step' if after an outage as well.",
+            f"connect = {_value({'tool': tool, 'arguments': dict(arguments)})}",
+        ]
+    if not draft.native:
+        lines += _answer_rules(draft, form)
+    # There must be this table for the file to be understood, also before anything is in it.
+    lines += ["", f"[adapter.{draft.protocol}.bind]"]
+    for operation in OPERATIONS[draft.protocol]:
+        lines += ["", *_binding(draft, operation, form)]
+    return "\n".join(lines) + "\n"
+
+
+def _form(proposals: Iterable[Proposal]) -> str:
+    """The form that most answers have."""
+    found = list(proposals)
+    forms = Counter(proposal.form for proposal in found if proposal.form is not None)
+    if forms:
+        return forms.most_common(1)[0][0]
+    answers = [proposal.good for proposal in found if proposal.good is not None]
+    objects = [isinstance(read_answer(answer, "json")[0], dict) for answer in answers]
+    return "json" if any(objects) else "text"
+
+
+def _answer_rules(draft: Draft, form: str) -> list[str]:
+    lines = [f"answer = {_value(form)}"]
+    proven = [proposal for proposal in draft.proposals.values() if proposal.proven]
+    successes = [proposal.good for proposal in proven if proposal.good is not None]
+    outcome: list[dict[str, Any]] = []
+    errors: list[dict[str, str]] = []
+    for proposal in proven:
+        if proposal.bad is None:
+            continue
+        rules = failure_rules(proposal.bad, successes, form)
+        outcome += [rule for rule in rules if rule not in outcome]
+        if not rules and not _is_error(proposal.bad):
+            draft.left.append(
+                f"outcome: nothing tells a failure of {proposal.guess.tool!r} from a success; see its answer"
+            )
+        text = json.dumps(proposal.bad, ensure_ascii=False)
+        found = known_errors(draft.protocol, proposal.bad_code or "", text)
+        errors += [rule for rule in found if rule not in errors]
+        if not found:
+            lines.append(
+                f"# {proposal.guess.tool}: what had to fail as {proposal.bad_code} was answered with {_shortened(text)}"
+            )
+    if outcome:
+        lines += ["# Failures that isError does not tell, as tried:", *_rules("outcome", outcome)]
+    if errors:
+        lines += ["# Codes of failures, as tried; add those of your own:", *_rules("errors", errors)]
+    return lines
+
+
+def _is_error(message: Mapping[str, Any]) -> bool:
+    return "error" in message or (message.get("result") or {}).get("isError") is True
+
+
+def _rules(name: str, rules: Sequence[Mapping[str, Any]]) -> list[str]:
+    return [f"{name} = [", *(f"  {_value(dict(rule))}," for rule in rules), "]"]
+
+
+def _binding(draft: Draft, operation: str, form: str) -> list[str]:
+    asked = OPERATIONS[draft.protocol][operation]
+    head = f"[adapter.{draft.protocol}.bind.{operation}]"
+    proposal = draft.proposals.get(operation)
+    if proposal is None:
+        draft.left.append(f"{operation} ({asked.meaning}): no tool was found; bind one, or declare it as unclaimed")
+        return [
+            f"# {operation}: {asked.meaning}. No tool was found among {_shortened(', '.join(draft.tools), 300)}.",
+            f'# Bind one, or declare in [adapter.{draft.protocol}]: unclaimed = {{ {operation} = "why not" }}',
+            f"# {head}",
+        ]
+    guess = proposal.guess
+    body = [f"tool = {_value(guess.tool)}", f"arguments = {_value(dict(guess.arguments))}"]
+    if proposal.offset:
+        body.append(f"offset = {_value(dict(proposal.offset))}")
+    if guess.convert:
+        body.append(f"as = {_value(dict(guess.convert))}")
+    if not draft.native and proposal.form is not None and proposal.form != form:
+        body.append(f"answer = {_value(proposal.form)}")
+    if proposal.outputs:
+        body.append(f"result = {_value({name: _output(rule) for name, rule in proposal.outputs.items()})}")
+    lacking = [name for name in asked.needed if name not in proposal.outputs]
+    comments = [
+        f"# {asked.meaning}",
+        *(f"# {'proven' if proposal.proven else 'seen'}: {line}" for line in proposal.evidence),
+    ]
+    if proposal.proven and not lacking:
+        return [*comments, head, *body]
+    if proposal.proven:
+        draft.left.append(f"{operation}: where {' and '.join(lacking)} is in the answer of {guess.tool!r}")
+        body.append(f'# result = {{ {lacking[0]} = "JMESPath" }}')
+    else:
+        draft.left.append(
+            f"{operation} ({asked.meaning}): {guess.tool!r} was the likeliest tool, but the device saw no proof"
+        )
+        comments.append("# Only a guess; take the comment signs away when it is right.")
+    # A table that cannot be judged yet must not pretend to be one.
+    return [*comments, *(f"# {line}" for line in (head, *body))]
+
+
+def _output(rule: Mapping[str, Any]) -> Any:
+    return rule["path"] if set(rule) == {"path"} else dict(rule)
+
+
+def _shortened(text: str, width: int = 200) -> str:
+    text = " ".join(text.split())
+    return text if len(text) <= width else text[:width] + " ..."
+
+
+def _value(value: Any) -> str:
+    """A value as TOML writes it, tables inline."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        # Literal strings keep regular expressions readable; TOML's basic strings escape as JSON's do.
+        if "\\" in value and "'" not in value and value.isprintable():
+            return f"'{value}'"
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, Mapping):
+        if not value:
+            return "{}"
+        members = ", ".join(f"{_key(name)} = {_value(member)}" for name, member in value.items())
+        return f"{{ {members} }}"
+    if isinstance(value, list):
+        return f"[{', '.join(map(_value, value))}]"
+    return repr(value)
+
+
+def _key(name: str) -> str:
+    return name if _BARE.fullmatch(name) else json.dumps(name, ensure_ascii=False)

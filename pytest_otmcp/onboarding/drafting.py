@@ -1,0 +1,110 @@
+"""Starts an adapter at a mock device, reads its tools, tries them, and drafts its subject file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from ..core.envelope import check_result
+from ..plant.mock_device import MockDevice
+from ..protocols.operations import OPERATIONS
+from ..subject.model import READ_WRITE, Adapter, Answering, Connect, Variant
+from ..trial.adapter_under_test import AdapterUnderTest, BenchOptions
+from .document import Draft
+from .experiments import Proposal, Trier
+from .vocabulary import connect_guess, guesses
+
+__all__ = ["bare_adapter", "draft"]
+
+
+def bare_adapter(
+    protocol: str,
+    command: Sequence[str],
+    env: Mapping[str, str],
+    *,
+    url: str | None,
+    deadline_s: float,
+    start_timeout_s: float,
+    connect: Connect | None = None,
+) -> Adapter:
+    """An adapter of which nothing is known but how it is started."""
+    variant = Variant(command=tuple(command), env=dict(env), cwd=None, files={})
+    return Adapter(
+        protocol=protocol,
+        directory=Path.cwd(),
+        variants={"rw": variant, "ro": variant},
+        operations={},
+        answering=Answering(),
+        unclaimed={},
+        connect=connect,
+        recovery="same_session",
+        probes={},
+        secrets=(),
+        transport="stdio" if url is None else "http",
+        url=url,
+        era=None,
+        deadline_s=deadline_s,
+        start_timeout_s=start_timeout_s,
+    )
+
+
+async def draft(adapter: Adapter, device: MockDevice, say: Callable[[str], None]) -> Draft:
+    """Try every operation of the adapter's protocol.
+
+    Args:
+        adapter: as :func:`bare_adapter` makes it.
+        device: a running mock of its protocol.
+        say: called with a line for whoever waits.
+
+    Raises:
+        SubjectError: the adapter cannot be started.
+    """
+    station = AdapterUnderTest(adapter, READ_WRITE, device, BenchOptions())
+    try:
+        await station.open()
+        assert station.session is not None
+        tools = dict(station.session.tools)
+        name, version = station.session.server_name, station.session.server_version
+        say(f"{name or 'the adapter'} {version}: {len(tools)} tools: {', '.join(tools)}")
+        step = connect_guess(tools)
+        if step is not None:
+            await station.close()
+            connect = Connect(tool=step.tool, arguments=step.arguments, again=False)
+            station = AdapterUnderTest(_with_connect(adapter, connect), READ_WRITE, device, BenchOptions())
+        trier = Trier(station, device)
+        proposals: dict[str, Proposal] = {}
+        for operation in OPERATIONS[adapter.protocol]:
+            proposal = await trier.best(guesses(adapter.protocol, operation, tools))
+            if proposal is not None:
+                proposals[operation] = proposal
+            say(_line(operation, proposal))
+    finally:
+        await station.close()
+    goods = [proposal.good for proposal in proposals.values() if proposal.proven and proposal.good is not None]
+    results = [good["result"] for good in goods if isinstance(good.get("result"), dict)]
+    native = bool(results) and not any(check_result(result) for result in results)
+    return Draft(
+        protocol=adapter.protocol,
+        name=name or Path(adapter.variants["rw"].command[0]).name,
+        version=version or "0",
+        command=adapter.variants["rw"].command,
+        env=adapter.variants["rw"].env,
+        transport_url=adapter.url,
+        native=native,
+        proposals=proposals,
+        connect=None if step is None else (step.tool, step.arguments),
+        tools=tuple(tools),
+    )
+
+
+def _with_connect(adapter: Adapter, connect: Connect) -> Adapter:
+
+    return replace(adapter, connect=connect)
+
+
+def _line(operation: str, proposal: Proposal | None) -> str:
+    if proposal is None:
+        return f"  {operation:<15} no tool found"
+    mark = "proven" if proposal.proven else "not proven"
+    return f"  {operation:<15} {proposal.guess.tool} ({mark}: {proposal.evidence[0]})"

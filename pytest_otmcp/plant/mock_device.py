@@ -1,0 +1,268 @@
+"""The plant: mock devices as processes of their own, and the channel on which they bear witness.
+
+The kit never imports a mock. It starts `python -m pytest_otmcp.mocks NAME`, speaks one-word commands to its launcher
+(``stop``, ``start``) and JSON lines to its control port (image, journal, poke, fault, …). A mock that dies or does
+not answer is a :class:`~pytest_otmcp.errors.KitError`: never the adapter's fault.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import itertools
+import json
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ..core.errors import KitError
+from ..session.process import subject_environment
+
+__all__ = ["Entry", "Journal", "MockDevice"]
+
+Entry = dict[str, Any]
+"""One journal entry; see the mocks' documentation for the fields of each protocol."""
+
+_LAUNCH_TIMEOUT_S = 60.0
+_ANSWER_TIMEOUT_S = 20.0
+_LINE_LIMIT = 64 * 1024 * 1024
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Journal:
+    """A slice of a device's journal.
+
+    Attributes:
+        entries: in the order of their arrival.
+        next: sequence number that the next entry will get.
+    """
+
+    entries: list[Entry]
+    next: int
+
+    def whole(self, since: int) -> Journal:
+        """This slice, which was asked for from ``since`` on.
+
+        Raises:
+            KitError: its oldest entries have given way to newer ones.
+        """
+        if len(self.entries) < self.next - since:
+            raise KitError(f"the journal no longer goes back to entry {since}: it holds the newest 200 000 only")
+        return self
+
+
+class _Control:
+    """Client of a device's control port: pipelined requests, answers matched by id."""
+
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, name: str) -> None:
+        self._reader = reader
+        self._writer = writer
+        self._name = name
+        self._ids = itertools.count(1)
+        self._waiting: dict[int, asyncio.Future[dict[str, Any]]] = {}
+        self._pump = asyncio.create_task(self._read(), name=f"otmcp-control-{name}")
+
+    async def _read(self) -> None:
+        with contextlib.suppress(ConnectionError, asyncio.IncompleteReadError, ValueError):
+            while line := await self._reader.readline():
+                answer = json.loads(line)
+                waiting = self._waiting.pop(answer["id"], None)
+                if waiting is not None and not waiting.done():
+                    waiting.set_result(answer)
+        for waiting in self._waiting.values():
+            if not waiting.done():
+                waiting.set_exception(KitError(f"the {self._name} mock closed its control channel"))
+        self._waiting.clear()
+
+    async def ask(self, op: str, *, answer_within_s: float = _ANSWER_TIMEOUT_S, **fields: Any) -> dict[str, Any]:
+        if self._pump.done():
+            raise KitError(f"the {self._name} mock closed its control channel (asked for {op!r})")
+        number = next(self._ids)
+        answer: asyncio.Future[dict[str, Any]] = asyncio.get_running_loop().create_future()
+        self._waiting[number] = answer
+        self._writer.write(json.dumps({"id": number, "op": op, **fields}).encode() + b"\n")
+        try:
+            reply = await asyncio.wait_for(answer, answer_within_s)
+        except TimeoutError:
+            raise KitError(f"the {self._name} mock did not answer {op!r} within {answer_within_s:g} s") from None
+        finally:
+            self._waiting.pop(number, None)
+        if not reply.get("ok"):
+            raise KitError(f"the {self._name} mock refused {op!r}: {reply.get('error')}")
+        result: dict[str, Any] = reply["result"]
+        return result
+
+    async def close(self) -> None:
+        self._pump.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await self._pump
+        self._writer.close()
+        with contextlib.suppress(ConnectionError):
+            await self._writer.wait_closed()
+
+
+class MockDevice:
+    """One mock device: its life and its witness.
+
+    Attributes:
+        host, port: where adapters connect.
+        running: it accepts connections.
+        accepting_ns: monotonic; since when it does.
+    """
+
+    def __init__(self, name: str, *, arguments: tuple[str, ...] = ()) -> None:
+        self.name = name
+        self._arguments = arguments
+        self._launcher: asyncio.subprocess.Process | None = None
+        self._control: _Control | None = None
+        self._stderr: asyncio.Task[bytes] | None = None
+        self.host = "127.0.0.1"
+        self.port = 0
+        self.running = False
+        self.accepting_ns = 0
+
+    # -- life ---------------------------------------------------------------------------------------------
+
+    async def launch(self) -> None:
+        """Start the mock program and wait until its device accepts connections, with its simulation paused."""
+        # A module of the working directory must not stand in for one that the mock imports.
+        command = [sys.executable, "-P", "-m", "pytest_otmcp.mocks", self.name, *self._arguments]
+        self._launcher = await asyncio.create_subprocess_exec(
+            *command,
+            stdin=asyncio.subprocess.PIPE,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.PIPE,
+            env=subject_environment({}),
+            start_new_session=True,
+        )
+        assert self._launcher.stderr is not None
+        self._stderr = asyncio.create_task(self._launcher.stderr.read(), name=f"otmcp-stderr-{self.name}")
+        await self._ready()
+
+    async def _event(self, expected: str) -> dict[str, Any]:
+        assert self._launcher is not None
+        assert self._launcher.stdout is not None
+        try:
+            line = await asyncio.wait_for(self._launcher.stdout.readline(), _LAUNCH_TIMEOUT_S)
+        except TimeoutError:
+            raise KitError(f"the {self.name} mock said nothing for {_LAUNCH_TIMEOUT_S:g} s") from None
+        if not line:
+            stderr = (await self._stderr).decode("utf-8", "replace").strip() if self._stderr else ""
+            raise KitError(f"the {self.name} mock ended unexpectedly: {stderr[-800:] or 'nothing on stderr'}")
+        event: dict[str, Any] = json.loads(line)
+        if event.get("event") != expected:
+            raise KitError(f"the {self.name} mock said {event} where {expected!r} was expected")
+        return event
+
+    async def _ready(self) -> None:
+        ready = await self._event("ready")
+        self.accepting_ns = time.monotonic_ns()
+        self.host, self.port = ready["host"], ready["port"]
+        reader, writer = await asyncio.open_connection("127.0.0.1", ready["control"], limit=_LINE_LIMIT)
+        self._control = _Control(reader, writer, self.name)
+        self.running = True
+        await self.ask("pause")
+
+    async def stop(self) -> None:
+        """Kill the device process: its connections die, its port refuses."""
+        await self._command("stop")
+        await self._event("stopped")
+        self.running = False
+        if self._control is not None:
+            await self._control.close()
+            self._control = None
+
+    async def start(self) -> None:
+        """Start a new device process on the same port and wait until it accepts; ``accepting_ns`` says when."""
+        await self._command("start")
+        await self._ready()
+
+    async def _command(self, word: str) -> None:
+        assert self._launcher is not None
+        assert self._launcher.stdin is not None
+        self._launcher.stdin.write(word.encode() + b"\n")
+        try:
+            await self._launcher.stdin.drain()
+        except ConnectionError:
+            raise KitError(f"the {self.name} mock is gone; it cannot be told to {word}") from None
+
+    async def close(self) -> None:
+        """End launcher and device."""
+        if self._control is not None:
+            await self._control.close()
+            self._control = None
+        self.running = False
+        launcher = self._launcher
+        if launcher is None:
+            return
+        if launcher.returncode is None and launcher.stdin is not None:
+            launcher.stdin.close()
+            try:
+                await asyncio.wait_for(launcher.wait(), 5.0)
+            except TimeoutError:
+                launcher.kill()
+                await launcher.wait()
+        if self._stderr is not None:
+            await self._stderr
+
+    # -- witness ------------------------------------------------------------------------------------------
+
+    async def ask(self, op: str, *, answer_within_s: float = _ANSWER_TIMEOUT_S, **fields: Any) -> dict[str, Any]:
+        """One request on the control channel.
+
+        Raises:
+            KitError: the device is not running, refused or did not answer.
+        """
+        if self._control is None:
+            raise KitError(f"the {self.name} mock is not running (asked for {op!r})")
+        return await self._control.ask(op, answer_within_s=answer_within_s, **fields)
+
+    async def image(self) -> dict[str, Any]:
+        """What the device really holds."""
+        return await self.ask("image")
+
+    async def mark(self) -> int:
+        """Sequence number that the next journal entry will get."""
+        return int((await self.ask("journal", since=sys.maxsize))["next"])
+
+    async def journal(self, since: int) -> Journal:
+        """The entries from ``since`` on.
+
+        Raises:
+            KitError: the oldest of them have given way to newer ones.
+        """
+        answer = await self.ask("journal", since=since)
+        return Journal(entries=answer["entries"], next=answer["next"]).whole(since)
+
+    async def wait(self, since: int, match: Mapping[str, Any], *, timeout_s: float, count: int = 1) -> list[Entry]:
+        """The entries from ``since`` on whose fields equal ``match``, as soon as there are ``count`` of them, or
+        those there are when the time is over."""
+        answer = await self.ask(
+            "wait",
+            answer_within_s=timeout_s + _ANSWER_TIMEOUT_S,
+            since=since,
+            match=dict(match),
+            count=count,
+            timeout_s=timeout_s,
+        )
+        entries: list[Entry] = answer["entries"]
+        return entries
+
+    async def poke(self, **params: Any) -> None:
+        """Set a value out of band."""
+        await self.ask("poke", params=params)
+
+    async def fault(self, *rules: Mapping[str, Any]) -> None:
+        """Replace the fault plan; no rules clears it."""
+        await self.ask("fault", rules=[dict(rule) for rule in rules])
+
+    async def reset(self) -> None:
+        """Start-up values, no faults, simulation paused; connections and journal stay."""
+        await self.ask("reset")
+        await self.ask("pause")
+
+    async def tick(self, steps: int = 1) -> None:
+        """Advance the simulation by ``steps`` seconds of plant time."""
+        await self.ask("tick", steps=steps)

@@ -1,0 +1,252 @@
+"""The tap: a TCP proxy between an adapter and its device that records, and on demand disturbs, what passes.
+
+Without rules bytes are handed on as they come, before anything else is done with them. With rules they are handed on
+frame by frame (see ``tap_faults``). ``down`` and ``up`` make the endpoint vanish and come back on the same port.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections import Counter, deque
+from collections.abc import Callable
+
+from ...protocols.framing import Conversation, FrameLength, Framer
+from ...protocols.modbus.decoder import ModbusConversation, mbap_length
+from ...protocols.mqtt.decoder import MqttConversation, packet_length
+from ...protocols.opcua.decoder import OpcUaConversation, chunk_length
+from .faults import Action, FaultPlan, FaultRule
+from .journal import TapJournal
+from .lane import Chunk, Lane, Medium, reset_connection
+
+__all__ = ["Tap"]
+
+_PROTOCOLS: dict[str, tuple[FrameLength, Callable[[], Conversation]]] = {
+    "modbus": (mbap_length, ModbusConversation),
+    "mqtt": (packet_length, MqttConversation),
+    "opcua": (chunk_length, OpcUaConversation),
+}
+_CONNECT_TIMEOUT_S = 5.0
+
+
+class Tap:
+    """Proxy in front of ``target_host:target_port``; to be used on one event loop.
+
+    Args:
+        target_host, target_port: the device.
+        protocol: ``modbus``, ``mqtt`` or ``opcua``: how to cut and decode what passes. Without one the journal holds
+            connections only, and the rules of :meth:`inject` count pieces as they arrive instead of frames.
+    """
+
+    def __init__(self, target_host: str, target_port: int, *, protocol: str | None = None) -> None:
+        self.host = "127.0.0.1"
+        self.target = (target_host, target_port)
+        self.medium = Medium()
+        self._protocol = None if protocol is None else _PROTOCOLS[protocol]
+        self._reserved: socket.socket | None = None
+        self._server: asyncio.Server | None = None
+        self._links: set[_Link] = set()
+        self._accepted = 0
+
+    @property
+    def port(self) -> int:
+        """Port of the tap; stays the same over :meth:`down` and :meth:`up`."""
+        assert self._reserved is not None, "the tap has not been started"
+        port: int = self._reserved.getsockname()[1]
+        return port
+
+    @property
+    def journal(self) -> TapJournal:
+        """What passed, decoded."""
+        return self.medium.journal
+
+    @property
+    def chunks(self) -> deque[Chunk]:
+        """What passed, as bytes: the newest 200 000 pieces."""
+        return self.medium.chunks
+
+    @property
+    def injected(self) -> Counter[Action]:
+        """How often each fault of the plan in effect was really injected."""
+        return self.medium.plan.injected
+
+    @property
+    def open_connections(self) -> int:
+        """Connections that are open now."""
+        return len(self._links)
+
+    async def start(self) -> None:
+        """Take a free port and accept connections."""
+        # Bound, never listening: nobody else gets the port while the tap is down, and connecting to it is refused.
+        self._reserved = self._bound(0)
+        await self.up()
+
+    async def aclose(self) -> None:
+        """End everything; no task and no socket is left."""
+        await self.down()
+        if self._reserved is not None:
+            self._reserved.close()
+
+    async def up(self) -> None:
+        """The endpoint accepts connections, on the same port as ever."""
+        if self._server is None:
+            loop = asyncio.get_running_loop()
+            self._server = await loop.create_server(self._accept, sock=self._bound(self.port))
+
+    async def down(self) -> None:
+        """The endpoint vanishes: connections are reset, new ones refused."""
+        if self._server is not None:
+            self._server.close()
+            self._server = None
+        links = list(self._links)
+        for link in links:
+            link.reset()
+        for link in links:
+            await link.ended.wait()
+
+    def inject(self, *rules: FaultRule) -> None:
+        """Replace the fault plan, counting from now; without rules bytes pass untouched again."""
+        self.medium.plan = FaultPlan(rules)
+
+    def _bound(self, port: int) -> socket.socket:
+        sock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        try:
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
+            sock.bind((self.host, port))
+        except OSError:
+            sock.close()
+            raise
+        return sock
+
+    def _accept(self) -> _Side:
+        self._accepted += 1
+        link = _Link(self._accepted, self.medium, self.target, self._protocol, self._links.discard)
+        self._links.add(link)
+        return link.client
+
+
+class _Link:
+    """The connection of one client, and the connection to the device that belongs to it."""
+
+    def __init__(
+        self,
+        number: int,
+        medium: Medium,
+        target: tuple[str, int],
+        protocol: tuple[FrameLength, Callable[[], Conversation]] | None,
+        forget: Callable[[_Link], None],
+    ) -> None:
+        self.number = number
+        self.ended = asyncio.Event()
+        self._medium = medium
+        self._target = target
+        self._forget = forget
+        self._connecting: asyncio.Task[None] | None = None
+        self._condemned = False
+        conversation = protocol[1]() if protocol else None
+        self._lanes = [
+            Lane(
+                medium,
+                number,
+                direction,
+                Framer(protocol[0]) if protocol else None,
+                conversation,
+                reset=self.reset,
+                swallow=self._swallow,
+                finished=self._finished,
+            )
+            for direction in ("in", "out")
+        ]
+        self.client = _Side(self, *self._lanes)
+        self._device = _Side(self, *reversed(self._lanes))
+
+    def connected(self, side: _Side) -> None:
+        """A side has its transport."""
+        if self.ended.is_set() or self._condemned:
+            self.reset()
+        elif side is self.client:
+            self._medium.journal.event(self.number, "in", "CONNECTED")
+            if self._medium.plan.for_connection(self.number) is not None:
+                self.reset()
+            else:
+                self._connecting = asyncio.create_task(self._connect(), name=f"otmcp-tap-{self.number}")
+
+    async def _connect(self) -> None:
+        loop = asyncio.get_running_loop()
+        try:
+            async with asyncio.timeout(_CONNECT_TIMEOUT_S):
+                await loop.create_connection(lambda: self._device, *self._target)
+        except OSError:
+            # The device refuses or is silent: so does the tap, as far as it still can.
+            self.reset()
+
+    def lost(self, side: _Side, failure: Exception | None) -> None:
+        """One side is gone for good; the other one follows, in the same manner."""
+        other = self._device if side is self.client else self.client
+        if self._connecting is not None:
+            self._connecting.cancel()
+        if other.transport is not None:
+            if failure is None:
+                other.transport.close()
+            else:
+                reset_connection(other.transport)
+        elif not self.ended.is_set():
+            for lane in self._lanes:
+                lane.stop()
+            self._medium.journal.event(self.number, "in", "DISCONNECTED")
+            self._forget(self)
+            self.ended.set()
+
+    def reset(self) -> None:
+        """Both sides get a TCP reset, also one that has been accepted and has no transport yet."""
+        self._condemned = True
+        for side in (self.client, self._device):
+            if side.transport is not None:
+                reset_connection(side.transport)
+
+    def _swallow(self) -> None:
+        for lane in self._lanes:
+            lane.stop()
+            lane.black_hole = True
+
+    def _finished(self) -> None:
+        if all(lane.ended for lane in self._lanes):
+            for side in (self.client, self._device):
+                if side.transport is not None:
+                    side.transport.close()
+
+
+class _Side(asyncio.Protocol):
+    """One of the two TCP connections of a link: feeds one lane, is written to by the other."""
+
+    def __init__(self, link: _Link, inbound: Lane, outbound: Lane) -> None:
+        self._link = link
+        self._inbound = inbound
+        self._outbound = outbound
+        self.transport: asyncio.Transport | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        self.transport = transport
+        self._inbound.read_from(transport)
+        self._link.connected(self)
+        self._outbound.write_to(transport)
+
+    def data_received(self, data: bytes) -> None:
+        self._inbound.feed(data)
+
+    def eof_received(self) -> bool:
+        self._inbound.feed_eof()
+        # Half-closed: the other direction goes on.
+        return True
+
+    def pause_writing(self) -> None:
+        self._outbound.pause_source()
+
+    def resume_writing(self) -> None:
+        self._outbound.resume_source()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self.transport = None
+        self._link.lost(self, exc)

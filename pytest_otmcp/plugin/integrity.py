@@ -1,0 +1,149 @@
+"""Whether the kit that runs is the kit that was installed: its files, and its functions in memory.
+
+Nothing here can keep a determined person from bending a run; it makes a bent run say so.
+"""
+
+from __future__ import annotations
+
+import ast
+import base64
+import hashlib
+import sys
+from collections.abc import Iterator
+from dataclasses import fields
+from functools import cache
+from importlib import metadata
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import FunctionType, ModuleType
+
+from ..trial.task import Suite, Task
+from .collection import SUITE, suite_root
+
+__all__ = ["altered_task", "changed_files", "replaced_functions"]
+
+_KIT = Path(__file__).resolve().parents[1]
+_LIBRARY = Path(hashlib.__file__).resolve().parent
+_PACKAGE = __package__.partition(".")[0]
+_SHOWING = tuple(f"{_PACKAGE}.{room}" for room in ("cli", "onboarding", "report"))
+"""Rooms of the kit that show results or help with a subject file; every other one decides what a run comes to."""
+
+
+def changed_files() -> list[str]:
+    """A sentence about files of the installed kit that are not those of its wheel; of a source checkout nothing."""
+    try:
+        distribution = metadata.distribution("pytest-otmcp")
+    except metadata.PackageNotFoundError:
+        return [f"the kit is not installed; it was imported from {_KIT}"]
+    recorded = [file for file in distribution.files or () if file.parts[0] == _KIT.name and file.hash is not None]
+    if not recorded:
+        return []
+    installed = Path(str(distribution.locate_file(_KIT.name))).resolve()
+    if installed != _KIT:
+        return [f"the kit was imported from {_KIT}, it is installed in {installed}"]
+    changed = [str(file) for file in recorded if not _as_recorded(Path(str(file.locate())), file.hash)]
+    if not changed:
+        return []
+    return [f"files of the installed kit were changed: {', '.join(changed[:5])}{' …' if changed[5:] else ''}"]
+
+
+def _as_recorded(path: Path, recorded: metadata.FileHash | None) -> bool:
+    if recorded is None:
+        return True
+    try:
+        digest = hashlib.new(recorded.mode, path.read_bytes()).digest()
+    except OSError:
+        return False
+    return base64.urlsafe_b64encode(digest).rstrip(b"=").decode() == recorded.value
+
+
+def replaced_functions() -> list[str]:
+    """One sentence for each function of the kit that was replaced (monkeypatched) by something from elsewhere."""
+    return [
+        f"{module.__name__}.{what} was replaced by something from {where}"
+        for module in _judging_modules()
+        for what, where in _foreign(module)
+    ]
+
+
+def _judging_modules() -> list[ModuleType]:
+    """Every loaded module of the kit that takes part in a judgement."""
+    return [
+        module
+        for name, module in sorted(sys.modules.items())
+        if name.startswith(f"{_PACKAGE}.")
+        and not name.startswith(_SHOWING)
+        and getattr(module, "__file__", None) is not None
+        and Path(str(module.__file__)).is_relative_to(_KIT)
+    ]
+
+
+def altered_task(task: Task) -> list[str]:
+    """A sentence for everything about a task of the suite that is not as its module declares it."""
+    declared = _declared()[task.id]
+    found = []
+    for attribute in (field.name for field in fields(task)):
+        value, genuine = getattr(task, attribute), getattr(declared, attribute)
+        if callable(genuine):
+            # The code itself differs where pytest has rewritten its asserts; where it is from does not.
+            file = getattr(getattr(value, "__code__", None), "co_filename", "elsewhere")
+            if not Path(file).resolve().is_relative_to(suite_root()):
+                found.append(f"{attribute} of the task {task.id} were replaced by something from {file}")
+        elif value != genuine:
+            found.append(f"{attribute} of the task {task.id} was altered from {genuine!r} to {value!r}")
+    return found
+
+
+@cache
+def _declared() -> dict[str, Task]:
+    """Load all tasks a second time, into private modules that are in nobody's reach."""
+    tasks: dict[str, Task] = {}
+    for path in sorted(suite_root().glob("test_*.py")):
+        spec = spec_from_file_location(f"{SUITE}._declared_{path.stem}", path)
+        assert spec is not None
+        assert spec.loader is not None
+        module = module_from_spec(spec)
+        spec.loader.exec_module(module)
+        for suite in vars(module).values():
+            if isinstance(suite, Suite):
+                tasks |= {task.id: task for task in suite}
+    return tasks
+
+
+@cache
+def _names(file: str) -> tuple[str, ...]:
+    """Names of the functions and classes that a module defines at its top level."""
+    body = ast.parse(Path(file).read_text(encoding="utf-8")).body
+    return tuple(node.name for node in body if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef))
+
+
+def _foreign(module: ModuleType) -> Iterator[tuple[str, str]]:
+    for name in _names(str(module.__file__)):
+        value = vars(module).get(name)
+        if isinstance(value, type) and value.__module__ == module.__name__:
+            for member, held in vars(value).items():
+                function = getattr(held, "__func__", getattr(held, "fget", held))
+                if isinstance(function, FunctionType) and not _ours(function):
+                    yield f"{name}.{member}", function.__code__.co_filename
+        elif isinstance(value, FunctionType):
+            if not _ours(value):
+                yield name, value.__code__.co_filename
+        elif not _defined_here(value, module):
+            yield name, repr(type(value))
+
+
+def _ours(function: FunctionType) -> bool:
+    return _own_file(function.__code__.co_filename)
+
+
+@cache
+def _own_file(file: str) -> bool:
+    # What dataclasses and enums generate has no file; what decorators add is the standard library's.
+    path = Path(file).resolve()
+    return file.startswith("<") or path.is_relative_to(_KIT) or path.parent == _LIBRARY
+
+
+def _defined_here(value: object, module: ModuleType) -> bool:
+    # Fixtures are objects of pytest; whatever else stands under the name of a function is none of the kit's.
+    wrapped = getattr(value, "__wrapped__", value)
+    return getattr(wrapped, "__module__", None) == module.__name__

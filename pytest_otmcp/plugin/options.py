@@ -1,0 +1,175 @@
+"""The settings of a run, read from command line and ini, checked once.
+
+Imports nothing heavy: it is loaded in everybody's pytest run in whose environment the plugin is installed.
+"""
+
+from __future__ import annotations
+
+import difflib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
+
+from ..core.errors import UsageError
+from ..core.matrix import SUITES, repetitions
+
+if TYPE_CHECKING:
+    import pytest
+
+__all__ = ["DEFAULT_REPS", "RunSettings", "add_options", "read_settings", "requested"]
+
+DEFAULT_REPS = 3
+"""Small, so that a first look takes seconds; the paper's matrix is 30."""
+
+_OPTIONS = {
+    "reps": ("N", f"repetitions N: normal and fault N, stress N/3, recovery 2N/3, rounded up (default {DEFAULT_REPS})"),
+    "subject": ("FILE", "subject file of the adapters under test (default: otmcp.toml, else the reference adapters)"),
+    "suite": ("NAMES", f"only these suites, separated by commas: {', '.join(SUITES)}"),
+    "report-dir": ("DIR", "directory for run record, tables and figures (default reports/latest)"),
+    "seed": ("N", "seed of the values that repetitions use (default 0)"),
+    "era": ("ERA", "MCP protocol era: auto or legacy (default auto)"),
+    "time-scale": (
+        "X",
+        "factor on deadlines and windows, for slow machines; quiet windows are never shortened (default 1)",
+    ),
+    "broker": ("URL", "external MQTT broker, mqtt://host:port, instead of the embedded one"),
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunSettings:
+    """What the user asked for.
+
+    Attributes:
+        repetitions: suite name to number of repetitions.
+        subject: subject file, or None for the shipped reference adapters.
+        time_scale: factor on deadlines and windows; those in which nothing may happen are never shortened.
+        broker: URL of an external broker, or None.
+    """
+
+    reps: int
+    repetitions: dict[str, int]
+    subject: Path | None
+    suites: tuple[str, ...]
+    report_dir: Path
+    seed: int
+    era: str
+    time_scale: float
+    broker: str | None
+
+
+def add_options(parser: pytest.Parser) -> None:
+    """Declare every ``--otmcp-…`` option and its ini twin ``otmcp_…``."""
+    group = parser.getgroup("otmcp", "conformance of MCP-to-OT adapters")
+    for name, (metavar, text) in _OPTIONS.items():
+        group.addoption(f"--otmcp-{name}", metavar=metavar, default=None, help=text)
+        parser.addini(f"otmcp_{name.replace('-', '_')}", text, default=None)
+
+
+def requested(config: pytest.Config) -> bool:
+    """Some ``--otmcp-…`` option was given on the command line."""
+    return any(config.getoption(_destination(name)) is not None for name in _OPTIONS)
+
+
+def _destination(name: str) -> str:
+    return f"otmcp_{name.replace('-', '_')}"
+
+
+def read_settings(config: pytest.Config) -> RunSettings:
+    """The settings of this run.
+
+    Raises:
+        UsageError: a value is not what its option expects.
+    """
+
+    def text(name: str) -> str | None:
+        value = config.getoption(_destination(name))
+        if value is None:
+            value = config.getini(_destination(name)) or None
+        return None if value is None else str(value)
+
+    reps = _whole("reps", text("reps"), DEFAULT_REPS, minimum=1, maximum=100_000)
+    return RunSettings(
+        reps=reps,
+        repetitions=repetitions(reps),
+        subject=_subject(text("subject"), config.rootpath, config.invocation_params.dir),
+        suites=_suites(text("suite")),
+        report_dir=_report_dir(text("report-dir"), config),
+        seed=_whole("seed", text("seed"), 0, minimum=0, maximum=2**63 - 1),
+        era=_choice("era", text("era") or "auto", ("auto", "legacy")),
+        time_scale=_factor(text("time-scale")),
+        broker=_broker(text("broker")),
+    )
+
+
+def _whole(name: str, value: str | None, default: int, *, minimum: int, maximum: int) -> int:
+    if value is None:
+        return default
+    try:
+        number = int(value)
+    except ValueError:
+        raise UsageError(f"--otmcp-{name}: expected a whole number, found {value!r}") from None
+    if not minimum <= number <= maximum:
+        raise UsageError(f"--otmcp-{name}: expected {minimum} to {maximum}, found {number}")
+    return number
+
+
+def _factor(value: str | None) -> float:
+    if value is None:
+        return 1.0
+    try:
+        number = float(value)
+    except ValueError:
+        raise UsageError(f"--otmcp-time-scale: expected a number, found {value!r}") from None
+    if not 0.1 <= number <= 100:
+        raise UsageError(f"--otmcp-time-scale: expected 0.1 to 100, found {value}")
+    return number
+
+
+def _choice(name: str, value: str, known: tuple[str, ...]) -> str:
+    if value not in known:
+        near = difflib.get_close_matches(value, known, 1)
+        hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(known)}"
+        raise UsageError(f"--otmcp-{name}: {value!r} is unknown; {hint}")
+    return value
+
+
+def _suites(value: str | None) -> tuple[str, ...]:
+    if value is None:
+        return SUITES
+    names = [name.strip() for name in value.split(",") if name.strip()]
+    if not names:
+        raise UsageError(f"--otmcp-suite: expected one or more of {', '.join(SUITES)}")
+    chosen = [_choice("suite", name, SUITES) for name in names]
+    return tuple(name for name in SUITES if name in chosen)
+
+
+def _subject(value: str | None, root: Path, here: Path) -> Path | None:
+    if value is not None:
+        path = here / value
+        if not path.is_file():
+            raise UsageError(f"--otmcp-subject: {path}: there is no such file")
+        return path
+    default = root / "otmcp.toml"
+    return default if default.is_file() else None
+
+
+def _report_dir(value: str | None, config: pytest.Config) -> Path:
+    path = config.rootpath / "reports" / "latest" if value is None else config.invocation_params.dir / value
+    if path.exists() and not path.is_dir():
+        raise UsageError(f"--otmcp-report-dir: {path} exists and is not a directory")
+    return path
+
+
+def _broker(value: str | None) -> str | None:
+    if value is None:
+        return None
+    try:
+        parts = urlsplit(value)
+        port = parts.port
+    except ValueError as error:
+        raise UsageError(f"--otmcp-broker: {value!r} is not a URL ({error})") from None
+    if parts.scheme != "mqtt" or not parts.hostname or parts.path not in ("", "/"):
+        raise UsageError(f"--otmcp-broker: expected mqtt://host:port, found {value!r}")
+    return f"mqtt://{parts.hostname}:{port or 1883}"

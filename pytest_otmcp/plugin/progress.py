@@ -1,0 +1,88 @@
+"""Progress while a run goes on: one line for each finished item, and on a terminal one that moves."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from contextlib import AbstractContextManager, nullcontext
+from typing import TYPE_CHECKING, Any
+
+from ..report.text import shortened
+
+if TYPE_CHECKING:
+    import pytest
+
+    from ..trial.task import Task
+
+__all__ = ["Progress"]
+
+# Rough seconds per repetition, only to guess how long the rest will take before there is anything better to go by.
+_GUESS_S = {"normal": 0.02, "fault": 0.02, "stress": 0.12, "recovery": 1.3}
+_REDRAW_S = 0.1
+
+
+class Progress:
+    """Writes progress to pytest's own terminal."""
+
+    def __init__(self, config: pytest.Config, tasks: list[Task], repetitions: dict[str, int]) -> None:
+        self._writer = config.get_terminal_writer()
+        self._capture: Any = config.pluginmanager.getplugin("capturemanager")
+        self._quiet = config.option.verbose < -1
+        self._moving = bool(self._writer.hasmarkup)
+        self._guess = {task.id: _GUESS_S[task.suite] * repetitions[task.suite] for task in tasks}
+        self._total = len(tasks)
+        self._done = 0
+        self._begun = time.monotonic()
+        self._drawn = 0.0
+        self._line_open = False
+
+    def repetition(self, task: Task, done: int, planned: int) -> None:
+        """A repetition begins."""
+        now = time.monotonic()
+        if not self._moving or self._quiet or now - self._drawn < _REDRAW_S:
+            return
+        self._drawn = now
+        text = f"  {task.id:<9} {done}/{planned}   item {self._done + 1} of {self._total}, {self._left(task, done, planned)}"
+        if not self._line_open:
+            self._write("\n")
+        self._overwrite(text[: self._writer.fullwidth - 1].ljust(70))
+        self._line_open = True
+
+    def _left(self, task: Task, done: int, planned: int) -> str:
+        remaining = sum(self._guess.values()) - self._guess.get(task.id, 0.0) * done / planned
+        minutes, seconds = divmod(round(remaining), 60)
+        return f"about {minutes} min {seconds} s to go" if minutes else f"about {seconds} s to go"
+
+    def finished(self, result: dict[str, Any]) -> None:
+        """An item is done."""
+        self._guess.pop(result["id"], None)
+        self._done += 1
+        if self._quiet:
+            return
+        good = sum(sample["ok"] for sample in result["samples"])
+        times = [sample["duration_ms"] for sample in result["samples"]]
+        median = f"{statistics.median(times):8.2f} ms" if times else " " * 11
+        colour = {"PASS": "green", "NOT_APPLICABLE": "yellow"}.get(result["status"], "red")
+        if self._line_open:
+            self._overwrite("")
+        else:
+            self._write("\n")
+        self._line_open = False
+        self._write(f"  {result['id']:<9} ")
+        self._write(f"{good:>3}/{result['planned']:<3} {result['status']:<5}", **{colour: True})
+        # What comes near the edge makes pytest print its percentage there and begin another line.
+        self._write(shortened(f" {median}  {result['title']}", max(20, self._writer.fullwidth - 36)))
+
+    def _write(self, text: str, **markup: bool) -> None:
+        with self._uncaptured():
+            self._writer.write(text, flush=True, **markup)
+
+    def _overwrite(self, text: str) -> None:
+        # Past pytest's writer, which takes a line with a carriage return for one of no width: it would put its percentage
+        # beyond the edge.
+        with self._uncaptured():
+            print("\r" + text, end="", flush=True)
+
+    def _uncaptured(self) -> AbstractContextManager[None]:
+        # Standard output belongs to the running test; progress goes past its capturing.
+        return nullcontext() if self._capture is None else self._capture.global_and_fixture_disabled()

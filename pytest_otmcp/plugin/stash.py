@@ -1,0 +1,49 @@
+"""Every stash key of the plugin in one place."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from .controller import RunRecorder
+    from .interference import Interference
+    from .options import RunSettings
+    from .progress import Progress
+    from .worker import Run
+
+__all__ = [
+    "INTERFERENCE",
+    "PLANNED",
+    "PROGRESS",
+    "RECORDER",
+    "RESULT",
+    "RUN",
+    "SETTINGS",
+    "STARTED",
+]
+
+SETTINGS: pytest.StashKey[RunSettings] = pytest.StashKey()
+"""On the config: the checked settings."""
+
+STARTED: pytest.StashKey[float] = pytest.StashKey()
+"""On the config: monotonic time at which the session began."""
+
+INTERFERENCE: pytest.StashKey[Interference] = pytest.StashKey()
+"""On the config of a process that has collected items of the suite: what narrowed or shadowed it."""
+
+PLANNED: pytest.StashKey[list[str]] = pytest.StashKey()
+"""On the config of a process that has collected items of the suite: ids of those to run, in their order."""
+
+RUN: pytest.StashKey[Run] = pytest.StashKey()
+"""On the config of a process that executes items: its run."""
+
+RECORDER: pytest.StashKey[RunRecorder] = pytest.StashKey()
+"""On the config of the controller: what collects the results."""
+
+PROGRESS: pytest.StashKey[Progress] = pytest.StashKey()
+"""On the config of the controller: what shows progress."""
+
+RESULT: pytest.StashKey[dict[str, Any]] = pytest.StashKey()
+"""On an item: what its task came to, as ``run.json`` has it."""

@@ -1,0 +1,113 @@
+"""Decodes Modbus TCP from recorded bytes, by the specifications alone.
+
+MODBUS Messaging on TCP/IP Implementation Guide V1.0b, section 3.1 (MBAP header); MODBUS Application Protocol V1.1b3,
+section 6 (functions) and 7 (exceptions). Requests are described as far as their bytes go, also wrong ones: what
+arrived is evidence, whatever the device thinks of it.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable
+from typing import Any
+
+from ..framing import MalformedError
+
+__all__ = ["STATE_CHANGING", "ModbusConversation", "mbap_length"]
+
+READ_BITS = frozenset({1, 2})
+READ_REGISTERS = frozenset({3, 4})
+WRITE_COIL, WRITE_REGISTER, WRITE_COILS, WRITE_REGISTERS, MASK_WRITE, READ_WRITE = 5, 6, 15, 16, 22, 23
+STATE_CHANGING = frozenset({WRITE_COIL, WRITE_REGISTER, WRITE_COILS, WRITE_REGISTERS, MASK_WRITE, READ_WRITE})
+"""Functions whose request can change the device."""
+
+_HEADER = struct.Struct(">HHHB")
+_LONGEST_PDU = 253
+_REMEMBERED = 1024
+"""Requests without an answer that are kept for matching; a device with more outstanding answers does not exist."""
+
+
+def mbap_length(buffer: bytes | bytearray) -> int | None:
+    """Length of the application data unit at the beginning of the buffer.
+
+    Raises:
+        MalformedError: the protocol identifier is not 0, or the length is impossible.
+    """
+    if len(buffer) < 6:
+        return None
+    _, protocol, length = struct.unpack_from(">HHH", buffer)
+    if protocol != 0:
+        raise MalformedError(f"the protocol identifier is {protocol}, it must be 0")
+    if not 2 <= length <= 1 + _LONGEST_PDU:
+        raise MalformedError(f"the MBAP length is {length}, it must be 2 to {1 + _LONGEST_PDU}")
+    return 6 + int(length)
+
+
+class ModbusConversation:
+    """One connection; requests are remembered so that the answers can be read (bits are padded to whole bytes)."""
+
+    def __init__(self) -> None:
+        self._outstanding: dict[tuple[int, int, int], dict[str, Any]] = {}
+
+    def decode(self, direction: str, frame: bytes) -> list[dict[str, Any]]:
+        """See :class:`~pytest_otmcp.protocols.framing.Conversation`; kinds are ``request`` and ``response``."""
+        transaction, _, _, unit = _HEADER.unpack_from(frame)
+        pdu = frame[7:]
+        entry: dict[str, Any] = {"direction": direction, "unit": unit, "transaction_id": transaction}
+        key = (transaction, unit, pdu[0] & 0x7F)
+        if direction == "in":
+            entry |= {"kind": "request", **_request(pdu), "pdu": pdu.hex()}
+            self._outstanding.pop(key, None)
+            self._outstanding[key] = entry
+            if len(self._outstanding) > _REMEMBERED:
+                del self._outstanding[next(iter(self._outstanding))]
+        else:
+            request = self._outstanding.pop(key, None)
+            entry |= {"kind": "response", **_response(pdu, request), "pdu": pdu.hex()}
+        return [entry]
+
+
+def _request(pdu: bytes) -> dict[str, Any]:
+    function = pdu[0]
+    fields: dict[str, Any] = {"function": function, "state_changing": function in STATE_CHANGING}
+    words = struct.unpack_from(f">{min(len(pdu) - 1, 8) // 2}H", pdu, 1)
+    if function in READ_BITS | READ_REGISTERS | {WRITE_COILS, WRITE_REGISTERS} and len(words) >= 2:
+        fields["address"], fields["quantity"] = words[:2]
+        if function == WRITE_COILS:
+            fields["values"] = _bits(pdu[6:], words[1])
+        elif function == WRITE_REGISTERS:
+            fields["values"] = _registers(pdu[6:])
+    elif function == WRITE_REGISTER and len(words) >= 2:
+        fields |= {"address": words[0], "quantity": 1, "values": [words[1]]}
+    elif function == WRITE_COIL and len(words) >= 2:
+        fields |= {"address": words[0], "quantity": 1}
+        # Section 6.5: FF00 is ON, 0000 is OFF, all other values are illegal and say nothing.
+        if words[1] in (0x0000, 0xFF00):
+            fields["values"] = [words[1] == 0xFF00]
+    elif function == MASK_WRITE and len(words) >= 3:
+        fields |= {"address": words[0], "quantity": 1, "and_mask": words[1], "or_mask": words[2]}
+    elif function == READ_WRITE and len(words) >= 4:
+        fields |= {"read_address": words[0], "read_quantity": words[1]}
+        fields |= {"address": words[2], "quantity": words[3], "values": _registers(pdu[10:])}
+    return fields
+
+
+def _response(pdu: bytes, request: dict[str, Any] | None) -> dict[str, Any]:
+    function = pdu[0] & 0x7F
+    if pdu[0] & 0x80:
+        return {"function": function, "exception": pdu[1] if len(pdu) > 1 else None}
+    fields: dict[str, Any] = {"function": function, "exception": None}
+    if function in READ_BITS and len(pdu) >= 2:
+        fields["values"] = _bits(pdu[2:], request.get("quantity", 0) if request else 8 * (len(pdu) - 2))
+    elif function in READ_REGISTERS | {READ_WRITE} and len(pdu) >= 2:
+        fields["values"] = _registers(pdu[2:])
+    return fields
+
+
+def _registers(data: bytes) -> list[int]:
+    return list(struct.unpack_from(f">{len(data) // 2}H", data))
+
+
+def _bits(data: Iterable[int], quantity: int) -> list[bool]:
+    """Least significant bit first (section 6.1)."""
+    return [bool(byte >> bit & 1) for byte in data for bit in range(8)][:quantity]

@@ -1,0 +1,230 @@
+"""What an MQTT broker witnesses.
+
+Journal kinds are the control packets (MQTT 3.1.1 and 5, chapter 3), one entry a packet and direction; payloads are
+base64. What the simulator's clients and the kit did is left out everywhere, see ``mqtt_entries``.
+"""
+
+from __future__ import annotations
+
+from ...core.finding import Finding
+from .entries import Entries, Entry, adapter_packets, payload_of, shown
+from .sparkplug_oracle import ddata_metric, sparkplug_sequence
+
+__all__ = [
+    "ddata_metric",
+    "delivered",
+    "exchange",
+    "never_published",
+    "no_command",
+    "no_packet",
+    "published_once",
+    "session_stays_up",
+    "sparkplug_sequence",
+    "subscribed",
+]
+
+# Answer to the request that it answers.
+_ANSWERS = {
+    "CONNACK": "CONNECT",
+    "SUBACK": "SUBSCRIBE",
+    "UNSUBACK": "UNSUBSCRIBE",
+    "PINGRESP": "PINGREQ",
+    "PUBACK": "PUBLISH",
+    "PUBCOMP": "PUBREL",
+}
+_REQUESTS = frozenset(_ANSWERS.values())
+_HIGHEST_QOS = 2
+_COMMANDS = "control/"
+"""Where the plant listens for commands. What an adapter tells of itself elsewhere commands nothing."""
+
+
+def exchange(entries: Entries, at_least: int = 1, client_id: str | None = None) -> list[Finding]:
+    """The broker answered requests of the adapter at least that often; requests and answers are both in ``entries``."""
+    asked: dict[tuple[int, str, int | None], int] = {}
+    answered = 0
+    for entry in adapter_packets(entries, client_id=client_id):
+        if entry["direction"] == "in" and entry["kind"] in _REQUESTS:
+            key = (entry["connection"], entry["kind"], entry.get("packet_id"))
+            asked[key] = asked.get(key, 0) + 1
+        elif entry["direction"] == "out" and entry["kind"] in _ANSWERS:
+            key = (entry["connection"], _ANSWERS[entry["kind"]], entry.get("packet_id"))
+            if asked.get(key):
+                asked[key] -= 1
+                answered += 1
+    if answered >= at_least:
+        return []
+    return [
+        Finding(
+            code="no_exchange",
+            message=f"the broker should have answered the adapter at least {at_least} time(s) during the "
+            f"call(s), it answered {answered} time(s)",
+            requirement="RD-004",
+            evidence=shown(entries),
+        )
+    ]
+
+
+def subscribed(entries: Entries, *, filter: str, qos: int | None, client_id: str | None = None) -> list[Finding]:
+    """The adapter is subscribed to this filter, granted with this QoS (None is any), on a connection that still lives."""
+    requests: dict[tuple[int, int], list[str]] = {}
+    last: dict[int, int] = {}
+    for entry in adapter_packets(entries, client_id=client_id):
+        connection = entry["connection"]
+        key = (connection, entry.get("packet_id", 0))
+        if entry["kind"] == "SUBSCRIBE" and entry["direction"] == "in":
+            requests[key] = [wanted["filter"] for wanted in entry["filters"]]
+        elif entry["kind"] == "SUBACK" and entry["direction"] == "out":
+            codes = zip(requests.get(key, []), entry["reason_codes"], strict=False)
+            for wanted, code in codes:
+                if wanted == filter:
+                    last[connection] = code
+        elif entry["kind"] == "DISCONNECTED" or (
+            entry["kind"] == "UNSUBSCRIBE" and filter in [wanted["filter"] for wanted in entry["filters"]]
+        ):
+            last.pop(connection, None)
+    granted = list(last.values())
+    if qos in granted or (qos is None and any(code <= _HIGHEST_QOS for code in granted)):
+        return []
+    if granted:
+        problem = f"it answered with reason code {granted[0]:#04x}"
+    elif requests:
+        problem = f"it saw SUBSCRIBE for {sorted(requests.values())} without that being granted"
+    else:
+        problem = "it saw no SUBSCRIBE"
+    return [
+        Finding(
+            code="not_subscribed",
+            message=f"the broker should have granted {filter!r}{'' if qos is None else f' at QoS {qos}'}, {problem}",
+            requirement="MQT-002",
+            evidence=shown(entries),
+        )
+    ]
+
+
+def delivered(entries: Entries, *, topic: str, payload: bytes, client_id: str | None = None) -> list[Finding]:
+    """The broker delivered this message to the adapter."""
+    messages = adapter_packets(entries, "PUBLISH", "out", client_id)
+    if any(_is(entry, topic, payload) for entry in messages):
+        return []
+    others = [entry["topic"] for entry in messages]
+    return [
+        Finding(
+            code="not_delivered",
+            message=f"a message on {topic!r} should have reached the adapter, "
+            + (f"the broker sent it {others[:4]}" if others else "the broker had nobody to send it to"),
+            requirement="MQT-004",
+            evidence=shown(entries),
+        )
+    ]
+
+
+def _is(entry: Entry, topic: str, payload: bytes) -> bool:
+    return bool(entry["topic"] == topic) and payload_of(entry) == payload
+
+
+def published_once(
+    entries: Entries,
+    *,
+    topic: str,
+    payload: bytes,
+    qos: int | None = 0,
+    retain: bool = False,
+    client_id: str | None = None,
+) -> list[Finding]:
+    """The adapter published these bytes on this topic in this manner (a QoS of None is any), once, and nothing else."""
+    messages = adapter_packets(entries, "PUBLISH", "in", client_id)
+    code, requirement = "not_published_once", "WR-003" if len(messages) > 1 else "MQT-001"
+    if len(messages) == 1 and _is(messages[0], topic, payload):
+        found = (messages[0].get("qos"), bool(messages[0].get("retain")))
+        if found[1] == retain and qos in (None, found[0]):
+            return []
+        code, requirement = "published_otherwise", "MQT-003"
+        wanted = ("" if qos is None else f"with QoS {qos} and ") + ("retained" if retain else "not retained")
+        problem = f"it came with QoS {found[0]} {'and' if found[1] else 'and not'} retained"
+    else:
+        wanted = "once and nothing else"
+        problem = f"it received {len(messages)} message(s)"
+    return [
+        Finding(
+            code=code,
+            message=f"the broker should have received {payload[:80]!r} on {topic!r} {wanted}, {problem}",
+            requirement=requirement,
+            evidence=shown(entries),
+        )
+    ]
+
+
+def never_published(entries: Entries, payload: bytes, *, client_id: str | None = None) -> list[Finding]:
+    """No message with these bytes reached the broker, on whatever topic."""
+    found = [entry for entry in adapter_packets(entries, "PUBLISH", "in", client_id) if payload_of(entry) == payload]
+    if not found:
+        return []
+    return [
+        Finding(
+            code="made_up_for",
+            message=f"{payload[:80]!r} was reported as failed and should never have been published, the broker received it "
+            f"{len(found)} time(s)",
+            requirement="WR-010",
+            evidence=shown(entries),
+        )
+    ]
+
+
+def no_command(entries: Entries) -> list[Finding]:
+    """No message of the adapter reached the topics on which the plant listens for commands."""
+    found = [entry for entry in adapter_packets(entries, "PUBLISH", "in") if entry["topic"].startswith(_COMMANDS)]
+    if not found:
+        return []
+    return [
+        Finding(
+            code="wrote",
+            message=f"the broker should have seen no command from the adapter, it saw {len(found)}",
+            requirement="WR-010",
+            evidence=shown(found),
+        )
+    ]
+
+
+def no_packet(entries: Entries, kind: str, *, direction: str = "in", client_id: str | None = None) -> list[Finding]:
+    """No packet of this kind, not even a malformed one."""
+    packets = [
+        entry
+        for entry in adapter_packets(entries, None, direction, client_id)
+        if entry["kind"] == kind or (entry["kind"] == "malformed" and entry.get("packet") in (None, kind))
+    ]
+    if not packets:
+        return []
+    who = "from" if direction == "in" else "to"
+    return [
+        Finding(
+            code="unexpected_packet",
+            message=f"the broker should have seen no {kind} {who} the adapter, it saw {len(packets)}",
+            requirement="ERR-006",
+            evidence=shown(packets),
+        )
+    ]
+
+
+def session_stays_up(entries: Entries, client_id: str | None = None) -> list[Finding]:
+    """The adapter's connection did not end, unless it was made for this one call and left in an orderly way."""
+    packets = adapter_packets(entries, client_id=client_id)
+    made = {entry["connection"] for entry in packets if entry["kind"] == "CONNECT"}
+    left = {entry["connection"] for entry in packets if entry["kind"] == "DISCONNECT" and entry["direction"] == "in"}
+    broken = {entry["connection"] for entry in packets if entry["kind"] == "malformed"}
+    ended = [
+        entry
+        for entry in packets
+        if entry["kind"] in ("DISCONNECT", "DISCONNECTED", "malformed")
+        and entry["connection"] not in (made & left) - broken
+    ]
+    if not ended:
+        return []
+    return [
+        Finding(
+            code="session_ended",
+            message="the adapter's connection to the broker should have stayed up, it ended with "
+            + " and ".join(dict.fromkeys(entry["kind"] for entry in ended)),
+            requirement="ADR-006",
+            evidence=shown(entries),
+        )
+    ]

@@ -1,0 +1,292 @@
+"""What a broker witnesses of a Sparkplug edge node: births, deaths, one sequence (Sparkplug 3.0, chapters 5 and 6).
+
+Payloads are decoded here, from the journal's bytes; what the broker's own decoder said of them does not count. The ids
+``tck-id-…`` name assertions of the specification; the words are ours.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from ...core.finding import Finding
+from .entries import Entries, Entry, adapter_packets, payload_of, shown
+from .sparkplug_decoder import DATA_TYPES, NAMESPACE, Topic, decode_message, decode_payload, parse_topic
+
+__all__ = ["ddata_metric", "sparkplug_sequence"]
+
+_BD_SEQ = "bdSeq"
+_REBIRTH = "Node Control/Rebirth"
+_FLOAT, _DOUBLE, _BOOLEAN = (DATA_TYPES.index(name) for name in ("Float", "Double", "Boolean"))
+_MOST_FINDINGS = 5
+
+# Data type and name of the metrics that a birth declared, by name and by alias.
+Declared = dict[str | int, tuple[str, int | None]]
+
+
+def ddata_metric(
+    entries: Entries,
+    *,
+    device: str,
+    name: str,
+    value: float,
+    births: Entries | None = None,
+    client_id: str | None = None,
+) -> list[Finding]:
+    """The adapter published one DDATA for the device, with this metric alone, as Float or Double.
+
+    Args:
+        births: journal in which the device's DBIRTH is found, for metrics that are sent by alias only; default
+            ``entries``.
+    """
+    declared: Declared = {}
+    for _, message in _messages(births if births is not None else entries, client_id):
+        if message.get("type") == "DBIRTH" and message["device"] == device:
+            declared = _declared(message)
+    found = [
+        message
+        for _, message in _messages(entries, client_id)
+        if "error" in message or (message["type"] == "DDATA" and message["device"] == device)
+    ]
+    problem = _ddata_problem(found, declared, name, value)
+    if problem is None:
+        return []
+    return [
+        Finding(
+            code="wrong_ddata",
+            message=f"the broker should have received one DDATA of {device} with {name} = {value}, {problem}",
+            requirement="SPB-001",
+            evidence=shown(entries),
+        )
+    ]
+
+
+def _ddata_problem(found: list[Mapping[str, Any]], declared: Declared, name: str, value: float) -> str | None:
+    if broken := [message["error"] for message in found if "error" in message]:
+        return f"a payload does not decode: {broken[0]}"
+    metrics = [metric for message in found for metric in message["metrics"]]
+    if len(found) != 1 or len(metrics) != 1:
+        listed = ", ".join(f"{metric['name']}={metric['value']!r}" for metric in metrics)
+        return f"it received {len(found)} with {listed or 'no metric'}"
+    metric = metrics[0]
+    label, datatype = metric["name"], metric["datatype"]
+    if label is None and metric["alias"] in declared:
+        label, datatype = declared[metric["alias"]][0], datatype or declared[metric["alias"]][1]
+    if label != name:
+        return f"its metric is {label!r}"
+    # tck-id-payloads-metric-datatype-not-req: data messages need not repeat the type.
+    if datatype not in (None, 0, _FLOAT, _DOUBLE):
+        return f"its datatype is {_type_name(datatype)}"
+    if metric["value"] is None:
+        return "its metric is null" if metric["is_null"] else "its metric has no value"
+    if isinstance(metric["value"], bool | str | list | dict):
+        return f"its value is {metric['value']!r}"
+    single = struct.unpack("<f", struct.pack("<f", value))[0]
+    if metric["value"] != value and (datatype == _DOUBLE or metric["value"] != single):
+        return f"its value is {metric['value']!r}"
+    return None
+
+
+def _type_name(datatype: int | None) -> str:
+    return DATA_TYPES[datatype] if datatype is not None and datatype < len(DATA_TYPES) else str(datatype)
+
+
+def _messages(entries: Entries, client_id: str | None) -> Iterator[tuple[Entry, Mapping[str, Any]]]:
+    for entry in adapter_packets(entries, "PUBLISH", "in", client_id):
+        # A will is published by the broker, on the client's behalf.
+        if str(entry.get("topic")).startswith(NAMESPACE + "/") and not entry.get("will_sent"):
+            message = decode_message(entry["topic"], payload_of(entry))
+            if message is not None:
+                yield entry, message
+            elif not entry["topic"].startswith(f"{NAMESPACE}/STATE/"):
+                yield entry, {"error": "the topic is not spBv1.0/group/type/edge_node[/device]"}
+
+
+def _declared(message: Mapping[str, Any]) -> Declared:
+    declared: Declared = {}
+    for metric in message["metrics"]:
+        if metric["name"] is not None:
+            for key in (metric["name"], metric["alias"]):
+                if key is not None:
+                    declared[key] = (metric["name"], metric["datatype"])
+    return declared
+
+
+def sparkplug_sequence(
+    entries: Entries,
+    group: str | None = None,
+    edge_node: str | None = None,
+    client_id: str | None = None,
+) -> list[Finding]:
+    """Each of the adapter's connections keeps the rules of an edge node.
+
+    Will with NDEATH and bdSeq, bdSeq counted from connection to connection, NBIRTH first, DBIRTH before DDATA, one
+    sequence number for all, QoS 0, not retained, data only of metrics that a birth declared. An adapter that publishes
+    as an edge node without having been born as one impersonates it, and is found out by the same rules.
+
+    Args:
+        entries: must begin before the connections do; of a connection whose CONNECT is missing nothing is said.
+        group, edge_node: only this edge node; None for all.
+    """
+    findings: list[Finding] = []
+    sessions: dict[int, _Session] = {}
+    deaths: dict[str, int] = {}
+    for entry in adapter_packets(entries, "CONNECT", "in", client_id):
+        sessions[entry["connection"]] = session = _Session(entry)
+        findings += session.check_count(deaths)
+    for entry, message in _messages(entries, client_id):
+        session_or_none = sessions.get(entry["connection"])
+        topic = parse_topic(entry["topic"])
+        if topic is not None and (group not in (None, topic.group) or edge_node not in (None, topic.edge_node)):
+            continue
+        if session_or_none is not None:
+            findings += session_or_none.check(entry, topic, message)
+    return findings[:_MOST_FINDINGS]
+
+
+class _Session:
+    """One MQTT connection: the edge nodes that publish through it."""
+
+    def __init__(self, connect: Entry) -> None:
+        self.will: Mapping[str, Any] = connect.get("will") or {}
+        self.death: Mapping[str, Any] = {"metrics": [], "seq": None}
+        self.will_fault: str | None = None
+        if self.will:
+            try:
+                self.death = decode_payload(payload_of(self.will))
+            except ValueError as error:
+                self.will_fault = str(error)
+        self._clean = connect.get("clean_start", True)
+        self._nodes: dict[tuple[str, str], _EdgeNode] = {}
+
+    @property
+    def bd_seq(self) -> Any:
+        """The will's bdSeq, or None."""
+        return next((metric["value"] for metric in self.death["metrics"] if metric["name"] == _BD_SEQ), None)
+
+    def check_count(self, deaths: dict[str, int]) -> Iterator[Finding]:
+        """tck-id-topics-nbirth-bdseq-increment: one more than at the connection before, modulo 256."""
+        topic = self.will.get("topic")
+        if not isinstance(topic, str) or "/NDEATH/" not in topic or not isinstance(self.bd_seq, int):
+            return
+        expected = (deaths[topic] + 1) % 256 if topic in deaths else self.bd_seq
+        if self.bd_seq != expected:
+            text = f"bdSeq of the will must be {expected} after {deaths[topic]}, it is {self.bd_seq}"
+            yield _rule("SPB-006", text, {"topic": topic})
+        deaths[topic] = self.bd_seq
+
+    def check(self, entry: Entry, topic: Topic | None, message: Mapping[str, Any]) -> Iterator[Finding]:
+        if topic is None or "error" in message:
+            yield _rule("SPB-001", f"the payload does not decode: {message['error']}", entry)
+            return
+        if topic.type in ("NCMD", "DCMD"):
+            yield from _command(entry, topic, message)
+            return
+        key = (topic.group, topic.edge_node)
+        if key not in self._nodes:
+            self._nodes[key] = _EdgeNode()
+        yield from self._nodes[key].check(entry, topic, message)
+        if topic.type == "NBIRTH":
+            yield from self._check_will(entry, topic, message)
+
+    def _check_will(self, entry: Entry, topic: Topic, message: Mapping[str, Any]) -> Iterator[Finding]:
+        if not self.will:
+            yield _rule("SPB-006", "CONNECT must carry the NDEATH as its will, it carries none", entry)
+            return
+        expected = f"{NAMESPACE}/{topic.group}/NDEATH/{topic.edge_node}"
+        if self.will.get("topic") != expected or self.will.get("qos") != 1 or self.will.get("retain"):
+            text = f"the will must go to {expected} with QoS 1, not retained; it goes to {self.will.get('topic')!r}"
+            yield _rule("SPB-006", f"{text} with QoS {self.will.get('qos')}", entry)
+        if self.will_fault is not None:
+            yield _rule("SPB-006", f"the will's payload does not decode: {self.will_fault}", entry)
+            return
+        names = [metric["name"] for metric in self.death["metrics"]]
+        if names != [_BD_SEQ] or self.death["seq"] is not None:
+            yield _rule("SPB-006", f"the will must hold bdSeq alone and no seq, it holds {names}", entry)
+        born = next((metric["value"] for metric in message["metrics"] if metric["name"] == _BD_SEQ), None)
+        if None not in (self.bd_seq, born) and born != self.bd_seq:
+            yield _rule("SPB-006", f"bdSeq of NBIRTH must be the will's {self.bd_seq}, it is {born}", entry)
+        if not self._clean:
+            yield _rule("SPB-006", "the connection must begin with a clean session", entry)
+
+
+def _command(entry: Entry, topic: Topic, message: Mapping[str, Any]) -> Iterator[Finding]:
+    if message["seq"] is not None:
+        yield _rule("SPB-010", f"{topic.type} must carry no seq, it carries {message['seq']}", entry)
+    if entry["qos"] != 0 or entry["retain"]:
+        yield _rule("SPB-002", f"{topic.type} must have QoS 0 and not be retained", entry)
+
+
+class _EdgeNode:
+    """The state that a host would have of one edge node."""
+
+    def __init__(self) -> None:
+        self._seq: int | None = None
+        self._declared: dict[str | None, Declared] = {}
+
+    def check(self, entry: Entry, topic: Topic, message: Mapping[str, Any]) -> Iterator[Finding]:
+        kind, device = topic.type, topic.device
+        if kind == "NDEATH":
+            self._seq, self._declared = None, {}
+            return
+        if entry["qos"] != 0 or entry["retain"]:
+            yield _rule("SPB-002", f"{kind} must have QoS 0 and not be retained", entry)
+        if message["timestamp"] is None:
+            yield _rule("SPB-001", f"{kind} must carry a timestamp", entry)
+        yield from self._sequence(entry, kind, message["seq"])
+        if kind in ("NBIRTH", "DBIRTH"):
+            yield from self._birth(entry, topic, message)
+        elif device is not None and device not in self._declared:
+            yield _rule("SPB-003", f"{kind} of {device!r} before its DBIRTH", entry)
+        elif kind == "DDEATH":
+            del self._declared[device]
+        elif device in self._declared:
+            yield from self._data(entry, kind, message, self._declared[device])
+
+    def _sequence(self, entry: Entry, kind: str, seq: Any) -> Iterator[Finding]:
+        if kind == "NBIRTH":
+            # The specification says both "0" and "0 to 255" of the first number; the wider rule is asked for.
+            if seq is None or not 0 <= seq <= 255:
+                yield _rule("SPB-004", f"NBIRTH must have a seq from 0 to 255, it has {seq}", entry)
+        elif self._seq is None:
+            yield _rule("SPB-003", f"{kind} before NBIRTH", entry)
+        elif seq != (self._seq + 1) % 256:
+            yield _rule("SPB-004", f"{kind} must have seq {(self._seq + 1) % 256}, it has {seq}", entry)
+        self._seq = seq
+
+    def _birth(self, entry: Entry, topic: Topic, message: Mapping[str, Any]) -> Iterator[Finding]:
+        if topic.type == "NBIRTH":
+            # A node's birth is the death of what its devices declared before.
+            self._declared = {}
+            metrics = {metric["name"]: metric for metric in message["metrics"]}
+            if _BD_SEQ not in metrics:
+                yield _rule("SPB-006", "NBIRTH must hold the metric bdSeq", entry)
+            rebirth = metrics.get(_REBIRTH, {})
+            if rebirth.get("value") is not False or rebirth.get("datatype") != _BOOLEAN:
+                yield _rule("SPB-006", f"NBIRTH must declare {_REBIRTH} as Boolean false", entry)
+        for metric in message["metrics"]:
+            label = metric["name"] if metric["name"] is not None else f"alias {metric['alias']}"
+            if metric["name"] is None or not metric["datatype"]:
+                yield _rule("SPB-001", f"{topic.type}: {label} must have a name and a data type", entry)
+            if metric["value"] is None and not metric["is_null"]:
+                yield _rule("SPB-001", f"{topic.type}: {label} has neither a value nor is_null", entry)
+        self._declared[topic.device] = _declared(message)
+
+    def _data(self, entry: Entry, kind: str, message: Mapping[str, Any], declared: Declared) -> Iterator[Finding]:
+        for metric in message["metrics"]:
+            key = metric["name"] if metric["name"] is not None else metric["alias"]
+            if key not in declared:
+                yield _rule("SPB-009", f"{kind} with the undeclared metric {key!r}", entry)
+            elif metric["datatype"] not in (None, 0, declared[key][1]):
+                born, sent = _type_name(declared[key][1]), _type_name(metric["datatype"])
+                yield _rule("SPB-009", f"{kind}: {key!r} was born as {born} and is sent as {sent}", entry)
+
+
+def _rule(requirement: str, message: str, entry: Entry) -> Finding:
+    return Finding(
+        code="sparkplug",
+        message=f"{entry['topic']}: {message}",
+        requirement=requirement,
+        evidence=f"packet {entry['seq']} of the journal" if "seq" in entry else None,
+    )

@@ -1,0 +1,256 @@
+"""Decodes OPC UA over TCP from recorded bytes, security policy None, by the specification alone.
+
+OPC 10000-6, section 7.1 (OPC UA Connection Protocol) and 6.7 (chunks); OPC 10000-4 for the services. Signed channels are
+framed but not read: their messages are entries of kind ``Sealed``.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+from ..framing import MalformedError
+from .binary import BinaryReader, symbol
+
+__all__ = ["STATE_CHANGING", "OpcUaConversation", "chunk_length"]
+
+_MESSAGES = frozenset({b"HEL", b"ACK", b"ERR", b"RHE", b"OPN", b"MSG", b"CLO"})
+_LARGEST_CHUNK = 64 * 1024 * 1024
+_POLICY_NONE = "http://opcfoundation.org/UA/SecurityPolicy#None"
+
+# Numeric id of the binary encoding of the request (OPC 10000-6, annex A); that of the response is three higher.
+_SERVICES = {
+    422: "FindServers",
+    428: "GetEndpoints",
+    446: "OpenSecureChannel",
+    452: "CloseSecureChannel",
+    461: "CreateSession",
+    467: "ActivateSession",
+    473: "CloseSession",
+    479: "Cancel",
+    488: "AddNodes",
+    494: "AddReferences",
+    500: "DeleteNodes",
+    506: "DeleteReferences",
+    527: "Browse",
+    533: "BrowseNext",
+    554: "TranslateBrowsePaths",
+    560: "RegisterNodes",
+    566: "UnregisterNodes",
+    631: "Read",
+    664: "HistoryRead",
+    673: "Write",
+    700: "HistoryUpdate",
+    712: "Call",
+    751: "CreateMonitoredItems",
+    763: "ModifyMonitoredItems",
+    769: "SetMonitoringMode",
+    775: "SetTriggering",
+    781: "DeleteMonitoredItems",
+    787: "CreateSubscription",
+    793: "ModifySubscription",
+    799: "SetPublishingMode",
+    826: "Publish",
+    832: "Republish",
+    841: "TransferSubscriptions",
+    847: "DeleteSubscriptions",
+}
+_SERVICE_FAULT = 397
+STATE_CHANGING = frozenset(
+    {"Write", "Call", "HistoryUpdate", "AddNodes", "AddReferences", "DeleteNodes", "DeleteReferences"}
+)
+"""Services whose request can change the plant or its address space."""
+
+_ATTRIBUTES = (
+    *("", "NodeId", "NodeClass", "BrowseName", "DisplayName", "Description", "WriteMask", "UserWriteMask"),
+    *("IsAbstract", "Symmetric", "InverseName", "ContainsNoLoops", "EventNotifier", "Value", "DataType", "ValueRank"),
+    *("ArrayDimensions", "AccessLevel", "UserAccessLevel", "MinimumSamplingInterval", "Historizing", "Executable"),
+    *("UserExecutable", "DataTypeDefinition", "RolePermissions", "UserRolePermissions", "AccessRestrictions"),
+    "AccessLevelEx",
+)
+
+
+def chunk_length(buffer: bytes | bytearray) -> int | None:
+    """Length of the message chunk at the beginning of the buffer (section 7.1.2.2).
+
+    Raises:
+        MalformedError: unknown message or chunk type, or an impossible size.
+    """
+    if len(buffer) < 8:
+        return None
+    kind, final, size = struct.unpack_from("<3scI", buffer)
+    if kind not in _MESSAGES or final not in b"FCA":
+        raise MalformedError(f"{bytes(buffer[:4])!r} begins no chunk")
+    if not 8 <= size <= _LARGEST_CHUNK:
+        raise MalformedError(f"the chunk size is {size}")
+    return int(size)
+
+
+class OpcUaConversation:
+    """One connection: puts chunks together and answers with their requests."""
+
+    def __init__(self) -> None:
+        self._chunks: dict[tuple[str, int], bytes] = {}
+        self._asked: dict[int, str] = {}
+        self._sealed = False
+
+    def decode(self, direction: str, frame: bytes) -> list[dict[str, Any]]:
+        """See :class:`~pytest_otmcp.protocols.framing.Conversation`; the kind is the service's name."""
+        kind = frame[:3].decode()
+        try:
+            return [{"direction": direction, **entry} for entry in self._entries(kind, direction, frame)]
+        except MalformedError as error:
+            return [{"direction": direction, "kind": "malformed", "reason": str(error), "bytes": frame[:256].hex()}]
+
+    def _entries(self, kind: str, direction: str, frame: bytes) -> list[dict[str, Any]]:
+        reader = BinaryReader(frame[8:])
+        if kind in ("HEL", "ACK"):
+            reader.take(20)
+            return [{"kind": "Hello", "endpoint_url": reader.string()} if kind == "HEL" else {"kind": "Acknowledge"}]
+        if kind == "ERR":
+            return [{"kind": "Error", "status": symbol(reader.unpack("I")), "reason": reader.string()}]
+        if kind == "RHE":
+            return [{"kind": "ReverseHello"}]
+        reader.unpack("I")
+        if kind == "OPN":
+            self._sealed = reader.string() != _POLICY_NONE
+            reader.byte_string()
+            reader.byte_string()
+        else:
+            reader.unpack("I")
+        if self._sealed:
+            return [{"kind": "Sealed", "message": kind, "bytes_count": len(frame)}]
+        reader.unpack("I")
+        request_id = reader.unpack("I")
+        body = frame[len(frame) - reader.left :]
+        return self._message(direction, request_id, chr(frame[3]), body)
+
+    def _message(self, direction: str, request_id: int, final: str, body: bytes) -> list[dict[str, Any]]:
+        key = (direction, request_id)
+        if final == "A":
+            self._chunks.pop(key, None)
+            return [{"kind": "Abort", "request_id": request_id}]
+        body = self._chunks.pop(key, b"") + body
+        if final == "C":
+            if len(body) > _LARGEST_CHUNK:
+                raise MalformedError("the message is too long")
+            self._chunks[key] = body
+            return []
+        reader = BinaryReader(body)
+        type_id = reader.node_id()
+        number = int(type_id.removeprefix("i=")) if type_id.startswith("i=") else -1
+        if direction == "in":
+            name = _SERVICES.get(number, type_id)
+            self._asked[request_id] = name
+            reader.node_id()
+            reader.take(8)
+            handle = reader.unpack("I")
+            reader.take(4)
+            reader.string()
+            reader.take(4)
+            reader.extension_object()
+            fields = {"request_handle": handle, "state_changing": name in STATE_CHANGING, **_asked(name, reader)}
+        else:
+            name = self._asked.pop(request_id, _SERVICES.get(number - 3, type_id))
+            reader.take(8)
+            handle, result = reader.unpack("I"), reader.unpack("I")
+            reader.diagnostic_info()
+            reader.array(reader.string)
+            reader.extension_object()
+            fields = {"request_handle": handle, "service_result": symbol(result)}
+            if number != _SERVICE_FAULT:
+                fields |= _answered(name, reader)
+        return [{"kind": name, "request_id": request_id, **fields}]
+
+
+def _asked(name: str, reader: BinaryReader) -> dict[str, Any]:
+    """The parameters of a request, for the services that say which nodes they are about."""
+    if name == "Read":
+        reader.take(12)
+        return {"nodes": reader.array(lambda: _read_value_id(reader)) or []}
+    if name == "Write":
+        return {"nodes": reader.array(lambda: _write_value(reader)) or []}
+    if name == "Browse":
+        reader.node_id()
+        reader.take(16)
+        return {"nodes": reader.array(lambda: _browse_description(reader)) or []}
+    if name == "Call":
+        return {"methods": reader.array(lambda: _method_call(reader)) or []}
+    return {}
+
+
+def _attribute(number: int) -> str:
+    return _ATTRIBUTES[number] if 0 < number < len(_ATTRIBUTES) else str(number)
+
+
+def _read_value_id(reader: BinaryReader) -> dict[str, Any]:
+    node, attribute = reader.node_id(), reader.unpack("I")
+    reader.string()
+    reader.qualified_name()
+    return {"node_id": node, "attribute": _attribute(attribute)}
+
+
+def _write_value(reader: BinaryReader) -> dict[str, Any]:
+    node, attribute = reader.node_id(), reader.unpack("I")
+    reader.string()
+    value = reader.data_value()
+    del value["status"]
+    return {"node_id": node, "attribute": _attribute(attribute), **value}
+
+
+def _browse_description(reader: BinaryReader) -> str:
+    node = reader.node_id()
+    reader.unpack("I")
+    reader.node_id()
+    reader.take(9)
+    return node
+
+
+def _method_call(reader: BinaryReader) -> dict[str, Any]:
+    object_id, method_id = reader.node_id(), reader.node_id()
+    variants = reader.array(reader.variant) or []
+    return {
+        "object_id": object_id,
+        "method_id": method_id,
+        "arguments": [value for _, value in variants],
+        "types": [name for name, _ in variants],
+    }
+
+
+def _answered(name: str, reader: BinaryReader) -> dict[str, Any]:
+    """The results of an answer."""
+    if name == "Read":
+        values = reader.array(reader.data_value) or []
+        return {"results": [{"status": value["status"], "value": value["value"]} for value in values]}
+    if name in ("Write", "AddReferences", "DeleteNodes", "DeleteReferences"):
+        return {"results": reader.array(lambda: symbol(reader.unpack("I"))) or []}
+    if name in ("Browse", "BrowseNext"):
+        results = reader.array(lambda: _browse_result(reader)) or []
+        return {"results": [status for status, _ in results], "counts": [count for _, count in results]}
+    if name == "Call":
+        return {"results": reader.array(lambda: _method_result(reader)) or []}
+    return {}
+
+
+def _browse_result(reader: BinaryReader) -> tuple[str, int]:
+    status = symbol(reader.unpack("I"))
+    reader.byte_string()
+    return status, len(reader.array(lambda: _reference(reader)) or [])
+
+
+def _reference(reader: BinaryReader) -> None:
+    reader.node_id()
+    reader.unpack("B")
+    reader.expanded_node_id()
+    reader.qualified_name()
+    reader.localized_text()
+    reader.unpack("I")
+    reader.expanded_node_id()
+
+
+def _method_result(reader: BinaryReader) -> dict[str, Any]:
+    status = symbol(reader.unpack("I"))
+    reader.array(lambda: reader.unpack("I"))
+    reader.array(reader.diagnostic_info)
+    outputs = reader.array(reader.variant) or []
+    return {"status": status, "outputs": [value for _, value in outputs]}

@@ -1,0 +1,7 @@
+"""The run record ``run.json``: its shape, reading and writing it, device images, secrets. Pure."""
+
+from __future__ import annotations
+
+from .run_file import RecordError, load
+
+__all__ = ["RecordError", "load"]

@@ -1,0 +1,170 @@
+"""A reply again, from what a run record has of it. Pure.
+
+What is judged again, and what is believed:
+
+- A reply whose frames are in the record is read from their bytes, by the same rules as before; their digest must fit.
+- Of a reply without frames, which had no fault, the envelope is read again: schema, codes, what contradicts itself, its
+  clock against the kit's. Believed is that its text block said the same and that ``isError`` agreed.
+- Frames that are cut off, or are no UTF-8, cannot be read again: envelope and faults of such a reply are believed.
+- What a Python function of a subject returned is believed; everything that is made of it is made again.
+- Tool and arguments must be those that the stored binding makes of what the steps ask for; outputs are read anew.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from ..core.finding import Finding
+from ..core.strict_json import same_json
+from ..subject.model import READ_WRITE, Answering, Binding, ErrorRule, OutcomeRule, OutputRule
+from ..trial.reply import Reply, Wire, observe, performed
+
+__all__ = ["UNREADABLE", "HistoryError", "recorded_reply", "restored_bindings"]
+
+
+UNREADABLE = (LookupError, TypeError, ValueError, AttributeError, RecursionError, re.error)
+"""What reading a record may end in that has another shape than any that the kit writes."""
+
+
+class HistoryError(Exception):
+    """The stored history cannot be what happened; the message says why."""
+
+
+def restored_bindings(stored: Mapping[str, Any]) -> dict[str, list[Binding] | None]:
+    """The bindings of the operations that were used; None for one that a Python function performs."""
+    return {name: None if cases is None else [_binding(case) for case in cases] for name, cases in stored.items()}
+
+
+def _binding(case: Mapping[str, Any]) -> Binding:
+    answering = case["answering"]
+    rules = {
+        "outputs": {name: OutputRule(**rule) for name, rule in case["outputs"].items()},
+        "answering": Answering(
+            form=answering["form"],
+            outcome=tuple(OutcomeRule(**rule) for rule in answering["outcome"]),
+            errors=tuple(ErrorRule(**rule) for rule in answering["errors"]),
+        ),
+    }
+    return Binding(**{**case, **rules})
+
+
+def recorded_reply(
+    call: Mapping[str, Any],
+    *,
+    role: str,
+    cases: list[Binding] | None,
+    endpoint: Mapping[str, str],
+    deadline_s: float,
+) -> Reply:
+    """The reply of a recorded call.
+
+    Args:
+        call: as ``run.json`` has it.
+        role: what the steps ask for it as.
+        cases: how the subject performs the operation; None for a Python function.
+        endpoint, deadline_s: of the station.
+
+    Raises:
+        HistoryError: the call cannot have been like that.
+    """
+    inputs = call["inputs"]
+    if cases is None:
+        binding, arguments, tool = None, inputs, call["tool"]
+    else:
+        binding = next((case for case in cases if case.fits(inputs)), None)
+        if binding is None:
+            raise HistoryError(f"no binding of {call['operation']} is stored for {inputs}")
+        arguments, tool = binding.fill(inputs, endpoint), binding.tool
+    if tool != call["tool"] or not same_json(arguments, call["arguments"]):
+        raise HistoryError(
+            f"{call['operation']} is performed by {tool} with {arguments}, "
+            f"the history has {call['tool']} with {call['arguments']}"
+        )
+    wire = _wire(call)
+    if wire is None:
+        return _believed(call, role)
+    answering = Answering(form="text") if binding is None else binding.answering
+    reply = observe(
+        wire,
+        adapter=call["adapter"],
+        variant=call["variant"],
+        operation=call["operation"],
+        tool=tool,
+        arguments=arguments,
+        role=role,
+        deadline_s=deadline_s,
+        answering=answering,
+        outputs={} if binding is None else binding.outputs,
+        # Only the read-only variant may do without a tool.
+        listed=call["variant"] == READ_WRITE or call["listed"],
+    )
+    if binding is None:
+        performed(reply, call["outputs"], _refusal(call))
+    return reply
+
+
+def _refusal(call: Mapping[str, Any]) -> tuple[str, str] | None:
+    error = (call["envelope"] or {}).get("error")
+    return None if error is None else (error["code"], error["message"])
+
+
+def _wire(call: Mapping[str, Any]) -> Wire | None:
+    """The exchange of a call; None when its frames cannot be read again."""
+    frames = call.get("frames")
+    response: bytes | None
+    if frames is None:
+        if not isinstance(call["envelope"], dict) or not call["native"]:
+            raise HistoryError(f"{call['tool']} was answered without an envelope, and there are no frames")
+        response, failure, complaint = _frame(call["envelope"]), None, None
+    else:
+        request = frames["request"].encode()
+        response = None if frames["response"] is None else frames["response"].encode()
+        failure, complaint = frames["failure"], frames["complaint"]
+        if response is not None and hashlib.sha256(request + b"\n" + response).hexdigest() != call["frames_sha256"]:
+            return None
+    return Wire(
+        request=b"",
+        response=response,
+        sent_ns=call["sent_ns"],
+        received_ns=call["received_ns"],
+        failure=failure,
+        client_complaint=complaint,
+    )
+
+
+def _frame(envelope: Mapping[str, Any]) -> bytes:
+    result = {
+        "content": [{"type": "text", "text": json.dumps(envelope)}],
+        "structuredContent": envelope,
+        "isError": envelope.get("success") is not True,
+    }
+    return json.dumps({"jsonrpc": "2.0", "id": 0, "result": result}).encode()
+
+
+def _believed(call: Mapping[str, Any], role: str) -> Reply:
+    frames = call["frames"]
+    return Reply(
+        adapter=call["adapter"],
+        variant=call["variant"],
+        operation=call["operation"],
+        tool=call["tool"],
+        arguments=call["arguments"],
+        role=role,
+        wire=Wire(
+            request=b"",
+            response=b"",
+            sent_ns=call["sent_ns"],
+            received_ns=call["received_ns"],
+            failure=frames["failure"],
+            client_complaint=frames["complaint"],
+        ),
+        envelope=call["envelope"],
+        outputs=dict(call["outputs"]),
+        faults=[Finding(**fault) for fault in frames["faults"]],
+        native=call["native"],
+        listed=call["listed"],
+    )

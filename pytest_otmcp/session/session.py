@@ -1,0 +1,278 @@
+"""One MCP session with a subject, over a transport that records every frame.
+
+The official SDK's client gives the semantics (both protocol eras, cancellation on timeout, schema validation as a
+host would do it); below it frames are recorded, because a judgement needs what an ordinary client throws away:
+raw bytes, the times of request and reply, stray output, stderr and the way in which the process ended.
+
+What this file does not do: judge. It turns calls into :class:`~pytest_otmcp.session.exchange.Exchange` records.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+from mcp import Client, MCPError
+from mcp.types import RequestParamsMeta
+from pydantic import ValidationError
+
+from ..core.errors import SubjectError
+from .exchange import MAX_STRAY_LINES, META_KEY, Exchange, FrameRecorder
+from .http import HttpTransport
+from .process import MAX_FRAME_BYTES, StopReport
+from .stdio import StdioTransport
+
+__all__ = ["Exchange", "McpSession", "SessionOptions"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SessionOptions:
+    """How sessions are opened and closed. All times in seconds.
+
+    Attributes:
+        url: of the subject's streamable HTTP endpoint; None for stdio.
+    """
+
+    era: str = "auto"
+    start_timeout_s: float = 30.0
+    exit_grace_s: float = 3.0
+    url: str | None = None
+
+
+class McpSession:
+    """An open session. Use :meth:`open` and :meth:`close`; both may be called from different tasks.
+
+    Attributes:
+        tools: name to entry of ``tools/list``.
+        state: what the functions of a bindings file keep from one call to the next.
+    """
+
+    def __init__(self, command: Sequence[str], env: Mapping[str, str], cwd: Path | None, options: SessionOptions):
+        self._command = list(command)
+        self._options = options
+        self._recorder = FrameRecorder()
+        self._transport: StdioTransport | HttpTransport
+        if options.url is None:
+            self._transport = StdioTransport(command, env, cwd, self._recorder, options.exit_grace_s)
+        else:
+            self._transport = HttpTransport(command, env, cwd, options.url, self._recorder, options.exit_grace_s)
+        self._client: Client | None = None
+        self._owner: asyncio.Task[None] | None = None
+        self._closing = asyncio.Event()
+        self.tools: dict[str, dict[str, Any]] = {}
+        self.state: dict[str, Any] = {}
+        self.server_name = ""
+        self.server_version = ""
+        self.protocol_version = ""
+        self.spawned_ns = 0
+        self.ready_ns = 0
+
+    @property
+    def stop_report(self) -> StopReport | None:
+        """How the process ended; None while it runs."""
+        return self._transport.stop_report
+
+    # -- life ---------------------------------------------------------------------------------------------
+
+    async def open(self) -> None:
+        """Start the subject, agree on a protocol version and list its tools.
+
+        Raises:
+            SubjectError: the command cannot be run, the process ended, or it did not answer in time; the message
+                carries its last stderr lines. The process is gone when this is raised.
+        """
+        ready: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self.spawned_ns = time.monotonic_ns()
+        self._owner = asyncio.create_task(self._own(ready), name="otmcp-session")
+        try:
+            await asyncio.wait_for(asyncio.shield(ready), self._options.start_timeout_s)
+        except TimeoutError:
+            stderr = self._stderr_excerpt()
+            await self._give_up(self._owner, ready)
+            raise SubjectError(
+                "start_timeout",
+                f"the adapter did not finish its handshake within {self._options.start_timeout_s:g} s "
+                f"(command: {self._command_line()}){stderr}",
+            ) from None
+        except asyncio.CancelledError:
+            await self._give_up(self._owner, ready)
+            raise
+        except BaseException as error:
+            await self.close()
+            if isinstance(error, SubjectError):
+                raise
+            raise SubjectError("cannot_start", self._why_not_started(error)) from error
+        self.ready_ns = time.monotonic_ns()
+
+    async def _give_up(self, owner: asyncio.Task[None], ready: asyncio.Future[None]) -> None:
+        # It is still busy with the handshake; waiting for it once more would not make it answer.
+        owner.cancel()
+        await self.close()
+        # Nobody waits for it any more, and its end is no news.
+        if ready.done() and not ready.cancelled():
+            ready.exception()
+
+    async def _own(self, ready: asyncio.Future[None]) -> None:
+        # anyio's cancel scopes must be left by the task that entered them: this task owns the client from
+        # beginning to end, whoever opens and closes the session.
+        try:
+            async with Client(self._transport.streams(), cache=None, mode=self._options.era) as client:
+                await self._list_tools(client)
+                self._client = client
+                info = client.server_info
+                self.server_name, self.server_version = (info.name, info.version) if info else ("", "")
+                self.protocol_version = str(client.protocol_version)
+                if not ready.done():
+                    ready.set_result(None)
+                await self._closing.wait()
+        except BaseException as error:
+            if not ready.done():
+                ready.set_exception(_innermost(error))
+                return
+            if isinstance(error, asyncio.CancelledError):
+                raise
+            # After a good start, what goes wrong shows in the exchanges; closing noise is not news.
+        finally:
+            self._client = None
+
+    async def _list_tools(self, client: Client) -> None:
+        # Listing before the first call also keeps the SDK from sending a hidden tools/list after it.
+        cursor: str | None = None
+        while True:
+            page = await client.list_tools(cursor=cursor)
+            for tool in page.tools:
+                self.tools[tool.name] = tool.model_dump(by_alias=True, mode="json", exclude_none=True)
+            cursor = page.next_cursor
+            if cursor is None:
+                return
+
+    async def close(self) -> StopReport | None:
+        """Close the session and end the process; never raises, never leaves a process behind."""
+        self._closing.set()
+        if self._owner is not None:
+            done, _ = await asyncio.wait({self._owner}, timeout=3 * self._options.exit_grace_s + 6.0)
+            if not done:
+                self._owner.cancel()
+                await asyncio.wait({self._owner}, timeout=5.0)
+            if not self._owner.cancelled():
+                self._owner.exception()
+        return await self._transport.stop()
+
+    # -- calls --------------------------------------------------------------------------------------------
+
+    async def call(self, tool: str, arguments: Mapping[str, Any], *, timeout_s: float) -> Exchange:
+        """Call a tool and record the exchange; every outcome is a record, none an exception."""
+        exchange = Exchange(tool=tool, arguments=dict(arguments))
+        return await self._exchange(
+            exchange,
+            lambda client, meta: client.call_tool(tool, exchange.arguments, read_timeout_seconds=timeout_s, meta=meta),
+        )
+
+    async def read_resource(self, uri: str, *, timeout_s: float) -> Exchange:
+        """Read a resource and record the exchange, as :meth:`call` does."""
+        exchange = Exchange(tool=uri, arguments={})
+
+        async def read(client: Client, meta: RequestParamsMeta) -> Any:
+            async with asyncio.timeout(timeout_s):
+                return await client.read_resource(uri, meta=meta)
+
+        return await self._exchange(exchange, read)
+
+    async def _exchange(
+        self, exchange: Exchange, request: Callable[[Client, RequestParamsMeta], Awaitable[Any]]
+    ) -> Exchange:
+        client = self._client
+        exchange.asked_ns = exchange.returned_ns = time.monotonic_ns()
+        if client is None or self.died:
+            exchange.failure = "connection_closed"
+            return exchange
+        token = self._recorder.begin(exchange)
+        try:
+            await request(client, cast(RequestParamsMeta, {META_KEY: token}))
+        except (MCPError, TimeoutError) as error:
+            if exchange.response is None:
+                timed_out = isinstance(error, TimeoutError) or error.code == -32001
+                exchange.failure = "timeout" if timed_out and not self.died else "connection_closed"
+        except (RuntimeError, ValidationError, ValueError) as error:
+            exchange.client_complaint = str(error).splitlines()[0][:300]
+            if exchange.response is None:
+                exchange.failure = "connection_closed"
+        finally:
+            exchange.returned_ns = time.monotonic_ns()
+            self._recorder.end(token)
+        return exchange
+
+    @property
+    def died(self) -> bool:
+        """The subject has left although nobody asked it to."""
+        return self._transport.died
+
+    async def death_note(self) -> str:
+        """One sentence on how the subject ended, with its last stderr lines."""
+        process = self._transport.process
+        if process is None:
+            return "the adapter is not running"
+        await process.settle()
+        code = process.returncode
+        how = "closed its stdout" if code is None else _exit_words(code)
+        return f"the adapter {how}{self._stderr_excerpt()}"
+
+    def stderr_tail(self) -> list[str]:
+        """The newest lines on stderr, oldest first."""
+        process = self._transport.process
+        return [] if process is None else process.stderr_tail()
+
+    def stray_output(self) -> tuple[int, list[str]]:
+        """Lines on stdout that are no MCP message: how many, and the first few."""
+        return self._recorder.stray_count, [line[:200].decode("utf-8", "replace") for line in self._recorder.stray]
+
+    def unknown_responses(self) -> list[str]:
+        """Ids of responses to requests that were never sent."""
+        return list(self._recorder.unknown_ids)
+
+    @property
+    def overflow(self) -> bool:
+        """A message longer than the kit accepts arrived; the session was ended because of it."""
+        return self._recorder.overflow
+
+    # -- words --------------------------------------------------------------------------------------------
+
+    def _command_line(self) -> str:
+        return " ".join(self._command)
+
+    def _stderr_excerpt(self) -> str:
+        tail = self.stderr_tail()
+        return "; last stderr lines:\n    " + "\n    ".join(tail) if tail else "; it wrote nothing to stderr"
+
+    def _why_not_started(self, error: BaseException) -> str:
+        if isinstance(error, FileNotFoundError):
+            return f"the command {self._command[0]!r} was not found; the launch command is: {self._command_line()}"
+        if self._recorder.overflow:
+            return f"the adapter sent a line of more than {MAX_FRAME_BYTES // 2**20} MiB during its handshake"
+        if self._recorder.stray_count >= MAX_STRAY_LINES:
+            first = self._recorder.stray[0][:120].decode("utf-8", "replace")
+            return f"the adapter floods stdout with lines that are no MCP messages, the first: {first!r}"
+        report = self.stop_report
+        if report is not None and report.how == "exited":
+            how = _exit_words(report.returncode)
+            return f"the adapter {how} during its handshake ({self._command_line()}){self._stderr_excerpt()}"
+        if isinstance(error, OSError):
+            return f"the command cannot be executed ({error.strerror or error}): {self._command_line()}"
+        reason = str(error).splitlines()[0][:300] if str(error) else type(error).__name__
+        return f"the adapter's handshake failed: {reason} ({self._command_line()}){self._stderr_excerpt()}"
+
+
+def _exit_words(code: int | None) -> str:
+    if code is None:
+        return "did not exit"
+    return f"was killed by signal {-code}" if code < 0 else f"exited with code {code}"
+
+
+def _innermost(error: BaseException) -> BaseException:
+    while isinstance(error, BaseExceptionGroup) and error.exceptions:
+        error = error.exceptions[0]
+    return error

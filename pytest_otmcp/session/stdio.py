@@ -1,0 +1,122 @@
+"""MCP over a subprocess's standard input and output, every frame recorded (MCP basic/transports, stdio)."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import asynccontextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import anyio
+from mcp.shared.message import SessionMessage
+from mcp.types import JSONRPCRequest
+from pydantic import ValidationError
+
+from .exchange import MAX_STRAY_LINES, FrameRecorder
+from .process import StopReport, SubjectProcess
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator
+
+    from mcp.client._transport import TransportStreams
+
+__all__ = ["StdioTransport"]
+
+
+class StdioTransport:
+    """Starts the subject and carries messages to and from it. For one session."""
+
+    def __init__(
+        self,
+        command: Sequence[str],
+        env: Mapping[str, str],
+        cwd: Path | None,
+        recorder: FrameRecorder,
+        exit_grace_s: float,
+    ) -> None:
+        self.process: SubjectProcess | None = None
+        self.stop_report: StopReport | None = None
+        self._command = command
+        self._env = env
+        self._cwd = cwd
+        self._recorder = recorder
+        self._exit_grace_s = exit_grace_s
+        self._incoming: asyncio.Queue[SessionMessage | Exception | None] = asyncio.Queue()
+
+    @property
+    def died(self) -> bool:
+        """The process has ended, or has closed its stdout, although nobody asked it to."""
+        process = self.process
+        return process is None or process.exited.is_set() or process.stdout_closed.is_set()
+
+    async def stop(self) -> StopReport | None:
+        """End the process, if it is still there."""
+        if self.process is not None and self.stop_report is None:
+            self.stop_report = await self.process.stop(grace_s=self._exit_grace_s)
+        return self.stop_report
+
+    @asynccontextmanager
+    async def streams(self) -> AsyncIterator[TransportStreams]:
+        """The streams for the SDK's client; the process lives as long as the block."""
+        self.process = await SubjectProcess.start(
+            self._command, env=self._env, cwd=self._cwd, on_line=self._line, on_overflow=self._overflow
+        )
+        to_client, from_server = anyio.create_memory_object_stream[SessionMessage | Exception](256)
+        from_client, to_server = anyio.create_memory_object_stream[SessionMessage](16)
+        tasks = [
+            asyncio.create_task(self._pump_in(to_client), name="otmcp-pump-in"),
+            asyncio.create_task(self._pump_out(to_server), name="otmcp-pump-out"),
+            asyncio.create_task(self._watch_end(self.process), name="otmcp-watch"),
+        ]
+        try:
+            yield from_server, from_client
+        finally:
+            with anyio.CancelScope(shield=True):
+                await self.stop()
+                for task in tasks:
+                    task.cancel()
+                await asyncio.gather(*tasks, return_exceptions=True)
+                for stream in (to_client, from_server, from_client, to_server):
+                    await stream.aclose()
+
+    async def _watch_end(self, process: SubjectProcess) -> None:
+        await process.stdout_closed.wait()
+        self._incoming.put_nowait(None)
+
+    async def _pump_in(self, to_client: anyio.abc.ObjectSendStream[SessionMessage | Exception]) -> None:
+        async with to_client:
+            while (message := await self._incoming.get()) is not None:
+                with suppress(anyio.BrokenResourceError, anyio.ClosedResourceError):
+                    await to_client.send(message)
+
+    async def _pump_out(self, to_server: anyio.abc.ObjectReceiveStream[SessionMessage]) -> None:
+        async for outgoing in to_server:
+            message = outgoing.message
+            data = message.model_dump_json(by_alias=True, exclude_unset=True).encode()
+            if isinstance(message, JSONRPCRequest):
+                self._recorder.sent(time.monotonic_ns(), data, message.id, message.params)
+            process = self.process
+            try:
+                if process is None:
+                    return
+                process.write(data + b"\n")
+            except BrokenPipeError:
+                self._incoming.put_nowait(None)
+                return
+
+    def _line(self, now: int, line: bytes) -> None:
+        message = self._recorder.received(now, line.rstrip(b"\r"))
+        if isinstance(message, ValidationError):
+            if self._recorder.stray_count <= MAX_STRAY_LINES:
+                self._incoming.put_nowait(message)
+            if self._recorder.stray_count == MAX_STRAY_LINES:
+                # A flood is not waited out: the session ends here, and the finding says why.
+                self._incoming.put_nowait(None)
+        elif message is not None:
+            self._incoming.put_nowait(SessionMessage(message))
+
+    def _overflow(self, now: int) -> None:
+        self._recorder.overflow = True
+        self._incoming.put_nowait(None)

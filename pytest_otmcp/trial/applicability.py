@@ -1,0 +1,46 @@
+"""Whether a task applies to a subject, and which of its adapters take part: pure functions of the facets that the task needs
+and that the subject claims."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from ..core.verdict import Status
+from ..protocols.operations import GUARD, PROTOCOLS, behind
+from ..subject.model import Adapter
+from .task import Task
+
+__all__ = ["applicability", "stations"]
+
+
+def applicability(task: Task, adapters: Mapping[str, Adapter]) -> tuple[Status, str] | None:
+    """Why the task cannot be run: NOT_APPLICABLE or NOT_TESTABLE with the reason; None when it can.
+
+    What is claimed but cannot be exercised comes first only if everything that the task needs is claimed.
+    """
+    for protocol in dict.fromkeys(facet.partition(".")[0] for facet in task.needs):
+        if protocol not in adapters:
+            return Status.NOT_APPLICABLE, f"the subject has no adapter for {PROTOCOLS[protocol]}"
+    needs = [need for facet in task.needs for need in _resolved(facet, adapters)]
+    for facet in needs:
+        protocol, _, name = facet.partition(".")
+        if (reason := adapters[protocol].why_not_claimed(name)) is not None:
+            return Status.NOT_APPLICABLE, f"{facet} is not claimed: {reason}"
+    for facet in needs:
+        protocol, _, name = facet.partition(".")
+        if (gap := adapters[protocol].why_not_testable(name)) is not None:
+            return Status.NOT_TESTABLE, f"{protocol}: {gap}, and {name} is not declared as unclaimed"
+    return None
+
+
+def stations(task: Task, adapters: Mapping[str, Adapter]) -> list[str]:
+    """The adapter variants that take part in a task that applies: ``protocol``, or ``protocol@ro`` for the read-only one."""
+    guarded = [f"{name}@ro" for name in task.guards if adapters[name].why_not_claimed(GUARD) is None]
+    return [*task.adapters, *guarded]
+
+
+def _resolved(facet: str, adapters: Mapping[str, Adapter]) -> Iterator[str]:
+    protocol, _, name = facet.partition(".")
+    adapter = adapters[protocol]
+    for real in behind(name, [operation for operation in adapter.operations if adapter.blocks(operation)]):
+        yield f"{protocol}.{real}"

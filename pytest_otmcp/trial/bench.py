@@ -1,0 +1,108 @@
+"""The test bench: one station per adapter variant at the devices of a plant, and where the time went.
+
+The bench starts what is asked for and ends its sessions; it does not know tasks and does not judge.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterable
+from typing import Any
+
+from ..plant.devices import Plant
+from ..subject import Subject
+from ..subject.binding_check import drift
+from ..subject.model import READ_WRITE
+from .adapter_under_test import AdapterUnderTest, BenchOptions
+from .time_spent import TimeSpent
+
+__all__ = ["Bench"]
+
+
+class Bench:
+    """Everything that runs during a test run. Use :meth:`prepare` and :meth:`close` on the kit's loop.
+
+    Args:
+        subject: who is tested.
+        options: see :class:`BenchOptions`.
+        plant: the devices; they outlive the bench.
+    """
+
+    def __init__(self, subject: Subject, options: BenchOptions, plant: Plant) -> None:
+        self.subject = subject
+        self.options = options
+        self.spent = TimeSpent()
+        self._plant = plant
+        self._stations: dict[str, AdapterUnderTest] = {}
+
+    async def prepare(self, names: Iterable[str]) -> None:
+        """Start devices and adapters, all at once.
+
+        An adapter that cannot be started is not an error here: its first task will say so.
+
+        Args:
+            names: ``protocol`` for its read-write variant, or ``protocol@ro``.
+
+        Raises:
+            KitError: a mock could not be started.
+        """
+        wanted = list(dict.fromkeys(names))
+        opening = [asyncio.create_task(self._open(name)) for name in wanted]
+        try:
+            with self.spent.on("plant start"):
+                await asyncio.gather(*(self._plant.device(name) for name in wanted))
+            with self.spent.on("adapter starts"):
+                await asyncio.gather(*opening, return_exceptions=True)
+        except BaseException:
+            for task in opening:
+                task.cancel()
+            await asyncio.gather(*opening, return_exceptions=True)
+            raise
+
+    async def _open(self, name: str) -> None:
+        station = await self.station(name)
+        await station.open()
+
+    async def station(self, name: str) -> AdapterUnderTest:
+        """The station of an adapter variant, ``protocol`` or ``protocol@ro``; its session is not opened.
+
+        The read-only variant gets a device of its own: what reaches that device during the whole life of a session
+        can then be nobody else's doing.
+        """
+        device = await self._plant.device(name)
+        if name not in self._stations:
+            protocol, _, variant = name.partition("@")
+            adapter = self.subject.adapters[protocol]
+            self._stations[name] = AdapterUnderTest(adapter, variant or READ_WRITE, device, self.options)
+        return self._stations[name]
+
+    def drift(self) -> list[str]:
+        """Contradictions between the subject file and the tools that the adapters list, a sentence each."""
+        found = []
+        for station in self._stations.values():
+            # The read-only variant need not have every tool.
+            if station.variant == READ_WRITE and station.tools is not None:
+                found += drift(station.adapter, station.tools)
+        return found
+
+    def facts(self) -> dict[str, Any]:
+        """What is known of the subject's servers, as ``run.json`` has it under ``subject.adapters``."""
+        facts: dict[str, Any] = {}
+        for protocol, station in sorted(self._stations.items()):
+            session = station.session
+            if station.variant == READ_WRITE and session is not None:
+                facts[protocol] = {
+                    **station.adapter.facts(),
+                    "unmet": sorted(station.unmet),
+                    "server_name": session.server_name,
+                    "server_version": session.server_version,
+                    "protocol_version": session.protocol_version,
+                    "tools": len(session.tools),
+                }
+        return facts
+
+    async def close(self) -> None:
+        """End every session."""
+        with self.spent.on("adapter starts"):
+            await asyncio.gather(*(station.close() for station in self._stations.values()), return_exceptions=True)
+        self._stations.clear()

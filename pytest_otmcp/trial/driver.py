@@ -1,0 +1,87 @@
+"""Where a trial takes place: on a bench, or on the stored history of a run that took place on one.
+
+A trial decides what happens and what it means; a stage makes it happen, or looks up what happened.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import asdict, dataclass
+from typing import Any, Protocol
+
+from ..core.verdict import Status
+from .repetition import Repetition
+from .task import Steps
+
+__all__ = ["SessionFacts", "TrialDriver"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SessionFacts:
+    """What is remarkable about a session, apart from its replies.
+
+    Attributes:
+        protocol: whose session it is.
+        overflow: a message came that was longer than the kit accepts.
+        died: how the adapter ended although nobody asked it to, in words; or None.
+        unknown_ids: ids of responses to requests that were never sent. Like ``died`` only asked for when a session ends.
+        stray_lines: how many lines on stdout were no MCP message.
+        first_stray: the first of them.
+    """
+
+    protocol: str
+    overflow: bool = False
+    died: str | None = None
+    unknown_ids: tuple[str, ...] = ()
+    stray_lines: int = 0
+    first_stray: str = ""
+
+    @property
+    def remarkable(self) -> bool:
+        """There is anything to say."""
+        return bool(self.overflow or self.died or self.unknown_ids or self.stray_lines)
+
+    def as_record(self) -> dict[str, Any]:
+        """As an item's history has it."""
+        return asdict(self)
+
+
+class TrialDriver(Protocol):
+    """What a trial needs; a trial uses its methods in this order."""
+
+    def obstacle(self) -> tuple[Status, str] | None:
+        """Why the task cannot be run for this subject, or None."""
+
+    def spent(self, what: str) -> AbstractContextManager[None]:
+        """Count the time inside the block as spent on ``what``."""
+
+    async def prepare(self) -> None:
+        """Bring the devices into their initial state and open the sessions."""
+
+    def before(self) -> Sequence[tuple[str, Sequence[Mapping[str, Any]]]]:
+        """Protocol and journal of each device, from the last item that had it to this one: nobody called then."""
+
+    def repetition(self, rep: int, role: str) -> Repetition:
+        """The next execution of steps."""
+
+    async def perform(self, repetition: Repetition, steps: Steps) -> None:
+        """Execute the steps; afterwards every device is there again and the repetition has its journals."""
+
+    async def inspect(self) -> list[SessionFacts]:
+        """What is remarkable about the sessions so far."""
+
+    async def end_sessions(self) -> list[SessionFacts]:
+        """End all sessions, because one of them did not answer; what is remarkable about them."""
+
+    async def open_sessions(self) -> None:
+        """Make sure that every session can be used."""
+
+    async def close(self) -> None:
+        """The item is over."""
+
+    def timing_ms(self) -> Mapping[str, float]:
+        """Milliseconds by what they were spent on, since this stage was made."""
+
+    def history(self) -> dict[str, Any]:
+        """What the item has to keep of this stage, so that it can be judged again."""

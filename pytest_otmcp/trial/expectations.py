@@ -1,0 +1,159 @@
+"""Judges replies against what a task expects. The device's half of every judgement is in ``witness/``.
+
+Pure: functions from observations to findings, no state, no I/O; a stored history can be judged again.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ..core.finding import Finding
+from ..core.strict_json import same_json
+from ..subject.answers import UNCLASSIFIED
+from .reply import Reply
+
+__all__ = ["failed", "received", "succeeded"]
+
+
+def succeeded(reply: Reply, **outputs: Any) -> list[Finding]:
+    """The call claims success and its outputs equal ``outputs``.
+
+    An output that the subject's binding does not know how to find is not judged here; the device still is.
+    """
+    if reply.success is not True:
+        return [
+            Finding(
+                code="not_successful",
+                message=f"{reply.label}: expected success, got {_outcome(reply)}",
+                evidence=_shown(reply.envelope),
+            )
+        ]
+    return [
+        Finding(
+            code="wrong_value",
+            message=f"{reply.label}: {name} should be {_shown(expected)}, the reply says {_shown(reply.outputs.get(name))}",
+            requirement="RD-001",
+            evidence=_shown(reply.envelope),
+        )
+        for name, expected in outputs.items()
+        if name in reply.outputs and not same_json(expected, reply.outputs[name])
+    ]
+
+
+def received(reply: Reply, topic: str, payload: str, *, filtered: bool) -> list[Finding]:
+    """The answer holds the message with this payload once, on its topic.
+
+    Args:
+        filtered: only messages on this topic were asked for, so that there must be no other.
+    """
+    findings = succeeded(reply)
+    messages = reply.outputs.get("messages")
+    if findings:
+        return findings
+    listed = messages if isinstance(messages, list) else []
+    found = [message for message in listed if isinstance(message, dict) and message.get("payload") == payload]
+    asked_for = listed if filtered else found
+    if len(found) == 1 and all(isinstance(message, dict) and message.get("topic") == topic for message in asked_for):
+        return []
+    return [
+        Finding(
+            code="wrong_value",
+            message=f"{reply.label}: the message {payload!r} on {topic!r} should be there once"
+            f"{' and nothing else' if filtered else ''}, the reply says {_shown(messages)}",
+            requirement="MQT-004",
+            evidence=_shown(reply.envelope),
+        )
+    ]
+
+
+def failed(
+    reply: Reply,
+    *codes: str,
+    outcome: str | Sequence[str] | None = None,
+    trace: Mapping[str, Any] | None = None,
+) -> list[Finding]:
+    """The call is refused in an envelope, with one of ``codes``.
+
+    Args:
+        codes: acceptable error codes.
+        outcome: what ``error.outcome`` must be (one of, when a sequence).
+        trace: members that ``meta.trace`` must have; a mapping is compared member by member.
+
+    Of an adapter without envelopes only what its answer can say is judged: that it is a refusal and, where the subject
+    file classifies it, the code.
+    """
+    if reply.success is not False:
+        claim = "it claims success" if reply.success else f"got {_outcome(reply)}"
+        return [
+            Finding(
+                code="not_refused",
+                message=f"{reply.label}: expected an error envelope with code {' or '.join(codes)}, {claim}",
+                requirement="ERR-001",
+                evidence=_shown(reply.envelope),
+            )
+        ]
+    findings = []
+    envelope = reply.envelope or {}
+    if reply.error_code not in codes and (reply.native or reply.error_code != UNCLASSIFIED):
+        findings.append(
+            Finding(
+                code="wrong_error_code",
+                message=f"{reply.label}: error code should be {' or '.join(codes)}, it is {reply.error_code!r}",
+                requirement="ERR-001",
+                evidence=_shown(envelope.get("error")),
+            )
+        )
+    if not reply.native:
+        return findings
+    allowed = [outcome] if isinstance(outcome, str) else list(outcome or [])
+    stated = _member(envelope.get("error"), "outcome")
+    if allowed and stated not in allowed:
+        findings.append(
+            Finding(
+                code="wrong_outcome",
+                message=f"{reply.label}: error outcome should be {' or '.join(allowed)}, it is {stated!r}",
+                requirement="ERR-006",
+                evidence=_shown(envelope.get("error")),
+            )
+        )
+    found_trace = _member(envelope.get("meta"), "trace") or {}
+    if trace is not None and not _contains(found_trace, trace):
+        findings.append(
+            Finding(
+                code="wrong_trace",
+                message=f"{reply.label}: meta.trace should hold {_shown(trace)}, it is {_shown(found_trace)}",
+                requirement="ENV-007",
+            )
+        )
+    return findings
+
+
+def _member(value: Any, name: str) -> Any:
+    # That an envelope's members are no objects has been reported as such.
+    return value.get(name) if isinstance(value, Mapping) else None
+
+
+def _contains(found: Any, expected: Any) -> bool:
+    if isinstance(expected, Mapping):
+        return isinstance(found, Mapping) and all(
+            name in found and _contains(found[name], value) for name, value in expected.items()
+        )
+    return same_json(expected, found)
+
+
+def _outcome(reply: Reply) -> str:
+    if reply.wire.response is None:
+        return "no reply"
+    if reply.envelope is None:
+        return "no envelope"
+    error = reply.envelope.get("error")
+    if isinstance(error, dict):
+        return f"error {error.get('code')!r}: {str(error.get('message'))[:200]}"
+    return "no success"
+
+
+def _shown(value: Any) -> str:
+    text = json.dumps(value, ensure_ascii=False, default=repr)
+    return text if len(text) <= 400 else text[:400] + "…"

@@ -1,0 +1,175 @@
+"""A bench as the stage of a trial: live adapters at live devices, and what has to be kept of them for judging again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import replace
+from typing import Any
+
+from ..core.errors import SubjectError
+from ..core.verdict import Status
+from ..record.images import Images
+from ..subject.model import READ_ONLY
+from .adapter_under_test import NoBindingError
+from .applicability import applicability, stations
+from .bench import Bench
+from .driver import SessionFacts
+from .gc_pause import uncollected
+from .live_rig import LiveItemState, LiveRig
+from .repetition import Repetition
+from .rig import EndedError
+from .task import Steps, Task
+
+__all__ = ["LiveDriver"]
+
+
+class LiveDriver:
+    """The stations of a bench that a task needs.
+
+    Args:
+        bench: has been prepared.
+        task: what is to be run.
+        seed: of the run.
+    """
+
+    def __init__(self, bench: Bench, task: Task, *, seed: int) -> None:
+        self._bench = bench
+        self._task = task
+        self._seed = seed
+        self._before = dict(bench.spent.seconds)
+        self._places: list[LiveItemState] = []
+        self._images = Images()
+        self._sessions: list[dict[str, Any]] = []
+        self._inspections = 0
+
+    def obstacle(self) -> tuple[Status, str] | None:
+        """What the subject does not claim, or cannot be asked for."""
+        return applicability(self._task, self._bench.subject.adapters)
+
+    def spent(self, what: str) -> AbstractContextManager[None]:
+        """Count the time inside the block as spent on ``what``."""
+        return self._bench.spent.on(what)
+
+    async def prepare(self) -> None:
+        """Reset the devices and open the sessions."""
+        with self.spent("plant start"):
+            for name in stations(self._task, self._bench.subject.adapters):
+                self._places.append(LiveItemState(await self._bench.station(name)))
+        for place in self._places:
+            device = place.station.device
+            await device.reset()
+            await place.enter()
+            place.accepting_ns = device.accepting_ns
+        await self.open_sessions()
+
+    def before(self) -> Sequence[tuple[str, Sequence[Mapping[str, Any]]]]:
+        """What reached the devices since the last item that had them."""
+        return [(place.station.adapter.protocol, place.before) for place in self._places]
+
+    def repetition(self, rep: int, role: str) -> Repetition:
+        """A repetition on this bench."""
+        return Repetition(
+            self._task.id,
+            rep,
+            role,
+            seed=self._seed,
+            time_scale=self._bench.options.time_scale,
+            places=[LiveRig(place, self._bench, self._images) for place in self._places],
+        )
+
+    async def perform(self, repetition: Repetition, steps: Steps) -> None:
+        """Execute the steps and take the journals."""
+        for place in self._places:
+            place.station.looked_through = False
+        try:
+            with uncollected():
+                await steps(repetition)
+        except EndedError:
+            await _all_running(repetition)
+        except (NoBindingError, SubjectError):
+            # The item is over; the next ones need the device.
+            await _all_running(repetition)
+            raise
+        finally:
+            on_the_wire, in_client = repetition.calls_s()
+            self._bench.spent.move("kit", "tool calls", on_the_wire)
+            self._bench.spent.move("kit", "MCP client", in_client)
+        with self.spent("observing the device"):
+            await repetition.close_journals()
+        for place in self._places:
+            place.station.looked_through = True
+        for at in repetition.all:
+            if isinstance(at, LiveRig):
+                at.add_last_words()
+
+    async def inspect(self) -> list[SessionFacts]:
+        """Ask the sessions for stray output."""
+        return await self._inspect(ending=False)
+
+    async def end_sessions(self) -> list[SessionFacts]:
+        """A call that hangs may spread to the next ones: everybody starts afresh, and says how it ended."""
+        found = await self._inspect(ending=True)
+        with self.spent("adapter starts"):
+            for place in self._places:
+                await place.station.close()
+        return found
+
+    async def _inspect(self, *, ending: bool) -> list[SessionFacts]:
+        self._inspections += 1
+        found = []
+        for place in self._places:
+            session = place.station.session
+            if session is None:
+                continue
+            lines, first = session.stray_output()
+            facts = SessionFacts(
+                protocol=place.station.adapter.protocol, stray_lines=lines, first_stray=first[0] if lines else ""
+            )
+            if ending:
+                died = session.died and not session.overflow
+                facts = replace(
+                    facts,
+                    overflow=session.overflow,
+                    died=await session.death_note() if died else None,
+                    unknown_ids=tuple(session.unknown_responses()),
+                )
+            if facts.remarkable:
+                found.append(facts)
+                self._sessions.append({"inspection": self._inspections, **facts.as_record()})
+        return found
+
+    async def open_sessions(self) -> None:
+        """Open those that are not, or broke."""
+        with self.spent("adapter starts"):
+            for place in self._places:
+                await place.station.open()
+
+    async def close(self) -> None:
+        """End the read-only session: its device belongs to this item alone."""
+        with self.spent("adapter starts"):
+            for place in self._places:
+                if place.station.variant == READ_ONLY:
+                    await place.station.close()
+
+    def timing_ms(self) -> Mapping[str, float]:
+        """Milliseconds by what they were spent on."""
+        return {
+            what: round((seconds - self._before.get(what, 0.0)) * 1000, 3)
+            for what, seconds in self._bench.spent.seconds.items()
+            if seconds - self._before.get(what, 0.0) > 0
+        }
+
+    def history(self) -> dict[str, Any]:
+        """Stations, images and sessions."""
+        return {
+            "stations": [place.as_record() for place in self._places],
+            "images": self._images.kept,
+            "sessions": self._sessions,
+        }
+
+
+async def _all_running(repetition: Repetition) -> None:
+    for at in repetition.all:
+        if not at.running:
+            await at.start_device()

@@ -1,0 +1,206 @@
+"""One execution of a task's steps, and everything it showed.
+
+The judging itself is done by the pure functions of ``oracle`` and ``witness``; a repetition only collects what they say.
+It does not know whether it runs on a bench or on stored history: see :class:`~pytest_otmcp.trial.rig.Rig`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from collections.abc import Coroutine, Iterable
+from typing import Any
+
+from ..core.finding import Finding
+from ..core.strict_json import same_json
+from ..subject.model import READ_ONLY, READ_WRITE
+from . import expectations as oracle
+from .ledger import Ledger
+from .reply import Reply
+from .rig import EndedError, Rig
+
+__all__ = ["Repetition"]
+
+
+class Repetition:
+    """One execution of a task's steps.
+
+    Args:
+        task_id: id of the task.
+        rep: number of the repetition, from 0.
+        role: what calls count as when the steps do not say otherwise.
+        seed: of the run.
+        time_scale: factor on windows and deadlines.
+        places: every adapter at its device that the task has.
+
+    Attributes:
+        rng: random numbers that only depend on the arguments above.
+        ledger: what the steps have shown so far.
+        notes: whatever the steps want to remember.
+        phases: of a recovery trial.
+    """
+
+    def __init__(
+        self, task_id: str, rep: int, role: str, *, seed: int, time_scale: float, places: Iterable[Rig]
+    ) -> None:
+        self.rep = rep
+        self.role = role
+        self.time_scale = time_scale
+        self.ledger = Ledger(role, time_scale)
+        # The same seed gives the same nonces, whatever else ran before.
+        self.rng = random.Random(f"{seed}/{task_id}/{role}/{rep}")
+        self.phases: dict[str, Any] | None = None
+        self.notes: dict[str, Any] = {}
+        self._at = {(at.protocol, at.variant): at for at in places}
+        for at in self.all:
+            at.join(self.ledger)
+
+    # -- who there is -------------------------------------------------------------------------------------
+
+    @property
+    def modbus(self) -> Rig:
+        """The Modbus adapter with writes enabled."""
+        return self._at["modbus", READ_WRITE]
+
+    @property
+    def modbus_ro(self) -> Rig:
+        """The Modbus adapter with writes disabled, at a device of its own."""
+        return self.guarded("modbus")
+
+    def guarded(self, protocol: str) -> Rig:
+        """The adapter of ``protocol`` with writes disabled, at a device of its own."""
+        return self._at[protocol, READ_ONLY]
+
+    @property
+    def mqtt(self) -> Rig:
+        """The MQTT adapter."""
+        return self._at["mqtt", READ_WRITE]
+
+    @property
+    def opcua(self) -> Rig:
+        """The OPC UA adapter."""
+        return self._at["opcua", READ_WRITE]
+
+    def at(self, protocol: str) -> Rig:
+        """The adapter of ``protocol`` with writes enabled."""
+        return self._at[protocol, READ_WRITE]
+
+    @property
+    def all(self) -> Iterable[Rig]:
+        """Every adapter at its device that this task has."""
+        return self._at.values()
+
+    # -- collecting ---------------------------------------------------------------------------------------
+
+    async def in_order(self, *calls: Coroutine[Any, Any, Reply]) -> list[Reply]:
+        """Perform calls one after the other."""
+        replies = []
+        for index, call in enumerate(calls):
+            try:
+                replies.append(await call)
+            except BaseException:
+                for unused in calls[index + 1 :]:
+                    unused.close()
+                raise
+        return replies
+
+    async def together(self, *calls: Coroutine[Any, Any, Reply]) -> list[Reply]:
+        """Perform calls concurrently; their time counts once, from the first request to the last reply."""
+        with self.ledger.one_group():
+            replies = await asyncio.gather(*calls, return_exceptions=True)
+        for reply in replies:
+            if isinstance(reply, BaseException):
+                raise reply
+        return [reply for reply in replies if isinstance(reply, Reply)]
+
+    async def close_journals(self) -> None:
+        """Keep what the journals hold at the end."""
+        for at in self.all:
+            if at.running:
+                await at.keep_journal()
+
+    def witnessed(self, *findings: list[Finding]) -> None:
+        """Take over what the device witnesses."""
+        self.ledger.witnessed(*findings)
+
+    def finding(self, code: str, message: str, requirement: str | None = None, evidence: str | None = None) -> None:
+        """Note a finding of the task itself."""
+        self.ledger.finding(code, message, requirement, evidence)
+
+    # -- judging ------------------------------------------------------------------------------------------
+
+    def succeeds(self, reply: Reply, **outputs: Any) -> None:
+        """Expect success with these outputs."""
+        self._judge(reply, oracle.succeeded(reply, **outputs))
+
+    def must_succeed(self, reply: Reply, **outputs: Any) -> None:
+        """Expect success with these outputs; without it the repetition ends here."""
+        self.succeeds(reply, **outputs)
+        if not reply.ok:
+            raise EndedError
+
+    def receives(self, reply: Reply, topic: str, payload: str) -> None:
+        """Expect a message among those that the adapter has received."""
+        filtered = self._at[reply.adapter, reply.variant].takes("messages", "filter")
+        self._judge(reply, oracle.received(reply, topic, payload, filtered=filtered))
+
+    def fails(self, reply: Reply, *codes: str, **expected: Any) -> None:
+        """Expect a refusal with one of these codes; see :func:`pytest_otmcp.trial.expectations.failed`."""
+        self._judge(reply, oracle.failed(reply, *codes, **expected))
+
+    def one_of(self, reply: Reply, output: str, *values: Any) -> None:
+        """Expect an output to be one of several values, where concurrency makes each of them right."""
+        found = reply.outputs.get(output)
+        if reply.success and not any(same_json(value, found) for value in values):
+            reply.ok = False
+            shown = " or ".join(map(repr, values))
+            self.finding(
+                "wrong_value", f"{reply.label}: {output} should be {shown}, the reply says {found!r}", "CON-004"
+            )
+
+    def _judge(self, reply: Reply, findings: list[Finding]) -> None:
+        reply.ok = not findings and not reply.faults
+        # A reply that never came, or is no envelope, has been reported as such.
+        if not (reply.envelope is None and reply.faults):
+            self.ledger.findings.extend(findings)
+
+    @property
+    def unanswered(self) -> bool:
+        """Some call got no response at all."""
+        return any(reply.wire.response is None for reply in self.ledger.replies)
+
+    @property
+    def duration_ms(self) -> float:
+        """Time of the task's calls: the sum over sequential calls, concurrent ones counted once."""
+        return sum(self._spans("task")) / 1e6
+
+    def calls_s(self) -> tuple[float, float]:
+        """Seconds spent in calls of any role: from the first request to the last reply of those made together, and in the
+        MCP client before and after."""
+        between = around = 0
+        for replies in self._groups(self.ledger.replies):
+            answered = [reply for reply in replies if reply.wire.received_ns is not None]
+            # Without any reply the client has waited all the time.
+            span = _span(answered) if answered else _whole(replies)
+            between += span
+            around += _whole(replies) - span
+        return between / 1e9, around / 1e9
+
+    def _spans(self, role: str) -> Iterable[int]:
+        replies = [reply for reply in self.ledger.replies if reply.role == role and reply.wire.received_ns is not None]
+        return map(_span, self._groups(replies))
+
+    @staticmethod
+    def _groups(replies: Iterable[Reply]) -> Iterable[list[Reply]]:
+        groups: dict[int, list[Reply]] = {}
+        for reply in replies:
+            groups.setdefault(reply.group, []).append(reply)
+        return groups.values()
+
+
+def _span(replies: list[Reply]) -> int:
+    return max(reply.wire.received_ns or 0 for reply in replies) - min(reply.wire.sent_ns for reply in replies)
+
+
+def _whole(replies: list[Reply]) -> int:
+    return max(reply.wire.returned_ns for reply in replies) - min(reply.wire.asked_ns for reply in replies)

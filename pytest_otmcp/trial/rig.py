@@ -1,0 +1,233 @@
+"""One adapter at its device, as the steps of a repetition see it.
+
+What is judged here does not depend on whether adapter and device are there: :class:`Rig` is the same for a bench
+(``bench_stage``) and for the stored history of a run (``replay``), which say how each thing is done.
+"""
+
+from __future__ import annotations
+
+import base64
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ..core.finding import Finding
+from ..subject.model import READ_WRITE
+from .ledger import Entry, Ledger
+from .reply import Reply
+
+__all__ = ["EndedError", "Entry", "FreshSession", "Rig", "place_name"]
+
+
+def place_name(protocol: str, variant: str) -> str:
+    """How a task names an adapter that it has."""
+    return protocol if variant == READ_WRITE else f"{protocol}@{variant}"
+
+
+_NOTICING_PAUSE_S = 0.05
+
+
+class EndedError(Exception):
+    """What the rest of a repetition needs did not come about, such as an answer: it would say nothing, or only wait for
+    one deadline after the other."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FreshSession:
+    """A session that replaced another one.
+
+    Attributes:
+        spawned_ns: monotonic; when its process was started.
+        ended: how the process before it ended: ``exited``, ``terminated``, ``killed``; None when there was none.
+        seconds: how long that took.
+    """
+
+    spawned_ns: int
+    ended: str | None
+    seconds: float
+
+
+class Rig(ABC):
+    """One adapter at its device.
+
+    Attributes:
+        protocol, variant: whose session it is, such as ``modbus`` and ``rw``.
+        name: both in one, such as ``modbus`` and ``modbus@ro``.
+    """
+
+    def __init__(self, protocol: str, variant: str) -> None:
+        self.protocol = protocol
+        self.variant = variant
+        self.name = place_name(protocol, variant)
+        self._ledger: Ledger
+
+    def join(self, ledger: Ledger) -> None:
+        """Write into the ledger of a repetition from now on."""
+        self._ledger = ledger
+
+    # -- what the subject says of itself ------------------------------------------------------------------
+
+    @abstractmethod
+    def claims(self, facet: str) -> bool:
+        """The subject claims this facet of its adapter."""
+
+    @abstractmethod
+    def blocks(self, operation: str) -> bool:
+        """The operation is performed by a call that waits for what it answers."""
+
+    @abstractmethod
+    def probe(self, name: str) -> Any:
+        """What to ask for where something must be refused."""
+
+    @abstractmethod
+    def takes(self, operation: str, name: str) -> bool:
+        """The operation can be given this optional input."""
+
+    def if_taken(self, operation: str, name: str, value: Any) -> Any:
+        """What the device must have seen of an optional input: ``value``, or None for anything, where it cannot be given."""
+        return value if self.takes(operation, name) else None
+
+    # -- what the steps of a task do ----------------------------------------------------------------------
+
+    async def call(self, operation: str, *, role: str | None = None, **inputs: Any) -> Reply:
+        """Perform an operation; see :meth:`pytest_otmcp.trial.bench.AdapterUnderTest.call`."""
+        reply = await self._perform(operation, role or self._ledger.role, inputs)
+        self._ledger.add(reply, inputs)
+        if reply.wire.response is None:
+            raise EndedError
+        return reply
+
+    async def call_until_success(self, operation: str, *, window_s: float, **inputs: Any) -> list[Reply]:
+        """Call until the adapter succeeds or the window, counted from the moment the device accepts connections,
+        is over. Only the last call has the repetition's role; those before it have the role ``recovery``.
+        """
+        end = self.accepting_ns + int(window_s * self._ledger.time_scale * 1e9)
+        replies = []
+        while True:
+            reply = await self.call(operation, **inputs)
+            replies.append(reply)
+            # The call itself may have come too early and answered late: only one that began too late is the last.
+            if reply.success or (len(replies) > 1 and reply.wire.sent_ns >= end):
+                return replies
+            reply.role = "recovery"
+            reply.ok = True
+            await self._reconnecting()
+
+    async def call_until_failure(self, operation: str, *, window_s: float, **inputs: Any) -> Reply:
+        """Call until the adapter has noticed that the device is gone, or the window, counted from the first call, is over.
+        Only the last call has the repetition's role; those before it have the role ``recovery``.
+        """
+        window_ns = int(window_s * self._ledger.time_scale * 1e9)
+        begun_ns = None
+        while True:
+            reply = await self.call(operation, **inputs)
+            begun_ns = begun_ns or reply.wire.sent_ns
+            if not reply.success or reply.wire.sent_ns - begun_ns >= window_ns:
+                return reply
+            reply.role = "recovery"
+            reply.ok = True
+            await self._watch(_NOTICING_PAUSE_S)
+
+    async def publish_from_kit(self, topic: str, payload: bytes) -> None:
+        """Let the broker publish a message that does not come from the adapter, QoS 0, not retained."""
+        message = {"topic": topic, "payload": base64.b64encode(payload).decode(), "qos": 0, "retain": False}
+        await self.poke(publish=message)
+
+    async def stays_quiet(self, seconds: float, judge: Callable[[list[Entry]], list[Finding]]) -> None:
+        """Watch the device for a while, then judge what reached it; for things that must not happen.
+
+        Shorter deadlines make nothing come sooner, so a time scale below 1 leaves this window as it is.
+        """
+        await self._watch(seconds * max(1.0, self._ledger.time_scale))
+        self._ledger.witnessed(judge(await self.journal()))
+
+    async def keep_journal(self) -> None:
+        """Keep what the device's journal holds of this repetition, before its process ends or the repetition does."""
+        # The read-only variant has a device of its own, whose entries count from 0 as well.
+        variant = {} if self.variant == READ_WRITE else {"variant": self.variant}
+        entries = await self.take_slice()
+        self._ledger.journal.extend({"protocol": self.protocol, **variant, **entry} for entry in entries)
+
+    async def stop_device(self) -> float:
+        """Kill the device process; what its journal held is kept with this repetition. Milliseconds it took."""
+        await self.keep_journal()
+        return await self._stop()
+
+    async def fresh_session(self) -> FreshSession:
+        """End the adapter's session and process, and start anew; the new session is in use from now on."""
+        fresh = await self._replace_session()
+        if fresh.ended in ("terminated", "killed"):
+            self._ledger.finding(
+                "does_not_exit",
+                f"{self.protocol}: the adapter did not exit within {fresh.seconds:.1f} s of its stdin closing and had "
+                f"to be {fresh.ended}",
+                requirement="MCP-009",
+            )
+        return fresh
+
+    # -- how it is done -----------------------------------------------------------------------------------
+
+    @property
+    @abstractmethod
+    def running(self) -> bool:
+        """The device is there."""
+
+    @property
+    @abstractmethod
+    def accepting_ns(self) -> int:
+        """Monotonic; since when the device accepts connections."""
+
+    @abstractmethod
+    async def journal(self) -> list[Entry]:
+        """What reached the device, and what it answered, since this repetition began."""
+
+    @abstractmethod
+    async def wait_for(self, *, timeout_s: float, count: int = 1, **match: Any) -> list[Entry]:
+        """The journal entries of this repetition that match, as soon as there are ``count``, or when time is over."""
+
+    @abstractmethod
+    async def session_journal(self) -> list[Entry]:
+        """The device's journal since the adapter's session was opened, or since the device was started if that was
+        later."""
+
+    @abstractmethod
+    async def image(self) -> dict[str, Any]:
+        """What the device really holds."""
+
+    @abstractmethod
+    async def poke(self, **params: Any) -> None:
+        """Set a value out of band."""
+
+    @abstractmethod
+    async def tick(self, steps: int) -> None:
+        """Let ``steps`` seconds of plant time pass."""
+
+    @abstractmethod
+    async def start_device(self) -> float:
+        """Start a new device process on the same port. Milliseconds until it accepted connections."""
+
+    @abstractmethod
+    async def close_session(self) -> None:
+        """End the adapter's session and its process."""
+
+    @abstractmethod
+    async def take_slice(self) -> list[Entry]:
+        """The journal since the repetition began; the next repetition's slice begins where this one ends."""
+
+    @abstractmethod
+    async def _perform(self, operation: str, role: str, inputs: Mapping[str, Any]) -> Reply: ...
+
+    @abstractmethod
+    async def _reconnecting(self) -> None:
+        """Wait until it makes sense to ask again after a failure."""
+
+    @abstractmethod
+    async def _watch(self, seconds: float) -> None:
+        """Let time pass."""
+
+    @abstractmethod
+    async def _stop(self) -> float: ...
+
+    @abstractmethod
+    async def _replace_session(self) -> FreshSession: ...

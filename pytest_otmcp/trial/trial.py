@@ -1,0 +1,239 @@
+"""Runs one task: set-up, warm-up, repetitions, closing checks; what came of it is an item of ``run.json``.
+
+A trial is the same on a bench and on the stored history of a run: it decides what happens next and what it means, its
+driver makes it happen or looks up what happened (see ``driver``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from ..core.errors import KitError, SubjectError
+from ..core.finding import Finding
+from ..protocols.unsolicited import nothing_commanded
+from .adapter_under_test import NoBindingError
+from .driver import SessionFacts, TrialDriver
+from .repetition import Repetition
+from .reply import Reply
+from .task import Steps, Task
+
+__all__ = ["Repetition", "Trial"]
+
+_GIVE_UP_AFTER = 3
+"""Consecutive repetitions without any reply after which an item is not continued: a hanging adapter is a finding
+within a few deadlines, not after thirty."""
+
+_KEPT_OF_A_FRAME = 16_384
+"""Bytes: an adapter may send megabytes, again and again; the record has the digest of all of them."""
+
+ReportProgress = Callable[[int, int], None]
+
+
+class Trial:
+    """One item of a run. :meth:`run` returns the item as ``run.json`` has it.
+
+    Args:
+        driver: makes things happen, or looks up what happened.
+        task: what is to be run.
+        planned: repetitions.
+        progress: is told which repetition of how many begins.
+    """
+
+    def __init__(
+        self, driver: TrialDriver, task: Task, planned: int, *, progress: ReportProgress | None = None
+    ) -> None:
+        self._driver = driver
+        self._task = task
+        self._planned = planned
+        self._progress = progress
+        self._samples: list[dict[str, Any]] = []
+        self._findings: list[Finding] = []
+        self._status: str | None = None
+        self._reason: str | None = None
+        self._ended: dict[str, Any] | None = None
+        self._around_it: list[dict[str, Any]] = []
+        self._other_calls: list[dict[str, Any]] = []
+        self._other_device: list[dict[str, Any]] = []
+
+    async def run(self) -> dict[str, Any]:
+        """Run the task to its end; faults of adapter and kit alike end up in the returned item."""
+        obstacle = self._driver.obstacle()
+        if obstacle is not None:
+            self._status, self._reason = obstacle
+        else:
+            with self._driver.spent("kit"):
+                await self._guarded()
+        return self._item()
+
+    async def _guarded(self) -> None:
+        try:
+            await self._execute()
+        except SubjectError as failure:
+            self._end("subject", failure.code, str(failure), "MCP-002")
+        except NoBindingError as gap:
+            self._status, self._reason = "NOT_TESTABLE", str(gap)
+            self._end("binding", "not_testable", str(gap))
+        except KitError as failure:
+            self._status = "KIT_ERROR"
+            self._end("kit", "kit_error", str(failure))
+        finally:
+            await self._driver.close()
+
+    def _end(self, fault_of: str, code: str, message: str, requirement: str | None = None) -> None:
+        self._ended = {"fault_of": fault_of, "code": code, "message": message}
+        if fault_of == "kit":
+            message = f"{message}. This is the kit's fault; please file a bug."
+        self._findings.append(Finding(code=code, message=message, requirement=requirement))
+
+    async def _execute(self) -> None:
+        task, driver = self._task, self._driver
+        await driver.prepare()
+        for protocol, entries in driver.before():
+            for finding in nothing_commanded(protocol, entries):
+                when = "before this item, when nobody called the adapter"
+                self._note(
+                    finding.code, f"{protocol}: {when}: {finding.message}", finding.requirement, finding.evidence
+                )
+        if task.begin is not None:
+            await self._around(task.begin, "setup")
+        if task.warm_up:
+            await self._around(task.steps, "warmup")
+        silent = 0
+        for rep in range(self._planned):
+            if self._progress is not None:
+                self._progress(rep, self._planned)
+            unanswered = await self._repeat(rep)
+            silent = silent + 1 if unanswered else 0
+            if unanswered:
+                self._take(await driver.end_sessions())
+            if silent == _GIVE_UP_AFTER and rep + 1 < self._planned:
+                self._note("gave_up", f"not continued after {silent} repetitions in a row without a reply")
+                return
+            await driver.open_sessions()
+        if task.end is not None:
+            await self._around(task.end, "control")
+        self._take(await driver.inspect())
+
+    async def _around(self, steps: Steps, role: str) -> None:
+        """Set-up, warm-up and closing checks: judged like a repetition, but not a sample."""
+        repetition = self._driver.repetition(0, role)
+        await self._driver.perform(repetition, steps)
+        self._around_it.append(
+            {
+                "role": role,
+                "calls": len(repetition.ledger.replies),
+                "entries": len(repetition.ledger.journal),
+                "observations": repetition.ledger.observations,
+            }
+        )
+        self._other_calls += _calls(repetition)
+        self._other_device += repetition.ledger.journal
+        for finding in repetition.ledger.findings:
+            self._note(finding.code, f"{role}: {finding.message}", finding.requirement, finding.evidence)
+        if repetition.unanswered:
+            self._take(await self._driver.end_sessions())
+            await self._driver.open_sessions()
+
+    async def _repeat(self, rep: int) -> bool:
+        repetition = self._driver.repetition(rep, "task")
+        await self._driver.perform(repetition, self._task.steps)
+        self._samples.append(
+            {
+                "repetition": rep,
+                "ok": not repetition.ledger.findings,
+                "duration_ms": round(repetition.duration_ms, 4),
+                "calls": _calls(repetition),
+                "device": repetition.ledger.journal,
+                "observations": repetition.ledger.observations,
+                "findings": [_finding(finding) for finding in repetition.ledger.findings],
+                "phases": repetition.phases,
+            }
+        )
+        return repetition.unanswered
+
+    def _note(self, code: str, message: str, requirement: str | None = None, evidence: str | None = None) -> None:
+        if (code, message) not in [(finding.code, finding.message) for finding in self._findings]:
+            self._findings.append(Finding(code=code, message=message, requirement=requirement, evidence=evidence))
+
+    def _take(self, sessions: list[SessionFacts]) -> None:
+        for facts in sessions:
+            if facts.overflow:
+                self._note("frame_too_long", "the adapter sent a message longer than 16 MiB", "ADR-009")
+            if facts.died is not None:
+                self._note("session_lost", facts.died, "MCP-007")
+            for identifier in facts.unknown_ids:
+                self._note("unknown_id", f"a response carries the id {identifier}, which no request had", "MCP-001")
+            if facts.stray_lines:
+                count, first = facts.stray_lines, facts.first_stray
+                message = f"{count} line(s) on stdout that are no MCP message, the first: {first!r}"
+                self._note("stdout_noise", f"{facts.protocol}: {message}", "MCP-001")
+
+    def interrupted(self) -> dict[str, Any]:
+        """The item as far as it was measured when the user ended the run."""
+        self._status = "INTERRUPTED"
+        return self._item()
+
+    def _item(self) -> dict[str, Any]:
+        task = self._task
+        failed = bool(self._findings) or any(not sample["ok"] for sample in self._samples)
+        return {
+            "id": task.id,
+            "suite": task.suite,
+            "family": task.family,
+            "title": task.title,
+            "requirements": list(task.requirements),
+            "status": self._status or ("FAIL" if failed else "PASS"),
+            "reason": self._reason,
+            "planned": self._planned,
+            "samples": self._samples,
+            "other_calls": self._other_calls,
+            "other_device": self._other_device,
+            "findings": [_finding(finding) for finding in self._findings],
+            "timing_ms": dict(self._driver.timing_ms()),
+            "history": {**self._driver.history(), "around": self._around_it, "ended": self._ended},
+        }
+
+
+def _calls(repetition: Repetition) -> list[dict[str, Any]]:
+    """The calls as ``run.json`` has them.
+
+    The envelope of a good reply says what its frames said. Where there is more to see, a fault or an answer that is no
+    envelope, the frames are kept.
+    """
+    calls = []
+    for reply, inputs in zip(repetition.ledger.replies, repetition.ledger.inputs, strict=True):
+        times = {"inputs": dict(inputs), "group": reply.group, "sent_ns": reply.wire.sent_ns}
+        call = {**reply.as_record(), **times, "received_ns": reply.wire.received_ns}
+        if repetition.ledger.findings or not reply.native:
+            call["frames"] = _frames(reply)
+        calls.append(call)
+    return calls
+
+
+def _frames(reply: Reply) -> dict[str, Any]:
+    # The times are of the clock that the journals use, so that a report can put both in one order.
+    wire = reply.wire
+    return {
+        "request": _frame(wire.request),
+        "response": None if wire.response is None else _frame(wire.response),
+        "sent_ns": wire.sent_ns,
+        "received_ns": wire.received_ns,
+        "failure": wire.failure,
+        "complaint": wire.client_complaint,
+        "faults": [_finding(fault) for fault in reply.faults],
+    }
+
+
+def _frame(frame: bytes) -> str:
+    text = frame[:_KEPT_OF_A_FRAME].decode("utf-8", "backslashreplace")
+    return text if len(frame) <= _KEPT_OF_A_FRAME else f"{text}… ({len(frame)} bytes)"
+
+
+def _finding(finding: Finding) -> dict[str, Any]:
+    return {
+        "code": finding.code,
+        "message": finding.message,
+        "requirement": finding.requirement,
+        "evidence": finding.evidence,
+    }

@@ -1,0 +1,204 @@
+"""The witnesses beside independent peers: a library speaks through the tap to a mock, and two journals must agree.
+
+What the tap decoded from recorded bytes is compared with what the mock, which has a decoder of its own, wrote down.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Iterable, Mapping
+from contextlib import asynccontextmanager
+from typing import Any
+
+import paho.mqtt.client as untyped_paho
+import pytest
+from asyncua import Client
+from asyncua import ua as untyped_ua
+from paho.mqtt import properties as untyped_properties
+from paho.mqtt.subscribeoptions import SubscribeOptions
+from pymodbus.client import AsyncModbusTcpClient
+
+from pytest_otmcp.plant.mock_device import MockDevice
+from pytest_otmcp.plant.tap.proxy import Tap
+from pytest_otmcp.protocols.modbus import oracle as modbus_oracle
+from pytest_otmcp.protocols.mqtt import oracle as mqtt_oracle
+
+pytestmark = pytest.mark.asyncio
+
+paho: Any = untyped_paho
+ua: Any = untyped_ua
+Properties: Any = untyped_properties.Properties
+
+_LIFE = {"seq", "t_ns", "connection"}
+# A device sees its client say DISCONNECT and go; who is noticed first is up to the network.
+_UNORDERED = {"CONNECTED", "DISCONNECTED"}
+
+
+@asynccontextmanager
+async def tapped(protocol: str) -> AsyncIterator[tuple[MockDevice, Tap]]:
+    device = MockDevice(protocol)
+    await device.launch()
+    tap = Tap(device.host, device.port, protocol=protocol)
+    try:
+        await tap.start()
+        yield device, tap
+    finally:
+        await tap.aclose()
+        await device.close()
+
+
+def comparable(entries: Iterable[Mapping[str, Any]], names: Iterable[str] | None = None) -> list[dict[str, Any]]:
+    return [
+        {
+            name: value
+            for name, value in entry.items()
+            if name not in _LIFE and (names is None or name in names) and value not in (None, [], {})
+        }
+        for entry in entries
+        if entry["kind"] not in _UNORDERED
+    ]
+
+
+async def test_pymodbus_and_the_mock_agree_with_the_modbus_witness() -> None:
+    async with tapped("modbus") as (device, tap):
+        client = AsyncModbusTcpClient("127.0.0.1", port=tap.port, retries=0, timeout=60)
+        assert await client.connect()
+        await client.read_input_registers(0, count=4)
+        await client.read_coils(3, count=13)
+        await client.read_discrete_inputs(0, count=1)
+        await client.write_register(1, 40)
+        await client.write_registers(2, [1, 65535])
+        await client.write_coil(5, True)
+        await client.write_coils(6, [True, False, True])
+        await client.mask_write_register(address=1, and_mask=0xF2, or_mask=0x25)
+        await client.readwrite_registers(read_address=0, read_count=2, address=4, values=[7])
+        await client.read_holding_registers(9999, count=1)
+        client.close()
+        await tap.journal.wait(0, {"kind": "DISCONNECTED"}, timeout_s=60.0)
+        seen = await device.wait(0, {"kind": "DISCONNECTED"}, timeout_s=60.0)
+        assert seen
+        mine, theirs = tap.journal.entries(), (await device.journal(0)).entries
+    ours, others = comparable(mine), comparable(theirs)
+    assert len(ours) == 20
+    assert ours == others
+    assert modbus_oracle.exception_sent(mine, 2) == []
+
+
+def _paho(protocol: int, port: int, connected: asyncio.Event) -> Any:
+    loop = asyncio.get_running_loop()
+    client = paho.Client(paho.CallbackAPIVersion.VERSION2, client_id="peer", protocol=protocol)
+    client.username_pw_set("operator", "secret")
+    client.will_set("gone/peer", b"gone", qos=1)
+    client.on_connect = lambda *_: loop.call_soon_threadsafe(connected.set)
+    client.connect("127.0.0.1", port, keepalive=30)
+    client.loop_start()
+    return client
+
+
+@pytest.mark.parametrize("version", [paho.MQTTv311, paho.MQTTv5])
+async def test_paho_and_the_mock_agree_with_the_mqtt_witness(version: int) -> None:
+    async with tapped("mqtt") as (device, tap):
+        connected = asyncio.Event()
+        client = _paho(version, tap.port, connected)
+        await asyncio.wait_for(connected.wait(), 60.0)
+        properties = Properties(3) if version == paho.MQTTv5 else None
+        if properties is not None:
+            properties.UserProperty = ("line", "1")
+            properties.MessageExpiryInterval = 60
+            client.subscribe("peer/#", options=SubscribeOptions(qos=1, noLocal=False))
+        else:
+            client.subscribe("peer/#", qos=1)
+        await tap.journal.wait(0, {"kind": "SUBACK"}, timeout_s=60.0)
+        for qos in (0, 1, 2):
+            client.publish("peer/topic", f"message {qos}", qos=qos, retain=qos == 1, properties=properties)
+        await tap.journal.wait(0, {"kind": "PUBCOMP", "direction": "out"}, timeout_s=60.0)
+        await tap.journal.wait(0, {"kind": "PUBACK", "direction": "in"}, count=2, timeout_s=60.0)
+        client.unsubscribe("peer/#")
+        await tap.journal.wait(0, {"kind": "UNSUBACK"}, timeout_s=60.0)
+        client.disconnect()
+        await tap.journal.wait(0, {"kind": "DISCONNECTED"}, timeout_s=60.0)
+        await device.wait(0, {"kind": "DISCONNECTED", "client_id": "peer"}, timeout_s=60.0)
+        client.loop_stop()
+        mine = tap.journal.entries()
+        theirs = [entry for entry in (await device.journal(0)).entries if entry.get("client_id") == "peer"]
+    names = {"kind", "direction", "client_id", "topic", "qos", "retain", "dup", "packet_id", "payload", "filters"}
+    names |= {"reason_codes", "clean_start", "keepalive", "username", "session_present", "protocol_level"}
+    for direction in ("in", "out"):
+        ours, others = (
+            [entry for entry in comparable(entries, names) if entry["direction"] == direction]
+            for entries in (mine, theirs)
+        )
+        assert [entry["kind"] for entry in ours] == [entry["kind"] for entry in others]
+        for one, other in zip(ours, others, strict=True):
+            # Version 3.1.1 has no reason codes here; the mock may say 0 where the wire says nothing.
+            silent = version == paho.MQTTv311 and "reason_codes" not in one
+            assert one == {name: value for name, value in other.items() if name != "reason_codes" or not silent}
+    ends = next(
+        index for index, entry in enumerate(mine) if entry["kind"] in ("UNSUBSCRIBE", "DISCONNECT", "DISCONNECTED")
+    )
+    assert mqtt_oracle.subscribed(mine[:ends], filter="peer/#", qos=1, client_id="peer") == []
+    assert mqtt_oracle.subscribed(mine, filter="peer/#", qos=1, client_id="peer") != []
+    assert mqtt_oracle.exchange(mine, at_least=5, client_id="peer") == []
+    assert "c2VjcmV0" not in repr(mine)
+    assert "secret" not in repr(mine)
+
+
+async def test_the_edge_node_of_the_mock_keeps_the_rules_that_the_witness_checks() -> None:
+    async with tapped("mqtt") as (device, _):
+        for _ in range(3):
+            await device.tick()
+        await device.wait(0, {"kind": "PUBLISH", "direction": "in"}, count=8, timeout_s=60.0)
+        journal = (await device.journal(0)).entries
+    simulator = {entry["client_id"] for entry in journal if str(entry.get("client_id")).startswith("otmcp-mock-")}
+    edge_nodes = [entry for entry in journal if entry["kind"] == "CONNECT" and entry.get("will")]
+    assert simulator
+    assert edge_nodes
+    for connect in edge_nodes:
+        assert mqtt_oracle.sparkplug_sequence(journal, client_id=connect["client_id"]) == []
+
+
+async def test_asyncua_and_the_mock_agree_with_the_opcua_witness() -> None:
+    async with tapped("opcua") as (device, tap):
+        mark = await device.mark()
+        # Without reads of the client's own between those that are compared.
+        client = Client(f"opc.tcp://127.0.0.1:{tap.port}/", timeout=60, watchdog_intervall=3600)
+        # The mock's endpoints name its own port: what is asked for goes through the tap all the same.
+        async with client:
+            valve = client.get_node("ns=2;s=ValvePosition")
+            await client.get_node("ns=2;s=Temperature").read_value()
+            await client.read_values([valve, client.get_node("ns=2;s=Pressure")])
+            await valve.write_value(ua.DataValue(ua.Variant(33.5, ua.VariantType.Double)))
+            with pytest.raises(ua.UaStatusCodeError):
+                await client.get_node("ns=2;i=99999").read_value()
+            with pytest.raises(ua.UaStatusCodeError):
+                await valve.write_value(ua.DataValue(ua.Variant("open")))
+            image = await device.image()
+            folder = client.get_node(image["folders"]["Actuators"])
+            await folder.get_children()
+        mine, theirs = tap.journal.entries(), (await device.journal(mark)).entries
+    services = {"Read", "Write", "Browse"}
+    names = {"kind", "direction", "nodes", "results", "counts", "state_changing"}
+    ours, others = (
+        [simplified(entry) for entry in comparable(entries, names) if entry["kind"] in services]
+        for entries in (mine, theirs)
+    )
+    assert ours == others
+    kinds = [entry["kind"] for entry in ours if entry["direction"] == "in"]
+    assert (kinds.count("Write"), kinds.count("Browse")) == (2, 1)
+    assert {"CreateSession", "ActivateSession", "CloseSession", "OpenSecureChannel"} <= {
+        entry["kind"] for entry in mine
+    }
+
+
+def simplified(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """What both journals say of a service, whichever of their forms the details have."""
+    nodes = [
+        {name: node[name] for name in ("node_id", "attribute", "value", "variant_type") if name in node}
+        if isinstance(node, dict)
+        else node
+        for node in entry.get("nodes", [])
+    ]
+    statuses = [result if isinstance(result, str) else result["status"] for result in entry.get("results", [])]
+    values = [result.get("value") for result in entry.get("results", []) if isinstance(result, dict)]
+    plain = [value for value in values if isinstance(value, bool | int | float)]
+    return {**entry, "nodes": nodes, "results": [statuses, plain]}

@@ -1,0 +1,351 @@
+"""The MQTT witness: packets written by hand from the specifications, segmentation, and the oracle."""
+
+from __future__ import annotations
+
+import base64
+import random
+from typing import Any
+
+import pytest
+
+from pytest_otmcp.protocols.framing import Framer
+from pytest_otmcp.protocols.mqtt import oracle as oracle
+from pytest_otmcp.protocols.mqtt.decoder import MqttConversation, packet_length
+
+Entry = dict[str, Any]
+
+
+def packet(first: int, *parts: str) -> bytes:
+    """A control packet of less than 128 bytes; a part is hex, or text after an apostrophe."""
+    body = b"".join(part[1:].encode() if part.startswith("'") else bytes.fromhex(part) for part in parts)
+    return bytes([first, len(body)]) + body
+
+
+def string(text: str) -> str:
+    return len(text.encode()).to_bytes(2).hex() + text.encode().hex()
+
+
+CONNECT = packet(0x10, string("MQTT"), "04 02 003C", string("adapter"))
+CONNECT_5 = packet(0x10, string("MQTT"), "05 02 003C 05 11 0000000A", string("adapter"))
+CONNACK = packet(0x20, "00 00")
+
+
+def decode(*packets: tuple[str, bytes], conversation: MqttConversation | None = None) -> list[Entry]:
+    conversation = conversation or MqttConversation()
+    return [entry for direction, data in packets for entry in conversation.decode(direction, data)]
+
+
+def b64(data: bytes) -> str:
+    return base64.b64encode(data).decode()
+
+
+# -- packets ----------------------------------------------------------------------------------------------
+
+
+def test_connect_shows_the_will_and_never_the_password() -> None:
+    # MQTT 3.1.1, figure 3.6: all fields present, keep alive 10.
+    data = packet(0x10, string("MQTT"), "04 CE 000A", *map(string, ("me", "will/topic", "gone", "user", "secret")))
+    (entry,) = decode(("in", data))
+    assert entry == {
+        "direction": "in",
+        "kind": "CONNECT",
+        "client_id": "me",
+        "protocol_level": 4,
+        "clean_start": True,
+        "keepalive": 10,
+        "will": {"topic": "will/topic", "qos": 1, "retain": False, "payload": b64(b"gone")},
+        "username": "user",
+    }
+    assert b64(b"secret") not in repr(entry)
+
+
+def test_connect_of_version_5_has_properties_of_its_own_and_of_its_will() -> None:
+    properties = "08 11 0000000A 21 0014"
+    data = packet(
+        0x10, string("MQTT"), "05 06 003C", properties, string("me"), "05 18 00000005", string("w"), string("x")
+    )
+    (entry,) = decode(("in", data))
+    assert entry["properties"] == {"session_expiry_interval": 10, "receive_maximum": 20}
+    assert entry["will"] == {
+        "topic": "w",
+        "qos": 0,
+        "retain": False,
+        "payload": b64(b"x"),
+        "properties": {"will_delay_interval": 5},
+    }
+
+
+def test_an_assigned_client_identifier_is_known_from_connack_on() -> None:
+    connect = packet(0x10, string("MQTT"), "05 02 0000 00", string(""))
+    connack = packet(0x20, "00 00", "09 12", string("auto-1"))
+    entries = decode(("in", connect), ("out", connack), ("in", packet(0xC0)))
+    assert [entry["client_id"] for entry in entries] == ["", "auto-1", "auto-1"]
+    assert entries[1]["reason_codes"] == [0]
+
+
+def test_subscribe_and_suback_of_the_specification() -> None:
+    # MQTT 3.1.1, figures 3.23 and 3.26.
+    subscribe = packet(0x82, "000A", string("a/b"), "01", string("c/d"), "02")
+    suback = packet(0x90, "000A", "00 02 80")
+    asked, granted = decode(("in", subscribe), ("out", suback))
+    assert asked["filters"] == [{"filter": "a/b", "qos": 1}, {"filter": "c/d", "qos": 2}]
+    assert (asked["packet_id"], granted["packet_id"], granted["reason_codes"]) == (10, 10, [0, 2, 0x80])
+
+
+def test_publish_of_the_specification_and_its_acknowledgements() -> None:
+    # MQTT 3.1.1, figure 3.11: topic a/b, packet identifier 10.
+    publish = packet(0x3D, string("a/b"), "000A", "'21.5")
+    entries = decode(("in", publish), *(("out", packet(first, "000A")) for first in (0x50, 0x62, 0x70)))
+    assert {
+        "topic": "a/b",
+        "qos": 2,
+        "retain": True,
+        "dup": True,
+        "packet_id": 10,
+        "payload": b64(b"21.5"),
+    }.items() <= entries[0].items()
+    assert [entry["kind"] for entry in entries] == ["PUBLISH", "PUBREC", "PUBREL", "PUBCOMP"]
+    assert all(entry["packet_id"] == 10 for entry in entries)
+
+
+def test_version_5_reasons_may_be_left_out_and_properties_are_read() -> None:
+    entries = decode(
+        ("in", CONNECT_5),
+        ("in", packet(0x32, string("t"), "0001", "05 02 00000064", "'x")),
+        ("out", packet(0x40, "0001")),
+        ("out", packet(0x40, "0001 10")),
+        ("out", packet(0x40, "0001 97 05 1F", string("no"))),
+        ("in", packet(0xA2, "0002 00", string("t"))),
+        ("out", packet(0xB0, "0002 00 11")),
+        ("out", packet(0xE0, "8B 00")),
+        ("in", packet(0xE0)),
+    )
+    assert entries[1]["properties"] == {"message_expiry_interval": 100}
+    assert entries[1]["payload"] == b64(b"x")
+    assert [entry["reason_codes"] for entry in entries[2:5]] == [[0], [0x10], [0x97]]
+    assert entries[4]["properties"] == {"reason_string": "no"}
+    assert entries[5]["filters"] == [{"filter": "t"}]
+    assert [entry["reason_codes"] for entry in entries[6:]] == [[0x11], [0x8B], [0]]
+
+
+def test_a_topic_alias_stands_for_the_topic_it_was_given_with() -> None:
+    named = packet(0x30, string("long/topic"), "03 23 0007", "'1")
+    alone = packet(0x30, string(""), "03 23 0007", "'2")
+    entries = decode(("in", CONNECT_5), ("in", named), ("in", alone), ("out", alone))
+    assert [entry.get("topic") for entry in entries[1:]] == ["long/topic", "long/topic", ""]
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [
+        (packet(0x36, string("t"), "0001"), "PUBLISH with QoS 3"),
+        (packet(0x80, "0001", string("t"), "00"), "the flags of SUBSCRIBE are 0000"),
+        (packet(0x82, "0001", string("t"), "05"), "SUBSCRIBE 't' with the options 0x05"),
+        (packet(0x82, "0001", string("t"), "03"), "SUBSCRIBE 't' with the options 0x03"),
+        (packet(0x82, "0001"), "SUBSCRIBE without a filter"),
+        (packet(0x30, "0005", "'abc"), "the packet ends in the middle of a field"),
+        (packet(0x30, "0001 00"), "a string holds the null character"),
+        (packet(0x30, "0001 FF"), "a string is not UTF-8"),
+        (packet(0xC0, "00"), "PINGREQ is longer than its fields"),
+        (packet(0x10, string("MQTT"), "07 02 0000", string("a")), "the protocol is 'MQTT' level 7"),
+        (packet(0x10, string("MQTT"), "04 03 0000", string("a")), "the reserved flag of CONNECT is set"),
+    ],
+)
+def test_a_packet_that_must_not_be_is_an_entry_of_its_own(data: bytes, reason: str) -> None:
+    connected, entry = decode(("in", CONNECT), ("in", data))
+    assert connected["kind"] == "CONNECT"
+    assert (entry["kind"], entry["reason"], entry["bytes"]) == ("malformed", reason, data.hex())
+
+
+@pytest.mark.parametrize(
+    ("properties", "reason"),
+    [
+        ("02 7F00", "there is no property 127"),
+        ("0A 11 00000001 11 00000001", "the property session_expiry_interval occurs twice"),
+        ("03 11 0000", "the packet ends in the middle of a field"),
+    ],
+)
+def test_properties_that_must_not_be_make_the_packet_malformed(properties: str, reason: str) -> None:
+    (entry,) = decode(("in", packet(0x10, string("MQTT"), "05 02 0000", properties, string("a"))))
+    assert (entry["kind"], entry["reason"]) == ("malformed", reason)
+
+
+def test_segments_of_any_size_give_the_same_packets() -> None:
+    rng = random.Random(13)
+    packets = [CONNECT, CONNACK]
+    for size in (0, 1, 121, 122, 127, 128, 16_383, 16_384, 70_000):
+        body = b"\0\x01t" + rng.randbytes(size)
+        length, encoded = len(body), bytearray()
+        while True:
+            length, digit = divmod(length, 128)
+            encoded.append(digit | (0x80 if length else 0))
+            if not length:
+                break
+        packets.append(b"\x30" + bytes(encoded) + body)
+    stream = b"".join(packets)
+    for largest in (3, 1000, len(stream)):
+        framer, cut, at = Framer(packet_length), [], 0
+        while at < len(stream):
+            size = rng.randint(1, largest)
+            cut += framer.feed(stream[at : at + size])
+            at += size
+        assert cut == packets
+    one_at_a_time = Framer(packet_length)
+    assert [frame for byte in stream[:500] for frame in one_at_a_time.feed(bytes([byte]))] == packets[:7]
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [("30 FFFFFFFF 01", "the Remaining Length has more than four bytes"), ("00 00", "packet type 0 is reserved")],
+)
+def test_a_stream_that_cannot_be_cut_says_why(data: str, reason: str) -> None:
+    framer = Framer(packet_length)
+    assert framer.feed(CONNACK + bytes.fromhex(data)) == [CONNACK]
+    assert framer.malformed == reason
+
+
+def test_random_packets_never_make_the_decoder_fail() -> None:
+    rng = random.Random(17)
+    for connect in (CONNECT, CONNECT_5):
+        conversation = MqttConversation()
+        decode(("in", connect), conversation=conversation)
+        for _ in range(5000):
+            data = bytes([rng.randrange(16, 256), size := rng.randrange(30)]) + rng.randbytes(size)
+            (entry,) = decode((rng.choice(("in", "out")), data), conversation=conversation)
+            assert entry["kind"]
+
+
+# -- the oracle -------------------------------------------------------------------------------------------
+
+
+def journal(*entries: Entry) -> list[Entry]:
+    common = {"connection": 1, "client_id": "adapter"}
+    return [{"seq": seq, **common, **entry} for seq, entry in enumerate(entries)]
+
+
+def publish(payload: bytes = b"50", **fields: Any) -> Entry:
+    defaults = {"direction": "in", "kind": "PUBLISH", "topic": "control/pump", "qos": 0, "retain": False, "dup": False}
+    return {**defaults, "packet_id": None, "payload": b64(payload), **fields}
+
+
+def sent(kind: str, **fields: Any) -> Entry:
+    return {"direction": "in", "kind": kind, **fields}
+
+
+def answered(kind: str, **fields: Any) -> Entry:
+    return {"direction": "out", "kind": kind, **fields}
+
+
+MOCK: Entry = {"client_id": "otmcp-mock-edge-node-1", "connection": 9}
+KIT: Entry = {"client_id": "otmcp-kit", "connection": 0}
+SUBSCRIBED = (
+    sent("SUBSCRIBE", packet_id=3, filters=[{"filter": "x", "qos": 0}, {"filter": "sensors/#", "qos": 1}]),
+    answered("SUBACK", packet_id=3, reason_codes=[0x80, 1]),
+)
+
+
+def words(findings: list[Any]) -> str:
+    (finding,) = findings
+    return f"{finding.message} [{finding.requirement}] {finding.evidence or ''}"
+
+
+def test_an_exchange_is_a_request_of_the_adapter_and_its_answer() -> None:
+    ping = (sent("PINGREQ"), answered("PINGRESP"))
+    assert oracle.exchange(journal(*ping)) == []
+    assert oracle.exchange(journal(*SUBSCRIBED, *ping), at_least=2, client_id="adapter") == []
+    for entries in (
+        journal(sent("PINGREQ")),
+        journal(answered("PINGRESP")),
+        journal(sent("SUBSCRIBE", packet_id=1, filters=[]), answered("SUBACK", packet_id=2, reason_codes=[0])),
+        journal(*({**entry, **MOCK} for entry in ping)),
+    ):
+        assert "at least 1 time(s) during the call(s), it answered 0 time(s) [RD-004]" in words(
+            oracle.exchange(entries)
+        )
+    assert oracle.exchange(journal(*ping), client_id="another") != []
+
+
+def test_a_subscription_counts_when_the_broker_grants_it_as_asked() -> None:
+    assert oracle.subscribed(journal(*SUBSCRIBED), filter="sensors/#", qos=1) == []
+    assert "it answered with reason code 0x80" in words(oracle.subscribed(journal(*SUBSCRIBED), filter="x", qos=0))
+    assert "reason code 0x01" in words(oracle.subscribed(journal(*SUBSCRIBED), filter="sensors/#", qos=2))
+    assert "it saw no SUBSCRIBE" in words(oracle.subscribed(journal(), filter="x", qos=0))
+    unanswered = words(oracle.subscribed(journal(SUBSCRIBED[0]), filter="x", qos=0))
+    assert "it saw SUBSCRIBE for [['x', 'sensors/#']]" in unanswered
+    assert "[MQT-002]" in unanswered
+
+
+def test_a_message_counts_as_delivered_to_the_adapter_only() -> None:
+    delivery = publish(b"nonce", direction="out", topic="sensors/t")
+    assert oracle.delivered(journal(delivery), topic="sensors/t", payload=b"nonce") == []
+    nobody = oracle.delivered(journal({**delivery, **MOCK}), topic="sensors/t", payload=b"nonce")
+    assert "the broker had nobody to send it to [MQT-004]" in words(nobody)
+    assert "the broker sent it ['sensors/t']" in words(
+        oracle.delivered(journal(delivery), topic="sensors/t", payload=b"x")
+    )
+
+
+def test_a_publication_counts_once_and_as_it_was_asked_for() -> None:
+    wanted: dict[str, Any] = {"topic": "control/pump", "payload": b"50"}
+    others = (publish(b"noise", **KIT), publish(b"noise", **MOCK), publish(b"noise", direction="out"))
+    assert oracle.published_once(journal(publish(), *others), **wanted) == []
+    assert oracle.published_once(journal(publish(qos=1, packet_id=4)), qos=1, **wanted) == []
+    never = words(oracle.published_once(journal(*others), **wanted))
+    assert "b'50' on 'control/pump' once and nothing else, it received 0 message(s) [MQT-001]" in never
+    twice = words(oracle.published_once(journal(publish(), publish(dup=True)), **wanted))
+    assert "it received 2 message(s) [WR-003]" in twice
+    assert "< PUBLISH 'control/pump' QoS 0 b'50'; < PUBLISH" in twice
+    for wrong in (publish(b"51"), publish(topic="control/pump2")):
+        assert "it received 1 message(s) [MQT-001]" in words(oracle.published_once(journal(wrong), **wanted))
+    retained = words(oracle.published_once(journal(publish(retain=True)), **wanted))
+    assert "with QoS 0 and not retained, it came with QoS 0 and retained [MQT-003]" in retained
+
+
+def test_a_packet_that_must_not_come_is_found_also_when_it_is_malformed() -> None:
+    assert oracle.no_packet(journal(*SUBSCRIBED, publish(**KIT)), "PUBLISH", direction="in") == []
+    assert "no PUBLISH from the adapter, it saw 1 [ERR-006]" in words(oracle.no_packet(journal(publish()), "PUBLISH"))
+    malformed = sent("malformed", packet="SUBSCRIBE", reason="SUBSCRIBE 't' with the options 0x05")
+    assert "the options 0x05" in words(oracle.no_packet(journal(malformed), "SUBSCRIBE"))
+    assert oracle.no_packet(journal(malformed), "PUBLISH") == []
+    assert oracle.no_packet(journal(publish(direction="out")), "PUBLISH", direction="out") != []
+
+
+def test_a_session_that_ends_is_found() -> None:
+    assert oracle.session_stays_up(journal(*SUBSCRIBED, sent("DISCONNECTED", **MOCK))) == []
+    ended = words(oracle.session_stays_up(journal(sent("DISCONNECT"), sent("DISCONNECTED"))))
+    assert "should have stayed up, it ended with DISCONNECT and DISCONNECTED [ADR-006]" in ended
+
+
+def test_a_connection_made_for_one_call_may_end_in_an_orderly_way() -> None:
+    call = (sent("CONNECT"), sent("DISCONNECT"), sent("DISCONNECTED"))
+    assert oracle.session_stays_up(journal(*call)) == []
+    dropped = (sent("CONNECT"), sent("malformed", packet="PUBLISH", reason="empty topic"), sent("DISCONNECTED"))
+    assert oracle.session_stays_up(journal(*dropped)) != []
+    assert oracle.session_stays_up(journal(sent("CONNECT"), sent("DISCONNECTED"))) != []
+
+
+def test_a_subscription_lasts_until_it_is_ended_or_its_connection_is() -> None:
+    any_qos: dict[str, Any] = {"filter": "sensors/#", "qos": None}
+    assert oracle.subscribed(journal(*SUBSCRIBED, publish()), **any_qos) == []
+    ended = sent("UNSUBSCRIBE", packet_id=4, filters=[{"filter": "sensors/#"}])
+    assert oracle.subscribed(journal(*SUBSCRIBED, ended), **any_qos) != []
+    assert oracle.subscribed(journal(*SUBSCRIBED, sent("DISCONNECTED")), **any_qos) != []
+    lowered = (
+        sent("SUBSCRIBE", packet_id=5, filters=[{"filter": "sensors/#", "qos": 0}]),
+        answered("SUBACK", packet_id=5, reason_codes=[0]),
+    )
+    assert oracle.subscribed(journal(*SUBSCRIBED, *lowered), filter="sensors/#", qos=1) != []
+    assert oracle.subscribed(journal(*SUBSCRIBED), filter="x", qos=None) != []
+
+
+def test_a_message_that_was_reported_as_failed_must_never_come() -> None:
+    assert oracle.never_published(journal(publish(b"other"), publish(b"50", **KIT)), b"50") == []
+    late = words(oracle.never_published(journal(publish(b"50", topic="somewhere", dup=True)), b"50"))
+    assert "should never have been published, the broker received it 1 time(s) [WR-010]" in late
+
+
+def test_a_quality_of_service_that_cannot_be_asked_for_may_be_any() -> None:
+    wanted: dict[str, Any] = {"topic": "control/pump", "payload": b"50", "qos": None}
+    assert oracle.published_once(journal(publish(qos=1, packet_id=4)), **wanted) == []
+    retained = words(oracle.published_once(journal(publish(retain=True)), **wanted))
+    assert "b'50' on 'control/pump' retained" not in retained

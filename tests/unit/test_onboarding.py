@@ -1,0 +1,171 @@
+"""What is proposed for an adapter is guessed from its tools and found in its answers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import pytest
+
+from pytest_otmcp.onboarding.evidence import failure_rules, find
+from pytest_otmcp.onboarding.known_causes import advice
+from pytest_otmcp.onboarding.vocabulary import connect_guess, guesses
+from pytest_otmcp.subject.answers import extract, read_answer
+from pytest_otmcp.subject.model import OutputRule
+
+
+def tool(required: str = "", optional: str = "", **schemas: Any) -> dict[str, Any]:
+    properties: dict[str, Any] = {name: {"type": "integer"} for name in (required + " " + optional).split()}
+    return {"inputSchema": {"type": "object", "properties": properties | schemas, "required": required.split()}}
+
+
+PROSE_MODBUS = {
+    "read_register": tool("address", "slave_id"),
+    "write_register": tool("address value", "slave_id"),
+    "read_coils": tool("address count", "slave_id"),
+    "read_input_registers": tool("address count", "slave_id"),
+    "read_multiple_holding_registers": tool("address count", "slave_id"),
+}
+
+
+@pytest.mark.parametrize(
+    ("operation", "expected"),
+    [
+        ("read_input", "read_input_registers"),
+        ("read_holding", "read_multiple_holding_registers"),
+        ("write_holding", "write_register"),
+    ],
+)
+def test_the_likeliest_tool_is_the_right_one(operation: str, expected: str) -> None:
+    best = guesses("modbus", operation, PROSE_MODBUS)[0]
+    assert best.tool == expected
+    assert best.arguments["address"] == "$address"
+    assert best.arguments["slave_id"] == 1
+
+
+def test_a_coil_is_no_register() -> None:
+    tools = {"write_coil": tool("address value"), "write_register": tool("address value")}
+    assert guesses("modbus", "write_holding", tools)[0].tool == "write_register"
+
+
+def test_nodes_and_values_are_put_into_lists_of_objects() -> None:
+    nodes = {"type": "array", "items": {"$ref": "#/$defs/Item"}}
+    listing = tool("nodes", nodes=nodes)
+    listing["inputSchema"]["$defs"] = {"Item": {"type": "object", "properties": {"node_id": {}, "value": {}}}}
+    (guess,) = guesses("opcua", "write", {"write_opcua_nodes": listing})
+    assert guess.arguments == {"nodes": [{"node_id": "$node", "value": "$value"}]}
+
+
+def test_an_endpoint_for_every_call_is_put_in() -> None:
+    listing = tool("address count", host={"type": "string"}, port={"type": "integer"})
+    (guess,) = guesses("modbus", "read_holding", {"read_registers": listing})
+    assert (guess.arguments["host"], guess.arguments["port"]) == ("{host}", "{port:int}")
+
+
+def test_what_an_argument_wants_to_be_told_is_tried() -> None:
+    listing = tool("address count conn kind")
+    (guess,) = guesses("modbus", "read_holding", {"modbus_read": listing})
+    variations = [variation.arguments for variation in guess.variations()]
+    assert {"conn", "kind"} <= set(variations[0])
+    assert any((entry["conn"], entry["kind"]) == ("tcp:{host}:{port}", "hr") for entry in variations)
+    assert len(variations) <= 24
+
+
+def test_what_nothing_is_known_about_is_named() -> None:
+    listing = tool("address count licence")
+    (guess,) = guesses("modbus", "read_holding", {"read_registers": listing})
+    assert guess.missing == ("licence",)
+
+
+def test_a_connect_step_is_recognised() -> None:
+    tools = {
+        "mqtt_disconnect": tool(),
+        "mqtt_connect": tool(broker_host={"type": "string"}, broker_port={"type": "integer"}),
+    }
+    step = connect_guess(tools)
+    assert step is not None
+    assert (step.tool, step.arguments) == ("mqtt_connect", {"broker_host": "{host}", "broker_port": "{port:int}"})
+
+
+def answer(text: str, structured: Any = None) -> dict[str, Any]:
+    result: dict[str, Any] = {"content": [{"type": "text", "text": text}]}
+    if structured is not None:
+        result["structuredContent"] = structured
+    return {"result": result}
+
+
+@pytest.mark.parametrize(
+    ("message", "expected"),
+    [
+        (answer("Slave 1, Input Registers 0 to 3: [250, 150, 60]"), [250, 150, 60]),
+        (answer("250,150,60"), [250, 150, 60]),
+        (answer('{"registers": [250, 150, 60]}'), [250, 150, 60]),
+        (answer("x", {"result": '{"raw": [250, 150, 60]}'}), [250, 150, 60]),
+        (answer("x", {"items": [{"value": 1.5}, {"value": 2.5}]}), [1.5, 2.5]),
+        (answer("Node ns=2;s=T has the value: 41.25 °C"), 41.25),
+        (answer("x", {"data": {"value": 41.25, "source_timestamp": "2026"}}), 41.25),
+        (answer("The pump is True now"), True),
+    ],
+    ids=["brackets", "bare", "json in text", "json in json", "objects", "sentence", "structured", "boolean"],
+)
+def test_a_known_value_is_found_and_its_rule_finds_it_again(message: Mapping[str, Any], expected: Any) -> None:
+    found = find(message, expected)
+    assert found is not None
+    rule = OutputRule(**{{"as": "convert"}.get(name, name): value for name, value in found.rule.items()})
+    assert extract({"x": rule}, read_answer(message, found.form)[0]) == {"x": expected}
+
+
+def test_a_value_that_is_not_there_is_not_found() -> None:
+    assert find(answer("Registers: [0, 0, 0]", {"values": [0, 0, 0]}), [250, 150, 60]) is None
+
+
+@pytest.mark.parametrize(
+    ("failure", "success", "form", "expected"),
+    [
+        (answer("Error reading 9999"), answer("Wrote 5"), "text", [{"text": "(?i)^\\W*error", "then": "failure"}]),
+        (
+            answer('{"success": false}'),
+            answer('{"success": true}'),
+            "json",
+            [{"path": "success == `false`", "then": "failure"}],
+        ),
+        (
+            answer("x", {"result": [{"status": "BadNodeIdUnknown"}]}),
+            answer("x", {"result": [{"status": "Good"}]}),
+            "structured",
+            [{"path": "result[?status && status != 'Good']", "then": "failure"}],
+        ),
+        (answer("nothing special"), answer("nothing special"), "text", []),
+        ({"result": {"isError": True, "content": []}}, answer("ok"), "text", []),
+    ],
+    ids=["prose", "success", "status", "not to be told", "isError tells"],
+)
+def test_a_rule_tells_the_failure_from_the_success(
+    failure: Mapping[str, Any], success: Mapping[str, Any], form: str, expected: list[dict[str, Any]]
+) -> None:
+    assert failure_rules(failure, [success], form) == expected
+
+
+@pytest.mark.parametrize(
+    ("words", "cause", "remedy"),
+    [
+        ("ModuleNotFoundError: No module named 'mcp.server.fastmcp'", "version 1 of the MCP SDK", "mcp<2"),
+        ("AttributeError: 'Server' object has no attribute 'list_tools'", "version 1 of the MCP SDK", "mcp<2"),
+        ("No module named 'fastmcp.prompts.prompt'", "earlier version of FastMCP", "fastmcp<3"),
+        ("got an unexpected keyword argument 'slave'", "earlier version of pymodbus", "pymodbus<3.10"),
+        ("ModuleNotFoundError: No module named 'opcua'", "The module opcua is not installed", "interpreter"),
+        ("OSError: [Errno 98] Address already in use", "in use", "{http_port}"),
+        ("ConnectionRefusedError: [Errno 111] Connection refused", "tried another address", "{host}"),
+        ("the command 'acme' was not found; the launch command is: acme", "no program acme", "PATH"),
+        ("the adapter did not finish its handshake within 30 s", "does not speak MCP", 'transport = "http"'),
+        ("RuntimeWarning: coroutine 'main' was never awaited", "without awaiting", "python -m"),
+    ],
+)
+def test_a_known_cause_is_recognised_and_has_a_remedy(words: str, cause: str, remedy: str) -> None:
+    (first, *_) = advice(words)
+    assert cause in first.cause
+    assert remedy in first.remedy
+
+
+def test_an_unknown_cause_is_not_guessed_at() -> None:
+    assert advice("the spindle is out of oil") == []
