@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 from xml.sax.saxutils import escape, quoteattr
 
-from ..protocols.operations import PROTOCOLS
+from ..protocols.registry import protocols
 
 __all__ = ["badge", "badge_svg"]
 
@@ -23,7 +23,7 @@ _PADDING = 7
 def badge(certificate: Mapping[str, Any]) -> dict[str, Any]:
     """What ``badge.json`` holds: the protocols, and how much of the suite that is when it is not all."""
     predicate = certificate["predicate"]
-    message = "conformant: " + ", ".join(PROTOCOLS[protocol] for protocol in predicate["otmcp"]["adapters"])
+    message = "conformant: " + ", ".join(protocols()[protocol].name for protocol in predicate["otmcp"]["adapters"])
     passed, left_out = len(predicate["passedTests"]), len(predicate["otmcp"]["not_applicable"])
     if left_out:
         message += f" ({passed} of {passed + left_out} items)"

@@ -12,7 +12,9 @@ from typing import Any, TypeGuard
 
 from ..core.matrix import SUITES, repetitions
 from ..core.verdict import Status, Verdict, decide
-from ..protocols.operations import GUARD, OPERATIONS, PROTOCOLS, behind
+from ..protocols.external import external_devices
+from ..protocols.protocol import GUARD
+from ..protocols.registry import protocols
 from ..trial.task import Task
 
 __all__ = ["MINIMUM_REPS", "needed", "objections", "unguarded", "why_not_claimed"]
@@ -67,7 +69,7 @@ def _gaps(run: Run) -> list[str]:
     if not isinstance(run["footer"].get("tool_calls"), dict):
         gaps.append("the record does not count its tool calls")
     for protocol, facts in run["subject"]["adapters"].items():
-        known = protocol in PROTOCOLS and isinstance(facts, dict)
+        known = protocol in protocols() and isinstance(facts, dict)
         if not known or not isinstance(facts.get("unclaimed"), dict) or not isinstance(facts.get("blocking"), list):
             gaps.append(f"the record's adapter {protocol!r} is none that the kit knows")
     return gaps
@@ -100,8 +102,9 @@ def _settings_objections(run: Run) -> Iterator[str]:
         yield f"{reps!r} repetitions are not the {MINIMUM_REPS} that a certificate needs"
     if settings.get("time_scale") != 1:
         yield f"deadlines and windows were scaled by {settings.get('time_scale')}"
-    if settings.get("broker") != "embedded":
-        yield "the broker was not the kit's own"
+    for device in external_devices().values():
+        if settings.get(device.option) != "embedded":
+            yield f"the {device.option} was not the kit's own"
     if settings.get("suites") != list(SUITES):
         yield f"not every suite was chosen: {settings.get('suites')}"
 
@@ -115,7 +118,7 @@ def unguarded(adapters: Mapping[str, Any]) -> Iterator[str]:
         adapters: as in ``subject.adapters`` of a run record.
     """
     for protocol in adapters:
-        writing = [name for name, operation in OPERATIONS[protocol].items() if operation.writes]
+        writing = [name for name, operation in protocols()[protocol].operations.items() if operation.writes]
         reason = why_not_claimed(f"{protocol}.{GUARD}", adapters)
         if reason is not None and any(why_not_claimed(f"{protocol}.{name}", adapters) is None for name in writing):
             yield (
@@ -162,7 +165,7 @@ def needed(task: Task, adapters: Mapping[str, Any]) -> list[str]:
     for need in task.needs:
         protocol, _, name = need.partition(".")
         blocking = adapters[protocol].get("blocking", ()) if protocol in adapters else ()
-        found += [f"{protocol}.{real}" for real in behind(name, blocking)]
+        found += [f"{protocol}.{real}" for real in protocols()[protocol].required_facets(name, blocking)]
     return list(dict.fromkeys(found))
 
 
@@ -176,7 +179,7 @@ def why_not_claimed(facet: str, adapters: Mapping[str, Any]) -> str | None:
     """Why a facet, such as ``modbus.guard``, is not claimed; None when it is."""
     protocol, _, name = facet.partition(".")
     if protocol not in adapters:
-        return f"the subject has no adapter for {PROTOCOLS[protocol]}"
+        return f"the subject has no adapter for {protocols()[protocol].name}"
     unclaimed = adapters[protocol]["unclaimed"]
     reason: str | None = unclaimed.get(name, unclaimed.get(name.partition(".")[0]))
     return reason

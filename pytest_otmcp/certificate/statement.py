@@ -18,7 +18,7 @@ from typing import Any
 from ..core.matrix import SUITES
 from ..core.statistics import lower_bound, proportion_interval
 from ..core.verdict import Status
-from ..protocols.operations import facets
+from ..protocols.registry import protocols
 from ..trial.task import Task
 from .eligibility import exercised, needed, why_not_claimed
 
@@ -101,7 +101,7 @@ def _digest_set(digest: str) -> dict[str, str]:
 def _adapter(protocol: str, facts: Mapping[str, Any], run: Run, tasks: Tasks) -> dict[str, Any]:
     adapters = run["subject"]["adapters"]
     earned, not_exercised, not_claimed = {}, [], {}
-    for name in facets(protocol):
+    for name in protocols()[protocol].facets:
         facet = f"{protocol}.{name}"
         behind = [item for item in run["items"] if facet in exercised(tasks[item["id"]], adapters)]
         applying = [item for item in behind if item["status"] != Status.NOT_APPLICABLE]

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.errors import SubjectError, UsageError
-from ..protocols.operations import PROTOCOLS
+from ..protocols.registry import protocols
 from .init import environment, spoken
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def add_parser(subparsers: Any) -> None:
         description="Start the adapters of a subject file, or a COMMAND, at mock devices, and explain what goes wrong.",
     )
     parser.add_argument("--subject", metavar="FILE", type=Path, help="a subject file (default: otmcp.toml)")
-    parser.add_argument("--protocol", choices=tuple(PROTOCOLS), help="what COMMAND speaks (default: seen in it)")
+    parser.add_argument("--protocol", choices=tuple(protocols()), help="what COMMAND speaks (default: seen in it)")
     parser.add_argument("--env", metavar="NAME=VALUE", action="append", default=[], help="environment of COMMAND")
     parser.add_argument("--url", help="endpoint of COMMAND, when it serves streamable HTTP")
     parser.add_argument("command", metavar="COMMAND", nargs="*", help="how an adapter is started, after --")
@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
     healthy = True
     try:
         for adapter in _adapters(args):
-            print(f"{PROTOCOLS[adapter.protocol]}: {' '.join(adapter.variants['rw'].command)}")
+            print(f"{protocols()[adapter.protocol].name}: {' '.join(adapter.variants['rw'].command)}")
             # Where both are started alike there is nothing more to learn.
             for variant in ("rw", "ro") if adapter.variants["ro"] != adapter.variants["rw"] else ("rw",):
                 healthy &= loop.run(_examine(adapter, variant))

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ..core.errors import SubjectError, UsageError
-from ..protocols.operations import PROTOCOLS
+from ..protocols.registry import protocols
 from . import Refusal
 
 __all__ = ["add_parser", "run"]
@@ -27,7 +27,7 @@ def add_parser(subparsers: Any) -> None:
         ),
     )
     parser.add_argument(
-        "--protocol", choices=tuple(PROTOCOLS), help="what the adapter speaks (default: seen in COMMAND)"
+        "--protocol", choices=tuple(protocols()), help="what the adapter speaks (default: seen in COMMAND)"
     )
     parser.add_argument(
         "--env", metavar="NAME=VALUE", action="append", default=[], help="environment of the adapter; may be repeated"
@@ -115,5 +115,5 @@ def spoken(words: Sequence[str]) -> str:
     named = [protocol for protocol, pattern in patterns.items() if re.search(pattern, text)]
     if len(named) != 1:
         what = "names no protocol" if not named else f"names {' and '.join(named)}"
-        raise UsageError(f"the command {what}; say --protocol {', '.join(PROTOCOLS)}, one at a time")
+        raise UsageError(f"the command {what}; say --protocol {', '.join(protocols())}, one at a time")
     return named[0]

@@ -48,7 +48,7 @@ class WireCode:
     """What a code of a protocol becomes in the envelope.
 
     Attributes:
-        key: as in the data file: a Modbus exception or MQTT reason in decimal, an OPC UA symbol, a socket condition.
+        key: as in the data file: a number in decimal, a symbol of the specification, or a socket condition.
         name: the specification's own name.
         value: the number on the wire, None for socket conditions.
         codes: acceptable error codes; empty for what is a success.
@@ -87,12 +87,18 @@ def registry() -> Mapping[str, ErrorCode]:
 
 
 @cache
-def wire_codes(protocol: str) -> Mapping[str, WireCode]:
-    """Key to entry of one protocol's table: ``modbus``, ``opcua``, ``mqtt_connack``, ``mqtt`` or ``socket``.
+def wire_codes(package: str, file: str = "codes.toml", table: str = "codes") -> Mapping[str, WireCode]:
+    """Read what a protocol's own codes become in the envelope, key to entry.
+
+    Args:
+        package: that holds the file, such as the package of a protocol; ``pytest_otmcp.core`` with ``errors.toml`` and the
+            table ``socket`` for conditions of sockets.
+        table: of the file.
 
     Raises:
         KeyError: there is no such table.
     """
+    document = tomllib.loads((resources.files(package) / file).read_text(encoding="utf-8"))
     return {
         key: WireCode(
             key=key,
@@ -102,5 +108,5 @@ def wire_codes(protocol: str) -> Mapping[str, WireCode]:
             outcome=entry.get("outcome"),
             retry=entry.get("retry"),
         )
-        for key, entry in _document()[protocol].items()
+        for key, entry in document[table].items()
     }

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..protocols.operations import OPERATIONS
+from ..protocols.registry import protocols
 from ..subject.answers import read_answer
 from .evidence import failure_rules, known_errors
 from .experiments import Proposal
@@ -79,7 +79,7 @@ def write_document(draft: Draft) -> str:
         lines += _answer_rules(draft, form)
     # There must be this table for the file to be understood, also before anything is in it.
     lines += ["", f"[adapter.{draft.protocol}.bind]"]
-    for operation in OPERATIONS[draft.protocol]:
+    for operation in protocols()[draft.protocol].operations:
         lines += ["", *_binding(draft, operation, form)]
     return "\n".join(lines) + "\n"
 
@@ -133,7 +133,7 @@ def _rules(name: str, rules: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _binding(draft: Draft, operation: str, form: str) -> list[str]:
-    asked = OPERATIONS[draft.protocol][operation]
+    asked = protocols()[draft.protocol].operations[operation]
     head = f"[adapter.{draft.protocol}.bind.{operation}]"
     proposal = draft.proposals.get(operation)
     if proposal is None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..core.envelope import check_result
 from ..plant.mock_device import MockDevice
-from ..protocols.operations import OPERATIONS
+from ..protocols.registry import protocols
 from ..subject.model import READ_WRITE, Adapter, Answering, Connect, Variant
 from ..trial.adapter_under_test import AdapterUnderTest, BenchOptions
 from .document import Draft
@@ -74,7 +74,7 @@ async def draft(adapter: Adapter, device: MockDevice, say: Callable[[str], None]
             station = AdapterUnderTest(_with_connect(adapter, connect), READ_WRITE, device, BenchOptions())
         trier = Trier(station, device)
         proposals: dict[str, Proposal] = {}
-        for operation in OPERATIONS[adapter.protocol]:
+        for operation in protocols()[adapter.protocol].operations:
             proposal = await trier.best(guesses(adapter.protocol, operation, tools))
             if proposal is not None:
                 proposals[operation] = proposal

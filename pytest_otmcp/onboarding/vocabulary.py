@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from itertools import islice, product
 from typing import Any
 
-from ..protocols.operations import OPERATIONS
+from ..protocols.registry import protocols
 from ..subject.model import placeholders
 
 __all__ = ["Guess", "connect_guess", "guesses"]
@@ -215,11 +215,11 @@ def _guess(protocol: str, operation: str, name: str, tool: Mapping[str, Any]) ->
     described = _words(str(tool.get("description") or "")[:400])
     score += 0.25 * len(described & _alternatives(_FOR[protocol][operation]))
     # A call that waits for messages is not proposed: how long it may wait is for whoever knows the adapter to say.
-    inputs = tuple(name for name in OPERATIONS[protocol][operation].inputs if name in _ARGUMENTS)
+    inputs = tuple(name for name in protocols()[protocol].operations[operation].inputs if name in _ARGUMENTS)
     arguments, convert = _arguments(operation, inputs, tool)
     placed = placeholders(arguments)
     score += 2.0 * len(placed & set(inputs)) - 2.0 * len(
-        set(inputs) - placed - set(OPERATIONS[protocol][operation].optional)
+        set(inputs) - placed - set(protocols()[protocol].operations[operation].optional)
     )
     required = (tool.get("inputSchema") or {}).get("required") or []
     trials = {

@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from importlib import import_module
 
-from .external_broker import TappedBroker
+from ..protocols.registry import protocols
+from .device import Device
 from .mock_device import MockDevice
 
-__all__ = ["Device", "Plant"]
-
-Device = MockDevice | TappedBroker
+__all__ = ["Plant"]
 
 
 class Plant:
     """The devices. Use its methods on the kit's loop.
 
     Args:
-        broker: URL of an external MQTT broker to use, behind the kit's tap, instead of the embedded one.
+        external: protocol to the URL of a device of the user's own, used behind the kit's tap instead of the mock.
     """
 
-    def __init__(self, broker: str | None = None) -> None:
-        self._broker = broker
+    def __init__(self, external: Mapping[str, str] | None = None) -> None:
+        self._external = dict(external or {})
         self._devices: dict[str, Device] = {}
         self._launches: dict[str, asyncio.Task[None]] = {}
 
@@ -32,11 +32,17 @@ class Plant:
 
     def _launch(self, name: str) -> None:
         if name not in self._devices:
-            protocol = name.partition("@")[0]
-            tapped = self._broker if protocol == "mqtt" else None
-            device = MockDevice(protocol) if tapped is None else TappedBroker(tapped)
+            device = self._new(name.partition("@")[0])
             self._devices[name] = device
             self._launches[name] = asyncio.create_task(device.launch())
+
+    def _new(self, key: str) -> Device:
+        protocol = protocols()[key]
+        if key not in self._external or protocol.external is None:
+            return MockDevice(protocol.mock)
+        module, _, name = protocol.external.implementation.partition(":")
+        device: Device = getattr(import_module(module), name)(self._external[key])
+        return device
 
     async def device(self, name: str) -> Device:
         """The device ``protocol`` or ``protocol@instance``, running.

@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 from .. import __version__
 from ..core.verdict import DeviationReport, ExitCode, Status, Verdict, decide, exit_code, judge_deviations
+from ..protocols.external import external_devices
+from ..protocols.registry import protocols
 from ..suite.catalogue import kit_digest, suite_digest
 
 if TYPE_CHECKING:
@@ -24,7 +26,8 @@ if TYPE_CHECKING:
 
 __all__ = ["RunRecorder"]
 
-_PACKAGES = ("mcp", "pymodbus", "paho-mqtt", "asyncua", "protobuf", "pytest", "pytest-xdist")
+_PACKAGES = ("mcp", "pytest", "pytest-xdist")
+"""Distributions whose versions a record states, beside those that the protocols name."""
 
 
 class RunRecorder:
@@ -175,7 +178,7 @@ class RunRecorder:
                 "python": platform.python_version(),
                 "platform": f"{platform.system()} {platform.machine()}",
                 "cpu_count": os.cpu_count(),
-                "packages": {name: _version(name) for name in _PACKAGES},
+                "packages": {name: _version(name) for name in (*_PACKAGES, *_protocol_packages())},
                 "started_at": self._started.isoformat(timespec="seconds").replace("+00:00", "Z"),
             },
             "settings": {
@@ -187,11 +190,18 @@ class RunRecorder:
                 "time_scale": settings.time_scale,
                 "suites": list(settings.suites),
                 "xdist_workers": self._workers,
-                "broker": settings.broker or "embedded",
+                **{
+                    device.option: settings.external.get(protocol, "embedded")
+                    for protocol, device in external_devices().items()
+                },
                 # The same list until the end: what is noted while the run goes on is in the finished record.
                 "narrowed": self._narrowed,
             },
         }
+
+
+def _protocol_packages() -> list[str]:
+    return [package for protocol in protocols().values() for package in protocol.packages]
 
 
 def _version(package: str) -> str | None:

@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 
 from ..core.matrix import SUITES
+from ..protocols.external import external_devices
 from ..trial.task import Task
 from .collection import is_shipped, task_of
 from .options import RunSettings
@@ -188,8 +189,9 @@ def _wishes(settings: RunSettings) -> Iterator[str]:
         yield f"only the suites {', '.join(settings.suites)} were asked for (--otmcp-suite)"
     if settings.time_scale != 1:
         yield f"deadlines and windows were multiplied by {settings.time_scale:g} (--otmcp-time-scale)"
-    if settings.broker is not None:
-        yield f"the MQTT broker was {settings.broker}, which cannot be asked what it holds (--otmcp-broker)"
+    for protocol, url in settings.external.items():
+        device = external_devices()[protocol]
+        yield f"the {device.noun} was {url}, which cannot be asked what it holds (--otmcp-{device.option})"
 
 
 def _own_plugins(config: pytest.Config, hook: Any) -> Iterator[str]:

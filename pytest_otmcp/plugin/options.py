@@ -13,6 +13,7 @@ from urllib.parse import urlsplit
 
 from ..core.errors import UsageError
 from ..core.matrix import SUITES, repetitions
+from ..protocols.external import ExternalDevice, external_devices
 
 if TYPE_CHECKING:
     import pytest
@@ -33,7 +34,7 @@ _OPTIONS = {
         "X",
         "factor on deadlines and windows, for slow machines; quiet windows are never shortened (default 1)",
     ),
-    "broker": ("URL", "external MQTT broker, mqtt://host:port, instead of the embedded one"),
+    **{device.option: ("URL", device.meaning) for device in external_devices().values()},
 }
 
 
@@ -45,7 +46,7 @@ class RunSettings:
         repetitions: suite name to number of repetitions.
         subject: subject file, or None for the shipped reference adapters.
         time_scale: factor on deadlines and windows; those in which nothing may happen are never shortened.
-        broker: URL of an external broker, or None.
+        external: protocol to the URL of a device of the user's own in the mock's place.
     """
 
     reps: int
@@ -56,7 +57,7 @@ class RunSettings:
     seed: int
     era: str
     time_scale: float
-    broker: str | None
+    external: dict[str, str]
 
 
 def add_options(parser: pytest.Parser) -> None:
@@ -99,7 +100,11 @@ def read_settings(config: pytest.Config) -> RunSettings:
         seed=_whole("seed", text("seed"), 0, minimum=0, maximum=2**63 - 1),
         era=_choice("era", text("era") or "auto", ("auto", "legacy")),
         time_scale=_factor(text("time-scale")),
-        broker=_broker(text("broker")),
+        external={
+            protocol: _url(device, value)
+            for protocol, device in external_devices().items()
+            if (value := text(device.option)) is not None
+        },
     )
 
 
@@ -162,14 +167,12 @@ def _report_dir(value: str | None, config: pytest.Config) -> Path:
     return path
 
 
-def _broker(value: str | None) -> str | None:
-    if value is None:
-        return None
+def _url(device: ExternalDevice, value: str) -> str:
     try:
         parts = urlsplit(value)
         port = parts.port
     except ValueError as error:
-        raise UsageError(f"--otmcp-broker: {value!r} is not a URL ({error})") from None
-    if parts.scheme != "mqtt" or not parts.hostname or parts.path not in ("", "/"):
-        raise UsageError(f"--otmcp-broker: expected mqtt://host:port, found {value!r}")
-    return f"mqtt://{parts.hostname}:{port or 1883}"
+        raise UsageError(f"--otmcp-{device.option}: {value!r} is not a URL ({error})") from None
+    if parts.scheme != device.scheme or not parts.hostname or parts.path not in ("", "/"):
+        raise UsageError(f"--otmcp-{device.option}: expected {device.scheme}://host:port, found {value!r}")
+    return f"{device.scheme}://{parts.hostname}:{port or device.default_port}"

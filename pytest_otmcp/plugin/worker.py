@@ -53,7 +53,7 @@ class Run:
             from ..trial.gc_pause import settled
 
             wanted = self._stations()
-            self._loop, self._plant = LoopThread(), Plant(self.settings.broker)
+            self._loop, self._plant = LoopThread(), Plant(self.settings.external)
             with settled():
                 self._loop.run(self._plant.launch(wanted))
                 # The MCP client takes as long to import as the devices take to start. Not on this thread: pydantic would

@@ -16,7 +16,7 @@ from typing import Any
 
 from ..core.strict_json import same_json
 from ..core.verdict import Status
-from ..protocols.operations import behind
+from ..protocols.registry import protocols
 from ..suite.catalogue import suite_digest, tasks_by_id
 from ..trial.task import Task
 from ..trial.trial import Trial
@@ -119,7 +119,7 @@ def _claimed(facet: str, adapters: Record) -> bool:
     if protocol not in adapters:
         return False
     unclaimed = adapters[protocol].get("unclaimed", {})
-    needed = behind(name, adapters[protocol].get("blocking", ()))
+    needed = protocols()[protocol].required_facets(name, adapters[protocol].get("blocking", ()))
     return not any(real in unclaimed or real.partition(".")[0] in unclaimed for real in needed)
 
 

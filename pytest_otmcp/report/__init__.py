@@ -12,6 +12,7 @@ from typing import Any
 
 from ..core.matrix import SUITES, repetitions
 from ..core.statistics import lower_bound
+from ..protocols.external import external_devices
 
 __all__ = [
     "Item",
@@ -96,7 +97,8 @@ def command(run: Run, item: Item | None = None, repetition: int = 0) -> str:
         # A suite's share of N decides how large N has to be for this repetition to be among its own.
         reps = next(reps for reps in count(1) if repetitions(reps)[item["suite"]] > repetition)
         options += [f"--otmcp-reps={reps}", "-k", f"[{item['id']}]"]
-    usual = {"seed": 0, "era": "auto", "time_scale": 1.0, "broker": "embedded"}
+    usual = {"seed": 0, "era": "auto", "time_scale": 1.0}
+    usual |= {device.option: "embedded" for device in external_devices().values()}
     for name, value in usual.items():
         if settings.get(name, value) != value:
             options.append(f"--otmcp-{name.replace('_', '-')}={settings[name]}")

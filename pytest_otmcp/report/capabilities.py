@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from ..core.verdict import Status
-from ..protocols.operations import GUARD, PROTOCOLS
+from ..protocols.protocol import GUARD
+from ..protocols.registry import protocols
 from . import Item, Run
 
 __all__ = ["CAPABILITIES", "Capability", "Earned", "Grade", "earned", "families"]
@@ -123,7 +124,11 @@ def earned(run: Run) -> list[tuple[Capability, dict[str, Earned]]]:
 
 def _of(capability: Capability, family: str, items: Mapping[str, Item], run: Run) -> Earned:
     for protocol, facts in run["subject"]["adapters"].items():
-        if PROTOCOLS.get(protocol) == family and capability.facet in facts.get("unclaimed", {}):
+        if (
+            protocol in protocols()
+            and protocols()[protocol].name == family
+            and capability.facet in facts.get("unclaimed", {})
+        ):
             return Earned(grade=Grade.NOT_CLAIMED)
     return _grade(capability.items.get(family, "").split(), items)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from ..core.matrix import SUITES
 from ..core.statistics import lower_bound
+from ..protocols.external import external_devices
 from . import Run, applies, timing_valid
 
 __all__ = ["narrowed"]
@@ -35,10 +36,9 @@ def narrowed(run: Run) -> list[str]:
         reasons.append(f"Deadlines and windows were multiplied by {settings['time_scale']}.")
     if settings.get("era", "auto") != "auto":
         reasons.append(f"The session was held in the {settings['era']} era of the Model Context Protocol only.")
-    if settings.get("broker", "embedded") != "embedded":
-        reasons.append(
-            f"The MQTT broker was a foreign one, {settings['broker']}; the kit recorded what passed between."
-        )
+    for device in external_devices().values():
+        if (url := settings.get(device.option, "embedded")) != "embedded":
+            reasons.append(f"The {device.noun} was a foreign one, {url}; the kit recorded what passed between.")
     if not timing_valid(run):
         reasons.append("Items ran in parallel: latencies would measure the neighbours too, and are withheld.")
     return reasons

@@ -17,7 +17,7 @@ from typing import Any
 import jmespath
 
 from ..core.error_registry import registry
-from ..protocols.operations import OPERATIONS
+from ..protocols.registry import protocols
 from .model import Answering, OutputRule
 
 __all__ = [
@@ -205,7 +205,9 @@ def synthesised_from_outputs(
     """An envelope for what a function of the bindings file found; ``refused`` is the code and the adapter's words."""
     code, text = refused or (None, "")
     answer = Answer(success=refused is None, document=dict(outputs), text=text, code=code)
-    return synthesised(answer, protocol=protocol, operation=operation, writes=OPERATIONS[protocol][operation].writes)
+    return synthesised(
+        answer, protocol=protocol, operation=operation, writes=protocols()[protocol].operations[operation].writes
+    )
 
 
 def extract(rules: Mapping[str, OutputRule], document: Any) -> dict[str, Any]:

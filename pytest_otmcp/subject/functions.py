@@ -28,7 +28,7 @@ from types import ModuleType
 from typing import Any, Protocol
 
 from ..core.errors import UsageError
-from ..protocols.operations import OPERATIONS
+from ..protocols.registry import protocols
 from .model import Function
 
 __all__ = ["Refused", "ToolAnswer", "Tools", "load_functions"]
@@ -110,9 +110,9 @@ def load_functions(path: Path, protocol: str, key: str) -> dict[str, Function]:
 
 
 def _checked(name: str, function: Callable[..., Any], protocol: str, where: str) -> Function:
-    operation = OPERATIONS[protocol].get(name)
+    operation = protocols()[protocol].operations.get(name)
     if operation is None:
-        known = ", ".join(OPERATIONS[protocol])
+        known = ", ".join(protocols()[protocol].operations)
         raise UsageError(f"{where}: {name} is no operation; they are {known} (begin helpers with an underscore)")
     if not inspect.iscoroutinefunction(function):
         raise UsageError(f"{where}: {name} must be an 'async def'")
@@ -133,7 +133,7 @@ def checked_outputs(function: Function, protocol: str, returned: Any) -> Mapping
     Raises:
         UsageError: it is not.
     """
-    operation = OPERATIONS[protocol][function.name]
+    operation = protocols()[protocol].operations[function.name]
     if not isinstance(returned, Mapping) or not set(operation.needed) <= set(returned):
         wanted = ", ".join(operation.needed) or "nothing"
         raise UsageError(

@@ -13,7 +13,8 @@ from urllib.parse import urlsplit
 
 from .. import __version__
 from ..core.errors import UsageError
-from ..protocols.operations import PROTOCOLS, RECOVERY, facets
+from ..protocols.protocol import RECOVERY
+from ..protocols.registry import protocols
 from .functions import load_functions
 from .load_bindings import BindingReader
 from .model import Adapter, Answering, Binding, Connect, Deviation, Function, Subject, Variant, environment_names
@@ -28,17 +29,7 @@ _ADAPTER_KEYS = (
     "command cwd env files secrets transport url era start_timeout_s deadline_s rw ro unclaimed connect recovery answer "
     "outcome errors probes bindings bind"
 ).split()
-_SPARKPLUG = {
-    "edge": None,
-    "host": "speaks Sparkplug B as a host application, not as an edge node",
-    "none": "does not speak Sparkplug B",
-}
 _RECOVERY = ("same_session", "connect_step", "new_session")
-_PROBES: dict[str, dict[str, Any]] = {
-    "modbus": {"missing_address": 9999},
-    "mqtt": {"bad_qos": 5},
-    "opcua": {"missing_node": "ns=2;i=99999"},
-}
 
 
 @cache
@@ -77,9 +68,9 @@ class _SubjectReader(Reader):
     def subject(self, document: dict[str, Any], content: bytes) -> Subject:
         self.table(document, "", ("subject", "adapter", "deviation"))
         about = self.table(document.get("subject"), "subject", ("name", "version"))
-        adapters = self.table(document.get("adapter"), "adapter", PROTOCOLS)
+        adapters = self.table(document.get("adapter"), "adapter", protocols())
         if not adapters:
-            raise self.refuse("adapter", f"expected at least one of {', '.join(PROTOCOLS)}")
+            raise self.refuse("adapter", f"expected at least one of {', '.join(protocols())}")
         read = {protocol: self._adapter(protocol, table) for protocol, table in adapters.items()}
         digest = hashlib.sha256(content)
         for source in self._sources:
@@ -107,23 +98,22 @@ class _SubjectReader(Reader):
         return tuple(deviations)
 
     def _adapter(self, protocol: str, value: Any) -> Adapter:
-        key = f"adapter.{protocol}"
-        table = self.table(value, key, (*_ADAPTER_KEYS, "sparkplug") if protocol == "mqtt" else _ADAPTER_KEYS)
+        key, known = f"adapter.{protocol}", protocols()[protocol]
+        table = self.table(value, key, (*_ADAPTER_KEYS, *(choice.key for choice in known.choices)))
         recovery = self.choice(table.get("recovery", "same_session"), f"{key}.recovery", _RECOVERY)
         connect = self._connect(table["connect"], f"{key}.connect", recovery) if "connect" in table else None
         if recovery == "connect_step" and connect is None:
             raise self.refuse(f"{key}.recovery", "'connect_step' needs a 'connect' table")
         unclaimed = self.texts(table.get("unclaimed", {}), f"{key}.unclaimed")
-        self.table(unclaimed, f"{key}.unclaimed", facets(protocol))
+        self.table(unclaimed, f"{key}.unclaimed", known.facets)
         for facet, reason in unclaimed.items():
             if not reason.strip():
                 raise self.refuse(f"{key}.unclaimed.{facet}", "expected the reason")
         if recovery == "new_session":
             unclaimed = {RECOVERY: "needs a new session after an outage", **unclaimed}
-        if (
-            role := _SPARKPLUG[self.choice(table.get("sparkplug", "edge"), f"{key}.sparkplug", _SPARKPLUG)]
-        ) is not None:
-            unclaimed = {"device_birth": role, "device_data": role, **unclaimed}
+        for choice in known.choices:
+            chosen = self.choice(table.get(choice.key, choice.default), f"{key}.{choice.key}", choice.unclaims)
+            unclaimed = {**choice.unclaims[chosen], **unclaimed}
         bindings = BindingReader(self, protocol)
         answering = bindings.answering(table, key)
         transport, url = self._transport(table, key)
@@ -136,7 +126,7 @@ class _SubjectReader(Reader):
             unclaimed=unclaimed,
             connect=connect,
             recovery=recovery,
-            probes=_PROBES[protocol] | self.table(table.get("probes", {}), f"{key}.probes", _PROBES[protocol]),
+            probes={**known.probes, **self.table(table.get("probes", {}), f"{key}.probes", known.probes)},
             secrets=self.text_list(table.get("secrets", []), f"{key}.secrets", "names of environment variables"),
             transport=transport,
             url=url,

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from ..core.error_registry import registry
-from ..protocols.operations import OPERATIONS, Operation
+from ..protocols.protocol import Operation
+from ..protocols.registry import protocols
 from .answers import UNCLASSIFIED
 from .model import Answering, Binding, ErrorRule, OutcomeRule, OutputRule
 from .reading import Reader, kind
@@ -38,7 +39,7 @@ class BindingReader:
 
     def __init__(self, reader: Reader, protocol: str) -> None:
         self._reader = reader
-        self._operations = OPERATIONS[protocol]
+        self._operations = protocols()[protocol].operations
 
     def answering(self, table: Mapping[str, Any], key: str, default: Answering | None = None) -> Answering:
         """How answers are read, from the keys ``answer``, ``outcome`` and ``errors``."""
@@ -139,7 +140,7 @@ class BindingReader:
 
     def _blocking(self, operation: Operation, table: Mapping[str, Any], key: str) -> bool:
         blocking = bool(self._reader.flag(table, "blocking", key))
-        if blocking and "seconds" not in operation.inputs:
+        if blocking and operation.waits is None:
             raise self._reader.refuse(f"{key}.blocking", "only a call for messages may wait for them")
         return blocking
 

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..protocols.operations import GUARD, OPERATIONS, RECOVERY
+from ..protocols.protocol import GUARD, RECOVERY
+from ..protocols.registry import protocols
 
 __all__ = [
     "READ_ONLY",
@@ -370,7 +371,7 @@ class Adapter:
         """Optional inputs that no binding has a place for, such as ``subscribe.qos``."""
         return {
             f"{name}.{optional}"
-            for name, operation in OPERATIONS[self.protocol].items()
+            for name, operation in protocols()[self.protocol].operations.items()
             for optional in operation.optional
             if name in self.operations and self.why_not_testable(f"{name}.{optional}") is not None
         }
@@ -381,7 +382,7 @@ class Adapter:
             f"{name}.{output}"
             for name, bound in self.operations.items()
             if isinstance(bound, tuple)
-            for output in OPERATIONS[self.protocol][name].outputs
+            for output in protocols()[self.protocol].operations[name].outputs
             if any(output not in binding.outputs for binding in bound)
         }
 

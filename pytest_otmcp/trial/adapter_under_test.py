@@ -17,7 +17,8 @@ from .. import __version__
 from ..core.envelope import check_result
 from ..core.errors import KitError, SubjectError, UsageError
 from ..core.strict_json import parse_strict
-from ..plant.devices import Device
+from ..plant.device import Device
+from ..protocols.registry import protocols
 from ..session.session import Exchange, McpSession, SessionOptions
 from ..subject.answers import interpret, read_answer
 from ..subject.functions import Refused, ToolAnswer, checked_outputs
@@ -36,8 +37,6 @@ __all__ = ["AdapterUnderTest", "BenchOptions", "NoBindingError"]
 
 _EXIT_GRACE_S = 5.0
 """From the end of its stdin to the exit (requirement MCP-009)."""
-
-_SCHEMES = {"modbus": "modbus+tcp", "mqtt": "mqtt", "opcua": "opc.tcp"}
 
 
 class NoBindingError(Exception):
@@ -93,7 +92,7 @@ class AdapterUnderTest:
         return {
             "host": device.host,
             "port": str(device.port),
-            "url": f"{_SCHEMES[self.adapter.protocol]}://{device.host}:{device.port}",
+            "url": f"{protocols()[self.adapter.protocol].scheme}://{device.host}:{device.port}",
         }
 
     # -- life ---------------------------------------------------------------------------------------------

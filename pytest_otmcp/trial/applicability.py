@@ -6,7 +6,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from ..core.verdict import Status
-from ..protocols.operations import GUARD, PROTOCOLS, behind
+from ..protocols.protocol import GUARD
+from ..protocols.registry import protocols
 from ..subject.model import Adapter
 from .task import Task
 
@@ -20,7 +21,7 @@ def applicability(task: Task, adapters: Mapping[str, Adapter]) -> tuple[Status, 
     """
     for protocol in dict.fromkeys(facet.partition(".")[0] for facet in task.needs):
         if protocol not in adapters:
-            return Status.NOT_APPLICABLE, f"the subject has no adapter for {PROTOCOLS[protocol]}"
+            return Status.NOT_APPLICABLE, f"the subject has no adapter for {protocols()[protocol].name}"
     needs = [need for facet in task.needs for need in _resolved(facet, adapters)]
     for facet in needs:
         protocol, _, name = facet.partition(".")
@@ -42,5 +43,7 @@ def stations(task: Task, adapters: Mapping[str, Adapter]) -> list[str]:
 def _resolved(facet: str, adapters: Mapping[str, Adapter]) -> Iterator[str]:
     protocol, _, name = facet.partition(".")
     adapter = adapters[protocol]
-    for real in behind(name, [operation for operation in adapter.operations if adapter.blocks(operation)]):
+    for real in protocols()[protocol].required_facets(
+        name, [operation for operation in adapter.operations if adapter.blocks(operation)]
+    ):
         yield f"{protocol}.{real}"

@@ -13,7 +13,7 @@ from typing import Any
 from ..core.envelope import check_result
 from ..core.finding import Finding
 from ..core.strict_json import parse_strict
-from ..protocols.operations import OPERATIONS
+from ..protocols.registry import protocols
 from ..subject.answers import extract, interpret, read_answer, synthesised, synthesised_from_outputs
 from ..subject.model import Answering, OutputRule
 
@@ -241,7 +241,7 @@ def _read_answer(reply: Reply, message: Mapping[str, Any], answering: Answering)
         # meant for other answers makes of "Unknown tool".
         answer = replace(answer, code="writes_disabled")
     reply.native = False
-    writes = OPERATIONS[reply.adapter][reply.operation].writes
+    writes = protocols()[reply.adapter].operations[reply.operation].writes
     reply.envelope = synthesised(answer, protocol=reply.adapter, operation=reply.operation, writes=writes)
     if answer.admission is not None:
         reply.faults.append(

@@ -386,7 +386,7 @@ def test_structures_are_objects_and_bytes_say_so(adapter: Any, plant: Any) -> No
 ENDS_THE_SESSION = {"BadShutdown", "BadConnectionClosed", "BadServerHalted", "BadNoContinuationPoints"}
 CODES = {
     symbol: entry
-    for symbol, entry in wire_codes("opcua").items()
+    for symbol, entry in wire_codes("pytest_otmcp.protocols.opcua").items()
     if entry.codes
     and entry.outcome != "not_sent"
     and "session_error" not in entry.codes

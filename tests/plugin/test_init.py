@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from pytest_otmcp.protocols.operations import OPERATIONS
+from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.subject import load_subject
 
 OTMCP = [sys.executable, "-m", "pytest_otmcp.cli"]
@@ -101,7 +101,7 @@ def test_every_tool_of_a_reference_adapter_is_found_and_proven(otmcp: Otmcp, tmp
     assert "no tool found" not in done.stdout
     written = load_subject(tmp_path / "otmcp.toml").adapters[protocol]
     assert written.answering.native
-    assert set(written.operations) == set(OPERATIONS[protocol])
+    assert set(written.operations) == set(protocols()[protocol].operations)
 
 
 def test_a_file_that_is_there_is_not_replaced(otmcp: Otmcp, tmp_path: Path) -> None:

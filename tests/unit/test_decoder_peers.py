@@ -22,6 +22,7 @@ from pytest_otmcp.plant.mock_device import MockDevice
 from pytest_otmcp.plant.tap.proxy import Tap
 from pytest_otmcp.protocols.modbus import oracle as modbus_oracle
 from pytest_otmcp.protocols.mqtt import oracle as mqtt_oracle
+from pytest_otmcp.protocols.registry import protocols
 
 pytestmark = pytest.mark.asyncio
 
@@ -38,7 +39,7 @@ _UNORDERED = {"CONNECTED", "DISCONNECTED"}
 async def tapped(protocol: str) -> AsyncIterator[tuple[MockDevice, Tap]]:
     device = MockDevice(protocol)
     await device.launch()
-    tap = Tap(device.host, device.port, protocol=protocol)
+    tap = Tap(device.host, device.port, framing=protocols()[protocol].framing)
     try:
         await tap.start()
         yield device, tap

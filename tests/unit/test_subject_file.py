@@ -13,7 +13,7 @@ import jsonschema
 import pytest
 
 from pytest_otmcp.errors import UsageError
-from pytest_otmcp.protocols.operations import OPERATIONS, PROTOCOLS, facets
+from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.subject import Binding, Function, Subject, load_subject, reference_subject
 
 MINIMAL = """
@@ -43,11 +43,11 @@ def schema() -> Any:
 def test_the_reference_adapters_are_described_completely() -> None:
     subject = reference_subject()
     for protocol, adapter in subject.adapters.items():
-        assert set(adapter.operations) == set(OPERATIONS[protocol])
+        assert set(adapter.operations) == set(protocols()[protocol].operations)
         assert adapter.facts()["unjudged"] == []
         assert adapter.facts()["unclaimed"] == {}
         assert adapter.facts()["envelope"] == "native"
-    assert set(subject.adapters) == set(PROTOCOLS)
+    assert set(subject.adapters) == set(protocols())
 
 
 def test_an_adapter_that_says_nothing_of_its_tools_has_those_of_the_reference_adapter(tmp_path: Path) -> None:
@@ -301,8 +301,8 @@ def test_the_editors_schema_is_not_stricter_about_names_than_the_kit(name: str) 
     assert bool(found) == (name not in by_kit_alone)
 
 
-@pytest.mark.parametrize("protocol", list(PROTOCOLS))
+@pytest.mark.parametrize("protocol", list(protocols()))
 def test_the_editors_schema_knows_every_operation_and_facet(protocol: str) -> None:
     definitions = schema()["$defs"]
-    assert set(definitions[f"{protocol}_bind"]["properties"]) == set(OPERATIONS[protocol])
-    assert set(definitions[f"{protocol}_unclaimed"]["properties"]) == set(facets(protocol))
+    assert set(definitions[f"{protocol}_bind"]["properties"]) == set(protocols()[protocol].operations)
+    assert set(definitions[f"{protocol}_unclaimed"]["properties"]) == set(protocols()[protocol].facets)

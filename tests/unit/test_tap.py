@@ -13,6 +13,7 @@ import pytest
 
 from pytest_otmcp.plant.tap.faults import Action, FaultRule
 from pytest_otmcp.plant.tap.proxy import Tap
+from pytest_otmcp.protocols.registry import protocols
 
 pytestmark = pytest.mark.asyncio
 
@@ -51,7 +52,7 @@ async def echo() -> AsyncIterator[int]:
 @asynccontextmanager
 async def tapped(protocol: str | None = "modbus") -> AsyncIterator[Tap]:
     async with echo() as port:
-        tap = Tap("127.0.0.1", port, protocol=protocol)
+        tap = Tap("127.0.0.1", port, framing=None if protocol is None else protocols()[protocol].framing)
         await tap.start()
         try:
             yield tap
@@ -195,7 +196,7 @@ async def test_a_connection_that_comes_in_the_moment_of_going_down_is_reset_too(
 async def test_a_device_that_refuses_makes_the_tap_reset() -> None:
     unused = socket.socket()
     unused.bind(("127.0.0.1", 0))
-    tap = Tap(*unused.getsockname(), protocol="modbus")
+    tap = Tap(*unused.getsockname(), framing=protocols()["modbus"].framing)
     await tap.start()
     async with client(tap) as (reader, _):
         with pytest.raises(ConnectionResetError):
@@ -206,7 +207,7 @@ async def test_a_device_that_refuses_makes_the_tap_reset() -> None:
 
 async def test_closing_the_tap_while_it_connects_leaves_nothing_behind() -> None:
     # TEST-NET-1 never answers; where the route refuses at once, the tap resets, which is just as well.
-    tap = Tap("192.0.2.1", 9, protocol="modbus")
+    tap = Tap("192.0.2.1", 9, framing=protocols()["modbus"].framing)
     await tap.start()
     async with client(tap):
         await tap.journal.wait(0, {"kind": "CONNECTED"}, timeout_s=60.0)

@@ -11,21 +11,14 @@ import socket
 from collections import Counter, deque
 from collections.abc import Callable
 
-from ...protocols.framing import Conversation, FrameLength, Framer
-from ...protocols.modbus.decoder import ModbusConversation, mbap_length
-from ...protocols.mqtt.decoder import MqttConversation, packet_length
-from ...protocols.opcua.decoder import OpcUaConversation, chunk_length
+from ...protocols.framing import Framer
+from ...protocols.protocol import Framing
 from .faults import Action, FaultPlan, FaultRule
 from .journal import TapJournal
 from .lane import Chunk, Lane, Medium, reset_connection
 
 __all__ = ["Tap"]
 
-_PROTOCOLS: dict[str, tuple[FrameLength, Callable[[], Conversation]]] = {
-    "modbus": (mbap_length, ModbusConversation),
-    "mqtt": (packet_length, MqttConversation),
-    "opcua": (chunk_length, OpcUaConversation),
-}
 _CONNECT_TIMEOUT_S = 5.0
 
 
@@ -34,15 +27,15 @@ class Tap:
 
     Args:
         target_host, target_port: the device.
-        protocol: ``modbus``, ``mqtt`` or ``opcua``: how to cut and decode what passes. Without one the journal holds
-            connections only, and the rules of :meth:`inject` count pieces as they arrive instead of frames.
+        framing: how to cut and decode what passes. Without it the journal holds connections only, and the rules of
+            :meth:`inject` count pieces as they arrive instead of frames.
     """
 
-    def __init__(self, target_host: str, target_port: int, *, protocol: str | None = None) -> None:
+    def __init__(self, target_host: str, target_port: int, *, framing: Framing | None = None) -> None:
         self.host = "127.0.0.1"
         self.target = (target_host, target_port)
         self.medium = Medium()
-        self._protocol = None if protocol is None else _PROTOCOLS[protocol]
+        self._framing = framing
         self._reserved: socket.socket | None = None
         self._server: asyncio.Server | None = None
         self._links: set[_Link] = set()
@@ -121,7 +114,7 @@ class Tap:
 
     def _accept(self) -> _Side:
         self._accepted += 1
-        link = _Link(self._accepted, self.medium, self.target, self._protocol, self._links.discard)
+        link = _Link(self._accepted, self.medium, self.target, self._framing, self._links.discard)
         self._links.add(link)
         return link.client
 
@@ -134,7 +127,7 @@ class _Link:
         number: int,
         medium: Medium,
         target: tuple[str, int],
-        protocol: tuple[FrameLength, Callable[[], Conversation]] | None,
+        framing: Framing | None,
         forget: Callable[[_Link], None],
     ) -> None:
         self.number = number
@@ -144,13 +137,13 @@ class _Link:
         self._forget = forget
         self._connecting: asyncio.Task[None] | None = None
         self._condemned = False
-        conversation = protocol[1]() if protocol else None
+        conversation = framing.conversation() if framing else None
         self._lanes = [
             Lane(
                 medium,
                 number,
                 direction,
-                Framer(protocol[0]) if protocol else None,
+                Framer(framing.frame_length) if framing else None,
                 conversation,
                 reset=self.reset,
                 swallow=self._swallow,

@@ -1,1 +1,1 @@
-"""Modbus TCP: decoder and oracles."""
+"""Modbus TCP: description, operations, decoder and oracles."""

@@ -13,6 +13,7 @@ from ...core.finding import Finding
 from ...core.strict_json import same_json
 
 __all__ = [
+    "describe",
     "exactly_one_request",
     "exactly_one_write",
     "exception_sent",
@@ -35,12 +36,16 @@ def _requests(entries: Entries, **fields: Any) -> list[Mapping[str, Any]]:
     ]
 
 
+def describe(entry: Mapping[str, Any]) -> str:
+    """Describe a journal entry in a few words; its function by its name where it has one."""
+    if entry["kind"] != "request":
+        return str(entry["kind"])
+    text = f"FC {entry['function']:02d} address {entry.get('address')} quantity {entry.get('quantity')}"
+    return text + (f" values {entry['values']}" if entry.get("values") else "")
+
+
 def _seen(entries: Entries) -> str:
-    requests = [
-        f"FC {entry['function']:02d} address {entry.get('address')} quantity {entry.get('quantity')}"
-        + (f" values {entry['values']}" if entry.get("values") else "")
-        for entry in _requests(entries)
-    ]
+    requests = [describe(entry) for entry in _requests(entries)]
     return "; ".join(requests[:8]) + (" …" if len(requests) > 8 else "") if requests else "no request"
 
 

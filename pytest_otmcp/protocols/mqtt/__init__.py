@@ -1,1 +1,1 @@
-"""MQTT and Sparkplug B: decoders and oracles."""
+"""MQTT and Sparkplug B: description, operations, decoders and oracles."""

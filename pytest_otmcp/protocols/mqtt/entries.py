@@ -6,7 +6,7 @@ import base64
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-__all__ = ["Entries", "Entry", "adapter_packets", "payload_of", "shown"]
+__all__ = ["Entries", "Entry", "adapter_packets", "describe", "payload_of", "shown"]
 
 Entry = Mapping[str, Any]
 Entries = Sequence[Entry]
@@ -40,13 +40,14 @@ def payload_of(entry: Entry) -> bytes:
 
 def shown(entries: Entries, limit: int = 10) -> str:
     """The packets, for a finding's evidence: ``<`` from the adapter, ``>`` to it."""
-    packets = [_shown(entry) for entry in adapter_packets(entries)]
+    packets = [describe(entry) for entry in adapter_packets(entries)]
     if not packets:
         return "no packet"
     return "; ".join(packets[:limit]) + (f"; … {len(packets) - limit} more" if len(packets) > limit else "")
 
 
-def _shown(entry: Entry) -> str:
+def describe(entry: Entry) -> str:
+    """Describe a packet in a few words: ``<`` for one from a client, ``>`` for one to it."""
     text = f"{'<' if entry['direction'] == 'in' else '>'} {entry['kind']}"
     if entry["kind"] == "PUBLISH":
         text += f" {entry['topic']!r} QoS {entry.get('qos')}{' retained' if entry.get('retain') else ''}"

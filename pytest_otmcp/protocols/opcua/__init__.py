@@ -1,1 +1,1 @@
-"""OPC UA (binary, opc.tcp): decoder and oracles."""
+"""OPC UA (binary encoding, opc.tcp): description, operations, decoder and oracles."""

@@ -35,7 +35,7 @@ def symbol(status: int) -> str:
     """Symbol of a status code by its upper 16 bits (the lower ones are information); hexadecimal when unknown."""
     if status & 0xFFFF0000 == 0:
         return "Good"
-    for entry in wire_codes("opcua").values():
+    for entry in wire_codes(__package__).values():
         if entry.value == status & 0xFFFF0000:
             return entry.name
     return f"0x{status:08X}"

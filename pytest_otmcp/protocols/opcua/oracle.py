@@ -18,6 +18,7 @@ __all__ = [
     "browsed",
     "children_of",
     "complete_enumeration",
+    "describe",
     "exactly_one_service",
     "exactly_one_write",
     "folder_id",
@@ -63,8 +64,13 @@ def _statuses(entry: Mapping[str, Any]) -> list[str]:
     return [str(result["status"] if isinstance(result, Mapping) else result) for result in results]
 
 
+def describe(entry: Mapping[str, Any]) -> str:
+    """Describe a service request in a few words."""
+    return f"{entry['kind']} {', '.join(_nodes(entry)[:4])}".strip()
+
+
 def _seen(entries: Entries) -> str:
-    services = [f"{entry['kind']} {', '.join(_nodes(entry)[:4])}" for entry in _requests(entries)]
+    services = [describe(entry) for entry in _requests(entries)]
     return "; ".join(services[:8]) + (" …" if len(services) > 8 else "") if services else "no service request"
 
 

@@ -16,7 +16,8 @@ from urllib.parse import urlsplit
 
 from ..core.errors import KitError
 from ..protocols.framing import Framer
-from ..protocols.mqtt.decoder import packet_length
+from ..protocols.mqtt.decoder import MqttConversation, packet_length
+from ..protocols.protocol import Framing
 from .mock_device import Entry, Journal
 from .tap.journal import TapJournal
 from .tap.proxy import Tap
@@ -43,7 +44,7 @@ class TappedBroker:
         parts = urlsplit(url)
         self._url = url
         self._broker = (parts.hostname or "127.0.0.1", parts.port or 1883)
-        self.tap = Tap(*self._broker, protocol="mqtt")
+        self.tap = Tap(*self._broker, framing=Framing(frame_length=packet_length, conversation=MqttConversation))
         self.host = self.tap.host
         self.port = 0
         self.running = False

@@ -15,8 +15,8 @@ import paho.mqtt.client as untyped_paho
 import pytest
 
 from pytest_otmcp.errors import KitError
-from pytest_otmcp.plant.external_broker import TappedBroker
 from pytest_otmcp.plant.mock_device import MockDevice
+from pytest_otmcp.plant.mqtt_broker import TappedBroker
 from pytest_otmcp.protocols.mqtt import oracle as mqtt_oracle
 
 pytestmark = pytest.mark.asyncio

@@ -1,0 +1,32 @@
+"""The description of Modbus TCP."""
+
+from __future__ import annotations
+
+import re
+
+from ..protocol import Colour, Framing, OtProtocol
+from .decoder import ModbusConversation, mbap_length
+from .operations import OPERATIONS
+from .oracle import describe, no_state_changing_request
+
+__all__ = ["PROTOCOL"]
+
+PROTOCOL = OtProtocol(
+    key="modbus",
+    name="Modbus",
+    package=__package__,
+    scheme="modbus+tcp",
+    operations=OPERATIONS,
+    probes={"missing_address": 9999},
+    framing=Framing(frame_length=mbap_length, conversation=ModbusConversation),
+    unsolicited=no_state_changing_request,
+    describe=describe,
+    mock="modbus",
+    clients="a Modbus TCP client with unit identifier 1",
+    tasks="pytest_otmcp.conformance.tasks.modbus",
+    onboarding="pytest_otmcp.onboarding.packs.modbus",
+    recognise=re.compile(r"modbus", re.IGNORECASE),
+    packages=("pymodbus",),
+    colour=Colour(light="#0072b2", dark="#56b4e9"),
+    always=True,
+)

@@ -1,0 +1,53 @@
+"""The description of MQTT and Sparkplug B."""
+
+from __future__ import annotations
+
+import re
+
+from ..protocol import Choice, Colour, Composite, Framing, OtProtocol
+from .decoder import MqttConversation, packet_length
+from .entries import describe
+from .external import EXTERNAL
+from .operations import OPERATIONS
+from .oracle import no_command
+
+__all__ = ["PROTOCOL"]
+
+_AS_HOST = "speaks Sparkplug B as a host application, not as an edge node"
+_NOT_AT_ALL = "does not speak Sparkplug B"
+
+PROTOCOL = OtProtocol(
+    key="mqtt",
+    name="MQTT",
+    package=__package__,
+    scheme="mqtt",
+    operations=OPERATIONS,
+    composites={
+        "receive": Composite(facets=("subscribe", "messages"), if_waiting={"messages": ("messages",)}),
+    },
+    probes={"bad_qos": 5},
+    choices=(
+        Choice(
+            key="sparkplug",
+            default="edge",
+            meaning="the role that the adapter has in Sparkplug B",
+            unclaims={
+                "edge": {},
+                "host": {"device_birth": _AS_HOST, "device_data": _AS_HOST},
+                "none": {"device_birth": _NOT_AT_ALL, "device_data": _NOT_AT_ALL},
+            },
+        ),
+    ),
+    framing=Framing(frame_length=packet_length, conversation=MqttConversation),
+    unsolicited=no_command,
+    describe=describe,
+    mock="mqtt",
+    clients="an MQTT client, version 3.1.1 or 5",
+    tasks="pytest_otmcp.conformance.tasks.mqtt",
+    onboarding="pytest_otmcp.onboarding.packs.mqtt",
+    recognise=re.compile(r"mqtt|sparkplug", re.IGNORECASE),
+    packages=("paho-mqtt", "protobuf"),
+    colour=Colour(light="#009e73", dark="#2fc79a"),
+    external=EXTERNAL,
+    always=True,
+)

@@ -1,0 +1,16 @@
+"""A broker of the user's own in the place of the mock."""
+
+from __future__ import annotations
+
+from ..external import ExternalDevice
+
+__all__ = ["EXTERNAL"]
+
+EXTERNAL = ExternalDevice(
+    option="broker",
+    meaning="external MQTT broker, mqtt://host:port, instead of the embedded one",
+    scheme="mqtt",
+    default_port=1883,
+    noun="MQTT broker",
+    implementation="pytest_otmcp.plant.mqtt_broker:TappedBroker",
+)

@@ -1,0 +1,45 @@
+"""The abstract operations on MQTT and Sparkplug B."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from ..protocol import Operation
+
+__all__ = ["OPERATIONS"]
+
+OPERATIONS: Mapping[str, Operation] = {
+    "info": Operation(meaning="is the broker reachable", outputs=("connected", "endpoint", "client_id")),
+    "subscribe": Operation(
+        meaning="subscribe to a topic filter",
+        inputs=("filter", "qos"),
+        outputs=("granted_qos",),
+        optional=("qos",),
+    ),
+    "messages": Operation(
+        meaning="messages received so far on a topic filter, each with topic and payload",
+        inputs=("filter", "seconds"),
+        outputs=("messages",),
+        needed=("messages",),
+        optional=("filter",),
+        waits="seconds",
+    ),
+    "publish": Operation(
+        meaning="publish a text payload",
+        inputs=("topic", "payload", "qos"),
+        outputs=("topic", "delivery"),
+        writes=True,
+        optional=("qos",),
+    ),
+    "device_birth": Operation(
+        meaning="announce a Sparkplug B device with its metrics (DBIRTH)",
+        inputs=("device", "metrics"),
+        writes=True,
+    ),
+    "device_data": Operation(
+        meaning="report metrics of a Sparkplug B device (DDATA)",
+        inputs=("device", "metrics"),
+        outputs=("metric_count",),
+        writes=True,
+    ),
+}

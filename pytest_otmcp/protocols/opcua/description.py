@@ -1,0 +1,32 @@
+"""The description of OPC UA (binary encoding, opc.tcp)."""
+
+from __future__ import annotations
+
+import re
+
+from ..protocol import Colour, Framing, OtProtocol
+from .decoder import OpcUaConversation, chunk_length
+from .operations import OPERATIONS
+from .oracle import describe, no_state_changing_service
+
+__all__ = ["PROTOCOL"]
+
+PROTOCOL = OtProtocol(
+    key="opcua",
+    name="OPC UA",
+    package=__package__,
+    scheme="opc.tcp",
+    operations=OPERATIONS,
+    probes={"missing_node": "ns=2;i=99999"},
+    framing=Framing(frame_length=chunk_length, conversation=OpcUaConversation),
+    unsolicited=no_state_changing_service,
+    describe=describe,
+    mock="opcua",
+    clients="an OPC UA client with security None",
+    tasks="pytest_otmcp.conformance.tasks.opcua",
+    onboarding="pytest_otmcp.onboarding.packs.opcua",
+    recognise=re.compile(r"opc[-_ ]?ua", re.IGNORECASE),
+    packages=("asyncua",),
+    colour=Colour(light="#e69f00", dark="#e69f00"),
+    always=True,
+)
