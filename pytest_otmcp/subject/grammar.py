@@ -51,13 +51,13 @@ _OUTCOME_RULE = Table(
         "is_error": Key(FLAG, "The result's isError."),
         "text": Key(REGEX, "Regular expression, searched in the whole text."),
         "path": Key(PATH, "JMESPath over the document; holds when it finds something true."),
-        "then": Key(OneOf(("success", "failure")), "What the answer means.", required=True),
+        "then": Key(OneOf(("success", "failure")), "What the answer means."),
     },
     rules=(
         Rule(
-            holds=lambda table: len(table) > 1,
+            holds=lambda table: "then" in table and len(table) > 1,
             objection="expected a condition (is_error, text or path) and 'then'",
-            described={"minProperties": 2},
+            described={"required": ["then"], "minProperties": 2},
         ),
     ),
 )

@@ -61,6 +61,10 @@ def toml_type(value: Any) -> str:
         return "nothing"
     if isinstance(value, datetime.date | datetime.time):
         return "a date"
+    if value == "":
+        return "an empty string"
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
     return {dict: "a table", list: "a list", str: "a string", bool: "a boolean"}.get(type(value), "a number")
 
 
@@ -131,7 +135,15 @@ def strings(meaning: str, *, filled: bool = False) -> Scalar:
         expected=f"a {'non-empty ' if filled else ''}list of strings, {meaning}",
         accepts=lambda value: _is_strings(value) and (bool(value) or not filled),
         described={"type": "array", "items": {"type": "string"}} | ({"minItems": 1} if filled else {}),
+        shown=_shown_list,
     )
+
+
+def _shown_list(value: Any) -> str:
+    if not isinstance(value, list):
+        return toml_type(value)
+    wrong = [part for part in value if not isinstance(part, str)]
+    return f"a list with {toml_type(wrong[0])}" if wrong else "an empty list"
 
 
 STRING = Scalar(expected="a string", accepts=lambda value: isinstance(value, str), described={"type": "string"})
@@ -141,10 +153,10 @@ TEXT = Scalar(
     described={"type": "string", "minLength": 1},
 )
 REASON = Scalar(
-    expected="the reason",
+    expected="the reason in a string",
     accepts=lambda value: isinstance(value, str) and value.strip() != "",
     described={"type": "string", "pattern": r"\S"},
-    shown=repr,
+    shown=lambda value: "a blank string" if isinstance(value, str) else toml_type(value),
 )
 NUMBER = Scalar(expected="a number", accepts=_is_number, described={"type": "number"})
 SECONDS = Scalar(
@@ -199,6 +211,8 @@ class OneOf(Kind):
     known: tuple[str, ...]
 
     def read(self, value: Any, key: str) -> Any:
+        if value is None:
+            raise Refusal(key, f"expected one of {', '.join(self.known)}, found nothing")
         if not isinstance(value, str) or value not in self.known:
             raise Refusal(key, f"unknown {value!r}; {nearest(value, self.known)}")
         return value
