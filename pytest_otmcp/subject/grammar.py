@@ -87,8 +87,7 @@ def subject_file(protocols: Mapping[str, OtProtocol]) -> Table:
             "item": Key(TEXT, "Id of the item that fails.", required=True),
             "reason": Key(TEXT, "Why it fails.", required=True),
             "expires": Key(DATE, "The last day on which the failure is excused, such as 2027-03-31.", required=True),
-        },
-        "A failure that the vendor knows of.",
+        }
     )
     subject = Table(
         {
@@ -143,7 +142,11 @@ def adapter_table(protocol: OtProtocol) -> Table:
             ),
             "transport": Key(OneOf(("stdio", "http")), "How the adapter is spoken to.", default="stdio"),
             "url": Key(TEXT, 'The MCP endpoint, for transport = "http".'),
-            "era": Key(OneOf(("auto", "legacy")), "'legacy': must be addressed by the handshake of 2025-11-25."),
+            "era": Key(
+                OneOf(("auto", "legacy")),
+                "'legacy' for a server that must be addressed by the handshake of 2025-11-25, 'auto' for one that need not; "
+                "without it as the run says.",
+            ),
             "start_timeout_s": Key(SECONDS, "Time for start and handshake.", default=30.0),
             "deadline_s": Key(SECONDS, "Time within which every call must have answered.", default=5.0),
             "rw": Key(_VARIANT, "What the launch with writes enabled has in addition.", default={}),
@@ -195,7 +198,6 @@ def binding_table(operation: Operation) -> Table:
             "blocking": Key(FLAG, "The call waits for what it answers.", default=False),
             **_answering("; without it as the adapter does"),
         },
-        _sentence(operation.meaning),
         rules=(_HAS_A_TOOL, _RESOURCE_STANDS_ALONE) + ((_ANSWERS_AT_ONCE,) if operation.waits is None else ()),
     )
 
