@@ -62,6 +62,13 @@ _OUTCOME_RULE = Table(
     ),
 )
 _OUTCOME = Named("outcome", ListOf(_OUTCOME_RULE, "a list of rules"))
+_ERROR_RULE = Table(
+    {
+        "text": Key(REGEX, "Regular expression, searched in the failure's text.", required=True),
+        "code": Key(OneOf((*registry(), UNCLASSIFIED)), "Code of the failure.", required=True),
+    }
+)
+_ERRORS = Named("errors", ListOf(_ERROR_RULE, "a list of rules"))
 _OUTPUT_TABLE = Table(
     {
         "path": Key(PATH, "JMESPath over the document."),
@@ -211,17 +218,10 @@ def _bind(protocol: OtProtocol) -> Table:
 
 
 def _answering(otherwise: str) -> dict[str, Key]:
-    codes = OneOf((*registry(), UNCLASSIFIED))
-    error = Table(
-        {
-            "text": Key(REGEX, "Regular expression, searched in the failure's text.", required=True),
-            "code": Key(codes, "Code of the failure.", required=True),
-        }
-    )
     return {
         "answer": Key(_ANSWER, f"What an answer is{otherwise}."),
         "outcome": Key(_OUTCOME, "Whether an answer is a success; first match wins, without a match isError decides."),
-        "errors": Key(Named("errors", ListOf(error, "a list of rules")), "Codes of failures; first match wins."),
+        "errors": Key(_ERRORS, "Codes of failures; first match wins."),
     }
 
 
