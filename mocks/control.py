@@ -12,9 +12,9 @@ are done one after the other, except that nothing has to wait for a ``wait``.
 ``reset``                                               start-up values, no faults
 ``pause`` / ``resume``                                  stop or start the free-running 1 Hz simulation
 ``tick {steps}``                                        advance the simulation by hand, seconds of plant time
-``journal {since}``                                     ``{"entries", "next", "dropped"}``
-``journal_reset``                                       forget the entries; ``{"next"}``
-``wait {since, match, count, timeout_s}``               matching entries, as soon as there are ``count``
+``journal {since}``                                     ``{"entries", "first", "next", "dropped"}``
+``forget {before}``                                     release the entries before this one; ``{"first", "next"}``
+``wait {since, match, count, timeout_s}``               matching entries, as soon as there are ``count``, with ``first``, ``next``
 ======================================================  ========================================================
 """
 
@@ -56,7 +56,7 @@ class ControlServer:
             "resume": self._resume,
             "tick": self._tick,
             "journal": self._journal,
-            "journal_reset": self._journal_reset,
+            "forget": self._forget,
             "wait": self._wait,
         }
 
@@ -152,21 +152,23 @@ class ControlServer:
             await asyncio.sleep(0)
         journal = self._device.journal
         entries = journal.since(_member(request, "since", int))
-        return {"entries": entries, "next": journal.next, "dropped": journal.dropped}
+        return {"entries": entries, "first": journal.first, "next": journal.next, "dropped": journal.dropped}
 
-    async def _journal_reset(self, request: Request) -> dict[str, Any]:
-        self._device.journal.clear()
-        return {"next": self._device.journal.next}
+    async def _forget(self, request: Request) -> dict[str, Any]:
+        journal = self._device.journal
+        journal.forget(_member(request, "before", int))
+        return {"first": journal.first, "next": journal.next}
 
     async def _wait(self, request: Request) -> dict[str, Any]:
         timeout_s = min(_member(request, "timeout_s", float, 1.0), _WAIT_LIMIT_S)
-        entries = await self._device.journal.wait(
+        journal = self._device.journal
+        entries = await journal.wait(
             _member(request, "since", int),
             _member(request, "match", dict),
             _member(request, "count", int, 1),
             timeout_s,
         )
-        return {"entries": entries, "next": self._device.journal.next}
+        return {"entries": entries, "first": journal.first, "next": journal.next}
 
 
 def _parsed(line: bytes) -> Request:

@@ -44,7 +44,11 @@ class Device(ABC):
 
     @abstractmethod
     def image(self) -> dict[str, Any]:
-        """A JSON-safe dump of what the device really holds."""
+        """Return a JSON-safe dump of what the device really holds.
+
+        Its member ``points`` is flat and there for every protocol: the name of each value that the plant holds, in the
+        protocol's own addressing, and the value. The other members are the protocol's own.
+        """
 
     @abstractmethod
     async def poke(self, params: Mapping[str, Any]) -> None:

@@ -46,10 +46,11 @@ class Journal:
         """This slice, which was asked for from ``since`` on.
 
         Raises:
-            KitError: its oldest entries have given way to newer ones.
+            KitError: its oldest entries were released, or have given way to newer ones.
         """
-        if len(self.entries) < self.next - since:
-            raise KitError(f"the journal no longer goes back to entry {since}: it holds the newest 200 000 only")
+        first = self.next - len(self.entries)
+        if since < first:
+            raise KitError(f"the journal no longer goes back to entry {since}: the oldest that it holds is {first}")
         return self
 
 
@@ -231,10 +232,14 @@ class MockDevice:
         """The entries from ``since`` on.
 
         Raises:
-            KitError: the oldest of them have given way to newer ones.
+            KitError: the oldest of them were released, or have given way to newer ones.
         """
         answer = await self.ask("journal", since=since)
         return Journal(entries=answer["entries"], next=answer["next"]).whole(since)
+
+    async def forget(self, before: int) -> None:
+        """Release the entries before ``before`` for good: they have been read."""
+        await self.ask("forget", before=before)
 
     async def wait(self, since: int, match: Mapping[str, Any], *, timeout_s: float, count: int = 1) -> list[Entry]:
         """The entries from ``since`` on whose fields equal ``match``, as soon as there are ``count`` of them, or

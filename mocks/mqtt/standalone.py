@@ -19,6 +19,7 @@ from urllib.parse import urlsplit
 
 from ..control import ControlServer
 from ..device import Device
+from ..journal import Direction
 from .describe import describe
 from .edge_node import CLIENT_ID, EdgeNode
 from .packets import Packet
@@ -48,9 +49,11 @@ class SparkplugSimulator(Device):
         self._address = (host, port)
         self._edge_node = EdgeNode(self._observe)
 
-    def _observe(self, direction: str, packet: Packet) -> None:
+    def _observe(self, direction: Direction, packet: Packet) -> None:
         fields = describe(packet)
-        self.journal.append(connection=1, direction=direction, kind=packet.type.name, client_id=CLIENT_ID, **fields)
+        self.journal.append(
+            connection=1, direction=direction, kind=packet.type.name, origin="plant", client_id=CLIENT_ID, **fields
+        )
 
     async def serve(self, listener: socket.socket) -> None:
         """Connect to the broker. Nobody connects to an edge node: the listener is closed."""
@@ -61,7 +64,8 @@ class SparkplugSimulator(Device):
         await self._edge_node.aclose()
 
     def image(self) -> dict[str, Any]:
-        return {"edge_node": self._edge_node.image()}
+        """Return the ``edge_node``; and ``points``: ``edge_node/<device>/<tag>`` to value."""
+        return {"edge_node": self._edge_node.image(), "points": self._edge_node.points()}
 
     async def poke(self, params: Mapping[str, Any]) -> None:
         raise ValueError("an edge node has nothing to poke: publish a command at its broker")

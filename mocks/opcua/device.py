@@ -49,6 +49,8 @@ class OpcUaDevice(Device):
         """The process ends right after this; there is nothing to hand back."""
 
     def image(self) -> dict[str, Any]:
+        """Return the plant's ``variables`` by node id, its ``folders`` by browse name, how often its ``methods`` were
+        performed, what ``clients`` have open; and ``points``: node id to value."""
         plant = self.plant
         variables = {}
         for node, variable in plant.variables.items():
@@ -64,6 +66,7 @@ class OpcUaDevice(Device):
         return {
             "namespace": {"index": plant.namespace, "uri": NAMESPACE},
             "variables": variables,
+            "points": {node: variable["value"] for node, variable in variables.items()},
             "folders": {name: node.to_string() for name, node in plant.folders.items()},
             "methods": {node.to_string(): {"calls": calls} for node, calls in plant.calls.items()},
             "clients": {

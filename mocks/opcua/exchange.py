@@ -14,11 +14,16 @@ from .faults import NOTHING, Rule
 if TYPE_CHECKING:
     from .device import OpcUaDevice
 
-__all__ = ["STATE_CHANGING", "Exchange", "current"]
+__all__ = ["SESSION_KEEPING", "STATE_CHANGING", "Exchange", "current"]
 
 STATE_CHANGING = frozenset(
     {"Write", "Call", "HistoryUpdate", "AddNodes", "AddReferences", "DeleteNodes", "DeleteReferences"}
 )
+SESSION_KEEPING = frozenset(
+    {"OpenSecureChannel", "CloseSecureChannel", "FindServers", "GetEndpoints"}
+    | {"CreateSession", "ActivateSession", "CloseSession", "CreateSubscription", "Publish", "DeleteSubscriptions"}
+)
+"""Services that open, keep and close sessions and subscriptions: they ask nothing of the plant."""
 
 _current: ContextVar[Exchange] = ContextVar("exchange")
 
@@ -44,17 +49,17 @@ class Exchange:
         self.answer: dict[str, Any] = {}
         self._device = device
         self._connection = connection
-        self._asked = False
+        self._asked: int | None = None
         _current.set(self)
 
     def asked(self, **facts: Any) -> None:
         """Record the request, the first time that this is called."""
-        if not self._asked:
-            self._asked = True
-            self._device.journal.append(
+        if self._asked is None:
+            self._asked = self._device.journal.append(
                 connection=self._connection,
                 direction="in",
                 kind=self.service,
+                request=self.service not in SESSION_KEEPING,
                 state_changing=self.service in STATE_CHANGING,
                 **facts,
             )
@@ -79,6 +84,7 @@ class Exchange:
             connection=self._connection,
             direction="out",
             kind=self.service,
+            answers=self._asked,
             service_result=result.name,
             **self.answer,
         )
