@@ -1,4 +1,4 @@
-"""The control channel of a device: newline-delimited JSON on a loopback port.
+"""The control channel of a device: newline-delimited JSON on a Unix socket (see ``control_socket``).
 
 A request is ``{"id": 1, "op": "image"}``; its answer ``{"id": 1, "ok": true, "result": {…}}`` or
 ``{"id": 1, "ok": false, "error": "one sentence"}``. Any number of clients may be connected; requests may be pipelined and
@@ -23,6 +23,7 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import socket
 import traceback
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any, TypeVar
@@ -60,12 +61,10 @@ class ControlServer:
             "wait": self._wait,
         }
 
-    async def start(self) -> int:
-        """Listen on an ephemeral loopback port and begin the simulation; return the port."""
-        self._server = await asyncio.start_server(self._serve, "127.0.0.1", 0, limit=_LINE_LIMIT)
+    async def start(self, listener: socket.socket) -> None:
+        """Accept connections on a listening socket and begin the simulation."""
+        self._server = await asyncio.start_server(self._serve, sock=listener, limit=_LINE_LIMIT)
         self._simulation.resume()
-        port: int = self._server.sockets[0].getsockname()[1]
-        return port
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         waits: set[asyncio.Task[None]] = set()

@@ -41,6 +41,7 @@ from types import ModuleType
 from typing import Any, NoReturn
 
 from .control import ControlServer
+from .control_socket import ControlSocket
 from .device import Device
 
 __all__ = ["run"]
@@ -68,11 +69,12 @@ def run(protocol: str, host: str, port: int) -> int:
     module = importlib.import_module(f".{protocol}", __package__)
     module.warm()
     gc.freeze()
-    launcher = _Launcher(protocol, host, port, module)
     # Signals arrive where the launcher waits, and nowhere else: not between a fork and the note of its process id.
     signal.pthread_sigmask(signal.SIG_BLOCK, _END_SIGNALS)
     signal.signal(signal.SIGTERM, _end)
     signal.signal(signal.SIGINT, _end)
+    control = ControlSocket()
+    launcher = _Launcher(protocol, host, port, module, control)
     try:
         launcher.start()
         launcher.obey()
@@ -80,6 +82,7 @@ def run(protocol: str, host: str, port: int) -> int:
         pass
     finally:
         launcher.stop()
+        control.remove()
         reservation.close()
     return 0
 
@@ -115,11 +118,12 @@ def _bound(host: str, port: int, *options: int) -> socket.socket:
 
 
 class _Launcher:
-    def __init__(self, protocol: str, host: str, port: int, module: ModuleType) -> None:
+    def __init__(self, protocol: str, host: str, port: int, module: ModuleType, control: ControlSocket) -> None:
         self._protocol = protocol
         self._host = host
         self._port = port
         self._module = module
+        self._control = control
         self._pid: int | None = None
         self._death = -1
         self._life_read, self._life_write = os.pipe()
@@ -174,8 +178,8 @@ class _Launcher:
         self._pid, self._death = pid, death_read
         self._selector.register(death_read, selectors.EVENT_READ)
         with _interruptible():
-            control = os.read(death_read, 64)
-        if not control:
+            is_ready = os.read(death_read, 1)
+        if not is_ready:
             self._device_died()
             return
         self.say(
@@ -183,7 +187,7 @@ class _Launcher:
             protocol=self._protocol,
             host=self._host,
             port=self._port,
-            control=int(control),
+            control=self._control.path,
             pid=pid,
         )
 
@@ -193,6 +197,7 @@ class _Launcher:
         os.close(self._death)
         _, status = os.waitpid(self._pid, 0)
         self._pid, self._death = None, -1
+        self._control.clear()
         return os.waitstatus_to_exitcode(status)
 
     def _device_died(self) -> None:
@@ -221,7 +226,7 @@ class _Launcher:
             device = self._module.create()
             device.port = self._port
             listener = _bound(self._host, self._port, socket.SO_REUSEADDR, socket.SO_REUSEPORT)
-            asyncio.run(_serve(device, listener, death, self._life_read))
+            asyncio.run(_serve(device, listener, self._control, death, self._life_read))
             code = 0
         except BaseException:
             traceback.print_exc()
@@ -231,13 +236,15 @@ class _Launcher:
             os._exit(code)
 
 
-async def _serve(device: Device, listener: socket.socket, death: int, life: int) -> None:
+async def _serve(device: Device, listener: socket.socket, control: ControlSocket, death: int, life: int) -> None:
     ended = asyncio.Event()
     asyncio.get_running_loop().add_reader(life, ended.set)
     await device.serve(listener)
-    port = await ControlServer(device).start()
-    # One write of a few bytes into a pipe arrives in one piece. The pipe stays open: its end tells of the device's.
+    await ControlServer(device).start(control.listen())
+    # The pipe stays open: its end tells of the device's.
     with contextlib.suppress(BrokenPipeError):  # the launcher is gone already, and the life pipe will tell
-        os.write(death, f"{port}\n".encode())
+        os.write(death, b"\n")
     await ended.wait()
     await device.aclose()
+    # The launcher was killed and could not do this itself.
+    control.remove()

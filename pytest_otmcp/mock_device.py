@@ -1,7 +1,7 @@
 """The plant: mock devices as processes of their own, and the channel on which they bear witness.
 
 The kit never imports a mock. It starts `python -m pytest_otmcp.mocks NAME`, speaks one-word commands to its launcher
-(``stop``, ``start``) and JSON lines to its control port (image, journal, poke, fault, …). A mock that dies or does
+(``stop``, ``start``) and JSON lines to its control socket (image, journal, poke, fault, …). A mock that dies or does
 not answer is a :class:`~pytest_otmcp.errors.KitError`: never the adapter's fault.
 """
 
@@ -55,7 +55,7 @@ class Journal:
 
 
 class _Control:
-    """Client of a device's control port: pipelined requests, answers matched by id."""
+    """Client of a device's control socket: pipelined requests, answers matched by id."""
 
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, name: str) -> None:
         self._reader = reader
@@ -161,7 +161,7 @@ class MockDevice:
         ready = await self._event("ready")
         self.accepting_ns = time.monotonic_ns()
         self.host, self.port = ready["host"], ready["port"]
-        reader, writer = await asyncio.open_connection("127.0.0.1", ready["control"], limit=_LINE_LIMIT)
+        reader, writer = await asyncio.open_unix_connection(ready["control"], limit=_LINE_LIMIT)
         self._control = _Control(reader, writer, self.name)
         self.running = True
         await self.ask("pause")

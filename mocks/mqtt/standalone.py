@@ -1,6 +1,6 @@
 """The edge node alone, at a foreign broker: ``python -m pytest_otmcp.mocks sparkplug --broker mqtt://host:port``.
 
-It prints one ready line with the broker's address and its own control port, and runs until standard input ends. Its
+It prints one ready line with the broker's address and its own control socket, and runs until standard input ends. Its
 journal holds the packets of its own connection, as the edge node sees them.
 """
 
@@ -18,6 +18,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from ..control import ControlServer
+from ..control_socket import ControlSocket
 from ..device import Device
 from ..journal import Direction
 from .describe import describe
@@ -108,9 +109,13 @@ async def _run(host: str, port: int) -> None:
         loop.add_signal_handler(number, ended.set)
     device = SparkplugSimulator(host, port)
     await device.serve(socket.socket())
-    control = await ControlServer(device).start()
-    ready = {"event": "ready", "protocol": device.protocol, "host": host, "port": port}
-    sys.stdout.write(json.dumps({**ready, "control": control, "pid": os.getpid()}) + "\n")
-    sys.stdout.flush()
-    await ended.wait()
-    await device.aclose()
+    control = ControlSocket()
+    try:
+        await ControlServer(device).start(control.listen())
+        ready = {"event": "ready", "protocol": device.protocol, "host": host, "port": port}
+        sys.stdout.write(json.dumps({**ready, "control": control.path, "pid": os.getpid()}) + "\n")
+        sys.stdout.flush()
+        await ended.wait()
+        await device.aclose()
+    finally:
+        control.remove()

@@ -35,8 +35,8 @@ class Control:
         self._pump = asyncio.create_task(self._read())
 
     @classmethod
-    async def connect(cls, port: int) -> Control:
-        return cls(*await asyncio.open_connection("127.0.0.1", port, limit=_LINE_LIMIT))
+    async def connect(cls, path: str) -> Control:
+        return cls(*await asyncio.open_unix_connection(path, limit=_LINE_LIMIT))
 
     async def _read(self) -> None:
         try:
@@ -139,7 +139,7 @@ class MockProgram:
         return event
 
     async def ready(self, *, paused: bool = True) -> None:
-        """Wait for the device and connect to its control port."""
+        """Wait for the device and connect to its control socket."""
         self.ready_event = await self.event()
         assert self.ready_event["event"] == "ready", self.ready_event
         self.control = await self.connect_control()

@@ -66,7 +66,7 @@ async def test_several_clients_see_the_same_device(modbus: MockProgram) -> None:
     ],
 )
 async def test_what_is_no_request_is_answered_with_a_sentence(modbus: MockProgram, line: str, words: str) -> None:
-    reader, writer = await asyncio.open_connection("127.0.0.1", modbus.ready_event["control"])
+    reader, writer = await asyncio.open_unix_connection(modbus.ready_event["control"])
     writer.write(line.encode() + b"\n")
     answer = json.loads(await reader.readline())
     assert answer["ok"] is False

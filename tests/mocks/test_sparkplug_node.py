@@ -403,9 +403,11 @@ def program(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], dict[str, 
         assert process.wait(PATIENCE_S) == 0
 
 
-def ask(port: int, **request: Any) -> Any:
+def ask(path: str, **request: Any) -> Any:
     """One exchange on a control channel."""
-    with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as control, control.makefile("rw") as stream:
+    with socket.socket(socket.AF_UNIX) as control, control.makefile("rw") as stream:
+        control.settimeout(PATIENCE_S)
+        control.connect(path)
         stream.write(json.dumps({"id": 1, **request}) + "\n")
         stream.flush()
         answer = json.loads(stream.readline())
