@@ -14,6 +14,7 @@ from functools import partial
 from typing import Any
 
 from ..device import Device
+from ..endpoint import OpenEndpoint
 from ..journal import Direction
 from .faults import FaultPlan, Rule
 from .image import UnitImage, poke
@@ -39,7 +40,9 @@ class ModbusDevice(Device):
         self._server: asyncio.Server | None = None
         self.connections = 0
 
-    async def serve(self, listener: socket.socket) -> None:
+    async def serve(self, endpoints: Mapping[str, OpenEndpoint]) -> None:
+        listener = endpoints["modbus"]
+        assert isinstance(listener, socket.socket)
         loop = asyncio.get_running_loop()
         self._server = await loop.create_server(lambda: _Connection(self), sock=listener, backlog=128)
 

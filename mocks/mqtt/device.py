@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ..device import Device
+from ..endpoint import OpenEndpoint
 from .broker import Broker
 from .connection import Connection
 from .describe import describe_content, describe_publish
@@ -35,7 +36,9 @@ class MqttDevice(Device):
         self.edge_node = EdgeNode()
         self._servers: list[asyncio.Server] = []
 
-    async def serve(self, listener: socket.socket) -> None:
+    async def serve(self, endpoints: Mapping[str, OpenEndpoint]) -> None:
+        listener = endpoints["mqtt"]
+        assert isinstance(listener, socket.socket)
         loop = asyncio.get_running_loop()
 
         # The plant has a listener of its own and is born before clients are let in: what they find does not depend on

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from asyncua import ua
 
 from ..device import Device
+from ..endpoint import OpenEndpoint
 from .annex import Annex
 from .faults import FaultPlan
 from .limits import Limits
@@ -41,7 +42,9 @@ class OpcUaDevice(Device):
         self._server = server
         self._annex = Annex(server, plant)
 
-    async def serve(self, listener: socket.socket) -> None:
+    async def serve(self, endpoints: Mapping[str, OpenEndpoint]) -> None:
+        listener = endpoints["opcua"]
+        assert isinstance(listener, socket.socket)
         await self._advertise()
         await self._server.listen(listener, self)
 

@@ -230,7 +230,7 @@ class SlowDevice(Device):
         super().__init__()
         self.begun = self.done = 0
 
-    async def serve(self, listener: Any) -> None:
+    async def serve(self, endpoints: Mapping[str, Any]) -> None:
         raise NotImplementedError
 
     async def aclose(self) -> None:

@@ -24,8 +24,10 @@ async def complaint(*arguments: str) -> tuple[int, str]:
 
 
 async def test_the_ready_line_tells_where_everything_is(modbus: MockProgram) -> None:
-    assert set(modbus.ready_event) == {"event", "protocol", "host", "port", "control", "pid"}
+    assert set(modbus.ready_event) == {"event", "protocol", "host", "port", "endpoints", "control", "pid"}
     assert modbus.ready_event["protocol"] == "modbus"
+    address = {"kind": "tcp", "host": modbus.host, "port": modbus.port}
+    assert modbus.ready_event["endpoints"] == {"modbus": address}
     assert modbus.ready_event["pid"] != modbus.process.pid
     ready = await modbus.control.ask("ready")
     assert ready == {"protocol": "modbus", "port": modbus.port, "pid": modbus.ready_event["pid"]}
@@ -240,12 +242,15 @@ async def test_a_mock_can_take_the_port_of_one_that_just_ended(
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["profinet"], "invalid choice: 'profinet'"),
+        (["profinet"], "there is no mock 'profinet'; there are modbus, mqtt, opcua, sparkplug, and modules by their"),
+        (["thirdparty.profinet"], "thirdparty.profinet cannot be imported: No module named 'thirdparty.profinet'"),
+        (["thirdparty.nothing"], "thirdparty.nothing offers no mock: it lacks ENDPOINTS, warm, create"),
+        (["thirdparty.terminal", "--port", "1502"], "--port: thirdparty.terminal serves on a pseudo terminal"),
         (["modbus", "--port", "70000"], "--port: expected 0 to 65535, found 70000"),
         (["modbus", "--port", "x"], "invalid int value: 'x'"),
-        (["modbus", "--broker", "mqtt://127.0.0.1"], "--broker: sparkplug needs it"),
-        (["sparkplug"], "--broker: sparkplug needs it"),
-        ([], "required: protocol"),
+        (["modbus", "--broker", "mqtt://127.0.0.1"], "unrecognized arguments: --broker mqtt://127.0.0.1"),
+        (["sparkplug"], "required: --broker"),
+        ([], "required: PROTOCOL"),
     ],
 )
 async def test_a_wrong_option_is_named_and_ends_with_2(arguments: list[str], words: str) -> None:

@@ -1,6 +1,6 @@
-"""The edge node alone, at a foreign broker: ``python -m pytest_otmcp.mocks sparkplug --broker mqtt://host:port``.
+"""An edge node as a device of its own: ``python -m pytest_otmcp.mocks sparkplug --broker mqtt://host:port``.
 
-It prints one ready line with the broker's address and its own control socket, and runs until standard input ends. Its
+It serves nobody, so there is nothing for a launcher to keep. It prints one ready line with the broker's address and its own control socket, and runs until standard input ends. Its
 journal holds the packets of its own connection, as the edge node sees them.
 """
 
@@ -11,7 +11,6 @@ import contextlib
 import json
 import os
 import signal
-import socket
 import sys
 from collections.abc import Mapping
 from typing import Any
@@ -20,16 +19,17 @@ from urllib.parse import urlsplit
 from ..control import ControlServer
 from ..control_socket import ControlSocket
 from ..device import Device
+from ..endpoint import OpenEndpoint
 from ..journal import Direction
-from .describe import describe
-from .edge_node import CLIENT_ID, EdgeNode
-from .packets import Packet
+from ..mqtt.describe import describe
+from ..mqtt.edge_node import CLIENT_ID, EdgeNode
+from ..mqtt.packets import Packet
 
 __all__ = ["SparkplugSimulator", "broker_address", "run"]
 
 
 def broker_address(url: str) -> tuple[str, int]:
-    """Host and port of ``mqtt://host[:port]``.
+    """Return host and port of ``mqtt://host[:port]``.
 
     Raises:
         ValueError: the URL is of another form.
@@ -41,7 +41,7 @@ def broker_address(url: str) -> tuple[str, int]:
 
 
 class SparkplugSimulator(Device):
-    """An edge node as a device of its own."""
+    """An edge node whose journal holds its own packets: ``out`` is what it sent to the broker."""
 
     protocol = "sparkplug"
 
@@ -56,9 +56,8 @@ class SparkplugSimulator(Device):
             connection=1, direction=direction, kind=packet.type.name, origin="plant", client_id=CLIENT_ID, **fields
         )
 
-    async def serve(self, listener: socket.socket) -> None:
-        """Connect to the broker. Nobody connects to an edge node: the listener is closed."""
-        listener.close()
+    async def serve(self, endpoints: Mapping[str, OpenEndpoint]) -> None:
+        """Connect to the broker. Nobody connects to an edge node: there are no endpoints."""
         await self._edge_node.start(*self._address)
 
     async def aclose(self) -> None:
@@ -83,14 +82,13 @@ class SparkplugSimulator(Device):
         await self._edge_node.tick()
 
 
-def run(url: str) -> int:
+def run(host: str, port: int) -> int:
     """Serve until standard input ends or a signal arrives; returns the exit code.
 
     Raises:
-        ValueError: the URL is malformed.
         OSError: the broker cannot be reached or refuses.
     """
-    asyncio.run(_run(*broker_address(url)))
+    asyncio.run(_run(host, port))
     return 0
 
 
@@ -108,7 +106,7 @@ async def _run(host: str, port: int) -> None:
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, ended.set)
     device = SparkplugSimulator(host, port)
-    await device.serve(socket.socket())
+    await device.serve({})
     control = ControlSocket()
     try:
         await ControlServer(device).start(control.listen())
