@@ -14,7 +14,7 @@ from .broker import Broker
 from .codec import UnsupportedProtocol, decode, encode
 from .describe import REQUESTS, describe, describe_content, describe_publish
 from .faults import Rule
-from .obey import Afterwards, accept, obey, refusal, supervised_keepalive
+from .packet_handlers import Afterwards, accept, handle, refusal, supervised_keepalive
 from .packets import MQTT_5, MQTT_311, Connack, Connect, Disconnect, Packet, PacketType, Publish, Subscribe
 from .properties import PROTOCOL_ERROR, Property
 from .session import Delivery, Session
@@ -238,7 +238,7 @@ class Connection(asyncio.Protocol):
                 return
             if rule is not None and rule.reason_code is not None and isinstance(packet, Subscribe):
                 packet = _granting(packet, rule.reason_code)
-            answer, afterwards = obey(self._broker, self._session, self._level, packet, content)
+            answer, afterwards = handle(self._broker, self._session, self._level, packet, content)
             if rule is None:
                 self._answer(asked, answer, afterwards)
             else:
