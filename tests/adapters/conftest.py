@@ -219,7 +219,9 @@ class Mock:
         ready = self._event("ready")
         self.port: int = ready["port"]
         self.pid: int = ready["pid"]
-        self._control = socket.create_connection(("127.0.0.1", ready["control"]), timeout=2 * PATIENCE_S)
+        self._control = socket.socket(socket.AF_UNIX)
+        self._control.settimeout(2 * PATIENCE_S)
+        self._control.connect(ready["control"])
         self._lines = self._control.makefile("rb")
 
     def _event(self, expected: str) -> dict[str, Any]:
