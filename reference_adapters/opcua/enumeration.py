@@ -27,17 +27,17 @@ _RESULT = Mask.ReferenceTypeId | Mask.NodeClass | Mask.BrowseName
 _CLASSES = ua.NodeClass.Object | ua.NodeClass.Variable
 
 
-async def find_variables(services: Services, call: Call, leaves: set[ua.NodeId]) -> Found:
+async def find_variables(services: Services, call: Call) -> Found:
     """The data variables below the Objects folder by node id, with their browse names.
 
     Args:
         services: to ask with.
         call: whose ``meta.truncated`` tells when there may be more.
-        leaves: the variables of this session that are known to have none below them; grows.
 
     Namespace 0 is left out: it is the server's own bookkeeping. Properties are left out: they describe nodes, they are no
     data of their own.
     """
+    leaves = services.leaves
     found: Found = {}
     # Ends cycles, and lists once what is referenced twice.
     seen = {_OBJECTS}

@@ -41,6 +41,11 @@ class Services:
         self._session = session
         self._call = call
 
+    @property
+    def leaves(self) -> set[ua.NodeId]:
+        """The variables that are known in this session to have no variables below them; callers add to it."""
+        return self._session.leaves
+
     # -- names ----------------------------------------------------------------------------------------------
 
     async def node(self, name: NodeName) -> ua.NodeId:
