@@ -1,7 +1,7 @@
 """The MCP side of an adapter: tools with strict arguments, write guard, deadline, and one envelope for every outcome.
 
-Built on the SDK's low-level server, because strictness begins where the high-level one already helps: it coerces
-``"5"`` to 5, drops unknown arguments and turns exceptions into prose.
+It is built on the SDK's low-level server, because the high-level one coerces ``"5"`` to 5, drops unknown arguments and turns
+exceptions into prose.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ class AdapterServer:
     """An MCP server whose tools answer in envelopes.
 
     Args:
-        name, version: as the server introduces itself.
+        name, version: the server's name and version in its introduction.
         protocol: the envelope's ``meta.protocol``.
         endpoint: URI of the device, without credentials.
         writes_enabled: the write guard is off.
-        switch: name of the variable that switches writes on, for the refusal's text.
+        switch: name of the setting that enables writes, for the refusal's text.
         deadline_s: seconds within which every call answers.
         close: called once when the server ends.
     """
@@ -79,10 +79,10 @@ class AdapterServer:
             on_list_tools=self._list_tools,
             on_call_tool=self._call_tool,
         )
-        # In place of the SDK's OpenTelemetry middleware (measured: 17 of 186 us of a null call, for spans that nobody
-        # collects).
+        # Replaces the SDK's OpenTelemetry middleware (measured: 17 of 186 us of a null call, for spans that are not
+        # collected).
         self.mcp.middleware[:] = [self._answer_calls]
-        # What every result carries since 2026-07-28 (basic, sections Responses and _meta).
+        # Every result carries these members since 2026-07-28 (basic, sections Responses and _meta).
         self._completion = {
             "resultType": "complete",
             "_meta": {SERVER_INFO_META_KEY: {"name": name, "version": version}},
@@ -118,8 +118,8 @@ class AdapterServer:
 
     async def _answer_calls(self, ctx: ServerRequestContext[None, Any], call_next: CallNext) -> HandlerResult:
         # The SDK would validate request and result twice each (measured: a fifth of a null call), and it answers
-        # ``"arguments": [1]`` with a bare -32602; here every refusal of a known tool is an envelope. A client that has
-        # not introduced itself, by handshake or by ``_meta``, and a notification are for the SDK to refuse.
+        # ``"arguments": [1]`` with a bare -32602; here every refusal of a known tool is an envelope. The SDK refuses
+        # notifications, and clients that have not introduced themselves by handshake or by ``_meta``.
         if ctx.method == "tools/call" and ctx.request_id is not None and ctx.session.client_capabilities is not None:
             params = ctx.params or {}
             name = params.get("name")
@@ -150,7 +150,7 @@ class AdapterServer:
         except AdapterError as error:
             return _result(call.failure(error))
         except Exception:
-            # A bug of ours: its traceback is for whoever reads the log, not for an assistant.
+            # A bug of the adapter: its traceback belongs in the log, not in an answer to an assistant.
             log.exception("tool %s failed unexpectedly", tool.listing.name)
             return _result(call.failure(AdapterError("internal_error", "the adapter failed unexpectedly; see its log")))
 
@@ -168,10 +168,10 @@ class AdapterServer:
 
 
 def _result(envelope: dict[str, Any]) -> dict[str, Any]:
-    """A ``CallToolResult`` as it is on the wire.
+    """Return a ``CallToolResult`` as it is on the wire.
 
     Raises:
-        ValueError: the envelope holds what JSON cannot say.
+        ValueError: the envelope holds a value that JSON cannot represent.
     """
     return {
         "content": [{"type": "text", "text": _to_json(envelope)}],

@@ -216,7 +216,7 @@ def _checked(metrics: Sequence[TypedMetric]) -> list[Metric]:
 
 
 def _foreign(call: Call, pointer: str, value: Any) -> Any:
-    """The same structure with every text in it cleaned, listed as one in ``meta.untrusted``; base64 is left alone."""
+    """Return a copy with every text cleaned, listed as one in ``meta.untrusted``; base64 is not changed."""
     if isinstance(value, str):
         value = device_text(call, pointer, value)
     elif isinstance(value, list):

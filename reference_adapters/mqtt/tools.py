@@ -143,7 +143,10 @@ def _received(call: Call, index: int, received: Received) -> ReceivedMessage:
 
 
 def _harmless_text(data: bytes) -> str | None:
-    """The payload as text, if it is text and holds nothing invisible (as ``device_text`` has it) but line breaks."""
+    """Return the payload as text, or None if it is no text or holds invisible characters other than line breaks.
+
+    The invisible characters are those that ``device_text`` replaces.
+    """
     try:
         text = data.decode()
     except UnicodeDecodeError:
