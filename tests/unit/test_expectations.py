@@ -6,9 +6,10 @@ import json
 from typing import Any
 
 import pytest
+from pytest_otmcp.conformance.tasks.messages import received
 
 from pytest_otmcp.core.finding import Finding
-from pytest_otmcp.trial.expectations import failed, received, succeeded
+from pytest_otmcp.trial.expectations import failed, succeeded
 from pytest_otmcp.trial.reply import Reply, Wire
 
 SILENCE = Wire(request=b"{}", response=None, sent_ns=0, received_ns=None, failure="timeout", client_complaint=None)
