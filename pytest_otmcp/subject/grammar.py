@@ -29,7 +29,7 @@ from .kinds import (
 )
 from .tables import ByType, Key, ListOf, MapOf, Named, Rule, Table, Template
 
-__all__ = ["OUTPUT", "adapter_table", "binding_table", "subject_file"]
+__all__ = ["OUTPUT_TABLE", "adapter_table", "binding_table", "subject_file"]
 
 _VARIANTS = ("rw", "ro")
 _ARGV = Named("argv", strings("the argument vector", filled=True))
@@ -69,7 +69,7 @@ _ERROR_RULE = Table(
     }
 )
 _ERRORS = Named("errors", ListOf(_ERROR_RULE, "a list of rules"))
-_OUTPUT_TABLE = Table(
+OUTPUT_TABLE = Table(
     {
         "path": Key(PATH, "JMESPath over the document."),
         "regex": Key(REGEX, "First group, or whole match, of a regular expression in what was found."),
@@ -83,7 +83,7 @@ _OUTPUT_TABLE = Table(
         "then": Key(PATH, "JMESPath over what 'as' made."),
     }
 )
-OUTPUT = Named("output", ByType(str, PATH, _OUTPUT_TABLE))
+_OUTPUT = Named("output", ByType(str, PATH, OUTPUT_TABLE))
 _INPUT_TYPE = Named("input_type", OneOf(("string", "int", "float", "bool", "hex", "json", "list")))
 
 
@@ -188,7 +188,7 @@ def binding_table(operation: Operation) -> Table:
     """Return the grammar of one table that binds a tool to the operation."""
     inputs = operation.inputs
     result = Table(
-        {name: Key(OUTPUT, f"Where '{name}' is.") for name in operation.outputs},
+        {name: Key(_OUTPUT, f"Where '{name}' is.") for name in operation.outputs},
         rules=tuple(map(_judged, operation.needed)),
     )
     known = ", ".join(f"${name}" for name in inputs) or "none"

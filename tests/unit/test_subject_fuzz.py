@@ -109,7 +109,6 @@ def load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[dict[str,
         try:
             return load_subject(file), ""
         except UsageError as refusal:
-            assert str(file) in str(refusal)
             return None, str(refusal)
 
     return loaded
@@ -130,6 +129,7 @@ def test_anything_is_understood_or_refused_in_one_sentence(
         subject, refusal = load(mutated(document, random.Random(seed)))
         if subject is None:
             assert "\n" not in refusal
+            assert "otmcp.toml: " in refusal
             continue
         understood += 1
         for adapter in subject.adapters.values():
