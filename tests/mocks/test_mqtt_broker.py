@@ -392,8 +392,11 @@ def test_the_mocks_own_clients_are_spared_unless_they_are_named(broker: RunningB
         ({"packet": "PUBLISH", "action": {}}, "needs one action"),
         ({"packet": "PUBLISH", "action": {"explode": True}}, "unknown member 'explode'"),
         ({"packet": "PUBLISH", "colour": "red", "action": {"close": True}}, "unknown member 'colour'"),
-        ({"packet": "PUBLISHED", "action": {"close": True}}, "name of a packet"),
-        ({"action": {"close": True}}, "name of a packet"),
+        (
+            {"packet": "PUBLISHED", "action": {"close": True}},
+            "cannot have 'PUBLISHED' as 'packet': expected one of CONNECT, P",
+        ),
+        ({"action": {"close": True}}, "a fault rule needs 'packet', one of CONNECT, PUBLISH"),
         ({"packet": "PINGREQ", "action": {"reason_code": 0x80}}, "no answer to PINGREQ"),
         ({"packet": "SUBSCRIBE", "action": {"reason_code": 3}}, "no answer to SUBSCRIBE"),
     ],
