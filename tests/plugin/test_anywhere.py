@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from pytest_otmcp.plugin.collection import suite_root
@@ -35,11 +33,10 @@ addopts = --strict-markers --import-mode=importlib
 
 
 @pytest.fixture
-def repository(tmp_path: Path) -> Repository:
+def repository(empty_repository: Repository) -> Repository:
     """A vendor's repository with a test of the vendor's own."""
-    repository = Repository(tmp_path)
-    repository.write(tests__test_own_py=OWN_TEST)
-    return repository
+    empty_repository.write(tests__test_own_py=OWN_TEST)
+    return empty_repository
 
 
 @pytest.fixture(scope="module")

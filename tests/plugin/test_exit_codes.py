@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from .vendor import Repository
 
 BROKEN_KIT = """
 import pytest
-from pytest_otmcp import trial
+from pytest_otmcp.trial import trial
 
 async def broken(self):
     raise RuntimeError("a bug")
@@ -22,9 +20,9 @@ def break_the_kit(monkeypatch):
 
 
 @pytest.fixture
-def repository(tmp_path: Path) -> Repository:
+def repository(empty_repository: Repository) -> Repository:
     """An empty repository."""
-    return Repository(tmp_path)
+    return empty_repository
 
 
 def deviations(items: list[str], expires: str) -> str:
