@@ -37,13 +37,13 @@ def test_known_deviations_make_the_exit_code_green_and_not_the_verdict(repositor
     failing = [item for item, status in first.statuses.items() if status == "FAIL"]
     assert failing
 
-    repository.subject("wrong-value", deviations(failing, "2999-01-01"))
+    repository.subject("wrong-value", more=deviations(failing, "2999-01-01"))
     excused = repository.pytest("--otmcp-reps=1")
     assert excused.code == 0, excused.output
     assert excused.verdict == "NOT CONFORMANT"
     assert sorted(excused.record["footer"]["deviations"]["used"]) == sorted(failing)
 
-    repository.subject("wrong-value", deviations([*failing, "M1"], "2999-01-01"))
+    repository.subject("wrong-value", more=deviations([*failing, "M1"], "2999-01-01"))
     stale = repository.pytest("--otmcp-reps=1")
     assert stale.code == 1
     assert stale.record["footer"]["deviations"]["stale"] == ["M1"]

@@ -14,9 +14,9 @@ from typing import Any
 from pytest_otmcp.record.run_file import load
 from tests.warm_start import WarmStart
 
-__all__ = ["DEFECTIVE", "Outcome", "Repository"]
+__all__ = ["Outcome", "Repository"]
 
-DEFECTIVE = Path(__file__).parents[1] / "soundness" / "defective.py"
+_DEFECTIVE = Path(__file__).parents[1] / "soundness" / "defective.py"
 _UNDRAWN = Path(__file__).parent / "undrawn"
 _ADAPTER = """
 [subject]
@@ -80,9 +80,15 @@ class Repository:
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(content)
 
-    def subject(self, mode: str = "none", more: str = "", *, program: Path = DEFECTIVE) -> None:
-        """Write an ``otmcp.toml`` for a Modbus adapter: the one with this defect, or this program."""
-        command = json.dumps([*self._warm_start.python, str(program), mode])
+    def subject(self, *arguments: str, program: Path = _DEFECTIVE, more: str = "") -> None:
+        """Write an ``otmcp.toml`` for a Modbus adapter.
+
+        Args:
+            arguments: of the program; by default those for the adapter without a defect.
+            program: by default the one that has the defect that its argument names.
+            more: what else the file says.
+        """
+        command = json.dumps([*self._warm_start.python, str(program), *(arguments or ("none",))])
         self.write(otmcp_toml=_ADAPTER.format(command=command) + more)
 
     def reference_subject(self) -> None:
