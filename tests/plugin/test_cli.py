@@ -28,6 +28,8 @@ from pytest_otmcp.record.run_file import digest, load
 from pytest_otmcp.suite.catalogue import tasks_by_id
 from tests.unit.certified import conformant_run, resealed
 
+from .vendor import PATIENCE_S, WAITING, Repository, port_of
+
 OTMCP = [sys.executable, "-P", "-m", "pytest_otmcp.cli"]
 SAMPLE = Path(__file__).parents[2] / "reports" / "sample" / "run.json"
 
@@ -185,11 +187,16 @@ def test_reports_are_made_again_without_measuring(tmp_path: Path) -> None:
     assert {"tables/tab_results.tex", "figures/latency_boxplot.pdf", "report.html", "summary.md"} <= made
 
 
-def test_a_report_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+def test_a_report_that_cannot_be_made_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("pytest_otmcp.report.figures.write_figures", lambda run, directory: None)
     (tmp_path / "out" / "summary.md" / "in the way").mkdir(parents=True)
-    done = otmcp("report", str(SAMPLE), "--out", "out", cwd=tmp_path)
-    assert done.returncode == 3
-    assert "summary.md was not written: " in sentence(done)
+    assert cli.main(["report", str(SAMPLE), "--out", str(tmp_path / "out")]) == 3
+    told = capsys.readouterr().err
+    assert told.startswith("otmcp: ")
+    assert "summary.md was not written: " in told
+    assert told.count("\n") == 1
     assert (tmp_path / "out" / "report.html").is_file()
 
 
@@ -243,28 +250,31 @@ def test_what_fails_gets_no_certificate_and_keeps_no_older_one(tmp_path: Path) -
     assert not left & {"certificate.json", "badge.json", "badge.svg"}
 
 
+@pytest.mark.usefixtures("interruptible")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_certification_leaves_a_record_and_nothing_running(
-    tmp_path: Path, number: signal.Signals
+    empty_repository: Repository, waiting: socket.socket, number: signal.Signals
 ) -> None:
+    # After the one of the warm-up.
+    empty_repository.subject("read_input_registers", "2", port_of(waiting), program=WAITING)
     process = subprocess.Popen(
-        [*OTMCP, "certify"], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [*OTMCP, "certify"], cwd=empty_repository.root, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
-    assert process.stdout is not None
-    assert process.stderr is not None
-    for line in process.stdout:
-        if re.match(r"  M1 +30/30", line):
-            break
-    started = psutil.Process(process.pid).children(recursive=True)
-    assert started
-    process.send_signal(number)
-    rest = process.stdout.read() + process.stderr.read()
-    process.stdout.close()
-    process.stderr.close()
-    assert process.wait(60) == 2, rest
-    assert rest.endswith("otmcp: interrupted\n")
-    assert not any(child.is_running() for child in psutil.wait_procs(started, timeout=10)[1])
-    out = tmp_path / "reports" / "certificate"
+    with process:
+        try:
+            connection, _ = waiting.accept()
+            with connection:
+                started = psutil.Process(process.pid).children(recursive=True)
+                assert started
+                process.send_signal(number)
+                told, complaints = process.communicate(timeout=PATIENCE_S)
+        finally:
+            process.kill()
+    assert process.returncode == 2, told + complaints
+    assert re.search(r"^  M1 +30/30", told, re.MULTILINE)
+    assert complaints.endswith("otmcp: interrupted\n")
+    assert psutil.wait_procs(started, timeout=PATIENCE_S)[1] == []
+    out = empty_repository.root / "reports" / "certificate"
     assert load(out / "run.json", allow_incomplete=True)["footer"]["complete"] is False
     assert not (out / "certificate.json").exists()
 
@@ -334,7 +344,7 @@ def test_what_is_not_claimed_is_printed_with_its_reason(
 
 # -- certify and verify, over the whole suite -------------------------------------------------------------------
 #
-# Slow: the one full run of thirty repetitions (about a minute) that everything below shares.
+# The one full run of thirty repetitions (about a minute) that everything below shares.
 
 HOSTILE_CONFTEST = """
 import pytest
@@ -364,6 +374,7 @@ def certified(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Done]:
     return here / "reports" / "certificate", otmcp("certify", cwd=here, environment=environment)
 
 
+@pytest.mark.long
 def test_a_certificate_is_written_whatever_the_directory_holds(certified: tuple[Path, Done]) -> None:
     out, done = certified
     assert done.returncode == 0, done.stdout + done.stderr
@@ -377,21 +388,25 @@ def test_a_certificate_is_written_whatever_the_directory_holds(certified: tuple[
     assert set(told["predicate"]["otmcp"]["adapters"]) == {"modbus", "mqtt", "opcua"}
 
 
+@pytest.mark.long
 def test_progress_is_shown_while_it_runs(certified: tuple[Path, Done]) -> None:
     assert re.search(r"^  M1 +30/30 +PASS", certified[1].stdout, re.MULTILINE)
 
 
+@pytest.mark.long
 def test_the_values_of_two_certifications_differ(certified: tuple[Path, Done]) -> None:
     # The seed is drawn: an adapter that knows the values of seed 0 by heart gains nothing.
     assert load(certified[0] / "run.json")["settings"]["seed"] > 1000
 
 
+@pytest.mark.long
 def test_the_badge_says_what_was_certified(certified: tuple[Path, Done]) -> None:
     out, _ = certified
     assert json.loads((out / "badge.json").read_text())["message"] == "conformant: Modbus, MQTT, OPC UA"
     assert ElementTree.parse(out / "badge.svg").getroot().tag.endswith("svg")
 
 
+@pytest.mark.long
 def test_the_certificate_is_verified_by_judging_its_history_again(certified: tuple[Path, Done], tmp_path: Path) -> None:
     out, _ = certified
     done = otmcp("verify", str(out / "certificate.json"), str(out / "run.json"), cwd=tmp_path)
@@ -418,17 +433,20 @@ def refused(pair: tuple[Path, Path]) -> str:
     return sentence(done)
 
 
+@pytest.mark.long
 def test_a_record_that_was_cut_off_is_refused(pair: tuple[Path, Path]) -> None:
     content = pair[1].read_bytes()
     pair[1].write_bytes(content[: len(content) // 2])
     assert "not strict JSON" in refused(pair)
 
 
+@pytest.mark.long
 def test_a_record_that_was_edited_is_refused(pair: tuple[Path, Path]) -> None:
     pair[1].write_text(pair[1].read_text().replace('"duration_ms": ', '"duration_ms": 1', 1))
     assert "the digest does not match: the file has been changed" in refused(pair)
 
 
+@pytest.mark.long
 def test_a_certificate_that_was_edited_is_refused(pair: tuple[Path, Path]) -> None:
     pair[0].write_text(pair[0].read_text().replace('"awarded": null', '"awarded": "Gold"'))
     assert "predicate.otmcp.level.awarded is 'Gold', from the run follows None" in refused(pair)
@@ -475,6 +493,7 @@ FORGERIES: list[tuple[str, Change]] = [
 ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("change", [change for _, change in FORGERIES], ids=[name for name, _ in FORGERIES])
 def test_a_record_that_was_changed_sealed_and_certified_again_is_refused(
     pair: tuple[Path, Path], change: Change
