@@ -34,7 +34,7 @@ async def write(run: Repetition, toy: Rig) -> None:
         return None if right else ("WR-001", "it saw another write")
 
     run.witnessed(
-        WITNESS.exactly_one_write(journal, f"a write of {value} to 1", problem),
+        WITNESS.exactly_one_write(journal, f"write of {value} to 1", problem),
         WITNESS.no_duplicates(journal, identity=lambda entry: (entry["address"], entry["value"])),
         WITNESS.only_changed(before, await toy.image(), {"1": value}),
     )
