@@ -23,7 +23,9 @@ from pytest_otmcp.witness.mqtt_entries import payload_of
 from pytest_otmcp.witness.sparkplug import DATA_TYPES, decode_payload, payload_class
 from pytest_otmcp.witness.sparkplug_oracle import sparkplug_sequence
 
-GROUP, NODE, CLIENT = "lab", "edge-tests", "sparkplug-tests"
+from .cases import MQTT
+
+GROUP, NODE = "lab", "edge-tests"
 TOPIC = f"spBv1.0/{GROUP}"
 REBIRTH = "Node Control/Rebirth"
 LEVEL = {"name": "level", "datatype": "Double", "value": 1.0}
@@ -32,8 +34,13 @@ Start = Callable[..., Any]
 
 
 @pytest.fixture(scope="module")
-def broker(mocks: Any) -> Any:
-    return mocks("mqtt")
+def rig(rigs: Any) -> Any:
+    return rigs(MQTT)
+
+
+@pytest.fixture(scope="module")
+def broker(rig: Any) -> Any:
+    return rig.device
 
 
 @pytest.fixture(autouse=True)
@@ -42,24 +49,12 @@ def clean(broker: Any) -> None:
 
 
 @pytest.fixture(scope="module")
-def start(sessions: Any, adapter_command: Any, broker: Any) -> Start:
+def start(rig: Any) -> Start:
     """Starts an edge node of its own: ``start(name)``."""
 
-    def edge_node(name: str, **env: str) -> Any:
-        return sessions(
-            adapter_command("mqtt"),
-            {
-                "MQTT_URL": f"mqtt://127.0.0.1:{broker.port}",
-                "MQTT_CLIENT_ID": name,
-                # Nothing here has to time out.
-                "MQTT_TIMEOUT_S": "7",
-                "MQTT_DEADLINE_S": "9",
-                "MQTT_WRITES_ENABLED": "true",
-                "SPARKPLUG_GROUP_ID": GROUP,
-                "SPARKPLUG_EDGE_NODE_ID": name,
-                **env,
-            },
-        )
+    def edge_node(name: str) -> Any:
+        identity = {"MQTT_CLIENT_ID": name, "SPARKPLUG_GROUP_ID": GROUP, "SPARKPLUG_EDGE_NODE_ID": name}
+        return rig.start(name, writes="true", **identity)
 
     return edge_node
 
