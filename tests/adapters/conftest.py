@@ -456,7 +456,8 @@ class Rig:
         self._folder = folder
         self.adapter = self.start("rw", writes="true")
         self.guarded = self.start("ro")
-        self.ask()
+        self.ask(self.adapter)
+        self.ask(self.guarded)
 
     def settings(self, name: str, *, writes: str | None = None, **more: str) -> dict[str, str]:
         """The settings of an adapter before this device."""
@@ -492,6 +493,15 @@ class Rig:
     def await_requests(self, mark: int, tool: str, count: int = 1) -> None:
         """Wait until so many requests of a tool have reached the device."""
         self.device.wait(mark, count, **self.case.requests(tool))
+
+    @contextlib.contextmanager
+    def outage(self) -> Iterator[None]:
+        """Take the device away for a while; afterwards both adapters have found it again."""
+        with self.device.outage():
+            yield
+        for name, client in (("rw", self.adapter), ("ro", self.guarded)):
+            self.reconnected(0, name)
+            self.ask(client)
 
     def reconnected(self, mark: int, name: str = "rw") -> None:
         """Wait for an adapter that makes a lost connection again by itself, lest a call join an attempt that fails."""

@@ -352,13 +352,15 @@ def test_two_clients_with_one_identifier_do_not_throw_each_other_out_for_ever(ri
 # -- outages -----------------------------------------------------------------------------------------------------
 
 
-def test_nothing_is_queued_over_an_outage_and_subscriptions_come_back_by_themselves(adapter: Any, broker: Any) -> None:
+def test_nothing_is_queued_over_an_outage_and_subscriptions_come_back_by_themselves(
+    adapter: Any, rig: Any, broker: Any
+) -> None:
     # Not the topics of the plant: after its start the broker may live a second of it before it is told to pause.
     adapter.call("subscribe_topic", topic="probes/#", qos=1)
     generation = adapter.call("get_broker_info").meta["connection"]["generation"]
     broker("poke", params={"publish": {"topic": "probes/a", "payload": "b2xk"}})
     assert received(adapter, "probes/b") == []
-    with broker.outage():
+    with rig.outage():
         for qos in (0, 1, 2):
             reply = publish(adapter, "stale", qos)
             assert refused(reply) == ("connect_failed", "not_sent", True)
@@ -397,10 +399,10 @@ def test_a_restored_subscription_that_is_refused_is_shown_as_inactive(adapter: A
     adapter.call("unsubscribe_topic", topic="lost/#")
 
 
-def test_a_message_right_after_the_brokers_end_does_not_succeed(adapter: Any, broker: Any) -> None:
+def test_a_message_right_after_the_brokers_end_does_not_succeed(adapter: Any, rig: Any, broker: Any) -> None:
     for _ in range(3):
         adapter.call("get_broker_info")
-        with broker.outage():
+        with rig.outage():
             # QoS 0 has no answer: only looking at the connection before writing can tell.
             assert refused(publish(adapter, "into the void", 0))[:2] == ("connect_failed", "not_sent")
         back(broker, 0)
@@ -409,7 +411,7 @@ def test_a_message_right_after_the_brokers_end_does_not_succeed(adapter: Any, br
 
 def test_a_birth_that_failed_in_an_outage_has_not_happened(rig: Any, broker: Any) -> None:
     client = "mqtt-tests-early"
-    with broker.outage():
+    with rig.outage():
         fresh = rig.start("early", writes="true")
         metrics = [{"name": "m", "datatype": "Int8", "value": 1}]
         birth = fresh.call("publish_device_birth", device_id="d", metrics=metrics)

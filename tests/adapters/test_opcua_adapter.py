@@ -610,12 +610,12 @@ def test_what_is_no_node_id_is_refused(text: str) -> None:
     assert (refused.value.code, refused.value.field) == ("invalid_input", "/node_id")
 
 
-def test_a_namespace_uri_finds_its_node_wherever_the_server_puts_it(adapter: Any, plant: Any) -> None:
+def test_a_namespace_uri_finds_its_node_wherever_the_server_puts_it(adapter: Any, rig: Any, plant: Any) -> None:
     a, b = ({"variable": "X", "type": "Double", "value": value, "namespace": f"urn:{value}"} for value in (1.0, 2.0))
     create(plant, a, b)
     target = "nsu=urn:1.0;s=X"
     assert adapter.call("read_opcua_node", node_id=target).data["value"] == 1.0
-    with plant.outage():
+    with rig.outage():
         pass
     create(plant, b, a)
     # A read finds out that the connection is gone, and is repeated. A write would not be.
