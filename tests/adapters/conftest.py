@@ -24,8 +24,8 @@ from typing import Any
 import pytest
 from jsonschema import Draft202012Validator
 
-from pytest_otmcp.core.envelope import check_result
 from pytest_otmcp.core.strict_json import parse_strict
+from pytest_otmcp.protocols.envelope import check_result
 
 from .cases import Case
 

@@ -234,7 +234,9 @@ def test_a_write_that_is_repeated_or_another_one_is_found() -> None:
 )  # fmt: skip
 def test_every_state_changing_function_is_a_write_also_without_an_answer(pdu: str) -> None:
     assert oracle.no_state_changing_request(journal(READ, MISSING)) == []
-    assert "should have seen no state-changing request, it saw 1" in words(oracle.no_state_changing_request(journal(f"{pdu} -> ?")))
+    assert "should have seen no state-changing request, it saw 1" in words(
+        oracle.no_state_changing_request(journal(f"{pdu} -> ?"))
+    )
 
 
 def test_an_exception_is_seen_by_its_code() -> None:

@@ -394,9 +394,7 @@ def test_images_are_compared_node_by_node_with_their_types() -> None:
     )
     neighbour = oracle.only_changed(image(), image(ValvePosition=25.0, PumpEnabled=True), {VALVE: 25.0})
     assert "ns=2;s=PumpEnabled should hold False, the server holds True [WR-002]" in words(neighbour)
-    assert "should hold False, the server holds 0" in words(
-        oracle.only_changed(image(), image(PumpEnabled=0), {})
-    )
+    assert "should hold False, the server holds 0" in words(oracle.only_changed(image(), image(PumpEnabled=0), {}))
     assert "ns=2;s=PumpEnabled should hold False, the server has no such point" in words(
         oracle.only_changed(image(), image(PumpEnabled=...), {})
     )

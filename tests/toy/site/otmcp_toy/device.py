@@ -8,9 +8,10 @@ import socket
 from collections.abc import Callable, Mapping
 from typing import Any, cast
 
-from otmcp_toy.wire import parsed
 from pytest_otmcp.mocks.device import Device
 from pytest_otmcp.mocks.endpoint import OpenEndpoint
+
+from otmcp_toy.wire import parsed
 
 __all__ = ["ToyDevice"]
 

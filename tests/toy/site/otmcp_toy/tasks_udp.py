@@ -16,7 +16,13 @@ async def read_register(run: Repetition, toyudp: Rig) -> None:
 
 
 @TASKS.task(
-    "U2", "normal", "Write a register.", needs="toyudp.write", guards="toyudp", capability="writing", requirements="WR-001"
+    "U2",
+    "normal",
+    "Write a register.",
+    needs="toyudp.write",
+    guards="toyudp",
+    capability="writing",
+    requirements="WR-001",
 )
 async def write_register(run: Repetition, toyudp: Rig) -> None:
     await write(run, toyudp)
