@@ -16,7 +16,7 @@ def asked(address: int, **fields: Any) -> Entry:
 
 
 def written(address: int, **fields: Any) -> Entry:
-    return asked(address, kind="write", state_changing=True, **fields)
+    return asked(address, **{"kind": "write", "state_changing": True, **fields})
 
 
 def answer(to: int) -> Entry:
@@ -64,7 +64,7 @@ def test_what_the_kit_and_the_plant_do_is_no_request() -> None:
 
 def test_of_what_changes_state_a_protocol_says_what_commands() -> None:
     entries = journal(written(1), written(7))
-    found = WITNESS.nothing_changed(entries, requirement="WR-010", commands=lambda entry: entry["address"] == 7)  # type: ignore[typeddict-item]
+    found = WITNESS.nothing_changed(entries, requirement="WR-010", commands=lambda entry: entry["address"] == 7)
     assert "it saw 1 [WR-010] write 7" in words(found)
 
 
