@@ -100,6 +100,7 @@ def test_a_subject_without_toys_has_no_items_of_them(run: Run, tmp_path: Path) -
     assert "T1" not in done.stdout
 
 
+@pytest.mark.long
 def test_a_certificate_names_the_protocols_of_third_parties(run: Run, tmp_path: Path) -> None:
     subject(tmp_path)
     done = run("pytest_otmcp.cli", "certify")
