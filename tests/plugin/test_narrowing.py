@@ -186,7 +186,8 @@ def test_of_several_attempts_the_first_counts(repository: Repository) -> None:
 
 
 @pytest.mark.parametrize(
-    ("conftest", "replaced"), [(FORGING, "trial.expectations.succeeded"), (BRIBING, "plant.mock_device.MockDevice.image")]
+    ("conftest", "replaced"),
+    [(FORGING, "trial.expectations.succeeded"), (BRIBING, "plant.mock_device.MockDevice.image")],
 )
 def test_a_replaced_function_of_the_kit_is_on_record(repository: Repository, conftest: str, replaced: str) -> None:
     repository.write(conftest_py=conftest)

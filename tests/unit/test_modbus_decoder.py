@@ -17,11 +17,13 @@ from pymodbus.pdu.register_message import (
     WriteSingleRegisterRequest,
 )
 
+from pytest_otmcp.protocols.conversation import Direction
 from pytest_otmcp.protocols.framing import Framer
 from pytest_otmcp.protocols.modbus import oracle as oracle
 from pytest_otmcp.protocols.modbus.decoder import ModbusConversation, mbap_length
+from pytest_otmcp.protocols.modbus.entries import points
 
-Entry = dict[str, Any]
+from .journals import Entry, decoded
 
 
 def frame(pdu: str, *, transaction: int = 1, unit: int = 1) -> bytes:
@@ -29,15 +31,15 @@ def frame(pdu: str, *, transaction: int = 1, unit: int = 1) -> bytes:
     return transaction.to_bytes(2) + b"\0\0" + (len(body) + 1).to_bytes(2) + bytes([unit]) + body
 
 
-def journal(*exchanges: str, connection: int = 1) -> list[Entry]:
+def journal(*exchanges: str) -> list[Entry]:
     """Entries of "request -> response" exchanges, PDUs in hex; "-> ?" for no answer."""
-    conversation, entries = ModbusConversation(), []
+    frames: list[tuple[Direction, bytes]] = []
     for number, exchange in enumerate(exchanges, start=1):
         request, _, response = exchange.partition(" -> ")
-        entries += conversation.decode("in", frame(request, transaction=number))
+        frames.append(("in", frame(request, transaction=number)))
         if response != "?":
-            entries += conversation.decode("out", frame(response, transaction=number))
-    return [{"seq": seq, "connection": connection, **entry} for seq, entry in enumerate(entries)]
+            frames.append(("out", frame(response, transaction=number)))
+    return decoded(ModbusConversation(), *frames)
 
 
 # MODBUS Application Protocol V1.1b3, the examples of section 6.
@@ -91,7 +93,9 @@ def test_the_examples_of_the_specification_are_read_as_it_says(exchange: str) ->
     assert (response["kind"], response["direction"]) == ("response", "out")
     assert expected_request.items() <= request.items()
     assert expected_response.items() <= response.items()
+    assert (request["request"], request["answers"]) == (True, None)
     assert request["state_changing"] == (request["function"] in {5, 6, 15, 16, 22, 23})
+    assert (response["request"], response["state_changing"], response["answers"]) == (False, False, request["seq"])
     assert request["pdu"] == exchange.partition(" -> ")[0].replace(" ", "").lower()
 
 
@@ -118,7 +122,7 @@ def test_a_library_of_somebody_else_agrees() -> None:
     conversation = ModbusConversation()
     for number, (pdu, expected) in enumerate(requests, start=1):
         pdu.dev_id, pdu.transaction_id = 17, number
-        (entry,) = conversation.decode("in", peer.buildFrame(pdu))
+        (entry,) = decoded(conversation, ("in", peer.buildFrame(pdu)))
         assert expected.items() <= entry.items()
         assert (entry["unit"], entry["transaction_id"]) == (17, number)
     for number, answer, values in (
@@ -126,7 +130,7 @@ def test_a_library_of_somebody_else_agrees() -> None:
         (6, ReadCoilsResponse(bits=bits), bits),
     ):
         answer.dev_id, answer.transaction_id = 17, number
-        (entry,) = conversation.decode("out", peer.buildFrame(answer))
+        (entry,) = decoded(conversation, ("out", peer.buildFrame(answer)))
         assert entry["values"] == values
 
 
@@ -168,11 +172,20 @@ def test_a_header_that_is_none_ends_the_cutting_and_says_why(header: str, reason
 def test_random_pdus_never_make_the_decoder_fail() -> None:
     rng = random.Random(5)
     conversation = ModbusConversation()
+    directions: tuple[Direction, Direction] = ("in", "out")
     for _ in range(5000):
         pdu = bytes([rng.choice((1, 2, 3, 4, 5, 6, 15, 16, 22, 23, 43, 0x83, 0xFF))]) + rng.randbytes(rng.randrange(14))
-        for direction in ("in", "out"):
-            (entry,) = conversation.decode(direction, frame(pdu.hex(), transaction=rng.randrange(3)))
-            assert entry["pdu"] == pdu.hex()
+        for direction in directions:
+            (message,) = conversation.decode(direction, frame(pdu.hex(), transaction=rng.randrange(3)))
+            assert message.fields["pdu"] == pdu.hex()
+
+
+def test_an_answer_belongs_to_the_newest_request_with_its_identifiers() -> None:
+    conversation = ModbusConversation()
+    read, other = frame("03 0000 0001"), frame("03 0000 0001", unit=2)
+    answer = frame("03 02 0007")
+    entries = decoded(conversation, ("in", read), ("in", read), ("in", other), ("out", answer), ("out", answer))
+    assert [entry["answers"] for entry in entries] == [None, None, None, 1, None]
 
 
 def test_a_coil_value_that_is_neither_on_nor_off_is_not_taken_for_one() -> None:
@@ -197,7 +210,7 @@ def words(findings: list[Any]) -> str:
 def test_an_exchange_needs_a_request_and_its_answer() -> None:
     assert oracle.some_exchange(journal(READ)) == []
     assert "it saw none" in words(oracle.some_exchange([]))
-    assert "requests that got no answer" in words(oracle.some_exchange(journal("03 0000 0001 -> ?")))
+    assert "it answered 0 of 1" in words(oracle.some_exchange(journal("03 0000 0001 -> ?")))
 
 
 def test_one_request_means_one() -> None:
@@ -216,7 +229,7 @@ def test_a_write_counts_whichever_function_it_uses(exchange: str) -> None:
 
 def test_a_write_that_is_repeated_or_another_one_is_found() -> None:
     twice = words(oracle.exactly_one_write(journal(WRITE, WRITE), "holding_registers", address=1, values=[40]))
-    assert "one write of [40] to holding_registers 1, it saw 2" in twice
+    assert "a write of [40] to holding_registers 1 once and no other write, it saw 2" in twice
     assert "[WR-003]" in twice
     for address, values, table in ((2, [40], "holding_registers"), (1, [41], "holding_registers")):
         assert "it saw another write" in words(
@@ -234,7 +247,9 @@ def test_a_write_that_is_repeated_or_another_one_is_found() -> None:
 )  # fmt: skip
 def test_every_state_changing_function_is_a_write_also_without_an_answer(pdu: str) -> None:
     assert oracle.no_state_changing_request(journal(READ, MISSING)) == []
-    assert "should have seen no write, it saw 1" in words(oracle.no_state_changing_request(journal(f"{pdu} -> ?")))
+    assert "should have seen no request that changes state, it saw 1" in words(
+        oracle.no_state_changing_request(journal(f"{pdu} -> ?"))
+    )
 
 
 def test_an_exception_is_seen_by_its_code() -> None:
@@ -243,25 +258,26 @@ def test_an_exception_is_seen_by_its_code() -> None:
     assert "exception 02, its answers were none" in words(oracle.exception_sent([], 2))
 
 
-def image(**changes: int) -> dict[str, Any]:
+def image(**changes: Any) -> dict[str, Any]:
     registers = [0] * 10
     for name, value in changes.items():
         registers[int(name.removeprefix("r"))] = value
-    return {"units": {"1": {"holding_registers": registers, "coils": [False, True]}}}
+    return {"points": {**points("holding_registers", 0, registers), **points("coils", 0, [False, True])}}
 
 
 def test_images_are_compared_cell_by_cell() -> None:
-    assert oracle.only_changed(image(), image(r1=40), {("1", "holding_registers", 1): 40}) == []
+    written = points("holding_registers", 1, [40])
+    assert oracle.only_changed(image(), image(r1=40), written) == []
     assert oracle.only_changed(image(r3=7), image(r3=7), {}) == []
-    neighbour = oracle.only_changed(image(), image(r1=40, r2=40), {("1", "holding_registers", 1): 40})
-    assert "unit 1 holding_registers 2 should hold 0, the device holds 40 [WR-002]" in words(neighbour)
-    unwritten = oracle.only_changed(image(), image(), {("1", "holding_registers", 1): 40})
-    assert "should hold 40, the device holds 0 [WR-001]" in words(unwritten)
-    assert len(oracle.only_changed(image(), {"units": {"1": {"holding_registers": [1] * 10}}}, {})) == 5
+    neighbour = words(oracle.only_changed(image(), image(r1=40, r2=40), written))
+    assert "1/holding_registers/2 should hold 0, the device holds 40 [WR-002]" in neighbour
+    unwritten = words(oracle.only_changed(image(), image(), written))
+    assert "1/holding_registers/1 should hold 40, the device holds 0 [WR-001]" in unwritten
+    assert len(oracle.only_changed(image(), {"points": points("holding_registers", 0, [1] * 10)}, {})) == 5
 
 
 def test_the_image_is_asked_for_values_of_the_right_type() -> None:
     assert oracle.image_holds(image(r1=40, r2=41), "holding_registers", 1, [40, 41]) == []
     assert oracle.image_holds(image(), "coils", 1, [True]) == []
-    assert "should hold [1], it holds [True]" in words(oracle.image_holds(image(), "coils", 1, [1]))
-    assert "it holds []" in words(oracle.image_holds(image(), "holding_registers", 1, [0], unit=9))
+    assert "should hold 1, the device holds True" in words(oracle.image_holds(image(), "coils", 1, [1]))
+    assert "has no such point" in words(oracle.image_holds(image(), "holding_registers", 1, [0], unit=9))
