@@ -6,23 +6,23 @@ from typing import Any
 
 import pytest
 
-from pytest_otmcp.plant.tap.journal import TapJournal
+from pytest_otmcp.protocols.conversation import Direction
 from pytest_otmcp.protocols.modbus import oracle
 from pytest_otmcp.protocols.modbus.decoder import ModbusConversation
 from pytest_otmcp.protocols.modbus.entries import points
 
-Entry = dict[str, Any]
+from .journals import Entry, decoded
 
 
 def journal(*exchanges: str) -> list[Entry]:
     """Entries of "request -> response" exchanges, PDUs in hex; "-> ?" for no answer."""
-    recorded, conversation = TapJournal(), ModbusConversation()
+    frames: list[tuple[Direction, bytes]] = []
     for number, exchange in enumerate(exchanges, start=1):
         request, _, response = exchange.partition(" -> ")
-        recorded.frame(1, "in", frame(request, transaction=number), None, conversation)
+        frames.append(("in", frame(request, transaction=number)))
         if response != "?":
-            recorded.frame(1, "out", frame(response, transaction=number), None, conversation)
-    return list(recorded.entries())
+            frames.append(("out", frame(response, transaction=number)))
+    return decoded(ModbusConversation(), *frames)
 
 
 def frame(pdu: str, *, transaction: int) -> bytes:
