@@ -1,5 +1,5 @@
-"""asyncua's server, bent in two places: it accepts on a socket that is given to it, and the sessions and connections of
-its clients are ours."""
+"""asyncua's server with two changes: it accepts on a socket that is given to it, and its clients get the sessions and
+connections of this package."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ __all__ = ["PlantServer"]
 
 
 class _Internal(InternalServer):  # type: ignore[misc]
-    """Hands out sessions of a device to clients from outside."""
+    """Creates sessions of a device for clients from outside."""
 
     session_type: type[PlantSession] | None = None
 
@@ -39,11 +39,11 @@ class PlantServer(Server):  # type: ignore[misc]
         self._listener: asyncio.Server | None = None
         self.set_server_name("OT-MCP mock plant")
 
-    async def listen(self, listener: socket.socket, device: DeviceState) -> None:
+    async def listen(self, listener: socket.socket, owner: DeviceState) -> None:
         """Accept connections on ``listener`` for a device."""
 
         class Session(PlantSession):
-            state = device
+            device = owner
 
         host, port = listener.getsockname()[:2]
         self.set_endpoint(f"opc.tcp://{host}:{port}")
@@ -57,7 +57,7 @@ class PlantServer(Server):  # type: ignore[misc]
         def protocol() -> PlantProtocol:
             server = self.bserver
             return PlantProtocol(
-                state=device,
+                device=owner,
                 number=next(numbers),
                 iserver=server.iserver,
                 policies=server._policies,

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from ..core.strict_json import parse_strict
-from ..plant.mock_device import Entry, MockDevice
+from ..plant.mock_device import MockDevice
+from ..protocols.journal import JournalEntry
 from ..subject.answers import read_answer
 from ..subject.model import Answering, Binding
 from ..trial.adapter_under_test import AdapterUnderTest
@@ -60,7 +61,7 @@ class Shown:
     """
 
     message: Mapping[str, Any] | None
-    entries: list[Entry]
+    entries: Sequence[JournalEntry]
     words: str
 
 
@@ -175,7 +176,7 @@ Experiment = Callable[[Experimenter, Guess], Awaitable[Proposal]]
 async def reach(experimenter: Experimenter, guess: Guess) -> Proposal:
     """Try a tool that only has to reach the device."""
     shown = await experimenter.call(guess, {})
-    exchanged = any(entry.get("direction", "in") == "in" for entry in shown.entries)
+    exchanged = any(entry["direction"] == "in" for entry in shown.entries)
     evidence = ["the device saw an exchange" if exchanged else f"the device saw nothing; the answer: {shown.words}"]
     return Proposal(guess=guess, proven=exchanged, evidence=evidence, good=shown.message)
 

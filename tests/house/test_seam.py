@@ -22,7 +22,8 @@ OTHER_ROOMS = ("conformance", "mocks", "reference_adapters")
 
 NAME = re.compile(r"modbus|mqtt|opc[ _-]?ua|opc\.tcp|sparkplug", re.IGNORECASE)
 
-LISTS = {"protocols/own.py", "devices.py"}
+# The third has the ids of the recovery items in the order of its items, until items carry their order themselves.
+LISTS = {"protocols/own.py", "devices.py", "record/run_file.py"}
 
 DATA = {
     "subject/reference.toml": "describes the kit's reference adapters, as a vendor's file describes the vendor's",
@@ -56,8 +57,9 @@ def named_in_code(source: str) -> Iterator[str]:
 
 
 def expression_statements(node: ast.AST) -> Iterator[ast.Expr]:
-    """Strings that stand alone: docstrings of modules, classes and functions, and those that follow an assignment."""
-    for statement in getattr(node, "body", None) or () if not isinstance(node, ast.Lambda | ast.IfExp) else ():
+    """Constants that stand alone: docstrings, also those that follow an assignment."""
+    body = getattr(node, "body", None)
+    for statement in body if isinstance(body, list) else ():
         if isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant):
             yield statement
 

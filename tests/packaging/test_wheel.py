@@ -15,6 +15,8 @@ from pytest_otmcp.record.run_file import load
 
 from .conftest import CHECKOUT, FOLDERS
 
+pytestmark = pytest.mark.long
+
 SUBJECT = """
 [subject]
 name = "a reference adapter as a vendor would describe it"

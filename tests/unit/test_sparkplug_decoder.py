@@ -11,8 +11,7 @@ import pytest
 from pytest_otmcp.protocols.mqtt import oracle as oracle
 from pytest_otmcp.protocols.mqtt.sparkplug_decoder import DATA_TYPES, decode_message, decode_payload, parse_topic
 
-Entry = dict[str, Any]
-
+from .journals import Entry, journal
 
 # -- protobuf by hand: https://protobuf.dev/programming-guides/encoding/ ------------------------------------
 
@@ -196,8 +195,7 @@ def ddata(seq: int = 2, value: float = 21.0, **fields: Any) -> Entry:
 
 
 def broken(*entries: Entry) -> list[tuple[str | None, str]]:
-    numbered = [{"seq": seq, **entry} for seq, entry in enumerate(entries)]
-    return [(finding.requirement, finding.message) for finding in oracle.sparkplug_sequence(numbered)]
+    return [(finding.requirement, finding.message) for finding in oracle.sparkplug_sequence(journal(*entries))]
 
 
 def test_a_proper_session_has_no_findings() -> None:
@@ -285,7 +283,7 @@ def test_a_will_that_says_more_than_the_death_is_found() -> None:
 
 
 def test_the_simulator_and_the_will_that_a_broker_sends_are_not_the_adapters_doing() -> None:
-    simulator = {"client_id": "otmcp-mock-edge-node-1", "connection": 7}
+    simulator = {"origin": "plant", "client_id": "otmcp-mock-edge-node-1", "connection": 7}
     assert broken(connect(), nbirth(), dbirth(), {**ddata(9), **simulator}) == []
     assert broken(connect(), nbirth(), says("NDEATH", payload(BD_SEQ), qos=1, will_sent=True)) == []
 
@@ -298,7 +296,7 @@ def test_who_publishes_as_a_node_it_is_not_is_found() -> None:
 
 
 def test_only_the_chosen_edge_node_is_judged() -> None:
-    entries = [{"seq": 0, **connect()}, {"seq": 1, **ddata()}]
+    entries = journal(connect(), ddata())
     assert oracle.sparkplug_sequence(entries, "g", "e") != []
     assert oracle.sparkplug_sequence(entries, "g", "another") == []
 
@@ -307,7 +305,9 @@ def test_only_the_chosen_edge_node_is_judged() -> None:
 
 
 def wrong(*entries: Entry, **arguments: Any) -> str:
-    findings = oracle.ddata_metric(list(entries), **{"device": "d", "name": "temperature", "value": 20.1, **arguments})
+    findings = oracle.ddata_metric(
+        journal(*entries), **{"device": "d", "name": "temperature", "value": 20.1, **arguments}
+    )
     return findings[0].message if findings else ""
 
 
@@ -320,7 +320,7 @@ def test_a_value_is_right_as_double_and_as_the_nearest_float() -> None:
 
 def test_an_alias_is_resolved_from_the_birth() -> None:
     aliased = says("DDATA", payload(metric(None, double(13, 20.1), alias=1), seq=2))
-    assert wrong(aliased, births=[dbirth()]) == ""
+    assert wrong(aliased, births=journal(dbirth())) == ""
     assert wrong(dbirth(), aliased) == ""
     assert "its metric is None" in wrong(aliased)
 

@@ -6,7 +6,8 @@ import re
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from ...plant.mock_device import Entry
+from ...protocols.journal import Entries
+from ...protocols.modbus.entries import ModbusEntry, as_modbus
 from ..experimenter import Experimenter, Proposal, Shown, reach
 from ..guess import Guess
 from ..known_causes import KnownCause
@@ -20,7 +21,7 @@ _VALUES = range(2000, 0x10000)
 
 _TABLE = r"^(kind|table|type|register_type|area|source)$"
 
-Find = Callable[[Sequence[Entry]], Entry | None]
+Find = Callable[[Entries], ModbusEntry | None]
 """Finds the request that a call has to make in what reached the device."""
 
 
@@ -66,7 +67,7 @@ async def _write_holding(experimenter: Experimenter, guess: Guess) -> Proposal:
 
 async def _call_at(
     experimenter: Experimenter, guess: Guess, find: Find, offsets: Sequence[int], **inputs: Any
-) -> tuple[Shown, Entry | None, dict[str, int]]:
+) -> tuple[Shown, ModbusEntry | None, dict[str, int]]:
     """Call the tool, with what it counts addresses from found out.
 
     Tools count registers from 0, from 1, or as 40001: the offset is the difference that the first call showed, or one of
@@ -92,8 +93,9 @@ async def _call_at(
 
 
 def _requests(*functions: int) -> Find:
-    def find(entries: Sequence[Entry]) -> Entry | None:
-        return next((entry for entry in entries if entry["kind"] == "request" and entry["function"] in functions), None)
+    def find(entries: Entries) -> ModbusEntry | None:
+        asked = (as_modbus(entry) for entry in entries if entry["kind"] == "request")
+        return next((request for request in asked if request["function"] in functions), None)
 
     return find
 

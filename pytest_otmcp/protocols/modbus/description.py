@@ -6,9 +6,9 @@ import re
 
 from ..protocol import Colour, Framing, OtProtocol
 from .decoder import ModbusConversation, mbap_length
-from .functions import title
+from .entries import describe, title
 from .operations import OPERATIONS
-from .oracle import describe, no_state_changing_request
+from .oracle import no_state_changing_request
 
 __all__ = ["PROTOCOL"]
 
