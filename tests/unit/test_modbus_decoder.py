@@ -17,10 +17,11 @@ from pymodbus.pdu.register_message import (
     WriteSingleRegisterRequest,
 )
 
+from pytest_otmcp.protocols.conversation import Direction
 from pytest_otmcp.protocols.framing import Framer
 from pytest_otmcp.protocols.modbus.decoder import ModbusConversation, mbap_length
 
-Entry = dict[str, Any]
+from .journals import Entry, decoded
 
 
 def frame(pdu: str, *, transaction: int = 1, unit: int = 1) -> bytes:
@@ -28,15 +29,15 @@ def frame(pdu: str, *, transaction: int = 1, unit: int = 1) -> bytes:
     return transaction.to_bytes(2) + b"\0\0" + (len(body) + 1).to_bytes(2) + bytes([unit]) + body
 
 
-def journal(*exchanges: str, connection: int = 1) -> list[Entry]:
+def journal(*exchanges: str) -> list[Entry]:
     """Entries of "request -> response" exchanges, PDUs in hex; "-> ?" for no answer."""
-    conversation, entries = ModbusConversation(), []
+    frames: list[tuple[Direction, bytes]] = []
     for number, exchange in enumerate(exchanges, start=1):
         request, _, response = exchange.partition(" -> ")
-        entries += conversation.decode("in", frame(request, transaction=number))
+        frames.append(("in", frame(request, transaction=number)))
         if response != "?":
-            entries += conversation.decode("out", frame(response, transaction=number))
-    return [{"seq": seq, "connection": connection, **entry} for seq, entry in enumerate(entries)]
+            frames.append(("out", frame(response, transaction=number)))
+    return decoded(ModbusConversation(), *frames)
 
 
 # MODBUS Application Protocol V1.1b3, the examples of section 6.
@@ -90,7 +91,9 @@ def test_the_examples_of_the_specification_are_read_as_it_says(exchange: str) ->
     assert (response["kind"], response["direction"]) == ("response", "out")
     assert expected_request.items() <= request.items()
     assert expected_response.items() <= response.items()
+    assert (request["request"], request["answers"]) == (True, None)
     assert request["state_changing"] == (request["function"] in {5, 6, 15, 16, 22, 23})
+    assert (response["request"], response["state_changing"], response["answers"]) == (False, False, request["seq"])
     assert request["pdu"] == exchange.partition(" -> ")[0].replace(" ", "").lower()
 
 
@@ -117,7 +120,7 @@ def test_a_library_of_somebody_else_agrees() -> None:
     conversation = ModbusConversation()
     for number, (pdu, expected) in enumerate(requests, start=1):
         pdu.dev_id, pdu.transaction_id = 17, number
-        (entry,) = conversation.decode("in", peer.buildFrame(pdu))
+        (entry,) = decoded(conversation, ("in", peer.buildFrame(pdu)))
         assert expected.items() <= entry.items()
         assert (entry["unit"], entry["transaction_id"]) == (17, number)
     for number, answer, values in (
@@ -125,7 +128,7 @@ def test_a_library_of_somebody_else_agrees() -> None:
         (6, ReadCoilsResponse(bits=bits), bits),
     ):
         answer.dev_id, answer.transaction_id = 17, number
-        (entry,) = conversation.decode("out", peer.buildFrame(answer))
+        (entry,) = decoded(conversation, ("out", peer.buildFrame(answer)))
         assert entry["values"] == values
 
 
@@ -167,11 +170,20 @@ def test_a_header_that_is_none_ends_the_cutting_and_says_why(header: str, reason
 def test_random_pdus_never_make_the_decoder_fail() -> None:
     rng = random.Random(5)
     conversation = ModbusConversation()
+    directions: tuple[Direction, Direction] = ("in", "out")
     for _ in range(5000):
         pdu = bytes([rng.choice((1, 2, 3, 4, 5, 6, 15, 16, 22, 23, 43, 0x83, 0xFF))]) + rng.randbytes(rng.randrange(14))
-        for direction in ("in", "out"):
-            (entry,) = conversation.decode(direction, frame(pdu.hex(), transaction=rng.randrange(3)))
-            assert entry["pdu"] == pdu.hex()
+        for direction in directions:
+            (message,) = conversation.decode(direction, frame(pdu.hex(), transaction=rng.randrange(3)))
+            assert message.fields["pdu"] == pdu.hex()
+
+
+def test_an_answer_belongs_to_the_newest_request_with_its_identifiers() -> None:
+    conversation = ModbusConversation()
+    read, other = frame("03 0000 0001"), frame("03 0000 0001", unit=2)
+    answer = frame("03 02 0007")
+    entries = decoded(conversation, ("in", read), ("in", read), ("in", other), ("out", answer), ("out", answer))
+    assert [entry["answers"] for entry in entries] == [None, None, None, 1, None]
 
 
 def test_a_coil_value_that_is_neither_on_nor_off_is_not_taken_for_one() -> None:

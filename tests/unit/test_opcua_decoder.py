@@ -12,11 +12,13 @@ import pytest
 from asyncua import ua as untyped_ua
 from asyncua.ua.ua_binary import struct_to_binary, to_binary
 
+from pytest_otmcp.protocols.conversation import Direction
 from pytest_otmcp.protocols.framing import Framer, MalformedError
 from pytest_otmcp.protocols.opcua.binary import BinaryReader, symbol
 from pytest_otmcp.protocols.opcua.decoder import OpcUaConversation, chunk_length
 
-Entry = dict[str, Any]
+from .journals import Entry, decoded, entry
+
 ua: Any = untyped_ua
 TEMPERATURE = ua.NodeId("Temperature", 2)
 
@@ -36,9 +38,8 @@ def message(value: Any, *, request: int = 1) -> bytes:
     return chunk("MSG", struct_to_binary(value), request=request)
 
 
-def decode(*messages: tuple[str, bytes], conversation: OpcUaConversation | None = None) -> list[Entry]:
-    conversation = conversation or OpcUaConversation()
-    return [entry for direction, data in messages for entry in conversation.decode(direction, data)]
+def decode(*messages: tuple[Direction, bytes]) -> list[Entry]:
+    return decoded(OpcUaConversation(), *messages)
 
 
 def read_request(*nodes: ua.NodeId) -> ua.ReadRequest:
@@ -60,13 +61,14 @@ def test_a_read_and_its_answer_are_described() -> None:
         ("out", message(answer, request=5)),
     )
     assert asked == {
-        **{"direction": "in", "kind": "Read", "request_id": 5, "request_handle": 77, "state_changing": False},
+        **entry("Read", request=True, t_ns=asked["t_ns"], request_id=5, request_handle=77),
         "nodes": [
             {"node_id": "ns=2;s=Temperature", "attribute": "Value"},
             {"node_id": "ns=2;i=99999", "attribute": "Value"},
         ],
     }
     assert (answered["kind"], answered["direction"], answered["service_result"]) == ("Read", "out", "Good")
+    assert (answered["request"], answered["state_changing"], answered["answers"]) == (False, False, asked["seq"])
     assert answered["results"] == [
         {"status": "Good", "value": 21.5},
         {"status": "BadNodeIdUnknown", "value": None},
@@ -141,8 +143,8 @@ def test_every_service_of_the_library_has_its_name_or_its_type_id() -> None:
             continue
         request = getattr(ua, name)()
         if "RequestHeader" in getattr(ua, name).__dataclass_fields__:
-            (entry,) = decode(("in", message(request)))
-            named[name.removesuffix("Request")] = entry["kind"]
+            (found,) = decode(("in", message(request)))
+            named[name.removesuffix("Request")] = found["kind"]
     assert named["TranslateBrowsePathsToNodeIds"] == "TranslateBrowsePaths"
     common = {"Read", "Write", "Browse", "BrowseNext", "Call", "CreateSession", "ActivateSession", "CloseSession"}
     common |= {"GetEndpoints", "FindServers", "CreateSubscription", "Publish", "AddNodes", "HistoryUpdate"}
@@ -160,7 +162,7 @@ def test_hello_acknowledge_error_and_an_opened_channel_are_entries() -> None:
         ("in", chunk("OPN", struct_to_binary(ua.OpenSecureChannelRequest()))),
         ("out", b"ERRF" + struct.pack("<I", 8 + len(error)) + error),
     )
-    assert [entry["kind"] for entry in entries] == ["Hello", "Acknowledge", "OpenSecureChannel", "Error"]
+    assert [one["kind"] for one in entries] == ["Hello", "Acknowledge", "OpenSecureChannel", "Error"]
     assert entries[0]["endpoint_url"] == url.decode()
     assert (entries[3]["status"], entries[3]["reason"]) == ("0x80820000", "bad")
 
@@ -169,10 +171,10 @@ def test_a_message_in_several_chunks_is_one_entry_and_an_aborted_one_is_none() -
     body = struct_to_binary(read_request(*[TEMPERATURE] * 50))
     pieces = [body[at : at + 100] for at in range(0, len(body), 100)]
     chunks = [chunk("MSG", piece, final="C") for piece in pieces[:-1]] + [chunk("MSG", pieces[-1])]
-    (entry,) = decode(*(("in", piece) for piece in chunks))
-    assert len(entry["nodes"]) == 50
+    (found,) = decode(*(("in", piece) for piece in chunks))
+    assert len(found["nodes"]) == 50
     aborted = [chunk("MSG", pieces[0], final="C"), chunk("MSG", b"", final="A"), message(read_request(TEMPERATURE))]
-    assert [entry["kind"] for entry in decode(*(("in", piece) for piece in aborted))] == ["Abort", "Read"]
+    assert [one["kind"] for one in decode(*(("in", piece) for piece in aborted))] == ["Abort", "Read"]
 
 
 def test_a_signed_channel_is_said_to_be_sealed() -> None:
@@ -180,7 +182,9 @@ def test_a_signed_channel_is_said_to_be_sealed() -> None:
     body = struct.pack("<Ii", 1, len(policy)) + policy + bytes(64)
     opened = b"OPNF" + struct.pack("<I", 8 + len(body)) + body
     entries = decode(("in", opened), ("in", message(read_request(TEMPERATURE))))
-    assert [entry["kind"] for entry in entries] == ["Sealed", "Sealed"]
+    assert [one["kind"] for one in entries] == ["Sealed", "Sealed"]
+    # What it asks for cannot be known, so it may be anything.
+    assert [(one["request"], one["state_changing"]) for one in entries] == [(False, False), (True, True)]
 
 
 @pytest.mark.parametrize(
@@ -245,6 +249,7 @@ def test_a_stream_that_cannot_be_cut_says_why(data: bytes, reason: str) -> None:
 
 def test_mutated_messages_never_make_the_decoder_fail() -> None:
     rng = random.Random(23)
+    directions: tuple[Direction, Direction] = ("in", "out")
     request = ua.WriteRequest()
     request.Parameters.NodesToWrite = [
         ua.WriteValue(TEMPERATURE, ua.AttributeIds.Value, Value=ua.DataValue(ua.Variant([1.5, 2.5])))
@@ -255,7 +260,7 @@ def test_mutated_messages_never_make_the_decoder_fail() -> None:
         for _ in range(rng.randrange(4)):
             if mutated:
                 mutated[rng.randrange(len(mutated))] = rng.randrange(256)
-        for direction in ("in", "out"):
+        for direction in directions:
             entries = decode((direction, chunk("MSG", bytes(mutated))))
             assert len(entries) == 1
 
