@@ -78,7 +78,7 @@ async def _examine(adapter: Adapter, variant: str) -> bool:
     from ..trial.adapter_under_test import AdapterUnderTest, BenchOptions
 
     program = adapter.variants[variant].command[0]
-    device = MockDevice(adapter.protocol)
+    device = MockDevice(protocols()[adapter.protocol].mock, adapter.protocol)
     station = None
     try:
         await device.launch()
