@@ -279,6 +279,14 @@ async def test_a_dripping_answer_arrives_byte_by_byte() -> None:
         assert tap.injected == {Action.DRIP: 1}
 
 
+async def test_a_dropped_answer_is_missing_and_the_next_one_comes() -> None:
+    async with tapped() as tap, client(tap) as (reader, writer):
+        tap.inject(FaultRule(action=Action.DROP, direction="out"))
+        writer.write(READ + OTHER)
+        assert await soon(reader.readexactly(12)) == OTHER
+        assert tap.injected == {Action.DROP: 1}
+
+
 async def test_truncate_passes_only_the_beginning() -> None:
     async with tapped() as tap, client(tap) as (reader, writer):
         tap.inject(FaultRule(action=Action.TRUNCATE, direction="out", length=7))
