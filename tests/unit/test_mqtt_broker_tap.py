@@ -122,7 +122,7 @@ async def test_the_kit_may_have_several_connections_to_one_broker() -> None:
 
 
 async def test_a_broker_that_is_not_there_is_no_fault_of_the_adapter() -> None:
-    # Bound and never listening: it refuses, and nobody else can take it.
+    # Bound and never listening: it refuses, and no other process can take it.
     with socket.socket() as unused:
         unused.bind(("127.0.0.1", 0))
         port = unused.getsockname()[1]

@@ -212,7 +212,7 @@ class _Link:
     def _swallow(self) -> None:
         for lane in self._lanes:
             lane.stop()
-            lane.black_hole = True
+            lane.is_black_hole = True
 
     def _finished(self) -> None:
         if all(lane.ended for lane in self._lanes):
