@@ -299,7 +299,7 @@ def pytest_runtest_makereport(
     report = yield
     result = item.stash.get(RESULT, None)
     if result is not None and report.when == "call":
-        # pytest-xdist carries text from a worker to the controller unchanged, also where an adapter answered odd values.
+        # An attribute that is text survives the way from an xdist worker to the controller, for every answer of an adapter.
         setattr(report, _RESULT, json.dumps(result))
         setattr(report, _FACTS, json.dumps(item.config.stash[RUN].facts()))
         del item.stash[RESULT]

@@ -30,7 +30,7 @@ _ROOMS_WITHOUT_JUDGEMENT = tuple(f"{_PACKAGE}.{room}" for room in ("cli", "onboa
 
 
 def changed_files() -> list[str]:
-    """Return a sentence if files of the installed kit differ from those of its wheel; a source checkout has none."""
+    """Return one sentence if files of the installed kit differ from those of its wheel; none for a source checkout."""
     try:
         distribution = metadata.distribution("pytest-otmcp")
     except metadata.PackageNotFoundError:
@@ -58,7 +58,7 @@ def _has_digest(path: Path, recorded: metadata.FileHash | None) -> bool:
 
 
 def replaced_functions() -> list[str]:
-    """Return one sentence for each function of the kit that was monkeypatched."""
+    """Return one sentence for each function of the kit that was replaced (monkeypatched) by code from elsewhere."""
     return [
         f"{module.__name__}.{what} was replaced by something from {where}"
         for module in _find_judging_modules()

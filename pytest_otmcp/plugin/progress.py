@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Progress"]
 
-# Rough seconds per repetition, only to guess how long the remaining items will take; nothing better is known of them.
+# Rough seconds per repetition, to guess the remaining time; nothing better is known of items that have not run.
 _GUESS_S = {"normal": 0.02, "fault": 0.02, "stress": 0.12, "recovery": 1.3}
 _REDRAW_S = 0.1
 
@@ -47,7 +47,8 @@ class Progress:
         if not self._moving or self._quiet or now - self._drawn < _REDRAW_S:
             return
         self._drawn = now
-        text = f"  {task.id:<9} {done}/{planned}   item {self._done + 1} of {self._total}, {self._estimate_rest(task, done, planned)}"
+        rest = self._estimate_rest(task, done, planned)
+        text = f"  {task.id:<9} {done}/{planned}   item {self._done + 1} of {self._total}, {rest}"
         if not self._line_open:
             self._write("\n")
         self._overwrite(text[: self._writer.fullwidth - 1].ljust(70))
