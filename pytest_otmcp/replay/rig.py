@@ -165,11 +165,10 @@ class ReplayRig(Rig):
             wanted = f"{begin} to {end - 1}" if end > begin else "none"
             raise HistoryError(f"the journal of {self.name} should have the entries {wanted}, it has {found}")
 
-    async def _perform(self, operation: str, role: str, inputs: Mapping[str, Any]) -> Reply:
+    async def _perform(self, operation: str, inputs: Mapping[str, Any]) -> Reply:
         call = self._past.call(self._place, operation, inputs)
         return recorded_reply(
             call,
-            role=role,
             cases=self._place.bindings.get(operation),
             endpoint=self._place.endpoint,
             deadline_s=self._place.deadline_s,

@@ -19,19 +19,20 @@ from ..core.errors import KitError, SubjectError, UsageError
 from ..core.strict_json import parse_strict
 from ..plant.device import Device
 from ..protocols.registry import protocols
-from ..session.session import Exchange, McpSession, SessionOptions
+from ..session.exchange import Exchange, joined
+from ..session.session import McpSession, SessionOptions
 from ..subject.answers import interpret, read_answer
 from ..subject.functions import Refused, ToolAnswer, checked_outputs
 from ..subject.model import (
     READ_WRITE,
     Adapter,
     Answering,
-    Binding,
     Function,
+    OutputRule,
     replace_placeholders,
     replace_template,
 )
-from .reply import Reply, Wire, observe, performed
+from .reply import Expectation, Reply, observe, replace_outputs
 
 __all__ = ["AdapterUnderTest", "BenchOptions", "NoBindingError"]
 
@@ -184,13 +185,12 @@ class AdapterUnderTest:
 
     # -- calls --------------------------------------------------------------------------------------------
 
-    async def call(self, operation: str, *, role: str, session: McpSession | None = None, **inputs: Any) -> Reply:
+    async def call(self, operation: str, *, session: McpSession | None = None, **inputs: Any) -> Reply:
         """Perform an abstract operation through the adapter's own tools.
 
         Args:
             operation: name of the operation.
-            role: see :class:`~pytest_otmcp.trial.reply.Reply`.
-            session: a session other than the station's.
+            session: a session other than the adapter's own.
             inputs: the operation's inputs.
 
         Raises:
@@ -199,57 +199,35 @@ class AdapterUnderTest:
         bound = self.adapter.operations.get(operation)
         session = self._current(session)
         if isinstance(bound, Function):
-            return await self._perform(bound, session, role, inputs)
+            return await self._perform(bound, session, inputs)
         binding = next((case for case in bound or () if case.fits(inputs)), None)
         if binding is None:
             asked = ", ".join(f"{name}={value!r}" for name, value in inputs.items()) if bound else "any input"
             raise NoBindingError(
                 f"{self.adapter.protocol}: the subject binds no tool to the operation {operation!r} for {asked}"
             )
-        arguments = binding.fill(inputs, self.endpoint)
         # The client gives up a little later than the deadline, so that a late answer is seen to be late.
         timeout_s = 1.2 * self.deadline_s
         if binding.resource:
             exchange = await session.read_resource(binding.tool, timeout_s=timeout_s)
         else:
-            exchange = await session.call(binding.tool, arguments, timeout_s=timeout_s)
-        reply = self._observed(
-            operation,
-            role,
-            _wire([exchange]),
-            tool=binding.tool,
-            arguments=arguments,
-            answering=binding.answering,
-            binding=binding,
-            listed=self.variant == READ_WRITE or binding.resource or binding.tool in session.tools,
-        )
+            exchange = await session.call(binding.tool, binding.fill(inputs, self.endpoint), timeout_s=timeout_s)
+        listed = self.variant == READ_WRITE or binding.resource or binding.tool in session.tools
+        expected = self._expectation(operation, binding.answering, binding.outputs, listed=listed)
         if not binding.answering.native:
             self._note_unmet(exchange)
-        return reply
+        return observe(exchange, expected)
 
-    def _observed(
-        self,
-        operation: str,
-        role: str,
-        wire: Wire,
-        *,
-        tool: str,
-        arguments: Mapping[str, Any],
-        answering: Answering,
-        binding: Binding | None,
-        listed: bool,
-    ) -> Reply:
-        return observe(
-            wire,
+    def _expectation(
+        self, operation: str, answering: Answering, outputs: Mapping[str, OutputRule], *, listed: bool = True
+    ) -> Expectation:
+        return Expectation(
             adapter=self.adapter.protocol,
             variant=self.variant,
             operation=operation,
-            tool=tool,
-            arguments=arguments,
-            role=role,
             deadline_s=self.deadline_s,
             answering=answering,
-            outputs=binding.outputs if binding is not None else {},
+            outputs=outputs,
             listed=listed,
         )
 
@@ -261,7 +239,7 @@ class AdapterUnderTest:
         if isinstance(result, dict) and isinstance(result.get("result"), dict):
             self.unmet |= {fault.requirement for fault in check_result(result["result"]) if fault.requirement}
 
-    async def _perform(self, function: Function, session: McpSession, role: str, inputs: dict[str, Any]) -> Reply:
+    async def _perform(self, function: Function, session: McpSession, inputs: dict[str, Any]) -> Reply:
         tools = _Tools(self, session)
         outputs: Mapping[str, Any] = {}
         refusal: Refused | None = None
@@ -279,18 +257,9 @@ class AdapterUnderTest:
             ) from error
         if not tools.exchanges:
             raise NoBindingError(f"the binding function {function.name} called no tool")
-        reply = self._observed(
-            function.name,
-            role,
-            _wire(tools.exchanges),
-            tool="+".join(exchange.tool for exchange in tools.exchanges),
-            arguments=inputs,
-            answering=Answering(form="text"),
-            binding=None,
-            listed=True,
-        )
-        performed(reply, outputs, None if refusal is None else (refusal.code, str(refusal)))
-        return reply
+        expected = self._expectation(function.name, Answering(form="text"), {})
+        reply = observe(joined(tools.exchanges, inputs), expected)
+        return replace_outputs(reply, outputs, None if refusal is None else (refusal.code, str(refusal)))
 
 
 class _NoAnswerError(Exception):
@@ -334,18 +303,3 @@ def _free_port() -> int:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]
         return port
-
-
-def _wire(exchanges: list[Exchange]) -> Wire:
-    """The exchanges of one operation as one: from the first request to the last reply."""
-    first, last = exchanges[0], exchanges[-1]
-    return Wire(
-        request=b"\n".join(exchange.request for exchange in exchanges),
-        response=last.response,
-        sent_ns=first.sent_ns,
-        received_ns=last.received_ns,
-        failure=last.failure,
-        client_complaint=last.client_complaint,
-        asked_ns=first.asked_ns,
-        returned_ns=last.returned_ns,
-    )

@@ -6,7 +6,7 @@ import asyncio
 import time
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from typing import Any
 
 from ..core.finding import Finding
@@ -115,9 +115,9 @@ class LiveRig(Rig):
     def _noted(self, what: str, seen: Any) -> None:
         self._ledger.observed(self.name, what, seen)
 
-    async def _perform(self, operation: str, role: str, inputs: Mapping[str, Any]) -> Reply:
+    async def _perform(self, operation: str, inputs: Mapping[str, Any]) -> Reply:
         self._place.used[operation] = None
-        reply = await self.station.call(operation, role=role, **inputs)
+        reply = await self.station.call(operation, **inputs)
         if self.station.session is not None:
             bugs = [fault for fault in reply.faults if fault.code == "internal_error"]
             self._bugs += [(bug, self.station.session) for bug in bugs]
@@ -125,11 +125,11 @@ class LiveRig(Rig):
 
     def add_last_words(self) -> None:
         """Give the adapter's last lines on stderr as the evidence of bugs that it reported of itself."""
-        findings = self._ledger.findings
+        evidence: dict[int, str] = {}
         for bug, session in self._bugs:
             if lines := session.stderr_tail():
-                evidence = "the adapter's last lines on stderr:\n    " + "\n    ".join(lines)
-                findings[findings.index(bug)] = replace(bug, evidence=evidence)
+                evidence[id(bug)] = "the adapter's last lines on stderr:\n    " + "\n    ".join(lines)
+        self._ledger.explain(evidence)
 
     async def journal(self) -> list[Entry]:
         with self._observing():

@@ -92,9 +92,9 @@ class Rig(ABC):
 
     async def call(self, operation: str, *, role: str | None = None, **inputs: Any) -> Reply:
         """Perform an operation; see :meth:`pytest_otmcp.trial.bench.AdapterUnderTest.call`."""
-        reply = await self._perform(operation, role or self._ledger.role, inputs)
-        self._ledger.add(reply, inputs)
-        if reply.wire.response is None:
+        reply = await self._perform(operation, inputs)
+        self._ledger.add(reply, inputs, role)
+        if not reply.answered:
             raise EndedError
         return reply
 
@@ -108,10 +108,9 @@ class Rig(ABC):
             reply = await self.call(operation, **inputs)
             replies.append(reply)
             # The call itself may have come too early and answered late: only one that began too late is the last.
-            if reply.success or (len(replies) > 1 and reply.wire.sent_ns >= end):
+            if reply.success or (len(replies) > 1 and reply.exchange.sent_ns >= end):
                 return replies
-            reply.role = "recovery"
-            reply.ok = True
+            self._ledger.set_aside(reply)
             await self._reconnecting()
 
     async def call_until_failure(self, operation: str, *, window_s: float, **inputs: Any) -> Reply:
@@ -122,11 +121,10 @@ class Rig(ABC):
         begun_ns = None
         while True:
             reply = await self.call(operation, **inputs)
-            begun_ns = begun_ns or reply.wire.sent_ns
-            if not reply.success or reply.wire.sent_ns - begun_ns >= window_ns:
+            begun_ns = begun_ns or reply.exchange.sent_ns
+            if not reply.success or reply.exchange.sent_ns - begun_ns >= window_ns:
                 return reply
-            reply.role = "recovery"
-            reply.ok = True
+            self._ledger.set_aside(reply)
             await self._watch(_NOTICING_PAUSE_S)
 
     async def publish_from_kit(self, topic: str, payload: bytes) -> None:
@@ -216,7 +214,7 @@ class Rig(ABC):
         """The journal since the repetition began; the next repetition's slice begins where this one ends."""
 
     @abstractmethod
-    async def _perform(self, operation: str, role: str, inputs: Mapping[str, Any]) -> Reply: ...
+    async def _perform(self, operation: str, inputs: Mapping[str, Any]) -> Reply: ...
 
     @abstractmethod
     async def _reconnecting(self) -> None:

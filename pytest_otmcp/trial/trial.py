@@ -15,7 +15,7 @@ from ..protocols.unsolicited import nothing_commanded
 from .adapter_under_test import NoBindingError
 from .driver import SessionFacts, TrialDriver
 from .repetition import Repetition
-from .reply import Reply
+from .stored import stored_calls, stored_finding
 from .task import Steps, Task
 
 __all__ = ["Repetition", "Trial"]
@@ -23,9 +23,6 @@ __all__ = ["Repetition", "Trial"]
 _GIVE_UP_AFTER = 3
 """Consecutive repetitions without any reply after which an item is not continued: a hanging adapter is a finding
 within a few deadlines, not after thirty."""
-
-_KEPT_OF_A_FRAME = 16_384
-"""Bytes: an adapter may send megabytes, again and again; the record has the digest of all of them."""
 
 ReportProgress = Callable[[int, int], None]
 
@@ -122,12 +119,12 @@ class Trial:
         self._around_it.append(
             {
                 "role": role,
-                "calls": len(repetition.ledger.replies),
+                "calls": len(repetition.ledger.calls),
                 "entries": len(repetition.ledger.journal),
                 "observations": repetition.ledger.observations,
             }
         )
-        self._other_calls += _calls(repetition)
+        self._other_calls += stored_calls(repetition.ledger)
         self._other_device += repetition.ledger.journal
         for finding in repetition.ledger.findings:
             self._note(finding.code, f"{role}: {finding.message}", finding.requirement, finding.evidence)
@@ -143,10 +140,10 @@ class Trial:
                 "repetition": rep,
                 "ok": not repetition.ledger.findings,
                 "duration_ms": round(repetition.duration_ms, 4),
-                "calls": _calls(repetition),
+                "calls": stored_calls(repetition.ledger),
                 "device": repetition.ledger.journal,
                 "observations": repetition.ledger.observations,
-                "findings": [_finding(finding) for finding in repetition.ledger.findings],
+                "findings": [stored_finding(finding) for finding in repetition.ledger.findings],
                 "phases": repetition.phases,
             }
         )
@@ -189,51 +186,7 @@ class Trial:
             "samples": self._samples,
             "other_calls": self._other_calls,
             "other_device": self._other_device,
-            "findings": [_finding(finding) for finding in self._findings],
+            "findings": [stored_finding(finding) for finding in self._findings],
             "timing_ms": dict(self._driver.timing_ms()),
             "history": {**self._driver.history(), "around": self._around_it, "ended": self._ended},
         }
-
-
-def _calls(repetition: Repetition) -> list[dict[str, Any]]:
-    """The calls as ``run.json`` has them.
-
-    The envelope of a good reply says what its frames said. Where there is more to see, a fault or an answer that is no
-    envelope, the frames are kept.
-    """
-    calls = []
-    for reply, inputs in zip(repetition.ledger.replies, repetition.ledger.inputs, strict=True):
-        times = {"inputs": dict(inputs), "group": reply.group, "sent_ns": reply.wire.sent_ns}
-        call = {**reply.as_record(), **times, "received_ns": reply.wire.received_ns}
-        if repetition.ledger.findings or not reply.native:
-            call["frames"] = _frames(reply)
-        calls.append(call)
-    return calls
-
-
-def _frames(reply: Reply) -> dict[str, Any]:
-    # The times are of the clock that the journals use, so that a report can put both in one order.
-    wire = reply.wire
-    return {
-        "request": _frame(wire.request),
-        "response": None if wire.response is None else _frame(wire.response),
-        "sent_ns": wire.sent_ns,
-        "received_ns": wire.received_ns,
-        "failure": wire.failure,
-        "complaint": wire.client_complaint,
-        "faults": [_finding(fault) for fault in reply.faults],
-    }
-
-
-def _frame(frame: bytes) -> str:
-    text = frame[:_KEPT_OF_A_FRAME].decode("utf-8", "backslashreplace")
-    return text if len(frame) <= _KEPT_OF_A_FRAME else f"{text}… ({len(frame)} bytes)"
-
-
-def _finding(finding: Finding) -> dict[str, Any]:
-    return {
-        "code": finding.code,
-        "message": finding.message,
-        "requirement": finding.requirement,
-        "evidence": finding.evidence,
-    }
