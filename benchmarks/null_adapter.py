@@ -7,10 +7,11 @@ nothing, keeps no record and reports nothing. It is the control of the sum that 
 from __future__ import annotations
 
 import sys
+from collections.abc import Awaitable, Callable
 
 from typing_extensions import TypedDict
 
-from reference_adapters.core import AdapterServer, Arguments, Call
+from reference_adapters.core import AdapterServer, Arguments, Call, tool
 from reference_adapters.core.run import serve
 
 
@@ -22,6 +23,9 @@ class Done(TypedDict):
     """That it was done."""
 
     ok: bool
+
+
+Exchange = Callable[[], Awaitable[None]]
 
 
 async def _close() -> None:
@@ -41,33 +45,48 @@ def _server() -> AdapterServer:
     )
 
 
-def build() -> AdapterServer:
-    """The server with its one tool."""
-    server = _server()
+class NullTool:
+    """The tool that does nothing."""
 
-    @server.tool("none.nothing")
-    async def null(call: Call, arguments: Nothing) -> Done:
+    @tool("none.nothing")
+    async def null(self, call: Call, arguments: Nothing) -> Done:
         """Do nothing."""
         return {"ok": True}
 
+
+class ControlTool:
+    """The tool that makes one bare exchange.
+
+    Args:
+        connect: connects to the device and returns the exchange.
+    """
+
+    def __init__(self, connect: Callable[[], Awaitable[Exchange]]) -> None:
+        self._connect = connect
+        self._exchange: Exchange | None = None
+
+    @tool("none.nothing")
+    async def null(self, call: Call, arguments: Nothing) -> Done:
+        """Exchange once."""
+        if self._exchange is None:
+            self._exchange = await self._connect()
+        await self._exchange()
+        return {"ok": True}
+
+
+def build() -> AdapterServer:
+    """Build the server whose tool does nothing."""
+    server = _server()
+    server.add(NullTool())
     return server
 
 
 def build_control(name: str, host: str, port: int) -> AdapterServer:
-    """The server whose tool makes one exchange of this name."""
-    from .raw_client import EXCHANGES, Exchange
+    """Build the server whose tool makes one exchange of this name."""
+    from .raw_client import EXCHANGES
 
     server = _server()
-    connected: list[Exchange] = []
-
-    @server.tool("none.nothing")
-    async def null(call: Call, arguments: Nothing) -> Done:
-        """Exchange once."""
-        if not connected:
-            connected.append(await EXCHANGES[name](host, port))
-        await connected[0]()
-        return {"ok": True}
-
+    server.add(ControlTool(lambda: EXCHANGES[name](host, port)))
     return server
 
 

@@ -3,47 +3,55 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import os
 import sys
+from collections.abc import Sequence
 
 from .launcher import run
+from .packages import MockPackage, built_in, load
 
-PROTOCOLS = ("modbus", "mqtt", "opcua")
+_PROGRAM = "python -m pytest_otmcp.mocks"
 
 
 def main() -> int:
-    """Parse the command line and run the launcher."""
-    parser = argparse.ArgumentParser(prog="python -m pytest_otmcp.mocks", description=__doc__)
-    parser.add_argument("protocol", choices=(*PROTOCOLS, "sparkplug"))
+    """Find the mock that the command line names, and run it."""
+    parser = argparse.ArgumentParser(
+        prog=_PROGRAM, description=__doc__, epilog=f"The options of a mock: {_PROGRAM} PROTOCOL --help"
+    )
+    known = ", ".join(built_in())
+    parser.add_argument("protocol", metavar="PROTOCOL", help=f"{known}, or the dotted name of a module with a mock")
+    parser.add_argument("arguments", nargs=argparse.REMAINDER, metavar="OPTION", help="an option of this mock")
+    options = parser.parse_args()
+    # The collector would look at everything that is built now again and again and find nothing, half of the time that it
+    # takes.
+    gc.disable()
+    try:
+        package = load(options.protocol)
+    except ValueError as error:
+        parser.error(str(error))
+    if hasattr(package, "main"):
+        gc.enable()
+        return package.main(options.arguments)
+    return _launch(options.protocol, package, options.arguments)
+
+
+def _launch(name: str, package: MockPackage, arguments: Sequence[str]) -> int:
+    parser = argparse.ArgumentParser(prog=f"{_PROGRAM} {name}", description=package.__doc__)
     parser.add_argument("--host", default="127.0.0.1", help="address to serve on (default: %(default)s)")
     parser.add_argument("--port", type=int, default=0, help="port to serve on (default: a free one)")
-    parser.add_argument("--broker", metavar="URL", help="mqtt://host:port that the edge node of sparkplug joins")
-    options = parser.parse_args()
-    if (options.broker is not None) != (options.protocol == "sparkplug"):
-        parser.error("--broker: sparkplug needs it, the other mocks do not take it")
-    if options.protocol == "sparkplug":
-        return _simulate(parser, options.broker)
+    options = parser.parse_args(arguments)
     if not 0 <= options.port <= 65535:
         parser.error(f"--port: expected 0 to 65535, found {options.port}")
+    if options.port and package.ENDPOINTS[0].kind == "pty":
+        parser.error(f"--port: {name} serves on a pseudo terminal, which has none")
     if not hasattr(os, "fork"):
         print("the mock devices need os.fork, which this platform does not have", file=sys.stderr)
         return 1
     try:
-        return run(options.protocol, options.host, options.port)
+        return run(name, package, options.host, options.port)
     except OSError as error:
         print(f"cannot serve on {options.host}:{options.port}: {error.strerror or error}", file=sys.stderr)
-        return 1
-
-
-def _simulate(parser: argparse.ArgumentParser, broker: str) -> int:
-    from .mqtt import standalone  # the other mocks need not load it
-
-    try:
-        return standalone.run(broker)
-    except ValueError as error:
-        parser.error(f"--broker: {error}")
-    except OSError as error:
-        print(f"cannot join {broker}: {error.strerror or error}", file=sys.stderr)
         return 1
 
 

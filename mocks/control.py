@@ -1,4 +1,4 @@
-"""The control channel of a device: newline-delimited JSON on a loopback port.
+"""The control channel of a device: newline-delimited JSON on a Unix socket (see ``control_socket``).
 
 A request is ``{"id": 1, "op": "image"}``; its answer ``{"id": 1, "ok": true, "result": {…}}`` or
 ``{"id": 1, "ok": false, "error": "one sentence"}``. Any number of clients may be connected; requests may be pipelined and
@@ -12,9 +12,9 @@ are done one after the other, except that nothing has to wait for a ``wait``.
 ``reset``                                               start-up values, no faults
 ``pause`` / ``resume``                                  stop or start the free-running 1 Hz simulation
 ``tick {steps}``                                        advance the simulation by hand, seconds of plant time
-``journal {since}``                                     ``{"entries", "next", "dropped"}``
-``journal_reset``                                       forget the entries; ``{"next"}``
-``wait {since, match, count, timeout_s}``               matching entries, as soon as there are ``count``
+``journal {since}``                                     ``{"entries", "first", "next", "dropped"}``
+``forget {before}``                                     release the entries before this one; ``{"first", "next"}``
+``wait {since, match, count, timeout_s}``               matching entries, as soon as there are ``count``, with ``first``, ``next``
 ======================================================  ========================================================
 """
 
@@ -23,6 +23,7 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import socket
 import traceback
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any, TypeVar
@@ -56,16 +57,14 @@ class ControlServer:
             "resume": self._resume,
             "tick": self._tick,
             "journal": self._journal,
-            "journal_reset": self._journal_reset,
+            "forget": self._forget,
             "wait": self._wait,
         }
 
-    async def start(self) -> int:
-        """Listen on an ephemeral loopback port and begin the simulation; return the port."""
-        self._server = await asyncio.start_server(self._serve, "127.0.0.1", 0, limit=_LINE_LIMIT)
+    async def start(self, listener: socket.socket) -> None:
+        """Accept connections on a listening socket and begin the simulation."""
+        self._server = await asyncio.start_server(self._serve, sock=listener, limit=_LINE_LIMIT)
         self._simulation.resume()
-        port: int = self._server.sockets[0].getsockname()[1]
-        return port
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         waits: set[asyncio.Task[None]] = set()
@@ -152,21 +151,23 @@ class ControlServer:
             await asyncio.sleep(0)
         journal = self._device.journal
         entries = journal.since(_member(request, "since", int))
-        return {"entries": entries, "next": journal.next, "dropped": journal.dropped}
+        return {"entries": entries, "first": journal.first, "next": journal.next, "dropped": journal.dropped}
 
-    async def _journal_reset(self, request: Request) -> dict[str, Any]:
-        self._device.journal.clear()
-        return {"next": self._device.journal.next}
+    async def _forget(self, request: Request) -> dict[str, Any]:
+        journal = self._device.journal
+        journal.forget(_member(request, "before", int))
+        return {"first": journal.first, "next": journal.next}
 
     async def _wait(self, request: Request) -> dict[str, Any]:
         timeout_s = min(_member(request, "timeout_s", float, 1.0), _WAIT_LIMIT_S)
-        entries = await self._device.journal.wait(
+        journal = self._device.journal
+        entries = await journal.wait(
             _member(request, "since", int),
             _member(request, "match", dict),
             _member(request, "count", int, 1),
             timeout_s,
         )
-        return {"entries": entries, "next": self._device.journal.next}
+        return {"entries": entries, "first": journal.first, "next": journal.next}
 
 
 def _parsed(line: bytes) -> Request:

@@ -1,42 +1,37 @@
-"""What a protocol package implements: a :class:`Device`, a ``warm`` and a ``create`` function.
-
-A protocol package (``modbus``, ``mqtt``, ``opcua``) offers two functions. ``warm()`` runs once in the launcher, before
-any device process is forked: imports and everything else that is slow; it leaves no loop and no thread behind, because
-a fork carries neither over. ``create()`` runs in the device process, before its loop, and returns a fresh device.
-"""
+"""The base class of all devices, and the clock of their simulation. ``packages`` says what a mock package offers beside."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import socket
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any
 
+from .endpoint import OpenEndpoint
 from .journal import Journal
 
 __all__ = ["Device", "Simulation"]
 
 
 class Device(ABC):
-    """A device that serves one protocol on one port and keeps a journal of what reached it.
+    """A device that serves one protocol and keeps a journal of what reached it.
 
     Attributes:
-        protocol: name of the protocol, as on the command line.
-        port: port of the endpoint; set by whoever starts the device, before ``serve``.
+        protocol: name of the protocol.
+        port: port of the first endpoint, None if that has none; set by the launcher, before ``serve``.
         journal: everything that reached the device and that it sent.
     """
 
     protocol: str
-    port: int = 0
+    port: int | None = None
 
     def __init__(self) -> None:
         self.journal = Journal()
 
     @abstractmethod
-    async def serve(self, listener: socket.socket) -> None:
-        """Accept connections on ``listener``, a bound socket; return when connections are accepted."""
+    async def serve(self, endpoints: Mapping[str, OpenEndpoint]) -> None:
+        """Serve on the declared endpoints, by name; return when connections are accepted and telegrams read."""
 
     @abstractmethod
     async def aclose(self) -> None:
@@ -44,7 +39,11 @@ class Device(ABC):
 
     @abstractmethod
     def image(self) -> dict[str, Any]:
-        """A JSON-safe dump of what the device really holds."""
+        """Return a JSON-safe dump of what the device really holds.
+
+        Its member ``points`` is flat and there for every protocol: the name of each value that the plant holds, in the
+        protocol's own addressing, and the value. The other members are the protocol's own.
+        """
 
     @abstractmethod
     async def poke(self, params: Mapping[str, Any]) -> None:

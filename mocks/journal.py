@@ -1,24 +1,69 @@
-"""The journal of a device: every request and answer in order, with waiting for what is to come."""
+"""The journal of a device: every request and answer in order, with waiting for entries to come.
+
+Every entry of every protocol has the fields of :class:`JournalEntry`. A protocol adds fields of its own; its package says
+which (``modbus.pdu``, ``mqtt.describe``, ``opcua.session``).
+"""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import time
 from collections import deque
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal, TypedDict
 
-__all__ = ["Entry", "Journal"]
+__all__ = ["Direction", "Entry", "Journal", "JournalEntry", "Origin"]
+
+Direction = Literal["in", "out"]
+Origin = Literal["client", "plant", "kit"]
+
+
+class JournalEntry(TypedDict):
+    """The fields that every entry has, whatever the protocol.
+
+    Attributes:
+        seq: sequence number: 0 for the first entry of a device process, one more for each that follows.
+        t_ns: time of the monotonic clock, in nanoseconds.
+        connection: number of the connection, 1 for the first; 0 for none.
+        direction: ``in`` for a message that the device received and for the state of a connection, ``out`` for a
+            message that it sent.
+        kind: the type of the message, in the protocol's words.
+        request: this entry asks the plant for something. Session keeping is no request where the protocol separates
+            the two, and a message of the plant's own clients or of the kit never is.
+        state_changing: this entry may change the plant; only a request can.
+        answers: sequence number of the entry that this message answers; None for a message that nobody asked for.
+        origin: whose connection it is: ``client`` (anybody from outside), ``plant`` (a simulated part of the plant that
+            is a client of its own device), ``kit`` (a poke of the kit that the protocol shows as a message).
+    """
+
+    seq: int
+    t_ns: int
+    connection: int
+    direction: Direction
+    kind: str
+    request: bool
+    state_changing: bool
+    answers: int | None
+    origin: Origin
+
 
 Entry = dict[str, Any]
+"""The fields of a :class:`JournalEntry` and those of the protocol, JSON-safe."""
 
 _CAPACITY = 200_000
+"""A bound against floods. Entries that were read are to be released with :meth:`Journal.forget`."""
 
 
 class Journal:
     """An append-only record. Sequence numbers begin at 0 and are never reused; the oldest entries give way when the
-    capacity is reached, and are counted."""
+    capacity is reached, and are counted.
+
+    Attributes:
+        next: sequence number that the next entry will get.
+        dropped: how many entries gave way at the capacity before anybody released them.
+    """
 
     def __init__(self, capacity: int = _CAPACITY) -> None:
         self._entries: deque[Entry] = deque(maxlen=capacity)
@@ -26,48 +71,64 @@ class Journal:
         self.dropped = 0
         self._waiters: list[_Waiter] = []
 
-    def append(self, *, connection: int, direction: str, kind: str, **fields: Any) -> None:
-        """Record something that happened now.
+    @property
+    def first(self) -> int:
+        """Sequence number of the oldest entry that is kept; that of the next entry while there is none."""
+        return self.next - len(self._entries)
+
+    def append(
+        self,
+        *,
+        connection: int,
+        direction: Direction,
+        kind: str,
+        request: bool = False,
+        state_changing: bool = False,
+        answers: int | None = None,
+        origin: Origin = "client",
+        **fields: Any,
+    ) -> int:
+        """Record a message or an event of this moment; return its sequence number.
 
         Args:
-            connection: number of the connection, 0 for none.
-            direction: ``in`` for what the device received, ``out`` for what it sent.
-            kind: what it is, in the protocol's words.
+            connection, direction, kind, request, state_changing, answers, origin: see :class:`JournalEntry`.
             fields: JSON-safe facts of the protocol.
         """
-        entry = {
+        contract: JournalEntry = {
             "seq": self.next,
             "t_ns": time.monotonic_ns(),
             "connection": connection,
             "direction": direction,
             "kind": kind,
-            **fields,
+            "request": request,
+            "state_changing": state_changing,
+            "answers": answers,
+            "origin": origin,
         }
-        self.next += 1
+        entry: Entry = {**contract, **fields}
         if len(self._entries) == self._entries.maxlen:
             self.dropped += 1
         self._entries.append(entry)
+        self.next += 1
         for waiter in self._waiters:
             waiter.offer(entry)
+        return contract["seq"]
 
     def since(self, seq: int) -> list[Entry]:
-        """The entries with this sequence number or a later one."""
-        missing = self.next - seq
-        if missing <= 0:
-            return []
-        if missing >= len(self._entries):
-            return list(self._entries)
-        newest = [entry for entry, _ in zip(reversed(self._entries), range(missing), strict=False)]
+        """Return the kept entries with this sequence number or a later one; the cost is that of these entries alone."""
+        # A deque is slow to index in its middle, but not to walk from its end.
+        newest = list(itertools.islice(reversed(self._entries), max(0, self.next - seq)))
         newest.reverse()
         return newest
 
-    def clear(self) -> None:
-        """Forget the entries; sequence numbers go on."""
-        self._entries.clear()
+    def forget(self, before: int) -> None:
+        """Release the entries with a smaller sequence number for good; sequence numbers go on."""
+        for _ in range(min(before, self.next) - self.first):
+            self._entries.popleft()
 
     async def wait(self, seq: int, match: Mapping[str, Any], count: int, timeout_s: float) -> list[Entry]:
-        """The entries from ``seq`` on whose fields equal ``match``: as soon as there are ``count`` of them, or
-        whatever there is after ``timeout_s`` seconds."""
+        """Return the entries from ``seq`` on whose fields equal ``match``: as soon as there are ``count`` of them, or
+        those that there are after ``timeout_s`` seconds."""
         waiter = _Waiter(match, count)
         for entry in self.since(seq):
             waiter.offer(entry)
@@ -81,6 +142,8 @@ class Journal:
 
 
 class _Waiter:
+    """Collects the entries that one ``wait`` asks for."""
+
     def __init__(self, match: Mapping[str, Any], count: int) -> None:
         self._match = dict(match)
         self._count = count
@@ -90,6 +153,7 @@ class _Waiter:
             self.satisfied.set()
 
     def offer(self, entry: Entry) -> None:
+        """Take the entry if it matches. A field that the entry lacks equals nothing, not even None."""
         if all(name in entry and entry[name] == value for name, value in self._match.items()):
             self.found.append(entry)
             if len(self.found) >= self._count:

@@ -1,21 +1,19 @@
 """Runs a mock: a launcher process that stays, and device processes that come and go.
 
-A stopped endpoint must really be gone: its process killed, its connections dead, its port refusing. So that a start
-takes milliseconds nevertheless, the launcher imports and prepares everything once and forks the devices.
-
-The launcher keeps the port: a bound socket that never listens. Connections to it are refused while no device listens,
-nobody else can take the port meanwhile, and no client's connect() can be given the port as its own source port (which
-on loopback would connect it to itself). The device binds the same port with SO_REUSEPORT. On Linux all closed sockets of
-a killed process are closed before waitpid() returns, so a start right after a stop finds the port free; connections in
-TIME_WAIT do not matter to sockets that all have SO_REUSEADDR or SO_REUSEPORT.
+A stopped device must really be gone: its process killed, its connections dead, its port refusing. So that a start
+takes milliseconds nevertheless, the launcher imports and prepares everything once and forks the devices. It keeps the
+addresses of the device over restarts (see ``reservation``).
 
 Standard output carries one JSON object per line, standard input one word per line:
 
 =========  ==========================================================================================
 ``stop``   kill the device; ``{"event": "stopped", "port"}``
-``start``  a new device on the same port; ``{"event": "ready", "protocol", "host", "port", "control", "pid"}``
+``start``  a new device at the same addresses;
+           ``{"event": "ready", "protocol", "host", "port", "endpoints", "control", "pid"}``
 =========  ==========================================================================================
 
+``endpoints`` maps the name of each endpoint to ``{"kind": "tcp" or "udp", "host", "port"}`` or ``{"kind": "pty", "path"}``;
+``host`` and ``port`` are those of the first, null for a pseudo terminal; ``control`` is the path of the control socket.
 ``{"event": "died", "port", "exit"}`` tells that a device ended by itself; ``start`` is understood afterwards.
 ``{"event": "error", "message"}`` answers any other word. End of input ends everything.
 
@@ -28,20 +26,20 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import gc
-import importlib
 import json
 import os
 import selectors
 import signal
-import socket
 import sys
 import traceback
-from collections.abc import Iterator
-from types import ModuleType
+from collections.abc import Iterator, Mapping
 from typing import Any, NoReturn
 
 from .control import ControlServer
+from .control_socket import ControlSocket
 from .device import Device
+from .packages import MockPackage
+from .reservation import Reservation, reserve
 
 __all__ = ["run"]
 
@@ -50,42 +48,50 @@ _STDIN, _STDOUT, _STDERR = 0, 1, 2
 _END_SIGNALS = (signal.SIGTERM, signal.SIGINT)
 
 
-def run(protocol: str, host: str, port: int) -> int:
-    """Serve until standard input closes; returns the exit code.
+def run(name: str, package: MockPackage, host: str, port: int) -> int:
+    """Serve until standard input closes; returns the exit code. The garbage collector is off in the launcher.
+
+    Args:
+        name: what the package was asked for as, for the ready event.
+        package: the mock.
+        host: address of all ports.
+        port: of the first endpoint, 0 for a free one; the other endpoints have free ones.
 
     Raises:
-        OSError: the port cannot be bound, or somebody else serves on it.
+        OSError: a port cannot be bound, or somebody else serves on it.
     """
-    if port:
-        # SO_REUSEPORT alone would let two mocks of one user share a port. A socket without it may not be bound where
-        # another launcher keeps its reservation (which has no SO_REUSEADDR for this reason) or anybody listens.
-        _bound(host, port, socket.SO_REUSEADDR).close()
-    reservation = _bound(host, port, socket.SO_REUSEPORT)
-    port = reservation.getsockname()[1]
-    # The collector would look at everything that is built here again and again and find nothing, half of the time that it
-    # takes; and what is frozen will not be copied page by page by the devices' collectors.
-    gc.disable()
-    module = importlib.import_module(f".{protocol}", __package__)
-    module.warm()
-    gc.freeze()
-    launcher = _Launcher(protocol, host, port, module)
+    with contextlib.ExitStack() as kept:
+        reservations: dict[str, Reservation] = {}
+        for index, endpoint in enumerate(package.ENDPOINTS):
+            reservation = reserve(endpoint, host, 0 if index else port)
+            kept.callback(reservation.close)
+            reservations[endpoint.name] = reservation
+        package.warm()
+        # What is frozen is not copied page by page by the devices' collectors.
+        gc.freeze()
+        return _run(name, package, reservations)
+
+
+def _run(name: str, package: MockPackage, reservations: Mapping[str, Reservation]) -> int:
     # Signals arrive where the launcher waits, and nowhere else: not between a fork and the note of its process id.
     signal.pthread_sigmask(signal.SIG_BLOCK, _END_SIGNALS)
     signal.signal(signal.SIGTERM, _end)
     signal.signal(signal.SIGINT, _end)
+    control = ControlSocket()
+    launcher = _Launcher(name, package, reservations, control)
     try:
         launcher.start()
-        launcher.obey()
+        launcher.serve_commands()
     except _Ended:
         pass
     finally:
         launcher.stop()
-        reservation.close()
+        control.remove()
     return 0
 
 
 class _Ended(BaseException):
-    """A signal asked the launcher to end, or nobody listens to it any more."""
+    """A signal asked the launcher to end, or its standard output was closed."""
 
 
 def _end(number: int, frame: Any) -> NoReturn:
@@ -101,25 +107,19 @@ def _interruptible() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_BLOCK, _END_SIGNALS)
 
 
-def _bound(host: str, port: int, *options: int) -> socket.socket:
-    # The protocol is named because asyncio sets TCP_NODELAY only where it reads IPPROTO_TCP.
-    bound = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
-    try:
-        for option in options:
-            bound.setsockopt(socket.SOL_SOCKET, option, 1)
-        bound.bind((host, port))
-    except BaseException:
-        bound.close()
-        raise
-    return bound
-
-
 class _Launcher:
-    def __init__(self, protocol: str, host: str, port: int, module: ModuleType) -> None:
-        self._protocol = protocol
-        self._host = host
-        self._port = port
-        self._module = module
+    """Does what standard input says with one device process at a time."""
+
+    def __init__(
+        self, name: str, package: MockPackage, reservations: Mapping[str, Reservation], control: ControlSocket
+    ) -> None:
+        self._name = name
+        self._package = package
+        self._reservations = reservations
+        self._endpoints = {endpoint: reservation.address for endpoint, reservation in reservations.items()}
+        first = next(iter(self._endpoints.values()))
+        self._host, self._port = first.get("host"), first.get("port")
+        self._control = control
         self._pid: int | None = None
         self._death = -1
         self._life_read, self._life_write = os.pipe()
@@ -128,13 +128,14 @@ class _Launcher:
         self._buffer = b""
 
     def say(self, **event: Any) -> None:
+        """Write an event."""
         try:
             # Unbuffered: nothing may be left behind for a forked device to write again.
             os.write(_STDOUT, json.dumps(event).encode() + b"\n")
         except BrokenPipeError:
             raise _Ended from None
 
-    def obey(self) -> None:
+    def serve_commands(self) -> None:
         """Read commands until standard input closes; notice a device that dies."""
         self._selector.register(_STDIN, selectors.EVENT_READ)
         while True:
@@ -163,7 +164,7 @@ class _Launcher:
         return bool(chunk)
 
     def start(self) -> None:
-        """Fork a device and tell when it accepts connections."""
+        """Fork a device and tell when it serves."""
         death_read, death_write = os.pipe()
         pid = os.fork()
         if pid == 0:
@@ -174,16 +175,17 @@ class _Launcher:
         self._pid, self._death = pid, death_read
         self._selector.register(death_read, selectors.EVENT_READ)
         with _interruptible():
-            control = os.read(death_read, 64)
-        if not control:
+            is_ready = os.read(death_read, 1)
+        if not is_ready:
             self._device_died()
             return
         self.say(
             event="ready",
-            protocol=self._protocol,
+            protocol=self._name,
             host=self._host,
             port=self._port,
-            control=int(control),
+            endpoints=self._endpoints,
+            control=self._control.path,
             pid=pid,
         )
 
@@ -193,6 +195,7 @@ class _Launcher:
         os.close(self._death)
         _, status = os.waitpid(self._pid, 0)
         self._pid, self._death = None, -1
+        self._control.clear()
         return os.waitstatus_to_exitcode(status)
 
     def _device_died(self) -> None:
@@ -218,10 +221,9 @@ class _Launcher:
             os.dup2(null, _STDIN)
             os.close(null)
             os.dup2(_STDERR, _STDOUT)
-            device = self._module.create()
+            device = self._package.create()
             device.port = self._port
-            listener = _bound(self._host, self._port, socket.SO_REUSEADDR, socket.SO_REUSEPORT)
-            asyncio.run(_serve(device, listener, death, self._life_read))
+            asyncio.run(_serve(device, self._reservations, self._control, death, self._life_read))
             code = 0
         except BaseException:
             traceback.print_exc()
@@ -231,13 +233,17 @@ class _Launcher:
             os._exit(code)
 
 
-async def _serve(device: Device, listener: socket.socket, death: int, life: int) -> None:
+async def _serve(
+    device: Device, reservations: Mapping[str, Reservation], control: ControlSocket, death: int, life: int
+) -> None:
     ended = asyncio.Event()
     asyncio.get_running_loop().add_reader(life, ended.set)
-    await device.serve(listener)
-    port = await ControlServer(device).start()
-    # One write of a few bytes into a pipe arrives in one piece. The pipe stays open: its end tells of the device's.
+    await device.serve({name: reservation.open() for name, reservation in reservations.items()})
+    await ControlServer(device).start(control.listen())
+    # The pipe stays open: its end tells of the device's.
     with contextlib.suppress(BrokenPipeError):  # the launcher is gone already, and the life pipe will tell
-        os.write(death, f"{port}\n".encode())
+        os.write(death, b"\n")
     await ended.wait()
     await device.aclose()
+    # The launcher was killed and could not do this itself.
+    control.remove()

@@ -1,4 +1,35 @@
-"""Re-export of :mod:`pytest_otmcp.plugin.fixtures.device_handles`, the documented import path."""
+"""Re-export of the handles of mock devices, the documented import path."""
 
-from .plugin.fixtures.device_handles import *  # noqa: F403
-from .plugin.fixtures.device_handles import __all__ as __all__
+from .plugin.fixtures.device_handles import (
+    AnyDevice,
+    AsyncAnyDevice,
+    AsyncDevice,
+    Device,
+    JournalEntry,
+    KitError,
+    SubjectError,
+    UsageError,
+)
+from .plugin.fixtures.modbus_handles import AsyncModbusDevice, ModbusDevice, ModbusEntry
+from .plugin.fixtures.mqtt_handles import AsyncBroker, Broker, MqttEntry
+from .plugin.fixtures.opcua_handles import AsyncOpcUaPlant, OpcUaEntry, OpcUaPlant
+
+__all__ = [
+    "AnyDevice",
+    "AsyncAnyDevice",
+    "AsyncBroker",
+    "AsyncDevice",
+    "AsyncModbusDevice",
+    "AsyncOpcUaPlant",
+    "Broker",
+    "Device",
+    "JournalEntry",
+    "KitError",
+    "ModbusDevice",
+    "ModbusEntry",
+    "MqttEntry",
+    "OpcUaEntry",
+    "OpcUaPlant",
+    "SubjectError",
+    "UsageError",
+]

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from ..endpoint import Endpoint
 from .device import ModbusDevice
 
-__all__ = ["create", "warm"]
+__all__ = ["ENDPOINTS", "create", "warm"]
+
+ENDPOINTS = (Endpoint(name="modbus", kind="tcp"),)
 
 
 def warm() -> None:
-    """Nothing is slow here."""
+    """Do nothing: nothing is slow here."""
 
 
 def create() -> ModbusDevice:
-    """A fresh device with unit 1."""
+    """Return a fresh device with unit 1."""
     return ModbusDevice()

@@ -14,6 +14,8 @@ from functools import partial
 from typing import Any
 
 from ..device import Device
+from ..endpoint import OpenEndpoint
+from ..journal import Direction
 from .faults import FaultPlan, Rule
 from .image import UnitImage, poke
 from .pdu import READS, IllegalRequest, describe, execute, read_response, values_read
@@ -38,7 +40,9 @@ class ModbusDevice(Device):
         self._server: asyncio.Server | None = None
         self.connections = 0
 
-    async def serve(self, listener: socket.socket) -> None:
+    async def serve(self, endpoints: Mapping[str, OpenEndpoint]) -> None:
+        listener = endpoints["modbus"]
+        assert isinstance(listener, socket.socket)
         loop = asyncio.get_running_loop()
         self._server = await loop.create_server(lambda: _Connection(self), sock=listener, backlog=128)
 
@@ -47,7 +51,15 @@ class ModbusDevice(Device):
             self._server.close()
 
     def image(self) -> dict[str, Any]:
-        return {"units": {str(number): unit.dump() for number, unit in self.units.items()}}
+        """Return ``units``: unit to table to list of cells; and ``points``, such as ``1/holding_registers/30``."""
+        units = {str(number): unit.dump() for number, unit in self.units.items()}
+        points = {
+            f"{number}/{table}/{address}": cell
+            for number, tables in units.items()
+            for table, cells in tables.items()
+            for address, cell in enumerate(cells)
+        }
+        return {"units": units, "points": points}
 
     async def poke(self, params: Mapping[str, Any]) -> None:
         poke(self.units, params)
@@ -97,8 +109,8 @@ class _Connection(asyncio.Protocol):
         self._record("in", "malformed", bytes=bytes(self._buffer[:300]).hex(), reason=reason)
         self._buffer.clear()
 
-    def _record(self, direction: str, kind: str, **fields: Any) -> None:
-        self._device.journal.append(connection=self._number, direction=direction, kind=kind, **fields)
+    def _record(self, direction: Direction, kind: str, **fields: Any) -> int:
+        return self._device.journal.append(connection=self._number, direction=direction, kind=kind, **fields)
 
     def data_received(self, data: bytes) -> None:
         self._buffer += data
@@ -119,7 +131,9 @@ class _Connection(asyncio.Protocol):
 
     def _request(self, transaction: int, unit: int, pdu: bytes) -> None:
         fields = describe(pdu)
-        self._record("in", "request", unit=unit, transaction_id=transaction, **fields, pdu=pdu.hex())
+        asked = self._record(
+            "in", "request", request=True, unit=unit, transaction_id=transaction, **fields, pdu=pdu.hex()
+        )
         rule = self._device.faults.match(unit, fields)
         memory = self._device.units.get(unit)
         try:
@@ -131,13 +145,20 @@ class _Connection(asyncio.Protocol):
         except IllegalRequest as refusal:
             response = bytes([pdu[0] | 0x80, refusal.code])
         if rule is None:
-            self._send(fields, transaction, unit, response)
+            self._send(asked, fields, transaction, unit, response)
         else:
-            self._misbehave(rule, fields, transaction, unit, response)
+            self._misbehave(rule, asked, fields, transaction, unit, response)
 
     def _send(
-        self, request: Mapping[str, Any], transaction: int, unit: int, response: bytes, cut: int | None = None
+        self,
+        asked: int,
+        request: Mapping[str, Any],
+        transaction: int,
+        unit: int,
+        response: bytes,
+        cut: int | None = None,
     ) -> None:
+        """Answer the request of this sequence number with these fields."""
         if self._transport.is_closing():
             return
         frame = struct.pack(">HHHB", transaction, 0, len(response) + 1, unit) + response
@@ -152,10 +173,12 @@ class _Connection(asyncio.Protocol):
             fields["values"] = values
         if cut is not None:
             fields["truncate"] = cut
-        self._record("out", "response", **fields, pdu=response.hex())
+        self._record("out", "response", answers=asked, **fields, pdu=response.hex())
         self._transport.write(frame[:cut])
 
-    def _misbehave(self, rule: Rule, request: Mapping[str, Any], transaction: int, unit: int, response: bytes) -> None:
+    def _misbehave(
+        self, rule: Rule, asked: int, request: Mapping[str, Any], transaction: int, unit: int, response: bytes
+    ) -> None:
         if rule.drop:
             return
         if rule.close:
@@ -168,6 +191,7 @@ class _Connection(asyncio.Protocol):
             self._transport.abort()
             return
         if rule.garbage:
+            # It answers nothing: no client can tell which request it is for.
             self._record("out", "garbage", bytes=_GARBAGE.hex())
             self._transport.write(_GARBAGE)
             return
@@ -175,6 +199,7 @@ class _Connection(asyncio.Protocol):
             response = read_response(response[0], rule.answer_values)
         send = partial(
             self._send,
+            asked,
             request,
             (transaction + rule.transaction_id) & 0xFFFF,
             unit if rule.answer_unit is None else rule.answer_unit,

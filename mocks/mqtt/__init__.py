@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from ..endpoint import Endpoint
 from .device import MqttDevice
 
-__all__ = ["create", "warm"]
+__all__ = ["ENDPOINTS", "create", "warm"]
+
+ENDPOINTS = (Endpoint(name="mqtt", kind="tcp"),)
 
 
 def warm() -> None:
-    """The imports above are what is slow."""
+    """Do nothing: the imports above are what is slow."""
 
 
 def create() -> MqttDevice:
-    """A fresh broker and edge node."""
+    """Return a fresh broker and edge node."""
     return MqttDevice()

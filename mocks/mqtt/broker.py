@@ -166,6 +166,7 @@ class Broker:
             connection=session.connection,
             direction="in",
             kind="WILL",
+            origin=session.origin,
             client_id=session.client_id,
             **will.content,
             qos=will.qos,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 
+from ..journal import Direction
 from .codec import decode, encode
 from .packets import (
     MQTT_311,
@@ -24,7 +25,7 @@ from .wire import Framer, ProtocolViolation
 
 __all__ = ["Client", "Observer"]
 
-Observer = Callable[[str, Packet], None]
+Observer = Callable[[Direction, Packet], None]
 """Is told every packet with its direction, ``in`` or ``out``."""
 
 _ANSWER_TIMEOUT_S = 5.0

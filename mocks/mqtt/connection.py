@@ -9,11 +9,12 @@ import struct
 from dataclasses import replace
 from typing import Any
 
+from ..journal import Direction, Origin
 from .broker import Broker
 from .codec import UnsupportedProtocol, decode, encode
-from .describe import describe, describe_content, describe_publish
+from .describe import REQUESTS, describe, describe_content, describe_publish
 from .faults import Rule
-from .obey import Afterwards, accept, obey, refusal, supervised_keepalive
+from .packet_handlers import Afterwards, accept, handle, refusal, supervised_keepalive
 from .packets import MQTT_5, MQTT_311, Connack, Connect, Disconnect, Packet, PacketType, Publish, Subscribe
 from .properties import PROTOCOL_ERROR, Property
 from .session import Delivery, Session
@@ -34,8 +35,9 @@ _LINGER_S = 1.0
 class Connection(asyncio.Protocol):
     """Serves one client; see :class:`~.session.Outlet` for what its session asks of it."""
 
-    def __init__(self, broker: Broker) -> None:
+    def __init__(self, broker: Broker, origin: Origin = "client") -> None:
         self._broker = broker
+        self.origin = origin
         self._transport: asyncio.Transport
         self._framer = Framer(broker.limits.maximum_packet_size)
         self._level = MQTT_311
@@ -97,21 +99,26 @@ class Connection(asyncio.Protocol):
                 self.send(Connack(session_present=False, reason_code=V311_UNACCEPTABLE_PROTOCOL))
             self.end(str(violation), violation.reason_code)
 
-    def _record(self, direction: str, kind: str, **fields: Any) -> None:
-        self._broker.journal.append(
-            connection=self.number, direction=direction, kind=kind, client_id=self._client_id, **fields
+    def _record(self, direction: Direction, kind: str, **fields: Any) -> int:
+        return self._broker.journal.append(
+            connection=self.number,
+            direction=direction,
+            kind=kind,
+            origin=self.origin,
+            client_id=self._client_id,
+            **fields,
         )
 
-    def _write(self, packet: Packet, data: bytes, fields: dict[str, Any]) -> None:
-        self._record("out", packet.type.name, **fields)
+    def _write(self, packet: Packet, data: bytes, fields: dict[str, Any], answers: int | None = None) -> None:
+        self._record("out", packet.type.name, answers=answers, **fields)
         self._transport.write(data)
 
     # -- what the session asks for ------------------------------------------------------------------------
 
-    def send(self, packet: Packet) -> None:
-        """Send any packet but a PUBLISH."""
+    def send(self, packet: Packet, *, answers: int | None = None) -> None:
+        """Send any packet but a PUBLISH; ``answers`` is the sequence number of the request that it answers."""
         if self._end_reason is None:
-            self._write(packet, encode(packet, self._level), describe(packet))
+            self._write(packet, encode(packet, self._level), describe(packet), answers)
 
     def publish(self, delivery: Delivery, *, dup: bool) -> bool:
         """Send a PUBLISH; False when the packet is larger than the client accepts [MQTT-3.1.2-24]."""
@@ -206,42 +213,51 @@ class Connection(asyncio.Protocol):
             fields = describe(packet)
         if isinstance(packet, Connect) and self._session is None:
             self._client_id = packet.client_id
-        self._record("in", packet.type.name, **fields)
+        asks = packet.type in REQUESTS
+        from_outside = self.origin == "client"
+        seq = self._record(
+            "in",
+            packet.type.name,
+            request=asks and from_outside,
+            state_changing=isinstance(packet, Publish) and from_outside,
+            **fields,
+        )
+        asked = seq if asks else None
         if isinstance(packet, Connect) and self._session is not None:
             raise ProtocolViolation("a second CONNECT", PROTOCOL_ERROR)
         rule = self._broker.faults.match(packet, self._client_id or "")
         if isinstance(packet, Connect):
-            self._connect(packet, rule)
+            self._connect(packet, rule, seq)
         elif isinstance(packet, Disconnect):
             self._disconnect(packet)
         else:
             assert self._session is not None
             if rule is not None and rule.refuses:
                 assert rule.reason_code is not None
-                self._misbehave(rule, refusal(packet, rule.reason_code), None)
+                self._misbehave(rule, asked, refusal(packet, rule.reason_code), None)
                 return
             if rule is not None and rule.reason_code is not None and isinstance(packet, Subscribe):
                 packet = _granting(packet, rule.reason_code)
-            answer, afterwards = obey(self._broker, self._session, self._level, packet, content)
+            answer, afterwards = handle(self._broker, self._session, self._level, packet, content)
             if rule is None:
-                self._answer(answer, afterwards)
+                self._answer(asked, answer, afterwards)
             else:
-                self._misbehave(rule, answer, afterwards)
+                self._misbehave(rule, asked, answer, afterwards)
 
-    def _answer(self, answer: Packet | None, afterwards: Afterwards) -> None:
+    def _answer(self, asked: int | None, answer: Packet | None, afterwards: Afterwards) -> None:
         if answer is not None:
-            self.send(answer)
+            self.send(answer, answers=asked)
         if afterwards is not None and self._end_reason is None:
             afterwards()
 
-    def _misbehave(self, rule: Rule, answer: Packet | None, afterwards: Afterwards) -> None:
-        """Answer as the fault plan wants it, which is late or not at all."""
+    def _misbehave(self, rule: Rule, asked: int | None, answer: Packet | None, afterwards: Afterwards) -> None:
+        """Answer as the fault plan wants it: late or not at all."""
         if rule.close or rule.reset:
             self._cut(reset=rule.reset)
         elif rule.delay_s:
-            self._loop.call_later(rule.delay_s, self._answer, answer, afterwards)
+            self._loop.call_later(rule.delay_s, self._answer, asked, answer, afterwards)
         elif not rule.no_answer:
-            self._answer(answer, afterwards)
+            self._answer(asked, answer, afterwards)
 
     def _cut(self, *, reset: bool) -> None:
         if reset:
@@ -253,15 +269,15 @@ class Connection(asyncio.Protocol):
             self._transport.close()
         self._leave("fault plan", publish_will=True)
 
-    def _connect(self, packet: Connect, rule: Rule | None) -> None:
+    def _connect(self, packet: Connect, rule: Rule | None, asked: int) -> None:
         self._cancel_timer()
         self._level = packet.protocol_level
         self._framer.minimal = self._level == MQTT_5
         if rule is None:
-            self._accept(packet)
+            self._accept(packet, asked)
         elif rule.refuses:
             assert rule.reason_code is not None
-            self.send(Connack(session_present=False, reason_code=rule.reason_code))
+            self.send(Connack(session_present=False, reason_code=rule.reason_code), answers=asked)
             self.end("fault plan")
         elif rule.close or rule.reset:
             self._cut(reset=rule.reset)
@@ -269,18 +285,18 @@ class Connection(asyncio.Protocol):
             # What the client sends before its CONNACK waits, for ever when there will be none.
             self._held = True
             if not rule.no_answer:
-                self._loop.call_later(rule.delay_s, self._accept_late, packet)
+                self._loop.call_later(rule.delay_s, self._accept_late, packet, asked)
 
-    def _accept_late(self, packet: Connect) -> None:
+    def _accept_late(self, packet: Connect, asked: int) -> None:
         if self._end_reason is None:
             self._held = False
-            self._accept(packet)
+            self._accept(packet, asked)
             self._advance()
 
-    def _accept(self, packet: Connect) -> None:
+    def _accept(self, packet: Connect, asked: int) -> None:
         session, connack = accept(self._broker, packet)
         if session is None:
-            self.send(connack)
+            self.send(connack, answers=asked)
             self.end("CONNECT refused")
             return
         self._session = session
@@ -291,7 +307,7 @@ class Connection(asyncio.Protocol):
         self._keepalive_s = supervised_keepalive(self._broker, packet)
         if self._keepalive_s:
             self._supervise()
-        self.send(connack)
+        self.send(connack, answers=asked)
         session.resume(self)
 
     def _disconnect(self, packet: Disconnect) -> None:

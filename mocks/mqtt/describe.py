@@ -15,6 +15,16 @@ any of MQTT 5       properties, if there are any
 
 Topics are whole where the wire had an alias. Not packets: CONNECTED, DISCONNECTED (reason), malformed (bytes as hex,
 reason), WILL (a will fired, whether or not anybody receives it).
+
+The fields that entries of all protocols share (``journal.JournalEntry``) mean here:
+
+``request``         a packet to which the broker has to give an answer of its own (CONNECT, SUBSCRIBE, UNSUBSCRIBE, PINGREQ,
+                    PUBREL) or a PUBLISH of any QoS, received from a client from outside. A broker's tools are about the
+                    broker itself, so its session packets count, other than in protocols with a plant behind the session.
+``state_changing``  a PUBLISH received from a client from outside: anything may subscribe to it
+``answers``         CONNACK to CONNECT, SUBACK to SUBSCRIBE, UNSUBACK to UNSUBSCRIBE, PUBACK or PUBREC to PUBLISH, PUBCOMP to
+                    PUBREL, PINGRESP to PINGREQ. A PUBLISH to a subscriber answers nothing, nor does what follows it.
+``origin``          ``plant`` for the connections of the simulated edge node, ``kit`` for a poke (connection 0)
 """
 
 from __future__ import annotations
@@ -31,6 +41,7 @@ from .packets import (
     Connect,
     Disconnect,
     Packet,
+    PacketType,
     Publish,
     Suback,
     Subscribe,
@@ -39,7 +50,19 @@ from .packets import (
 )
 from .sparkplug import decode_message
 
-__all__ = ["describe", "describe_content", "describe_publish"]
+__all__ = ["REQUESTS", "describe", "describe_content", "describe_publish"]
+
+REQUESTS = frozenset(
+    {
+        PacketType.CONNECT,
+        PacketType.PUBLISH,
+        PacketType.PUBREL,
+        PacketType.SUBSCRIBE,
+        PacketType.UNSUBSCRIBE,
+        PacketType.PINGREQ,
+    }
+)
+"""Packets of a client that ask the broker for something, see above."""
 
 
 def describe_content(topic: str, payload: bytes) -> dict[str, Any]:

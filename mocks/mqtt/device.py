@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ..device import Device
+from ..endpoint import OpenEndpoint
 from .broker import Broker
 from .connection import Connection
 from .describe import describe_content, describe_publish
@@ -35,18 +36,17 @@ class MqttDevice(Device):
         self.edge_node = EdgeNode()
         self._servers: list[asyncio.Server] = []
 
-    async def serve(self, listener: socket.socket) -> None:
+    async def serve(self, endpoints: Mapping[str, OpenEndpoint]) -> None:
+        listener = endpoints["mqtt"]
+        assert isinstance(listener, socket.socket)
         loop = asyncio.get_running_loop()
 
-        def connection() -> Connection:
-            return Connection(self.broker)
-
-        # The plant has a door of its own and is born before clients are let in: what they find does not depend on
+        # The plant has a listener of its own and is born before clients are let in: what they find does not depend on
         # who is faster, and they do not wait for the births.
-        private = await loop.create_server(connection, "127.0.0.1", 0)
+        private = await loop.create_server(lambda: Connection(self.broker, origin="plant"), "127.0.0.1", 0)
         host, port = private.sockets[0].getsockname()
         await self.edge_node.start(host, port)
-        public = await loop.create_server(connection, sock=listener, backlog=128)
+        public = await loop.create_server(lambda: Connection(self.broker), sock=listener, backlog=128)
         self._servers = [private, public]
 
     async def aclose(self) -> None:
@@ -56,10 +56,13 @@ class MqttDevice(Device):
         await self.broker.aclose()
 
     def image(self) -> dict[str, Any]:
+        """Return the ``retained`` messages (topic to base64), the ``clients`` and their subscriptions, the
+        ``edge_node``; and ``points``: ``retained/<topic>`` as base64, ``edge_node/<device>/<tag>`` as value."""
+        retained = {
+            topic: base64.b64encode(message.payload).decode() for topic, message in self.broker.retained.items()
+        }
         return {
-            "retained": {
-                topic: base64.b64encode(message.payload).decode() for topic, message in self.broker.retained.items()
-            },
+            "retained": retained,
             "clients": [
                 {
                     "client_id": session.client_id,
@@ -70,6 +73,7 @@ class MqttDevice(Device):
                 if session.outlet is not None
             ],
             "edge_node": self.edge_node.image(),
+            "points": {f"retained/{topic}": payload for topic, payload in retained.items()} | self.edge_node.points(),
         }
 
     async def poke(self, params: Mapping[str, Any]) -> None:
@@ -78,7 +82,7 @@ class MqttDevice(Device):
         packet = _publish(params)
         content = describe_content(packet.topic, packet.payload)
         fields = describe_publish(packet, content)
-        self.journal.append(connection=0, direction="in", kind="PUBLISH", client_id=KIT, **fields)
+        self.journal.append(connection=0, direction="in", kind="PUBLISH", origin="kit", client_id=KIT, **fields)
         self.broker.publish(packet, KIT, content)
 
     def fault(self, rules: list[dict[str, Any]]) -> list[int]:

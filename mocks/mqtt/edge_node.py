@@ -17,6 +17,7 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
+from ..journal import Direction
 from .client import Client, Observer
 from .packets import MQTT_311, Connect, Packet, Publish, Will
 from .plant import Plant, Tag
@@ -31,7 +32,7 @@ _RECONNECT_S = 0.05
 _DATATYPE_NAMES = {number: name for name, number in DATATYPES.items()}
 
 
-def _ignore(direction: str, packet: Packet) -> None:
+def _ignore(direction: Direction, packet: Packet) -> None:
     """Observe nothing."""
 
 
@@ -132,8 +133,16 @@ class EdgeNode:
         with contextlib.suppress(OSError):
             await self._client.ping()
 
+    def points(self) -> dict[str, Any]:
+        """Return the value of every tag as ``edge_node/<device>/<tag>``."""
+        return {
+            f"edge_node/{device}/{name}": tag.value
+            for device, tags in self.plant.devices.items()
+            for name, tag in tags.items()
+        }
+
     def image(self) -> dict[str, Any]:
-        """What it holds and where its counters are."""
+        """Return what it holds and where its counters are."""
         return {
             "group": GROUP,
             "edge_node": NODE,

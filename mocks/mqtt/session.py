@@ -14,6 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+from ..journal import Origin
 from .packets import Ack, PacketType
 from .properties import PROTOCOL_ERROR, Properties, Property
 from .wire import ProtocolViolation
@@ -89,6 +90,7 @@ class Outlet(Protocol):
     """A connection, as a session sees it."""
 
     number: int
+    origin: Origin
     receive_maximum: int
 
     def publish(self, delivery: Delivery, *, dup: bool) -> bool:
@@ -106,6 +108,7 @@ class Session:
 
     Attributes:
         outlet: its connection, if it has one.
+        connection, origin: number and origin of its newest connection.
         expiry_s: how long it lives without a connection; 0 ends with it, infinity never ends.
         will, will_delay_s: what to publish, and how long after the connection ended.
         incoming: packet identifiers of QoS 2 messages received and not yet released.
@@ -117,6 +120,7 @@ class Session:
         self.subscriptions: dict[str, Subscription] = {}
         self.outlet: Outlet | None = None
         self.connection = 0
+        self.origin: Origin = "client"
         self.expiry_s = 0.0
         self.will: Message | None = None
         self.will_delay_s = 0.0
@@ -142,6 +146,7 @@ class Session:
         """A connection is there: send again what was not acknowledged, then what waited [MQTT-4.4.0-1]."""
         self.outlet = outlet
         self.connection = outlet.number
+        self.origin = outlet.origin
         self._resend = deque(self._inflight.values())
         self._unacknowledged = 0
         self._pump()

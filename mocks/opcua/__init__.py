@@ -5,11 +5,14 @@ from __future__ import annotations
 import asyncio
 import logging
 
+from ..endpoint import Endpoint
 from .device import OpcUaDevice
 from .plant import Plant
 from .server import PlantServer
 
-__all__ = ["create", "warm"]
+__all__ = ["ENDPOINTS", "create", "warm"]
+
+ENDPOINTS = (Endpoint(name="opcua", kind="tcp"),)
 
 _warmed: tuple[PlantServer, Plant] | None = None
 
@@ -32,7 +35,7 @@ async def _build() -> tuple[PlantServer, Plant]:
 
 
 def create() -> OpcUaDevice:
-    """A device on the address space that was warmed."""
+    """Return a device on the address space that was warmed."""
     if _warmed is None:
         warm()
     assert _warmed is not None

@@ -4,52 +4,47 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from asyncua import ua
 
 from ..device import Device
-from .annex import Annex
+from ..endpoint import OpenEndpoint
+from .extra_nodes import ExtraNodes
 from .faults import FaultPlan
 from .limits import Limits
 from .plant import NAMESPACE, Plant
+from .server import PlantServer
+from .state import DeviceState
 from .values import to_json
-
-if TYPE_CHECKING:
-    from .server import PlantServer
-    from .session import PlantSession
 
 __all__ = ["OpcUaDevice"]
 
 
 class OpcUaDevice(Device):
-    """Serves ``urn:otmcp:plant`` without security, to anybody.
-
-    Attributes:
-        limits: what the server can take at once.
-        sessions: the open sessions of clients.
-    """
+    """Serves ``urn:otmcp:plant`` without security, to anybody."""
 
     protocol = "opcua"
 
     def __init__(self, server: PlantServer, plant: Plant) -> None:
         super().__init__()
-        self.plant = plant
-        self.faults = FaultPlan([])
-        self.limits = Limits()
-        self.sessions: set[PlantSession] = set()
+        self._state = DeviceState(journal=self.journal, plant=plant)
         self._server = server
-        self._annex = Annex(server, plant)
+        self._extra_nodes = ExtraNodes(server, plant)
 
-    async def serve(self, listener: socket.socket) -> None:
+    async def serve(self, endpoints: Mapping[str, OpenEndpoint]) -> None:
+        listener = endpoints["opcua"]
+        assert isinstance(listener, socket.socket)
         await self._advertise()
-        await self._server.listen(listener, self)
+        await self._server.listen(listener, self._state)
 
     async def aclose(self) -> None:
-        """The process ends right after this; there is nothing to hand back."""
+        """Do nothing: the process ends right after this."""
 
     def image(self) -> dict[str, Any]:
-        plant = self.plant
+        """Return the plant's ``variables`` by node id, its ``folders`` by browse name, how often its ``methods`` were
+        performed, what ``clients`` have open; and ``points``: node id to value."""
+        plant = self._state.plant
         variables = {}
         for node, variable in plant.variables.items():
             held = plant.data_value(node)
@@ -64,43 +59,44 @@ class OpcUaDevice(Device):
         return {
             "namespace": {"index": plant.namespace, "uri": NAMESPACE},
             "variables": variables,
+            "points": {node: variable["value"] for node, variable in variables.items()},
             "folders": {name: node.to_string() for name, node in plant.folders.items()},
             "methods": {node.to_string(): {"calls": calls} for node, calls in plant.calls.items()},
             "clients": {
-                "sessions": len(self.sessions),
-                "continuation_points": sum(session.browser.open_points for session in self.sessions),
+                "sessions": len(self._state.browsers),
+                "continuation_points": sum(browser.open_points for browser in self._state.browsers),
             },
         }
 
     async def poke(self, params: Mapping[str, Any]) -> None:
         """Set a value: ``{"node": browse name or node id, "value", "status" (symbol, default Good)}``; or add nodes,
-        see :class:`Annex`: ``{"create": […]}``; or change what the server can take: ``{"limits": {…}}``."""
+        see :class:`ExtraNodes`: ``{"create": […]}``; or change what the server can take: ``{"limits": {…}}``."""
         if "limits" in params:
-            self.limits = self.limits.changed(params["limits"])
+            self._state.limits = self._state.limits.changed(params["limits"])
             await self._advertise()
         elif "create" in params:
-            await self._annex.create(params["create"])
+            await self._extra_nodes.create(params["create"])
         else:
             status = getattr(ua.StatusCodes, str(params.get("status", "Good")), None)
             if not isinstance(status, int):
                 raise ValueError(f"unknown status code {params['status']!r}")
-            await self.plant.put(str(params["node"]), params["value"], status)
+            await self._state.plant.put(str(params["node"]), params["value"], status)
 
     def fault(self, rules: list[dict[str, Any]]) -> list[int]:
         plan = FaultPlan(rules)
-        hits, self.faults = self.faults.hits, plan
+        hits, self._state.faults = self._state.faults.hits, plan
         return hits
 
     async def reset(self) -> None:
-        self.faults = FaultPlan([])
-        self.limits = Limits()
+        self._state.faults = FaultPlan([])
+        self._state.limits = Limits()
         await self._advertise()
-        await self._annex.clear()
-        await self.plant.restore()
+        await self._extra_nodes.clear()
+        await self._state.plant.restore()
 
     async def _advertise(self) -> None:
-        for number, value in self.limits.advertised().items():
+        for number, value in self._state.limits.advertised().items():
             await self._server.iserver.write_attribute_value(ua.NodeId(number), ua.DataValue(value))
 
     async def tick(self) -> None:
-        await self.plant.tick()
+        await self._state.plant.tick()

@@ -5,20 +5,23 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Sequence
 from contextvars import ContextVar
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from asyncua import ua
 
 from .faults import NOTHING, Rule
+from .state import DeviceState
 
-if TYPE_CHECKING:
-    from .device import OpcUaDevice
-
-__all__ = ["STATE_CHANGING", "Exchange", "current"]
+__all__ = ["SESSION_KEEPING", "STATE_CHANGING", "Exchange", "current"]
 
 STATE_CHANGING = frozenset(
     {"Write", "Call", "HistoryUpdate", "AddNodes", "AddReferences", "DeleteNodes", "DeleteReferences"}
 )
+SESSION_KEEPING = frozenset(
+    {"OpenSecureChannel", "CloseSecureChannel", "FindServers", "GetEndpoints"}
+    | {"CreateSession", "ActivateSession", "CloseSession", "CreateSubscription", "Publish", "DeleteSubscriptions"}
+)
+"""Services that open, keep and close sessions and subscriptions: they ask nothing of the plant."""
 
 _current: ContextVar[Exchange] = ContextVar("exchange")
 
@@ -37,24 +40,24 @@ class Exchange:
         answer: facts of the answer, for the journal.
     """
 
-    def __init__(self, device: OpcUaDevice, connection: int, service: str, handle: int) -> None:
+    def __init__(self, state: DeviceState, connection: int, service: str, handle: int) -> None:
         self.service = service
         self.handle = handle
         self.rule: Rule = NOTHING
         self.answer: dict[str, Any] = {}
-        self._device = device
+        self._state = state
         self._connection = connection
-        self._asked = False
+        self._asked: int | None = None
         _current.set(self)
 
     def asked(self, **facts: Any) -> None:
         """Record the request, the first time that this is called."""
-        if not self._asked:
-            self._asked = True
-            self._device.journal.append(
+        if self._asked is None:
+            self._asked = self._state.journal.append(
                 connection=self._connection,
                 direction="in",
                 kind=self.service,
+                request=self.service not in SESSION_KEEPING,
                 state_changing=self.service in STATE_CHANGING,
                 **facts,
             )
@@ -65,7 +68,7 @@ class Exchange:
         Raises:
             UaStatusCodeError: the call is to be answered with this ServiceFault.
         """
-        self.rule = rule = self._device.faults.match(self.service, nodes)
+        self.rule = rule = self._state.faults.match(self.service, nodes)
         if rule.delay_s:
             await asyncio.sleep(rule.delay_s)
         if rule.service_fault is not None:
@@ -75,10 +78,11 @@ class Exchange:
     def answered(self, result: ua.StatusCode) -> None:
         """Record the answer."""
         self.asked()
-        self._device.journal.append(
+        self._state.journal.append(
             connection=self._connection,
             direction="out",
             kind=self.service,
+            answers=self._asked,
             service_result=result.name,
             **self.answer,
         )

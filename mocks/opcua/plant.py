@@ -10,14 +10,11 @@ import math
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from asyncua import ua
+from asyncua import Server, ua
 
 from .values import finite, fits, variant
-
-if TYPE_CHECKING:
-    from .server import PlantServer
 
 __all__ = ["NAMESPACE", "Method", "MethodRefusal", "Plant", "Variable"]
 
@@ -110,7 +107,7 @@ class Plant:
         calls: node id of a method to how often it was performed.
     """
 
-    def __init__(self, server: PlantServer) -> None:
+    def __init__(self, server: Server) -> None:
         self._server = server
         self.namespace = 0
         self.variables: dict[ua.NodeId, Variable] = {}

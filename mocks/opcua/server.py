@@ -6,7 +6,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 import socket
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from asyncua import Server
 from asyncua.server.binary_server_asyncio import BinaryServer
@@ -15,9 +15,7 @@ from asyncua.server.internal_session import InternalSession
 
 from .processor import PlantProtocol
 from .session import PlantSession
-
-if TYPE_CHECKING:
-    from .device import OpcUaDevice
+from .state import DeviceState
 
 __all__ = ["PlantServer"]
 
@@ -41,11 +39,11 @@ class PlantServer(Server):  # type: ignore[misc]
         self._listener: asyncio.Server | None = None
         self.set_server_name("OT-MCP mock plant")
 
-    async def listen(self, listener: socket.socket, owner: OpcUaDevice) -> None:
+    async def listen(self, listener: socket.socket, device: DeviceState) -> None:
         """Accept connections on ``listener`` for a device."""
 
         class Session(PlantSession):
-            device = owner
+            state = device
 
         host, port = listener.getsockname()[:2]
         self.set_endpoint(f"opc.tcp://{host}:{port}")
@@ -59,7 +57,7 @@ class PlantServer(Server):  # type: ignore[misc]
         def protocol() -> PlantProtocol:
             server = self.bserver
             return PlantProtocol(
-                device=owner,
+                state=device,
                 number=next(numbers),
                 iserver=server.iserver,
                 policies=server._policies,

@@ -22,7 +22,7 @@ def add_parser(subparsers: Any) -> None:
     parser: argparse.ArgumentParser = subparsers.add_parser(
         "mock",
         help="start a mock device by hand",
-        description="Start a mock device. It prints one JSON line with its ports and serves until standard input closes.",
+        description="Start a mock device. It prints one JSON line that says where it is, and serves until standard input closes.",
     )
     parser.add_argument("protocol", choices=tuple(_CLIENTS))
     parser.add_argument("--host", metavar="ADDRESS", help="address to serve on (default: 127.0.0.1)")

@@ -1,11 +1,17 @@
-"""The suites and how often each of their items is repeated. Pure."""
+"""The suites, how often each of their items is repeated, and how families of items are called. Pure."""
 
 from __future__ import annotations
 
-__all__ = ["SUITES", "repetitions"]
+__all__ = ["CROSS_PROTOCOL", "SUITES", "WARMED_UP", "repetitions"]
 
 SUITES = ("normal", "fault", "stress", "recovery")
 """The suites in the order in which they run."""
+
+WARMED_UP = ("normal", "fault")
+"""Suites whose items run once unmeasured first, so that no first-time cost is counted as the adapter's."""
+
+CROSS_PROTOCOL = "Cross-protocol"
+"""The family of items that need adapters for several protocols; every other item's family is the name of its protocol."""
 
 
 def repetitions(reps: int) -> dict[str, int]:

@@ -1,7 +1,7 @@
 """The plant: mock devices as processes of their own, and the channel on which they bear witness.
 
 The kit never imports a mock. It starts `python -m pytest_otmcp.mocks NAME`, speaks one-word commands to its launcher
-(``stop``, ``start``) and JSON lines to its control port (image, journal, poke, fault, …). A mock that dies or does
+(``stop``, ``start``) and JSON lines to its control socket (image, journal, poke, fault, …). A mock that dies or does
 not answer is a :class:`~pytest_otmcp.errors.KitError`: never the adapter's fault.
 """
 
@@ -46,15 +46,16 @@ class Journal:
         """This slice, which was asked for from ``since`` on.
 
         Raises:
-            KitError: its oldest entries have given way to newer ones.
+            KitError: its oldest entries were released, or have given way to newer ones.
         """
-        if len(self.entries) < self.next - since:
-            raise KitError(f"the journal no longer goes back to entry {since}: it holds the newest 200 000 only")
+        first = self.next - len(self.entries)
+        if since < first:
+            raise KitError(f"the journal no longer goes back to entry {since}: the oldest that it holds is {first}")
         return self
 
 
 class _Control:
-    """Client of a device's control port: pipelined requests, answers matched by id."""
+    """Client of a device's control socket: pipelined requests, answers matched by id."""
 
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, name: str) -> None:
         self._reader = reader
@@ -160,7 +161,7 @@ class MockDevice:
         ready = await self._event("ready")
         self.accepting_ns = time.monotonic_ns()
         self.host, self.port = ready["host"], ready["port"]
-        reader, writer = await asyncio.open_connection("127.0.0.1", ready["control"], limit=_LINE_LIMIT)
+        reader, writer = await asyncio.open_unix_connection(ready["control"], limit=_LINE_LIMIT)
         self._control = _Control(reader, writer, self.name)
         self.running = True
         await self.ask("pause")
@@ -231,10 +232,14 @@ class MockDevice:
         """The entries from ``since`` on.
 
         Raises:
-            KitError: the oldest of them have given way to newer ones.
+            KitError: the oldest of them were released, or have given way to newer ones.
         """
         answer = await self.ask("journal", since=since)
         return Journal(entries=answer["entries"], next=answer["next"]).whole(since)
+
+    async def forget(self, before: int) -> None:
+        """Release the entries before ``before`` for good: they have been read."""
+        await self.ask("forget", before=before)
 
     async def wait(self, since: int, match: Mapping[str, Any], *, timeout_s: float, count: int = 1) -> list[Entry]:
         """The entries from ``since`` on whose fields equal ``match``, as soon as there are ``count`` of them, or

@@ -102,9 +102,13 @@ class TappedBroker:
         """The entries from ``since`` on.
 
         Raises:
-            KitError: the oldest of them have given way to newer ones.
+            KitError: the oldest of them were released, or have given way to newer ones.
         """
         return Journal(entries=self.tap.journal.entries(since), next=self.tap.journal.next_seq).whole(since)
+
+    async def forget(self, before: int) -> None:
+        """Release the entries before ``before`` for good: they have been read."""
+        self.tap.journal.forget(before)
 
     async def wait(self, since: int, match: Mapping[str, Any], *, timeout_s: float, count: int = 1) -> list[Entry]:
         """The entries from ``since`` on whose fields equal ``match``, as soon as there are ``count`` of them, or

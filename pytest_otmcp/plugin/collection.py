@@ -6,16 +6,21 @@ runs at all. File name patterns, name prefixes and directories not to be recurse
 
 from __future__ import annotations
 
+import sys
 import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
-from ..trial.task import Task
+from ..core.errors import UsageError
+
+if TYPE_CHECKING:
+    from ..trial.task import Task
 
 __all__ = [
     "SUITE",
@@ -29,7 +34,8 @@ __all__ = [
     "task_of",
 ]
 
-SUITE = "pytest_otmcp.conformance"
+_PACKAGE = __package__.partition(".")[0]
+SUITE = f"{_PACKAGE}.conformance"
 
 
 @cache
@@ -57,7 +63,9 @@ def task_of(item: pytest.Item) -> Task | None:
     """The task of an item that is, or says that it is, a conformance item."""
     callspec = getattr(item, "callspec", None)
     task = callspec.params.get("task") if callspec is not None else None
-    return task if isinstance(task, Task) else None
+    # The module is loaded by whatever has a task; in a run without conformance items it need not be.
+    declaring = sys.modules.get(f"{_PACKAGE}.trial.task")
+    return task if declaring is not None and isinstance(task, declaring.Task) else None
 
 
 class ShippedModule(pytest.Module):
@@ -70,7 +78,13 @@ class ShippedModule(pytest.Module):
         return False
 
     def collect(self) -> Iterable[pytest.Item | pytest.Collector]:
+        from ..protocols.registry import protocols
+
         with quiet():
+            try:
+                protocols()
+            except UsageError as error:
+                pytest.exit(str(error), returncode=2)
             return list(super().collect())
 
 

@@ -9,13 +9,14 @@ import json
 import time
 from collections.abc import Generator
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import pytest
 
 from ..core.errors import UsageError
 from ..core.matrix import SUITES
-from ..trial.task import Task
+from ..protocols.own import OWN
+from ..protocols.registry import protocol_keys
 from .collection import (
     SUITE,
     ShippedModule,
@@ -28,9 +29,7 @@ from .collection import (
 )
 from .fixtures.definitions import (
     REFUSED,
-    otmcp_broker,
-    otmcp_modbus_device,
-    otmcp_opcua_plant,
+    otmcp_device,
     otmcp_resources,
     otmcp_session,
     otmcp_subject,
@@ -39,10 +38,11 @@ from .fixtures.definitions import (
 from .options import add_options, read_settings
 from .stash import INTERFERENCE, PLANNED, PROGRESS, RECORDER, RESULT, RUN, SETTINGS, STARTED
 
+if TYPE_CHECKING:
+    from ..trial.task import Task
+
 __all__ = [
-    "otmcp_broker",
-    "otmcp_modbus_device",
-    "otmcp_opcua_plant",
+    "otmcp_device",
     "otmcp_resources",
     "otmcp_session",
     "otmcp_subject",
@@ -53,6 +53,7 @@ __all__ = [
     "pytest_collection_modifyitems",
     "pytest_configure",
     "pytest_ignore_collect",
+    "pytest_plugins",
     "pytest_pycollect_makemodule",
     "pytest_report_header",
     "pytest_report_teststatus",
@@ -65,6 +66,9 @@ __all__ = [
     "pytest_unconfigure",
     "pytest_xdist_node_collection_finished",
 ]
+
+pytest_plugins = [f"{__package__}.fixtures.{protocol}" for protocol in OWN]
+"""The fixtures of the kit's own protocols; a package that registers a protocol has a pytest plugin of its own."""
 
 _FACTS = "otmcp_facts"
 _RESULT = "otmcp_result"
@@ -83,8 +87,9 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "otmcp: a conformance item of pytest-otmcp")
     for suite in SUITES:
         config.addinivalue_line("markers", f"otmcp_{suite}: an item of the {suite} suite")
-    for family in ("modbus", "mqtt", "opcua", "cross"):
-        config.addinivalue_line("markers", f"otmcp_{family}: an item of this family of adapters")
+    for protocol in protocol_keys():
+        config.addinivalue_line("markers", f"otmcp_{protocol}: an item on this protocol alone")
+    config.addinivalue_line("markers", "otmcp_cross: an item on several protocols")
     if config.option.help or config.option.version:
         # What is wrong with an ini must not keep anybody from reading how to correct it.
         return
@@ -163,19 +168,22 @@ def pytest_collection_modifyitems(
     tasks = _shipped_tasks(items)
     if not tasks and not names_suite(config):
         return (yield)
-    from ..suite.catalogue import tasks_by_id
     from .interference import Interference
 
+    with quiet():
+        shipped = list(_required_tasks(config))
+    # Tasks on a protocol that neither the kit nor the subject brings along are no part of this run.
+    tasks = {item: task for item, task in tasks.items() if task.id in shipped}
+    items[:] = [item for item in items if item in tasks or not is_shipped(item.path) or task_of(item) is None]
     narrowing = config.stash[INTERFERENCE] = Interference(config)
     narrowing.before(items)
     for item, task in tasks.items():
         item.add_marker("otmcp")
         item.add_marker(f"otmcp_{task.suite}")
-        item.add_marker("otmcp_cross" if task.family == "Cross-protocol" else f"otmcp_{task.adapters[0]}")
+        item.add_marker(f"otmcp_{task.protocols[0]}" if len(task.protocols) == 1 else "otmcp_cross")
     yield
     settings = config.stash[SETTINGS]
     with quiet():
-        shipped = list(tasks_by_id())
         narrowing.after(items, shipped, settings)
     left = {item: task for item, task in _shipped_tasks(items).items() if task.suite in settings.suites}
     deselected = [item for item in items if item in tasks and item not in left]
@@ -185,6 +193,16 @@ def pytest_collection_modifyitems(
     ordered = iter(sorted((item for item in items if item in left), key=lambda item: shipped.index(left[item].id)))
     items[:] = [next(ordered) if item in left else item for item in items if item not in deselected]
     config.stash[PLANNED] = _identifiers(items)
+
+
+def _required_tasks(config: pytest.Config) -> dict[str, Task]:
+    """The tasks that a run with this subject has to have, by id."""
+    from ..protocols.registry import protocols
+    from ..suite.catalogue import tasks_by_id
+
+    if all(protocol.always for protocol in protocols().values()):
+        return tasks_by_id()
+    return tasks_by_id(_load_subject(config).adapters)
 
 
 def _identifiers(items: list[pytest.Item]) -> list[str]:
@@ -217,7 +235,6 @@ def pytest_collection_finish(session: pytest.Session) -> None:
 
 
 def _begin_recording(config: pytest.Config, subject: Any, tasks: list[Task], *, workers: int) -> None:
-    from ..suite.catalogue import tasks_by_id
     from .controller import RunRecorder
     from .interference import Interference
     from .progress import Progress
@@ -228,7 +245,7 @@ def _begin_recording(config: pytest.Config, subject: Any, tasks: list[Task], *, 
         config.stash[RECORDER] = RunRecorder(
             settings,
             subject,
-            required=list(tasks_by_id()),
+            required=list(_required_tasks(config)),
             narrowed=narrowing.sentences,
             workers=workers,
             begun=config.stash[STARTED],
@@ -247,10 +264,8 @@ def pytest_xdist_node_collection_finished(node: Any, ids: list[str]) -> None:
     shipped = [identifier for identifier in ids if names_shipped(config, identifier)]
     if not (shipped or names_suite(config)):
         return
-    from ..suite.catalogue import tasks_by_id
-
     with quiet():
-        known = tasks_by_id()
+        known = _required_tasks(config)
         wanted = [known[name] for identifier in shipped if (name := identifier.rpartition("[")[2].rstrip("]")) in known]
         workers = config.getoption("numprocesses") or 1
         _begin_recording(config, _load_subject(config), wanted, workers=workers)

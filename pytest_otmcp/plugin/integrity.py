@@ -13,12 +13,12 @@ from collections.abc import Iterator
 from dataclasses import fields
 from functools import cache
 from importlib import metadata
-from importlib.util import module_from_spec, spec_from_file_location
+from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import FunctionType, ModuleType
 
-from ..trial.task import Suite, Task
-from .collection import SUITE, suite_root
+from ..suite.catalogue import task_modules
+from ..trial.task import Task
 
 __all__ = ["altered_task", "changed_files", "replaced_functions"]
 
@@ -79,15 +79,15 @@ def _judging_modules() -> list[ModuleType]:
 
 
 def altered_task(task: Task) -> list[str]:
-    """A sentence for everything about a task of the suite that is not as its module declares it."""
-    declared = _declared()[task.id]
+    """One sentence for everything about a task of the suite that is not as its module declares it."""
+    declared, files = _declared()[task.id]
     found = []
     for attribute in (field.name for field in fields(task)):
         value, genuine = getattr(task, attribute), getattr(declared, attribute)
         if callable(genuine):
             # The code itself differs where pytest has rewritten its asserts; where it is from does not.
             file = getattr(getattr(value, "__code__", None), "co_filename", "elsewhere")
-            if not Path(file).resolve().is_relative_to(suite_root()):
+            if not Path(file).resolve().is_relative_to(files):
                 found.append(f"{attribute} of the task {task.id} were replaced by something from {file}")
         elif value != genuine:
             found.append(f"{attribute} of the task {task.id} was altered from {genuine!r} to {value!r}")
@@ -95,18 +95,19 @@ def altered_task(task: Task) -> list[str]:
 
 
 @cache
-def _declared() -> dict[str, Task]:
-    """Load all tasks a second time, into private modules that are in nobody's reach."""
-    tasks: dict[str, Task] = {}
-    for path in sorted(suite_root().glob("test_*.py")):
-        spec = spec_from_file_location(f"{SUITE}._declared_{path.stem}", path)
+def _declared() -> dict[str, tuple[Task, Path]]:
+    """Load all tasks a second time, into private modules that are in nobody's reach; each with the folder of its module."""
+    tasks: dict[str, tuple[Task, Path]] = {}
+    for name in task_modules():
+        found = find_spec(name)
+        assert found is not None
+        assert found.origin is not None
+        spec = spec_from_file_location(f"{name.rpartition('.')[0]}._declared_{name.rpartition('.')[2]}", found.origin)
         assert spec is not None
         assert spec.loader is not None
         module = module_from_spec(spec)
         spec.loader.exec_module(module)
-        for suite in vars(module).values():
-            if isinstance(suite, Suite):
-                tasks |= {task.id: task for task in suite}
+        tasks |= {task.id: (task, Path(found.origin).resolve().parent) for task in module.TASKS}
     return tasks
 
 

@@ -10,15 +10,17 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from ..core.matrix import SUITES
 from ..protocols.external import external_devices
-from ..trial.task import Task
 from .collection import is_shipped, task_of
 from .options import RunSettings
+
+if TYPE_CHECKING:
+    from ..trial.task import Task
 
 __all__ = ["Interference", "named", "outcome_for"]
 

@@ -13,7 +13,7 @@ from ..trial.adapter_under_test import NoBindingError
 from ..trial.driver import SessionFacts
 from ..trial.repetition import Repetition
 from ..trial.rig import EndedError
-from ..trial.task import Steps, Task
+from ..trial.task import Steps, Task, execute
 from .reply import UNREADABLE, HistoryError
 from .rig import RecordedRepetition, ReplayItemState, ReplayRig
 
@@ -119,7 +119,7 @@ class ReplayDriver:
         """Take the steps through the history."""
         try:
             try:
-                await steps(repetition)
+                await execute(steps, repetition)
             except EndedError:
                 for at in repetition.all:
                     if not at.running:

@@ -115,7 +115,7 @@ class ReplayRig(Rig):
     def probe(self, name: str) -> Any:
         return self._place.probes[name]
 
-    def takes(self, operation: str, name: str) -> bool:
+    def accepts_input(self, operation: str, name: str) -> bool:
         return f"{operation}.{name}" not in self._place.lacks
 
     @property

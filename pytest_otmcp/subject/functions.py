@@ -117,11 +117,11 @@ def _checked(name: str, function: Callable[..., Any], protocol: str, where: str)
     if not inspect.iscoroutinefunction(function):
         raise UsageError(f"{where}: {name} must be an 'async def'")
     # How long to wait is told to tools that are bound as ``blocking``; a function is asked for what there is.
-    told = [name for name in operation.inputs if name != "seconds"]
+    asked = [name for name in operation.inputs if name != operation.waits]
     try:
-        inspect.signature(function).bind(None, **dict.fromkeys(told))
+        inspect.signature(function).bind(None, **dict.fromkeys(asked))
     except TypeError:
-        inputs = ", ".join(told)
+        inputs = ", ".join(asked)
         expected = f"{name}(tools{', *, ' + inputs if inputs else ''})"
         raise UsageError(f"{where}: {name} must be callable as {expected}") from None
     return Function(name=name, call=function)

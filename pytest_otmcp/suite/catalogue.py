@@ -1,60 +1,68 @@
-"""The shipped suite and kit, for whoever needs the tasks without collecting them, or wants to know which they are."""
+"""The shipped suite and kit as data: the tasks, without collecting them, and digests that say which they are."""
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Iterator
+from collections.abc import Collection
 from functools import cache
-from importlib import import_module, resources
-from typing import TYPE_CHECKING
+from importlib import import_module
+from types import ModuleType
 
-if TYPE_CHECKING:
-    from importlib.resources.abc import Traversable
+from ..core.digest import files_digest
+from ..protocols.registry import protocols
+from ..trial.task import Task
 
-    from ..trial.task import Task
+__all__ = ["SUITE", "all_tasks", "kit_digest", "suite_digest", "task_modules", "tasks_by_id"]
 
-__all__ = ["kit_digest", "suite_digest", "tasks_by_id"]
+_PACKAGE = __package__.partition(".")[0]
 
-_JUDGING = ("pytest_otmcp", "pytest_otmcp.conformance", "pytest_otmcp.mocks")
-"""The packages that decide what a run comes to; the reference adapters are subjects like any other."""
+SUITE = f"{_PACKAGE}.conformance"
+"""The package of the shipped suite."""
 
-_MAPPED = ("conformance", "mocks", "reference_adapters")
-_KINDS = (".py", ".json", ".toml")
+_MOCKS = f"{_PACKAGE}.mocks"
+_ADAPTERS = f"{_PACKAGE}.reference_adapters"
 
 
-def tasks_by_id() -> dict[str, Task]:
-    """Every task of the shipped suite, in its order."""
-    tasks: dict[str, Task] = {}
-    for name in ("normal", "fault", "stress", "recovery"):
-        module = import_module(f"pytest_otmcp.conformance.test_{name}")
-        tasks |= {task.id: task for task in getattr(module, name.upper())}
-    return tasks
+def _declarations() -> ModuleType:
+    # The suite imports the kit, so the kit finds the suite by its name.
+    return import_module(f"{SUITE}.tasks")
+
+
+def task_modules() -> tuple[str, ...]:
+    """Dotted names of the modules that declare the tasks of the suite."""
+    modules: tuple[str, ...] = _declarations().modules()
+    return modules
+
+
+def all_tasks() -> dict[str, Task]:
+    """Every task by id, also those of protocols that are only run for a subject that has them, in the suite's order."""
+    return {task.id: task for task in _declarations().tasks()}
+
+
+def tasks_by_id(adapters: Collection[str] = ()) -> dict[str, Task]:
+    """The tasks that a run has to have, by id, in the suite's order.
+
+    Args:
+        adapters: protocols that the subject has an adapter for. Tasks on the kit's own protocols are always there, those
+            on others only when the subject has them.
+    """
+    return {
+        name: task
+        for name, task in all_tasks().items()
+        if all(protocols()[key].always or key in adapters for key in task.protocols)
+    }
 
 
 @cache
 def suite_digest() -> str:
     """``sha256:…`` over the conformance modules in this process's import path: which suite a run was."""
-    return _digest(["pytest_otmcp.conformance"])
+    return files_digest(SUITE)
 
 
 @cache
 def kit_digest() -> str:
-    """``sha256:…`` over everything that judges: kit, suite and mock devices; the same from a wheel and from a checkout."""
-    return _digest(_JUDGING)
+    """``sha256:…`` over everything that judges: kit, suite and mock devices; the same from a wheel and from a checkout.
 
-
-def _digest(packages: list[str] | tuple[str, ...]) -> str:
-    digest = hashlib.sha256()
-    for package in packages:
-        for name, file in sorted(_files(package, resources.files(package))):
-            digest.update(name.encode() + b"\0" + file.read_bytes() + b"\0")
-    return "sha256:" + digest.hexdigest()
-
-
-def _files(name: str, folder: Traversable) -> Iterator[tuple[str, Traversable]]:
-    for entry in folder.iterdir():
-        if entry.name.endswith(_KINDS):
-            yield f"{name}/{entry.name}", entry
-        # In a wheel the mapped folders lie in the kit's, in a checkout beside it; each has its own turn.
-        elif entry.is_dir() and not (name == "pytest_otmcp" and entry.name in _MAPPED):
-            yield from _files(f"{name}/{entry.name}", entry)
+    The reference adapters are subjects like any other.
+    """
+    # In a wheel the other rooms lie inside of the kit's folder, in a checkout beside it; each has its own turn.
+    return files_digest(_PACKAGE, SUITE, _MOCKS, apart=(SUITE, _MOCKS, _ADAPTERS))

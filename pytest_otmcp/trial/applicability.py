@@ -8,7 +8,8 @@ from collections.abc import Iterator, Mapping
 from ..core.verdict import Status
 from ..protocols.protocol import GUARD
 from ..protocols.registry import protocols
-from ..subject.model import Adapter
+from ..subject.model import READ_ONLY, Adapter
+from .rig import place_name
 from .task import Task
 
 __all__ = ["applicability", "stations"]
@@ -36,7 +37,7 @@ def applicability(task: Task, adapters: Mapping[str, Adapter]) -> tuple[Status, 
 
 def stations(task: Task, adapters: Mapping[str, Adapter]) -> list[str]:
     """The adapter variants that take part in a task that applies: ``protocol``, or ``protocol@ro`` for the read-only one."""
-    guarded = [f"{name}@ro" for name in task.guards if adapters[name].why_not_claimed(GUARD) is None]
+    guarded = [place_name(name, READ_ONLY) for name in task.guards if adapters[name].why_not_claimed(GUARD) is None]
     return [*task.adapters, *guarded]
 
 

@@ -14,7 +14,7 @@ from ..core.strict_json import same_json
 from ..subject.answers import UNCLASSIFIED
 from .reply import Reply
 
-__all__ = ["failed", "received", "succeeded"]
+__all__ = ["failed", "succeeded"]
 
 
 def succeeded(reply: Reply, **outputs: Any) -> list[Finding]:
@@ -39,32 +39,6 @@ def succeeded(reply: Reply, **outputs: Any) -> list[Finding]:
         )
         for name, expected in outputs.items()
         if name in reply.outputs and not same_json(expected, reply.outputs[name])
-    ]
-
-
-def received(reply: Reply, topic: str, payload: str, *, filtered: bool) -> list[Finding]:
-    """The answer holds the message with this payload once, on its topic.
-
-    Args:
-        filtered: only messages on this topic were asked for, so that there must be no other.
-    """
-    findings = succeeded(reply)
-    messages = reply.outputs.get("messages")
-    if findings:
-        return findings
-    listed = messages if isinstance(messages, list) else []
-    found = [message for message in listed if isinstance(message, dict) and message.get("payload") == payload]
-    asked_for = listed if filtered else found
-    if len(found) == 1 and all(isinstance(message, dict) and message.get("topic") == topic for message in asked_for):
-        return []
-    return [
-        Finding(
-            code="wrong_value",
-            message=f"{reply.label}: the message {payload!r} on {topic!r} should be there once"
-            f"{' and nothing else' if filtered else ''}, the reply says {_shown(messages)}",
-            requirement="MQT-004",
-            evidence=_shown(reply.envelope),
-        )
     ]
 
 

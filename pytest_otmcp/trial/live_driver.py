@@ -19,7 +19,7 @@ from .gc_pause import uncollected
 from .live_rig import LiveItemState, LiveRig
 from .repetition import Repetition
 from .rig import EndedError
-from .task import Steps, Task
+from .task import Steps, Task, execute
 
 __all__ = ["LiveDriver"]
 
@@ -84,7 +84,7 @@ class LiveDriver:
             place.station.looked_through = False
         try:
             with uncollected():
-                await steps(repetition)
+                await execute(steps, repetition)
         except EndedError:
             await _all_running(repetition)
         except (NoBindingError, SubjectError):

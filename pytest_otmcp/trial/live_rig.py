@@ -98,7 +98,7 @@ class LiveRig(Rig):
     def probe(self, name: str) -> Any:
         return self.station.adapter.probes[name]
 
-    def takes(self, operation: str, name: str) -> bool:
+    def accepts_input(self, operation: str, name: str) -> bool:
         return f"{operation}.{name}" not in self.station.adapter.lacks()
 
     @property

@@ -6,7 +6,6 @@ What is judged here does not depend on whether adapter and device are there: :cl
 
 from __future__ import annotations
 
-import base64
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -81,12 +80,12 @@ class Rig(ABC):
         """What to ask for where something must be refused."""
 
     @abstractmethod
-    def takes(self, operation: str, name: str) -> bool:
+    def accepts_input(self, operation: str, name: str) -> bool:
         """The operation can be given this optional input."""
 
-    def if_taken(self, operation: str, name: str, value: Any) -> Any:
-        """What the device must have seen of an optional input: ``value``, or None for anything, where it cannot be given."""
-        return value if self.takes(operation, name) else None
+    def expected_if_accepted(self, operation: str, name: str, value: Any) -> Any:
+        """Return ``value`` if the tool accepts this optional input, else None: the device may have seen any value."""
+        return value if self.accepts_input(operation, name) else None
 
     # -- what the steps of a task do ----------------------------------------------------------------------
 
@@ -126,11 +125,6 @@ class Rig(ABC):
                 return reply
             self._ledger.set_aside(reply)
             await self._watch(_NOTICING_PAUSE_S)
-
-    async def publish_from_kit(self, topic: str, payload: bytes) -> None:
-        """Let the broker publish a message that does not come from the adapter, QoS 0, not retained."""
-        message = {"topic": topic, "payload": base64.b64encode(payload).decode(), "qos": 0, "retain": False}
-        await self.poke(publish=message)
 
     async def stays_quiet(self, seconds: float, judge: Callable[[list[Entry]], list[Finding]]) -> None:
         """Watch the device for a while, then judge what reached it; for things that must not happen.

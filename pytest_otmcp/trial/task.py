@@ -1,20 +1,31 @@
 """A task: an item of the suite, its steps for one repetition, and what it needs around them.
 
-Conformance modules declare tasks with :func:`task`; nothing here runs them.
+Modules of the suite declare tasks with :meth:`Tasks.task`; nothing here runs them.
 """
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from .repetition import Repetition
+from ..core.capability import Capability
+from ..core.matrix import CROSS_PROTOCOL, SUITES, WARMED_UP
+from ..protocols.protocol import GUARD
+from ..protocols.registry import protocols
+from ..subject.model import READ_ONLY
+from .repetition import Repetition
 
-__all__ = ["Steps", "Suite", "Task"]
+__all__ = ["Steps", "Task", "Tasks", "execute"]
 
-Steps = Callable[["Repetition"], Awaitable[None]]
+Steps = Callable[..., Awaitable[None]]
+"""``async def steps(run, rig, …)``: the repetition, then the rigs that the steps name.
+
+A parameter is called like the adapter that it stands for: ``modbus`` for the one with writes enabled, ``modbus_ro`` for the one
+with writes disabled, which is None where the subject claims no such variant.
+"""
+
+_READ_ONLY_SUFFIX = f"_{READ_ONLY}"
 
 
 @dataclass(slots=True, kw_only=True)
@@ -23,80 +34,132 @@ class Task:
 
     Attributes:
         id: as the paper has it, such as ``M3``.
-        suite: one of :data:`SUITES`.
-        family: ``Modbus``, ``MQTT``, ``OPC UA`` or ``Cross-protocol``.
+        suite: one of :data:`~pytest_otmcp.core.matrix.SUITES`.
         title: the paper's sentence for it, printed in its tables.
-        adapters: the protocols it needs.
+        capabilities: what the item says something about.
+        adapters: the adapters it needs: ``protocol``, or ``protocol@ro`` for the variant with writes disabled.
         needs: facets that the subject must claim, such as ``modbus.write_holding`` or ``modbus.guard``.
         guards: protocols whose read-only variant takes part when the subject claims that there is one.
         requirements: ids of the requirement catalogue that it exercises.
         steps: one repetition.
+        position: its place in the suite, where that is not after the items of its module declared before it.
         begin: once before the repetitions, with the role ``setup``; or None.
         end: once after the repetitions, with the role ``control``; or None.
-        warm_up: run the steps once unmeasured, so that no first-time cost is counted as the adapter's.
     """
 
     id: str
     suite: str
-    family: str
     title: str
+    capabilities: tuple[Capability, ...]
     adapters: tuple[str, ...]
     needs: tuple[str, ...]
     guards: tuple[str, ...]
     requirements: tuple[str, ...]
     steps: Steps
+    position: int | None = None
     begin: Steps | None = None
     end: Steps | None = None
-    warm_up: bool = True
+
+    @property
+    def protocols(self) -> tuple[str, ...]:
+        """Keys of the protocols that it is about."""
+        return tuple(dict.fromkeys(name.partition("@")[0] for name in self.adapters))
+
+    @property
+    def family(self) -> str:
+        """Name of its protocol, as tables print it; of an item about several protocols what such items are called."""
+        only, *others = self.protocols
+        return CROSS_PROTOCOL if others else protocols()[only].name
+
+    @property
+    def warm_up(self) -> bool:
+        """Its steps run once unmeasured first."""
+        return self.suite in WARMED_UP
 
     def before(self, steps: Steps) -> Steps:
         """Decorator: what happens once before the repetitions."""
+        self._check(steps)
         self.begin = steps
         return steps
 
     def after(self, steps: Steps) -> Steps:
         """Decorator: what happens once after the repetitions."""
+        self._check(steps)
         self.end = steps
         return steps
 
+    def _check(self, steps: Steps) -> None:
+        known = {name.replace("@", "_") for name in self.adapters} | {
+            f"{name}{_READ_ONLY_SUFFIX}" for name in self.guards
+        }
+        for name in _rig_names(steps):
+            if name not in known:
+                raise ValueError(f"{self.id}: the steps {steps.__name__} name {name!r}, the task has {sorted(known)}")
 
-class Suite(list[Task]):
-    """The tasks of one suite, in the order of their declaration."""
 
-    def __init__(self, name: str, *, warm_up: bool = True) -> None:
-        super().__init__()
-        self.name = name
-        self._warm_up = warm_up
+def _rig_names(steps: Steps) -> list[str]:
+    _, *rigs = inspect.signature(steps).parameters
+    return rigs
+
+
+async def execute(steps: Steps, run: Repetition) -> None:
+    """Run steps with the rigs that their parameters name."""
+    rigs = {
+        name: run.rig(name.removesuffix(_READ_ONLY_SUFFIX), guarded=name.endswith(_READ_ONLY_SUFFIX))
+        for name in _rig_names(steps)
+    }
+    await steps(run, **rigs)
+
+
+class Tasks(list[Task]):
+    """The tasks of one module, in the order of their declaration."""
 
     def task(
-        self, id: str, family: str, title: str, *, needs: str, guards: str = "", requirements: str = ""
+        self,
+        id: str,
+        suite: str,
+        title: str,
+        *,
+        needs: str,
+        capability: str,
+        guards: str = "",
+        requirements: str = "",
+        position: int | None = None,
     ) -> Callable[[Steps], Task]:
-        """Decorator that turns the steps of one repetition into a task of this suite.
+        """Decorator that turns the steps of one repetition into a task.
 
         Args:
-            id, family, title: see :class:`Task`.
+            id, suite, title, position: see :class:`Task`.
             needs: facets, each with its protocol, separated by blanks. With a ``guard`` the task has the read-only
                 variant of that adapter, too, as ``protocol@ro``.
+            capability: the one that the steps are about; guards are about write protection by themselves.
             guards: see :class:`Task`, separated by blanks.
             requirements: catalogue ids, separated by blanks.
+
+        Raises:
+            ValueError: the suite or the capability is unknown, or the steps name an adapter that the task does not have.
         """
+        if suite not in SUITES:
+            raise ValueError(f"{id}: unknown suite {suite!r}")
 
         def declare(steps: Steps) -> Task:
             facets = tuple(needs.split())
-            protocols = dict.fromkeys(facet.partition(".")[0] for facet in facets)
-            guarded = [f"{facet.partition('.')[0]}@ro" for facet in facets if facet.endswith(".guard")]
+            named = dict.fromkeys(facet.partition(".")[0] for facet in facets)
+            guarded = [f"{facet.partition('.')[0]}@{READ_ONLY}" for facet in facets if facet.endswith(f".{GUARD}")]
+            about = dict.fromkeys([Capability(capability), *([Capability.WRITE_PROTECTION] if guards else [])])
             declared = Task(
                 id=id,
-                suite=self.name,
-                family=family,
+                suite=suite,
                 title=title,
-                adapters=(*protocols, *guarded),
+                capabilities=tuple(about),
+                adapters=(*named, *guarded),
                 needs=facets,
                 guards=tuple(guards.split()),
                 requirements=tuple(requirements.split()),
                 steps=steps,
-                warm_up=self._warm_up,
+                position=position,
             )
+            declared._check(steps)
             self.append(declared)
             return declared
 

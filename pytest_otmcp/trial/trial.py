@@ -179,6 +179,7 @@ class Trial:
             "suite": task.suite,
             "family": task.family,
             "title": task.title,
+            "capabilities": [str(capability) for capability in task.capabilities],
             "requirements": list(task.requirements),
             "status": self._status or ("FAIL" if failed else "PASS"),
             "reason": self._reason,

@@ -1,15 +1,37 @@
 """What every adapter needs and no protocol knows: settings, envelope, errors, strict arguments, guard, deadline, run.
 
-An adapter is a ``build()`` that reads its settings and returns a server with its tools::
+An adapter is a sub-package with two modules to begin with. ``tools`` holds a class with one method per tool::
 
     class Cell(Arguments):
         address: Annotated[int, Field(ge=0, le=65535, description="PDU address, from 0")]
+
+
+    class WriteRegister(Cell):
+        value: Annotated[int, Field(ge=0, le=65535)]
 
 
     class RegisterValue(TypedDict):  # of typing_extensions: before Python 3.12 pydantic refuses the standard one
         address: int
         value: int
 
+
+    class Tools:
+        def __init__(self, link: Link) -> None:
+            self._link = link
+
+        @tool("modbus.read_holding")
+        async def read_register(self, call: Call, arguments: Cell) -> RegisterValue:
+            '''Read one holding register.'''
+            return {"address": arguments.address, "value": await self._link.read(call, arguments.address)}
+
+        @tool("modbus.write_holding", writes=True)
+        async def write_register(self, call: Call, arguments: WriteRegister) -> RegisterValue:
+            '''Write one holding register.'''
+            await self._link.write(call, arguments.address, arguments.value)
+            return {"address": arguments.address, "value": arguments.value}
+
+``adapter`` reads the settings and puts the server together; ``python -m pytest_otmcp.reference_adapters NAME`` runs the
+``build`` of the sub-package of that name::
 
     def build() -> AdapterServer:
         environment = Environment()
@@ -24,20 +46,17 @@ An adapter is a ``build()`` that reads its settings and returns a server with it
             deadline_s=environment.seconds("MODBUS_DEADLINE_S", 3.0),
             close=link.close,
         )
-
-        @server.tool("modbus.read_holding")
-        async def read_register(call: Call, arguments: Cell) -> RegisterValue:
-            '''Read one holding register.'''
-            return {"address": arguments.address, "value": await link.read(call, arguments.address)}
-
+        server.add(Tools(link))
         return server
 
-Whatever the function returns becomes ``data``; whatever it raises becomes ``error``: an :class:`AdapterError` as it is,
-anything else an ``internal_error`` whose traceback is on stderr. A tool that changes the plant says ``writes=True``. The
-order is always the same: the arguments are checked, then the write guard, then the function runs under the deadline.
+A method's name, docstring and annotations become the tool's name, description and schemas; ``tools/list`` has the tools in
+the order of their definition. The value that a method returns becomes ``data``. An :class:`AdapterError` that it raises
+becomes ``error``; any other exception becomes an ``internal_error``, with its traceback on stderr. A tool that changes the
+plant says ``writes=True``. A call always takes the same way: the arguments are checked, then the write guard, then the
+method runs under the deadline.
 
-What only the function can know it tells the :class:`Call`: the connection it uses, each request that leaves, the answer.
-From that the envelope takes ``attempts``, ``source`` and, when something goes wrong, whether a write may have happened.
+The method tells the :class:`Call` what only it can know: the connection it uses, each request that leaves, the answer. From
+these the envelope takes ``attempts``, ``source`` and, when something goes wrong, whether a write may have happened.
 """
 
 from __future__ import annotations
@@ -48,6 +67,7 @@ from .errors import AdapterError
 from .server import AdapterServer
 from .settings import ConfigError, Environment
 from .text import device_text
+from .tools import tool
 
 __all__ = [
     "LEFT_OUT",
@@ -59,4 +79,5 @@ __all__ = [
     "ConfigError",
     "Environment",
     "device_text",
+    "tool",
 ]

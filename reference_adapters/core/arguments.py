@@ -1,7 +1,7 @@
 """Strict arguments: nothing is coerced, nothing unknown is ignored, nothing infinite is let through.
 
-An SDK that turns ``"70"`` into 70 or drops a misspelt ``unit`` writes a value nobody asked for to a device nobody
-meant.
+An SDK that turns ``"70"`` into 70 writes a value that the caller did not ask for; one that drops a misspelt ``unit`` writes
+it to a device that the caller did not mean.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _TOO_MUCH = {"too_long", "string_too_long", "bytes_too_long"}
 _MAX_NAME = 100
 
 LEFT_OUT: Any = None
-"""Default of an argument that was not given; any other way to say nothing, such as null, is refused."""
+"""Default of an argument that was not given. Null is no other way to leave an argument out; it is refused."""
 _MAX_DEPTH = 20
 
 
@@ -37,7 +37,7 @@ class Arguments(BaseModel):
 
 @dataclass(frozen=True, slots=True)
 class BoundsCode:
-    """Annotation: the error code of a value outside the field's bounds, where ``invalid_input`` is not it."""
+    """Annotation: the error code for a value outside the field's bounds, instead of ``invalid_input``."""
 
     code: str
 
@@ -46,7 +46,7 @@ A = TypeVar("A", bound=Arguments)
 
 
 def parse_arguments(model: type[A], arguments: Any) -> A:
-    """Check a call's arguments, whatever JSON value they are.
+    """Check a call's arguments, which may be any JSON value, and return them as a model.
 
     Raises:
         AdapterError: the first fault, with a JSON Pointer to it.
@@ -64,8 +64,8 @@ def parse_arguments(model: type[A], arguments: Any) -> A:
 
 
 def _refuse_what_json_lacks(value: Any, pointer: str = "", depth: int = 0) -> None:
-    # A parser reads 1e999 as infinity and "\\ud800" as half a character; where a model says "any value" or "any text"
-    # nothing else refuses them.
+    # A JSON parser reads 1e999 as infinity and "\\ud800" as half a character. A model's "any value" or "any text" accepts
+    # both.
     if isinstance(value, float) and not math.isfinite(value):
         raise AdapterError("invalid_input", f"{pointer}: numbers must be finite", field=pointer)
     if isinstance(value, str) and not value.isascii() and _is_half_text(value):
@@ -93,7 +93,7 @@ def _escaped(name: object) -> str:
 
 
 def _pointer(arguments: Any, location: tuple[int | str, ...]) -> str:
-    """JSON Pointer (RFC 6901) to a fault. pydantic's location also names the branches of a union; these are no names."""
+    """Return the JSON Pointer (RFC 6901) to a fault, without the branches of unions that pydantic's location names."""
     pointer = ""
     for index, part in enumerate(location):
         inside = (isinstance(arguments, dict) and part in arguments) or (
@@ -128,5 +128,5 @@ def _code(model: type[Arguments], kind: str, location: tuple[int | str, ...]) ->
     if kind not in _BOUNDS or field is None:
         return "invalid_input"
     code = next((mark.code for mark in field.metadata if isinstance(mark, BoundsCode)), "invalid_input")
-    # A limit is something from above: asking for -1 of something exceeds none, it makes no sense.
+    # A limit is an upper bound: a count of -1 exceeds no limit, it is invalid.
     return "invalid_input" if code == "limit_exceeded" and kind.startswith("greater") else code

@@ -1,4 +1,4 @@
-"""One tool call while it runs: what it has sent so far, over which connection, and the envelope it ends in."""
+"""One tool call while it runs: the requests it has sent, the connection it uses, and the envelope it ends in."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ __all__ = ["Call", "Connection"]
 
 
 class Connection:
-    """What is known about the connection to the device; one per server, shared by its calls.
+    """The last known state of the connection to the device; one per server, shared by its calls.
 
     Attributes:
         state: ``connected`` or ``disconnected``.
-        generation: how many connections there have been.
+        generation: number of connections so far.
     """
 
     def __init__(self) -> None:
@@ -26,24 +26,25 @@ class Connection:
 
 
 class Call:
-    """Filled in by a tool while it works; becomes ``meta``.
+    """The facts of one call, reported by its tool while it works; they become ``meta``.
 
     A tool, or the link below it, reports in this order::
 
         call.connection(generation=link.generation, fresh=just_connected)
         call.trace.update(unit=1, function=3)
         call.sending()  # immediately before the bytes go to the transport
-        call.answered()  # when the device's answer is there, whatever it says
+        call.answered()  # when the device has answered, with success or refusal
 
-    Whoever skips one of them lies in the envelope: ``attempts``, ``outcome`` and ``source`` come from nothing else.
+    A tool that skips one of these reports makes the envelope wrong: ``attempts``, ``outcome`` and ``source`` have no other
+    source.
 
     Attributes:
         attempts: requests that were handed to the transport, repetitions included.
         sent: a state-changing request may have left this process.
-        trace: facts of the exchange as it was on the wire, see the envelope's description.
+        trace: facts of the exchange as it was on the wire; see the envelope's description.
         source: ``device`` when the data came from the device in this call, ``cache`` when it was received earlier,
             else ``none``.
-        extra: further members of ``meta`` that only some calls have: ``age_ms``, ``truncated``, ``untrusted``, ….
+        extra: members of ``meta`` that only some calls have: ``age_ms``, ``truncated``, ``untrusted``, ….
     """
 
     def __init__(
@@ -64,39 +65,39 @@ class Call:
         self._started = time.monotonic()
 
     def connection(self, *, generation: int, fresh: bool) -> None:
-        """The call uses the connection of this generation; ``fresh`` when it had to be made for it."""
+        """Note the connection that the call uses; ``fresh`` when the connection was made for this call."""
         state = "reconnected" if fresh and generation > 1 else "connected"
         self._used = {"state": state, "generation": generation}
         self._shared.state = "connected"
         self._shared.generation = max(generation, self._shared.generation)
 
     def disconnected(self) -> None:
-        """The connection was found broken, or could not be made."""
+        """Note that the connection was found broken, or could not be made."""
         generation = self._shared.generation if self._used is None else self._used["generation"]
         self._used = {"state": "disconnected", "generation": generation}
         if generation == self._shared.generation:
             self._shared.state = "disconnected"
 
     def sending(self, *, changes_state: bool = True) -> None:
-        """A request is about to be handed to the transport.
+        """Note that a request is about to be handed to the transport.
 
         Args:
-            changes_state: False for what a writing tool only asks, for instance the type of its target.
+            changes_state: False for a question of a writing tool, for instance for the type of its target.
         """
         self.attempts += 1
         self.sent = self.sent or (self.writes and changes_state)
 
     def answered(self, **trace: Any) -> None:
-        """The device answered."""
+        """Note that the device answered."""
         self.source = "device"
         self.trace.update(trace)
 
     def success(self, data: dict[str, Any]) -> dict[str, Any]:
-        """The envelope of a call that did what was asked."""
+        """Return the envelope of a call that succeeded."""
         return {"success": True, "data": data, "error": None, "meta": self._meta()}
 
     def failure(self, error: AdapterError) -> dict[str, Any]:
-        """The envelope of a call that did not."""
+        """Return the envelope of a call that failed."""
         data = None if error.partial is None else {"partial": error.partial}
         described = error.as_error(writes=self.writes, sent=self.sent)
         return {"success": False, "data": data, "error": described, "meta": self._meta()}
@@ -113,7 +114,7 @@ class Call:
             "attempts": self.attempts,
             "request_id": secrets.token_hex(16),
             "source": self.source,
-            # A call that did not get as far as the connection reports what the others know about it.
+            # A call that ended before it used the connection reports the state that other calls found.
             "connection": self._used or {"state": self._shared.state, "generation": self._shared.generation},
             "trace": self.trace,
             **self.extra,

@@ -43,11 +43,11 @@ REGISTRY: dict[str, tuple[str, bool, bool]] = {
     "internal_error": ("internal", False, False),
 }
 
-# What a write that may have left usually comes to, where the class does not say it.
+# These sets decide the outcome of a write where the tool does not give one.
 _NOTHING_SENT = frozenset({"validation", "policy", "state"})
 _NEVER_CONNECTED = frozenset({"config_error", "connect_failed", "dns_error", "tls_error", "auth_failed"})
 _MAYBE_BEGUN = frozenset({"accepted_pending", "device_failure", "gateway_target_no_response"})
-# Refusals that are ours when nothing was sent, and the device's otherwise.
+# Refusals by the adapter when nothing was sent, by the device otherwise.
 _ALSO_FROM_DEVICES = frozenset(
     {"type_mismatch", "limit_exceeded", "unsupported_operation", "access_denied", "rate_limited"}
 )
@@ -59,15 +59,15 @@ class AdapterError(Exception):
 
     Attributes:
         code: a key of :data:`REGISTRY`.
-        message: one sentence that tells the caller what to do differently. Never with text that came from the device:
-            an assistant reads it as the adapter's own words.
-        outcome: ``not_sent``, ``rejected``, ``unknown``, ``partial`` or ``applied``; None lets the call decide from
-            what it knows to have been sent.
+        message: one sentence that tells the caller what to do differently. It must not contain text that came from the
+            device: an assistant reads the message as the adapter's own words.
+        outcome: ``not_sent``, ``rejected``, ``unknown``, ``partial`` or ``applied``; None lets the call derive it from
+            the requests that were sent.
         field: JSON Pointer to the argument that is at fault.
-        allowed: the bound or set that was violated.
+        allowed: the bounds that were violated.
         details: further facts.
-        partial: what succeeded, of a call with several items.
-        retry_after_ms: when repeating the call has a chance, where that is known.
+        partial: the results of a call with several items of which some failed.
+        retry_after_ms: time after which repeating the call may succeed, where that is known.
 
     Raises:
         ValueError: the code is not in the registry, or the message is empty.
@@ -98,7 +98,7 @@ class AdapterError(Exception):
         self.retry_after_ms = retry_after_ms
 
     def as_error(self, *, writes: bool, sent: bool) -> dict[str, Any]:
-        """The envelope's ``error`` member.
+        """Return the envelope's ``error`` member.
 
         Args:
             writes: the tool changes state.
@@ -112,7 +112,7 @@ class AdapterError(Exception):
             "code": self.code,
             "class": kind,
             "message": self.message[:_MAX_MESSAGE],
-            # What certainly did not happen may be repeated like a read, if repeating can help at all.
+            # A write that certainly did not happen may be repeated like a read.
             "retryable": retry_write if writes and outcome != "not_sent" else retry_read,
             "outcome": outcome,
         }

@@ -1,5 +1,5 @@
-"""What a tool declares about itself: the schema of its arguments, and that of its result: the envelope (``otmcp/1.0``)
-with the tool's data in it."""
+"""The schemas that a tool declares: of its arguments, and of its result, the envelope (``otmcp/1.0``) with the tool's
+data."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ _PARTIAL = {"type": "object", "additionalProperties": False, "required": ["parti
 
 
 def input_schema(model: type[Arguments]) -> dict[str, Any]:
-    """JSON Schema 2020-12 of a tool's arguments."""
+    """Return the JSON Schema 2020-12 of a tool's arguments."""
     schema = model.model_json_schema()
     _tidy(schema)
     schema.pop("description", None)
@@ -77,7 +77,7 @@ def input_schema(model: type[Arguments]) -> dict[str, Any]:
 
 
 def output_schema(data: Any) -> dict[str, Any]:
-    """JSON Schema 2020-12 of the envelope ``{success, data, error, meta}``.
+    """Return the JSON Schema 2020-12 of the envelope ``{success, data, error, meta}``.
 
     Args:
         data: type of ``data`` in a success: a ``TypedDict`` (of ``typing_extensions``: pydantic cannot read the standard
@@ -101,7 +101,7 @@ def output_schema(data: Any) -> dict[str, Any]:
 
 
 def _tidy(schema: Any) -> None:
-    # Titles repeat the names, and a default of null stands for "may be left out": null itself is refused.
+    # Titles repeat the names. A default of null stands for "may be left out"; null itself is refused.
     if isinstance(schema, list):
         for member in schema:
             _tidy(member)

@@ -1,19 +1,17 @@
 """The MCP side of an adapter: tools with strict arguments, write guard, deadline, and one envelope for every outcome.
 
-Built on the SDK's low-level server, because strictness begins where the high-level one already helps: it coerces
-``"5"`` to 5, drops unknown arguments and turns exceptions into prose.
+It is built on the SDK's low-level server, because the high-level one coerces ``"5"`` to 5, drops unknown arguments and turns
+exceptions into prose.
 """
 
 from __future__ import annotations
 
 import asyncio
-import inspect
 import json
 import logging
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
-from typing import Any, get_type_hints
+from typing import Any
 
 from mcp import MCPError
 from mcp.server import Server, ServerRequestContext
@@ -25,44 +23,30 @@ from mcp.types import (
     CallToolResult,
     ListToolsResult,
     PaginatedRequestParams,
-    Tool,
-    ToolAnnotations,
 )
 from mcp.types.version import MODERN_PROTOCOL_VERSIONS
 
-from .arguments import Arguments, parse_arguments
+from .arguments import parse_arguments
 from .call import Call, Connection
 from .errors import AdapterError
-from .schema import input_schema, output_schema
+from .tools import AdapterTool, tools_of
 
 __all__ = ["AdapterServer"]
-
-Handler = Callable[[Call, Any], Awaitable[Any]]
 
 log = logging.getLogger(__name__)
 
 _to_json = json.JSONEncoder(ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Tool:
-    listing: Tool
-    model: type[Arguments]
-    handler: Handler
-    operation: str
-    protocol: str
-    writes: bool
-
-
 class AdapterServer:
     """An MCP server whose tools answer in envelopes.
 
     Args:
-        name, version: as the server introduces itself.
+        name, version: the server's name and version in its introduction.
         protocol: the envelope's ``meta.protocol``.
         endpoint: URI of the device, without credentials.
         writes_enabled: the write guard is off.
-        switch: name of the variable that switches writes on, for the refusal's text.
+        switch: name of the setting that enables writes, for the refusal's text.
         deadline_s: seconds within which every call answers.
         close: called once when the server ends.
     """
@@ -86,7 +70,7 @@ class AdapterServer:
         self._switch = switch
         self._deadline_s = deadline_s
         self._close = close
-        self._tools: dict[str, _Tool] = {}
+        self._tools: dict[str, AdapterTool] = {}
         self._connection = Connection()
         self.mcp: Server[None] = Server(
             name,
@@ -95,10 +79,10 @@ class AdapterServer:
             on_list_tools=self._list_tools,
             on_call_tool=self._call_tool,
         )
-        # In place of the SDK's OpenTelemetry middleware (measured: 17 of 186 us of a null call, for spans that nobody
-        # collects).
+        # Replaces the SDK's OpenTelemetry middleware (measured: 17 of 186 us of a null call, for spans that are not
+        # collected).
         self.mcp.middleware[:] = [self._answer_calls]
-        # What every result carries since 2026-07-28 (basic, sections Responses and _meta).
+        # Every result carries these members since 2026-07-28 (basic, sections Responses and _meta).
         self._completion = {
             "resultType": "complete",
             "_meta": {SERVER_INFO_META_KEY: {"name": name, "version": version}},
@@ -111,48 +95,21 @@ class AdapterServer:
         finally:
             await self._close()
 
-    def tool(
-        self, operation: str, *, writes: bool = False, idempotent: bool = True, protocol: str | None = None
-    ) -> Callable[[Handler], Handler]:
-        """Decorator: offer an async function ``(call, arguments) -> data`` as a tool.
-
-        The function's name and docstring become the tool's name and description, the annotations of ``arguments`` and of
-        what it returns (a ``TypedDict``, or ``dict[str, Any]``) its input and output schema.
+    def add(self, group: object, *, protocol: str | None = None) -> None:
+        """Offer the tools of an object: its methods that :func:`tool` declares.
 
         Args:
-            operation: abstract operation, the envelope's ``meta.operation``.
-            writes: it changes the state of the plant, so the write guard covers it.
-            idempotent: calling it again with the same arguments has no further effect.
-            protocol: ``meta.protocol``, where it is not the server's.
-        """
+            group: the object.
+            protocol: ``meta.protocol`` of these tools, where it is not the server's.
 
-        def register(handler: Handler) -> Handler:
-            hints = get_type_hints(handler)
-            name = handler.__name__
+        Raises:
+            ValueError: two tools have the same name.
+        """
+        for tool in tools_of(group, protocol or self._protocol):
+            name = tool.listing.name
             if name in self._tools:
                 raise ValueError(f"there are two tools named {name}")
-            self._tools[name] = _Tool(
-                listing=Tool(
-                    name=name,
-                    description=inspect.cleandoc(handler.__doc__ or ""),
-                    input_schema=input_schema(hints["arguments"]),
-                    output_schema=output_schema(hints["return"]),
-                    annotations=ToolAnnotations(
-                        read_only_hint=not writes,
-                        destructive_hint=writes,
-                        idempotent_hint=idempotent,
-                        open_world_hint=False,
-                    ),
-                ),
-                model=hints["arguments"],
-                handler=handler,
-                operation=operation,
-                protocol=protocol or self._protocol,
-                writes=writes,
-            )
-            return handler
-
-        return register
+            self._tools[name] = tool
 
     async def _list_tools(
         self, context: ServerRequestContext[None], params: PaginatedRequestParams | None
@@ -161,8 +118,8 @@ class AdapterServer:
 
     async def _answer_calls(self, ctx: ServerRequestContext[None, Any], call_next: CallNext) -> HandlerResult:
         # The SDK would validate request and result twice each (measured: a fifth of a null call), and it answers
-        # ``"arguments": [1]`` with a bare -32602; here every refusal of a known tool is an envelope. A client that has
-        # not introduced itself, by handshake or by ``_meta``, and a notification are for the SDK to refuse.
+        # ``"arguments": [1]`` with a bare -32602; here every refusal of a known tool is an envelope. The SDK refuses
+        # notifications, and clients that have not introduced themselves by handshake or by ``_meta``.
         if ctx.method == "tools/call" and ctx.request_id is not None and ctx.session.client_capabilities is not None:
             params = ctx.params or {}
             name = params.get("name")
@@ -180,7 +137,7 @@ class AdapterServer:
             raise MCPError(INVALID_PARAMS, f"Unknown tool: {params.name[:100]}")
         return CallToolResult.model_validate(await self._answer(tool, params.arguments))
 
-    async def _answer(self, tool: _Tool, arguments: Any) -> dict[str, Any]:
+    async def _answer(self, tool: AdapterTool, arguments: Any) -> dict[str, Any]:
         call = Call(
             protocol=tool.protocol,
             operation=tool.operation,
@@ -193,11 +150,11 @@ class AdapterServer:
         except AdapterError as error:
             return _result(call.failure(error))
         except Exception:
-            # A bug of ours: its traceback is for whoever reads the log, not for an assistant.
+            # A bug of the adapter: its traceback belongs in the log, not in an answer to an assistant.
             log.exception("tool %s failed unexpectedly", tool.listing.name)
             return _result(call.failure(AdapterError("internal_error", "the adapter failed unexpectedly; see its log")))
 
-    async def _perform(self, tool: _Tool, call: Call, arguments: Any) -> dict[str, Any]:
+    async def _perform(self, tool: AdapterTool, call: Call, arguments: Any) -> dict[str, Any]:
         parsed = parse_arguments(tool.model, arguments)
         if tool.writes and not self.writes_enabled:
             raise AdapterError("writes_disabled", f"writes are disabled; set {self._switch}=true to enable them")
@@ -211,10 +168,10 @@ class AdapterServer:
 
 
 def _result(envelope: dict[str, Any]) -> dict[str, Any]:
-    """A ``CallToolResult`` as it is on the wire.
+    """Return a ``CallToolResult`` as it is on the wire.
 
     Raises:
-        ValueError: the envelope holds what JSON cannot say.
+        ValueError: the envelope holds a value that JSON cannot represent.
     """
     return {
         "content": [{"type": "text", "text": _to_json(envelope)}],

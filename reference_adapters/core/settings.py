@@ -1,5 +1,5 @@
-"""Settings from the environment, read strictly: a value that is not understood stops the start, except that a write
-switch which is not understood means "no"."""
+"""Settings from the environment, read strictly: a value that is not understood stops the start. Only the write switch
+differs: a value that is not understood leaves writes disabled."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ class ConfigError(Exception):
 
 
 class Environment:
-    """Reads variables with a common prefix."""
+    """Reads settings from variables."""
 
     def __init__(self, values: Mapping[str, str] | None = None) -> None:
         self._values = os.environ if values is None else values
 
     def text(self, name: str, default: str | None = None) -> str:
-        """A string; without a default the variable is required."""
+        """Return a string; without a default the variable is required."""
         value = self._values.get(name, default)
         if value is None:
             raise ConfigError(f"{name} is not set")
         return value
 
     def optional(self, name: str) -> str | None:
-        """A string, or None when the variable is unset or empty."""
+        """Return a string, or None when the variable is unset or empty."""
         return self._values.get(name) or None
 
     def whole(self, name: str, default: int, minimum: int, maximum: int) -> int:
-        """A whole number within bounds."""
+        """Return a whole number within bounds."""
         text = self._values.get(name, str(default))
         try:
             number = int(text)
@@ -46,7 +46,7 @@ class Environment:
         return number
 
     def seconds(self, name: str, default: float) -> float:
-        """A positive number of seconds, at most an hour."""
+        """Return a positive number of seconds, at most an hour."""
         text = self._values.get(name, str(default))
         try:
             number = float(text)
@@ -57,7 +57,7 @@ class Environment:
         return number
 
     def writes_enabled(self, name: str) -> bool:
-        """The write switch. Unset means no; so does everything that is not clearly a yes, with a warning."""
+        """Return whether the write switch is on. Unset means no; so does a value that is not understood, with a warning."""
         text = self._values.get(name, "").lower()
         if text not in _TRUE + _FALSE:
             print(f"{name}: {text!r} is not understood; writes stay disabled", file=sys.stderr)

@@ -1,9 +1,9 @@
 """MCP over standard input and output, on the event loop's own pipes.
 
-The SDK's ``stdio_server`` reads and writes through worker threads, three hops a message and most of a null call's time
-(measured: 0.33 of 0.75 ms). Pipes that the loop watches need none.
+The SDK's ``stdio_server`` reads and writes through worker threads: three hops a message, and most of a null call's time
+(measured: 0.33 of 0.75 ms). The loop watches the pipes here, without threads.
 
-The wire belongs to MCP alone: while serving, file descriptor 1 is standard error, so that a stray ``print`` of any
+Only MCP messages reach the output pipe: while serving, file descriptor 1 is standard error, so that a stray ``print`` of a
 library cannot end up between two messages.
 """
 
@@ -36,7 +36,7 @@ log = logging.getLogger(__name__)
 
 
 class _Input(asyncio.Protocol):
-    """Cuts standard input into lines and lines into messages. What is no message is left out, and stderr says so."""
+    """Cuts standard input into lines and parses each as a message. Other lines are dropped, with a warning on stderr."""
 
     def __init__(self, messages: MemoryObjectSendStream[SessionMessage | Exception]) -> None:
         self._messages = messages
@@ -71,7 +71,7 @@ class _Input(asyncio.Protocol):
             except (ValueError, RecursionError):
                 log.warning("a line of %d bytes that is no JSON-RPC message was dropped", len(line))
                 return
-        # The stream is closed when the session has ended; whatever comes after that has nobody to answer it.
+        # The stream is closed when the session has ended; a later message is not answered.
         with suppress(anyio.BrokenResourceError, anyio.ClosedResourceError):
             self._messages.send_nowait(SessionMessage(message))
 
@@ -83,10 +83,10 @@ class _Input(asyncio.Protocol):
 
 
 def _second_reading(line: bytes) -> JSONRPCMessage:
-    """A reader with fewer scruples: deep nesting and lone surrogates reach the tool, which can refuse them in words.
+    """Parse a line less strictly, so that deep nesting and lone surrogates reach the tool, which refuses them in words.
 
     Raises:
-        ValueError, RecursionError: this is no message.
+        ValueError, RecursionError: the line is no message.
     """
     limit = sys.getrecursionlimit()
     sys.setrecursionlimit(10 * limit)
@@ -97,7 +97,7 @@ def _second_reading(line: bytes) -> JSONRPCMessage:
 
 
 class _Output(asyncio.BaseProtocol):
-    """Writes messages straight to the pipe; the write end of the session."""
+    """Writes messages directly to the pipe; the write end of the session."""
 
     def __init__(self) -> None:
         self._writable = asyncio.Event()
@@ -120,7 +120,7 @@ class _Output(asyncio.BaseProtocol):
         self._lost.set()
 
     async def flushed(self) -> None:
-        """Wait, not for long, until what was sent has left; the client may have stopped reading."""
+        """Wait for a short time until the sent messages have left; the client may have stopped reading."""
         with suppress(TimeoutError):
             async with asyncio.timeout(_FLUSH_S):
                 await self._lost.wait()
@@ -142,9 +142,9 @@ class _Output(asyncio.BaseProtocol):
 
 
 async def serve_stdio(server: Server[None]) -> None:
-    """Serve until standard input ends, or the process is asked to."""
+    """Serve until standard input ends, or a signal ends the process."""
     if not (_is_pipe(0) and _is_pipe(1)):
-        # ``adapter < requests.jsonl``: the loop cannot watch files. The SDK's threads can read them.
+        # ``adapter < requests.jsonl``: the loop cannot watch files; the SDK's threads can read them.
         async with stdio_server() as (read, write):
             await server.run(read, write, server.create_initialization_options())
         return

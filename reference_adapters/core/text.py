@@ -1,4 +1,4 @@
-"""Text that came from a device: cut, cleaned of what displays and models trip over, and marked as not ours."""
+"""Text that came from a device: shortened, cleaned of characters that mislead displays and models, marked as untrusted."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ _REPLACEMENT = "\N{REPLACEMENT CHARACTER}"
 
 
 def device_text(call: Call, pointer: str, text: Any) -> str:
-    """Text for ``data``, listed in ``meta.untrusted``: whoever shows it to an assistant knows whose words they are.
+    """Return text for ``data`` and list it in ``meta.untrusted``, so that a client knows that a device supplied it.
 
     Control, format and private characters (terminal escapes, bidirectional overrides, zero-width and tag characters)
     become U+FFFD; ``meta.sanitised`` says so.
 
     Args:
-        call: the call whose data it goes into.
+        call: the call that returns the text.
         pointer: JSON Pointer to the text in the envelope.
         text: a str, or bytes that should be UTF-8.
     """

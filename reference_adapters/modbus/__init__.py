@@ -6,6 +6,6 @@ Environment: ``MODBUS_HOST``, ``MODBUS_PORT`` (502), ``MODBUS_UNIT_ID`` (1), ``M
 
 from __future__ import annotations
 
-from .tools import build
+from .adapter import build
 
 __all__ = ["build"]

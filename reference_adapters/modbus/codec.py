@@ -45,7 +45,7 @@ class Value(TypedDict):
 
 
 def width(kind: DataType) -> int:
-    """Registers that a value of this type occupies."""
+    """Return the number of registers that a value of this type occupies."""
     return struct.calcsize(f">{_FORMATS[kind]}") // 2
 
 
@@ -59,7 +59,7 @@ def _arranged(data: bytes, order: Order) -> bytes:
 
 
 def decode(registers: list[int], kind: DataType, order: Order) -> Value:
-    """The value in these registers."""
+    """Return the value in these registers."""
     raw = struct.pack(f">{len(registers)}H", *registers)
     (value,) = struct.unpack(f">{_FORMATS[kind]}", _arranged(raw, order))
     special = None
@@ -72,7 +72,7 @@ def decode(registers: list[int], kind: DataType, order: Order) -> Value:
 
 
 def encode(value: float, kind: DataType, order: Order) -> list[int]:
-    """The registers of a value: an int for the integer types, a finite number for the others.
+    """Return the registers of a value: an int for the integer types, a finite number for the others.
 
     Raises:
         AdapterError: ``range_overflow``, the value is outside the type's range.

@@ -1,7 +1,7 @@
-"""The connection to the device: made on demand, one exchange at a time, nothing ever sent twice behind one's back.
+"""The connection to the device: made on demand, one exchange at a time, no write ever sent twice.
 
-pymodbus's defaults re-send writes three times and reconnect in their own time; here ``retries`` and ``reconnect_delay``
-are 0 and both decisions are made in :meth:`Link.exchange`, where it is known whether bytes have left.
+By default pymodbus sends a write again three times and reconnects by itself. Here ``retries`` and ``reconnect_delay`` are 0,
+and :meth:`Link.exchange` makes both decisions, because it knows whether bytes have left.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class _ConnectionDied(Exception):
 
 
 class _Connection:
-    """One TCP connection, and what passes over it."""
+    """One TCP connection, and the bytes of its present exchange."""
 
     def __init__(self, host: str, port: int, timeout_s: float) -> None:
         self.lost = False
@@ -62,11 +62,11 @@ class _Connection:
         )
 
     async def exchange(self, call: Call, send: Send) -> ModbusPDU:
-        """Send one request, which belongs to this call, and return its reply.
+        """Send one request of this call and return its reply.
 
         Raises:
-            ModbusException: there is none that pymodbus understands.
-            BadReply: it is not the one to the request.
+            ModbusException: there is no reply that pymodbus understands.
+            BadReply: the reply does not belong to the request.
             TimeoutError: the connection ended. pymodbus would wait for the reply until its own timeout.
         """
         self._call, self.request, self.received, self.answered = call, None, b"", False
@@ -87,7 +87,7 @@ class _Connection:
             self._patience.reschedule(0.0)
 
     def _packet(self, sending: bool, data: bytes) -> bytes:
-        # pymodbus shows every byte that goes to the transport: the trace is the wire's, not the arguments'.
+        # pymodbus shows every byte that goes to the transport: the trace tells what was on the wire, not what was asked.
         if not sending:
             self.received = data
         elif self._call is not None:
@@ -108,7 +108,7 @@ class Link:
     """One TCP connection at a time to a Modbus device or gateway.
 
     Args:
-        host, port: where it listens.
+        host, port: address of the device.
         timeout_s: seconds for connecting, and for each exchange.
     """
 
@@ -121,10 +121,10 @@ class Link:
         self._generation = 0
 
     async def exchange(self, call: Call, send: Send) -> ModbusPDU:
-        """Send one request and return its reply, which is certain to be the reply to this request.
+        """Send one request and return its reply, after checking that the reply belongs to this request.
 
-        A read that met a dead connection is repeated once over a new one. A write is not: once its bytes may have
-        left, only the device knows what became of it.
+        A read that finds the connection dead is repeated once over a new one. A write is not: once its bytes may have
+        left, only the device knows whether it was executed.
 
         Raises:
             AdapterError: no connection, no reply, a reply that does not belong to the request, or an exception reply.
@@ -145,7 +145,7 @@ class Link:
         try:
             pdu = await connection.exchange(call, send)
         except (ModbusException, TimeoutError, BadReply, asyncio.CancelledError) as error:
-            # Whatever still arrives for this request must not meet the next one.
+            # A late reply to this request must not be taken for the reply to the next one.
             self._drop()
             call.disconnected()
             if isinstance(error, asyncio.CancelledError):

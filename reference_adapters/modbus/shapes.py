@@ -1,7 +1,7 @@
-"""What the tools take and give: arguments with their bounds, and the shapes of ``data``.
+"""The arguments of the tools with their bounds, and the shapes of their ``data``.
 
-Limits are those of one PDU (MODBUS Application Protocol V1.1b3, sections 6.1 to 6.12): nothing is split behind the
-caller's back, because two reads are not one moment and two writes are not one change.
+Limits are those of one PDU (MODBUS Application Protocol V1.1b3, sections 6.1 to 6.12). The adapter splits no request,
+because two reads are not made at one moment and two writes are not one change.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Word = Annotated[int, Field(ge=0, le=65535, description="0 to 65535"), BoundsCod
 
 
 def is_unit(number: int) -> bool:
-    """An identifier that a device may have: 248 to 254 are reserved (Messaging on TCP/IP V1.0b, section 4.4.1.2)."""
+    """Whether a device may have this identifier: 248 to 254 are reserved (Messaging on TCP/IP V1.0b, section 4.4.1.2)."""
     return 0 <= number <= 247 or number == 255
 
 

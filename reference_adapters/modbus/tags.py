@@ -50,17 +50,17 @@ class Tag(BaseModel):
 
     @property
     def scaled(self) -> bool:
-        """Engineering and raw value differ."""
+        """Whether engineering and raw value differ."""
         return (self.scale, self.offset) != (1.0, 0.0)
 
     @property
     def whole(self) -> bool:
-        """The raw value is an integer."""
+        """Whether the raw value is an integer."""
         return not self.type.startswith("float")
 
 
 def load_tags(path: str | None) -> dict[str, Tag]:
-    """Read the tag map; no path is no tags.
+    """Read the tag map; without a path there are no tags.
 
     Raises:
         ConfigError: the file cannot be read or is not a tag map.
@@ -79,7 +79,7 @@ def load_tags(path: str | None) -> dict[str, Tag]:
 
 
 def engineering_value(tag: Tag, raw: Any) -> Any:
-    """The engineering value of a decoded raw value; null and decimal strings as in :func:`codec.decode`."""
+    """Return the engineering value of a decoded raw value; null and decimal strings as in :func:`codec.decode`."""
     if raw is None or not tag.scaled:
         return raw
     value = Decimal(str(raw)) * Decimal(str(tag.scale)) + Decimal(str(tag.offset))
@@ -87,7 +87,7 @@ def engineering_value(tag: Tag, raw: Any) -> Any:
 
 
 def raw_value(tag: Tag, value: float) -> float:
-    """The raw value nearest to an engineering value; an int for integer types.
+    """Return the raw value nearest to an engineering value; an int for integer types.
 
     Raises:
         AdapterError: ``type_mismatch``, a fraction for a register that only holds whole numbers.

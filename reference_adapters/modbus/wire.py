@@ -1,8 +1,8 @@
-"""What a Modbus TCP frame says, and whether a reply belongs to its request. Bytes in, facts out; no connection.
+"""Modbus TCP frames: the facts of a request, and whether a reply belongs to it. This module knows bytes, no connection.
 
-pymodbus lets pass: transaction identifier 0 instead of the request's, another function's reply, a byte count or number
-of registers that was not asked for, a write confirmation with another value (measured, 3.16.1). An adapter must not
-(MODBUS Messaging on TCP/IP V1.0b, section 4.4.1.3; Application Protocol V1.1b3, sections 6 and 7).
+pymodbus accepts replies with transaction identifier 0 instead of the request's, replies to another function, a byte count
+or number of registers that was not asked for, and a write confirmation with another value (measured, 3.16.1). An adapter
+must not accept them (MODBUS Messaging on TCP/IP V1.0b, section 4.4.1.3; Application Protocol V1.1b3, sections 6 and 7).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _ENCAPSULATED = 0x2B
 
 
 class BadReply(Exception):
-    """What came back is not the reply to what was sent; the text says in which respect."""
+    """The received bytes are not the reply to the request; the text says in which respect."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,7 +45,7 @@ def _frames(data: bytes) -> Iterator[Frame]:
 
 
 def request_facts(data: bytes) -> tuple[Frame, dict[str, Any]]:
-    """The frame of a request on its way out, and its facts for ``meta.trace``: unit, function, address, count."""
+    """Return the frame of an outgoing request and its facts for ``meta.trace``: unit, function, address, count."""
     frame = next(_frames(data))
     facts: dict[str, Any] = {"unit": frame.unit, "function": frame.pdu[0]}
     if frame.pdu[0] != _ENCAPSULATED:
@@ -56,10 +56,10 @@ def request_facts(data: bytes) -> tuple[Frame, dict[str, Any]]:
 
 
 def reply_pdu(request: Frame, received: bytes) -> bytes:
-    """The PDU of the reply to a request, among the bytes that came after it.
+    """Find the reply to a request in the bytes received after it, and return its PDU.
 
     Raises:
-        BadReply: there is none that fits in every respect.
+        BadReply: no frame fits the request in every respect.
     """
     same = [frame for frame in _frames(received) if frame.transaction == request.transaction]
     if not same:

@@ -7,6 +7,6 @@ Environment: ``MQTT_URL`` (mqtt://127.0.0.1:1883), ``MQTT_CLIENT_ID`` (otmcp-ada
 
 from __future__ import annotations
 
-from .tools import build
+from .adapter import build
 
 __all__ = ["build"]

@@ -1,11 +1,12 @@
 """One network connection to the broker, from CONNECT to its end.
 
 Every connection is a paho client of its own. paho keeps unacknowledged messages of QoS 1 and 2 and sends them again after
-a reconnect: a command that was reported as failed would be executed minutes later. A client that never reconnects cannot.
+a reconnect: a command that was reported as failed would be executed minutes later. A client that never reconnects sends
+nothing again.
 
-paho runs on the event loop: no thread, no locks, and an acknowledgement wakes its caller directly. It has callbacks for
-that, ``on_socket_register_write`` and its like, of which only ``on_socket_close`` is used: with the others paho would
-hand every packet to the loop, where without them it writes it at once, and the caller knows whether it has left.
+paho runs on the event loop: no thread, no locks, and an acknowledgement wakes its caller directly. Of paho's callbacks for
+event loops only ``on_socket_close`` is used. With ``on_socket_register_write`` and the others paho would leave every packet
+to the loop; without them it writes the packet at once, and the caller knows whether it has left.
 """
 
 from __future__ import annotations
@@ -29,11 +30,11 @@ from ..core import AdapterError
 
 __all__ = ["Connection", "ConnectionLostError", "Delivery", "Endpoint", "Message", "Will"]
 
-# Half-open connections are found after two of these.
+# A half-open connection is detected after two of these periods.
 KEEPALIVE_S = 5
-# Leaving in an orderly way must not hold up the end of the process.
+# An orderly DISCONNECT must not delay the end of the process for longer.
 _FAREWELL_S = 2.0
-# Packets that are read before one is sent; a flood of messages must not keep us from speaking.
+# Packets that are read before one is sent; a flood of messages must not keep the adapter from sending.
 _CATCH_UP = 100
 
 _ABORT = struct.pack("ii", 1, 0)
@@ -52,12 +53,12 @@ log = logging.getLogger(__name__)
 
 
 class ConnectionLostError(Exception):
-    """The connection ended before what was wanted had happened."""
+    """The connection ended before the exchange was complete."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Endpoint:
-    """Where the broker is and who we are.
+    """The broker's address, and the identity of this client.
 
     Attributes:
         timeout_s: seconds for connecting, and for each answer of the broker.
@@ -73,7 +74,7 @@ class Endpoint:
 
     @property
     def uri(self) -> str:
-        """The endpoint without credentials."""
+        """The endpoint's URI without credentials."""
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"{'mqtts' if self.tls else 'mqtt'}://{host}:{self.port}"
 
@@ -90,7 +91,7 @@ class Message:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Will:
-    """What the broker publishes, with QoS 1 and not retained, when the connection breaks."""
+    """The message that the broker publishes, with QoS 1 and not retained, when the connection breaks."""
 
     topic: str
     payload: bytes
@@ -100,8 +101,8 @@ class Delivery:
     """A message on its way.
 
     Attributes:
-        packet_id: of QoS 1 and 2; paho numbers the others, too.
-        done: None when it was written (QoS 0) at once, else set when it is written, or acknowledged (QoS 1 and 2).
+        packet_id: packet identifier of QoS 1 and 2; paho numbers messages of QoS 0, too.
+        done: None if the message was written (QoS 0) at once, else set when it is written, or acknowledged (QoS 1 and 2).
     """
 
     __slots__ = ("_info", "done", "packet_id")
@@ -112,7 +113,7 @@ class Delivery:
         self.done: asyncio.Future[None] | None = None if info.is_published() else loop.create_future()
 
     def settle(self) -> bool:
-        """Wake who waits, if paho has been told by the broker, or has written it; whether that is so."""
+        """Wake the waiting caller if paho has written the message or has its acknowledgement; return whether it has."""
         if not self._info.is_published():
             return False
         if self.done is not None and not self.done.done():
@@ -124,7 +125,7 @@ class Connection:
     """A connection that lasts until :attr:`lost` is set, and is never opened again.
 
     Attributes:
-        lost: it has ended.
+        lost: set when the connection has ended.
         introduced: a CONNECT was sent.
     """
 
@@ -220,7 +221,7 @@ class Connection:
         self._end()
 
     async def close(self) -> None:
-        """Leave in an orderly way: the broker discards the will."""
+        """Disconnect in an orderly way: the broker discards the will."""
         self._client.disconnect()
         self._flush()
         with contextlib.suppress(TimeoutError):
@@ -229,7 +230,7 @@ class Connection:
         self.abort()
 
     def is_live(self) -> bool:
-        """The connection exists, as far as can be known from everything that has arrived up to this moment."""
+        """Read the packets that have arrived, and return whether the connection still exists."""
         for _ in range(_CATCH_UP):
             if self.lost.is_set() or not self._poll.poll(0):
                 break
@@ -242,7 +243,7 @@ class Connection:
 
     def _ended(self, reason: ReasonCode) -> None:
         if reason.value == _PROTOCOL_ERROR and not self._opened.done():
-            # So paho reports return code 1, unacceptable protocol version, and everything else that it does not expect.
+            # paho reports return code 1, unacceptable protocol version, and every unexpected packet like this.
             message = "what answers there is no broker for MQTT 3.1.1"
             self._opened.set_exception(AdapterError("config_error", message, outcome="not_sent"))
         self._end()
@@ -255,7 +256,7 @@ class Connection:
         for waiting in (self._opened, *self._answers.values(), *(one.done for one in self._deliveries)):
             if waiting is not None and not waiting.done():
                 waiting.set_exception(ConnectionLostError())
-                # Whoever gave up waiting must not cause a warning.
+                # Retrieved here, so that asyncio does not warn about an exception that no caller awaits any more.
                 waiting.exception()
         self._answers.clear()
         self._deliveries.clear()
@@ -276,7 +277,7 @@ class Connection:
         self._loop.add_reader(self._descriptor, self._read)
 
     def _unwatch(self) -> None:
-        # Must happen before the descriptor is closed and can be given to another socket.
+        # Must happen before the descriptor is closed, because another socket can get the same one.
         if self._descriptor >= 0:
             self._loop.remove_reader(self._descriptor)
             self._loop.remove_writer(self._descriptor)
@@ -285,17 +286,17 @@ class Connection:
         sock = self._socket()
         try:
             self._client.loop_read()
-            # What TLS has already decrypted does not make the socket readable.
+            # Data that TLS has already decrypted does not make the socket readable.
             while isinstance(sock, ssl.SSLSocket) and self._socket() is sock and sock.pending():
                 self._client.loop_read()
         except Exception:
-            # paho raises for some packets that no broker may send.
+            # paho raises for some packets that a broker must not send.
             log.warning("the broker sent what is not MQTT; the connection is dropped", exc_info=True)
             self.abort()
         self._flush()
 
     def _flush(self) -> None:
-        """Write what paho still holds: now what is possible, the rest when the socket can take it."""
+        """Write the packets that paho still holds: now as far as possible, the rest when the socket is writable."""
         if self._client.want_write():
             self._client.loop_write()
         self._settle()
@@ -308,7 +309,7 @@ class Connection:
             self._loop.remove_writer(self._descriptor)
 
     def _settle(self) -> None:
-        # paho's on_publish would tell the same, but doubles the cost of a publish with QoS 0.
+        # paho's on_publish would report the same, but doubles the cost of a publish with QoS 0.
         if self._deliveries:
             self._deliveries = [one for one in self._deliveries if not one.settle()]
 
@@ -325,7 +326,7 @@ class Connection:
     # -- exchanges ----------------------------------------------------------------------------------------
 
     def send(self, message: Message) -> Delivery:
-        """Hand a message to the socket, now or never.
+        """Hand a message to the socket at once, or fail.
 
         Raises:
             ConnectionLostError: the connection broke.
@@ -355,7 +356,7 @@ class Connection:
                 for done in pending:
                     await done
         except TimeoutError:
-            # What is not yet written, and the PUBREL of a QoS 2 message, would follow after the failure was reported.
+            # Otherwise unwritten bytes, and the PUBREL of a QoS 2 message, would follow after the failure was reported.
             self.abort()
             raise self._silence() from None
         except asyncio.CancelledError:
@@ -377,14 +378,14 @@ class Connection:
                 reasons: Sequence[ReasonCode] = await answer
                 return reasons
         except TimeoutError:
-            # Whoever does not answer is not there, whatever TCP believes.
+            # A broker that does not answer counts as gone, even if TCP still has the connection.
             self.abort()
             raise self._silence() from None
         finally:
             self._answers.pop(mid, None)
 
     async def subscribe(self, filters: Mapping[str, int]) -> list[int | None]:
-        """Subscribe to filters with the QoS asked for; the granted QoS of each, None where it is refused.
+        """Subscribe to filters with the QoS asked for; return the granted QoS of each, None where it is refused.
 
         Raises:
             ConnectionLostError: the connection broke.
@@ -394,7 +395,7 @@ class Connection:
         return [None if reason.is_failure else int(reason.value) for reason in reasons]
 
     async def unsubscribe(self, text: str) -> None:
-        """Unsubscribe and wait for the UNSUBACK; the broker answers for a filter that was never subscribed, too.
+        """Unsubscribe and wait for the UNSUBACK; the broker answers it for a filter that was never subscribed, too.
 
         Raises:
             ConnectionLostError: the connection broke.

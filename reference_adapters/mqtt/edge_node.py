@@ -1,8 +1,8 @@
 """The adapter's own Sparkplug edge node: births before data, one sequence counter, bdSeq with the will.
 
-It composes messages and does not send them. Composing takes sequence numbers, so what is composed has to be sent, or the
-connection to end. What the node has said becomes what it is (:meth:`EdgeNode.live`, :meth:`EdgeNode.remember`) only when
-it was delivered: a call that failed changes nothing, and a later birth does not say behind its back what it could not.
+The edge node composes messages and does not send them. Composing takes sequence numbers, so a composed message has to be
+sent, or the connection has to end. The node's state (:attr:`EdgeNode.life`, :meth:`EdgeNode.remember`) changes only after a
+message was delivered: a call that failed changes nothing, and a later birth does not publish the value that it could not.
 
 Rules quoted by their identifiers in the Sparkplug 3.0 specification (``tck-id-…``).
 """
@@ -27,13 +27,14 @@ _OWN = (_BD_SEQ, REBIRTH)
 
 
 def declared(metrics: Sequence[Metric], own: tuple[str, ...] = _OWN) -> dict[str, Metric]:
-    """The metrics of a birth or command by name.
+    """Return the metrics of a birth or command by name.
 
     Args:
+        metrics: the metrics.
         own: names that an edge node declares itself.
 
     Raises:
-        AdapterError: ``invalid_input``: a name is there twice, or is one of these.
+        AdapterError: ``invalid_input``: a name occurs twice, or is one of ``own``.
     """
     by_name: dict[str, Metric] = {}
     for index, metric in enumerate(metrics):
@@ -46,25 +47,25 @@ def declared(metrics: Sequence[Metric], own: tuple[str, ...] = _OWN) -> dict[str
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Life:
-    """What the births of a living node declare: its own metrics, and those of its devices."""
+    """The metrics that the births of a living node declare: its own, and those of its devices."""
 
     node: Metrics = field(default_factory=dict)
     devices: Mapping[str, Metrics] = field(default_factory=dict)
 
     def with_node(self, metrics: Metrics) -> Life:
-        """The same devices below a node with other metrics."""
+        """Return a life with the same devices below a node with other metrics."""
         return Life(node=metrics, devices=self.devices)
 
     def with_device(self, device: str, metrics: Metrics) -> Life:
-        """A device more, or another birth of one."""
+        """Return a life in which a device is born with these metrics, for the first time or again."""
         return Life(node=self.node, devices={**self.devices, device: metrics})
 
     def without_device(self, device: str) -> Life:
-        """A device less."""
+        """Return a life without a device."""
         return Life(node=self.node, devices={name: told for name, told in self.devices.items() if name != device})
 
     def metrics_of(self, device: str | None) -> Metrics:
-        """What the node (None) or a device has declared.
+        """Return the metrics that the node (None) or a device has declared.
 
         Raises:
             AdapterError: ``not_born``: the device has not been born.
@@ -77,10 +78,10 @@ class Life:
 
 
 class EdgeNode:
-    """What the node has declared, and its counters.
+    """The node's declared metrics and its counters.
 
     Attributes:
-        life: what it is born with; None while it is not born. Births of a life are repeated after a reconnect.
+        life: the metrics of its births; None while it is not born. Its births are repeated after a reconnect.
     """
 
     def __init__(self, group: str, name: str) -> None:
@@ -92,36 +93,36 @@ class EdgeNode:
 
     @property
     def alive(self) -> bool:
-        """It was born and did not die since."""
+        """Whether the node was born and has not died since."""
         return self.life is not None
 
     def topic(self, kind: str, device: str | None = None) -> str:
-        """The topic of a message of this node."""
+        """Return the topic of a message of this node."""
         return f"{NAMESPACE}/{self.group}/{kind}/{self.name}" + ("" if device is None else f"/{device}")
 
     # -- deaths -------------------------------------------------------------------------------------------
 
     def will(self) -> Will:
-        """The will of the next CONNECT; its bdSeq is one more than that of the last (topics-nbirth-bdseq-increment)."""
+        """Return the will of the next CONNECT, with the next bdSeq (topics-nbirth-bdseq-increment)."""
         return Will(topic=self.topic("NDEATH"), payload=self._death((self.bd_seq + 1) % 256))
 
     def connect_sent(self) -> None:
-        """The CONNECT left: its bdSeq is used up."""
+        """Note that the CONNECT left: its bdSeq is used up."""
         self.bd_seq = (self.bd_seq + 1) % 256
 
     def death(self) -> Message:
-        """NDEATH of this connection, with QoS 1 as the will has it."""
+        """Compose the NDEATH of this connection, with the will's QoS 1."""
         return Message(topic=self.topic("NDEATH"), payload=self._death(self.bd_seq), qos=1)
 
     @staticmethod
     def _death(bd_seq: int) -> bytes:
-        # bdSeq alone and no sequence number (topics-ndeath-payload, topics-ndeath-seq).
+        # Only bdSeq, and no sequence number (topics-ndeath-payload, topics-ndeath-seq).
         return encode([Metric(name=_BD_SEQ, datatype="Int64", value=bd_seq)], None)
 
     # -- births -------------------------------------------------------------------------------------------
 
     def births(self, life: Life | None = None) -> list[Message]:
-        """NBIRTH and every DBIRTH of a life, by default the present one, in the order in which they have to be sent.
+        """Compose NBIRTH and every DBIRTH of a life, by default the present one, in the order of sending.
 
         NBIRTH has the sequence number 0, the will's bdSeq, and the rebirth control (topics-nbirth-seq-num,
         -bdseq-matching, -rebirth-metric).
@@ -139,10 +140,10 @@ class EdgeNode:
     # -- data ---------------------------------------------------------------------------------------------
 
     def new_values(self, device: str | None, values: Sequence[tuple[str, Any]]) -> list[Metric]:
-        """Values for NDATA or DDATA with the datatypes of the birth (operational-behavior-data-publish-dbirth).
+        """Return values for NDATA or DDATA with the datatypes of the birth (operational-behavior-data-publish-dbirth).
 
         Raises:
-            AdapterError: not born, a metric was not declared or is there twice, or a value does not fit.
+            AdapterError: not born, a metric was not declared or occurs twice, or a value does not fit.
         """
         told = self.living().metrics_of(device)
         metrics: dict[str, Metric] = {}
@@ -157,13 +158,13 @@ class EdgeNode:
         return list(metrics.values())
 
     def remember(self, device: str | None, metrics: Sequence[Metric]) -> None:
-        """These values were delivered; the next birth has them (operational-behavior-data-publish-dbirth-values)."""
+        """Keep delivered values for the next birth (operational-behavior-data-publish-dbirth-values)."""
         life = self.living()
         told = {**life.metrics_of(device), **{metric.name: metric for metric in metrics}}
         self.life = life.with_node(told) if device is None else life.with_device(device, told)
 
     def living(self) -> Life:
-        """The present life.
+        """Return the present life.
 
         Raises:
             AdapterError: ``not_born``: there is none.
@@ -173,6 +174,6 @@ class EdgeNode:
         return self.life
 
     def numbered(self, kind: str, device: str | None, metrics: Any) -> Message:
-        """A message with the next number of the one sequence of the node (payloads-sequence-num-incrementing)."""
+        """Compose a message with the next number of the node's sequence (payloads-sequence-num-incrementing)."""
         self.seq = (self.seq + 1) % 256
         return Message(topic=self.topic(kind, device), payload=encode(metrics, self.seq))

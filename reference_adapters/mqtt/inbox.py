@@ -1,4 +1,4 @@
-"""Received messages until somebody reads them; bounded, and honest about what it had to drop."""
+"""Received messages until a tool reads them; the number is bounded, and dropped messages are counted."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ class Received:
 
     @property
     def size(self) -> int:
-        """Bytes it occupies."""
+        """Bytes of topic and payload."""
         return len(self.message.payload) + len(self.message.topic)
 
 
 class Inbox:
-    """Messages in the order of their arrival; the oldest give way when there are too many, or they are too large."""
+    """Messages in the order of their arrival; the oldest are dropped when there are too many, or they are too large."""
 
     def __init__(self) -> None:
         self._messages: deque[Received] = deque()
@@ -47,9 +47,9 @@ class Inbox:
             self._dropped += 1
 
     def take(self, text: str, limit: int) -> tuple[list[Received], int]:
-        """Remove and return the oldest messages that a filter selects, and how many it selects beyond these.
+        """Remove and return the oldest messages that a filter selects, and the number of those that it selects beyond them.
 
-        No more than :data:`MAX_TAKEN_BYTES` at once, but at least one message.
+        At most :data:`MAX_TAKEN_BYTES` at once, but at least one message.
         """
         taken: list[Received] = []
         kept: deque[Received] = deque()
@@ -72,6 +72,6 @@ class Inbox:
         return taken, remaining
 
     def take_dropped(self) -> int:
-        """How many messages were dropped since this was asked last."""
+        """Return the number of messages dropped since the last call."""
         dropped, self._dropped = self._dropped, 0
         return dropped

@@ -1,7 +1,7 @@
-"""The connection to the broker as the tools see it: made on demand, watched, replaced when it breaks.
+"""The connection to the broker for the tools: made on demand, watched, replaced when it breaks.
 
 After a loss the link reconnects by itself within a quarter of a second, because subscriptions and births have to be
-there again whether or not a tool is called. Nothing that failed is ever sent again.
+restored even if no tool is called. A message that failed is never sent again.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ __all__ = ["Link", "Subscription"]
 T = TypeVar("T")
 
 _FIRST_RETRY_S, _LAST_RETRY_S = 0.05, 0.2
-# A connection that keeps ending at once is probably taken over by another client with our identifier [MQTT-3.1.4-2];
-# two adapters must not throw each other out for ever.
+# A connection that keeps ending at once is probably taken over by another client with the same identifier [MQTT-3.1.4-2].
+# Two adapters must not disconnect each other endlessly.
 _SHORT_LIVED_S, _TAKEN_OVER_RETRY_S = 0.5, 5.0
 _FAREWELL_S = 2.0
-# Repeating these in the background would only lock an account.
+# Repeating a CONNECT that failed like this in the background could lock an account.
 _PERMANENT = ("auth_failed", "access_denied", "config_error", "tls_error")
 
 log = logging.getLogger(__name__)
@@ -39,22 +39,22 @@ log = logging.getLogger(__name__)
 
 @dataclass(slots=True, kw_only=True)
 class Subscription:
-    """A subscription that somebody asked for; ``granted`` is None while the broker refuses it."""
+    """A subscription that a tool asked for; ``granted`` is None while the broker refuses it."""
 
     qos: int
     granted: int | None
 
 
 class Link:
-    """What survives a connection: subscriptions, inbox, the edge node's births.
+    """The state that outlives a connection: subscriptions, inbox, the edge node's births.
 
     Args:
         endpoint: the broker.
         edge_node: the adapter's own edge node.
-        may_write: without it no will is armed: a broker that publishes an NDEATH for us is a write, too.
+        may_write: without it no will is set: an NDEATH that the broker publishes for the adapter is a write, too.
 
     Attributes:
-        subscriptions: those of the tools, by filter.
+        subscriptions: subscriptions of the tools, by filter.
         needed: filters and QoS that the adapter itself needs.
         publishing: held while something is published as edge node, so that the sequence is one.
     """
@@ -69,7 +69,7 @@ class Link:
         self.publishing = asyncio.Lock()
         self.generation = 0
         self._may_write = may_write
-        self._nobodys_filter = f"otmcp/ping/{secrets.token_hex(8)}"
+        self._unused_filter = f"otmcp/ping/{secrets.token_hex(8)}"
         self._connection: Connection | None = None
         self._attempt: asyncio.Task[Connection] | None = None
         self._keeper: asyncio.Task[None] | None = None
@@ -77,16 +77,16 @@ class Link:
 
     @property
     def connected(self) -> bool:
-        """There is a connection."""
+        """Whether there is a connection."""
         return self._connection is not None and self._connection.is_live()
 
     # -- what the tools do --------------------------------------------------------------------------------
 
     async def exchange(self, call: Call, request: Callable[[Connection], Awaitable[T]]) -> T:
-        """Do something that the broker answers and that changes nothing; repeated once over a new connection.
+        """Make a request that the broker answers and that changes nothing; repeat it once over a new connection.
 
         Raises:
-            AdapterError: no connection, it broke twice, or no answer.
+            AdapterError: no connection, the connection broke twice, or no answer.
         """
         try:
             return await self._exchange_once(call, request)
@@ -109,30 +109,30 @@ class Link:
         return result
 
     async def ask(self, call: Call) -> None:
-        """Have the broker answer something. It has then also handed over whatever it had for us.
+        """Make the broker answer. It has then also delivered every message that it had for this client.
 
-        Unsubscribing what was never subscribed changes nothing, and the broker has to answer [MQTT-3.10.4-5]. paho's
-        public interface cannot send a PINGREQ.
+        Unsubscribing a filter that was never subscribed changes nothing, and the broker has to answer [MQTT-3.10.4-5].
+        paho's public interface cannot send a PINGREQ.
 
         Raises:
             AdapterError: as :meth:`exchange`.
         """
-        await self.exchange(call, lambda connection: connection.unsubscribe(self._nobodys_filter))
+        await self.exchange(call, lambda connection: connection.unsubscribe(self._unused_filter))
 
     async def publish(self, call: Call, compose: Callable[[], list[Message]]) -> None:
-        """Publish messages, once each. They are composed when the connection is known to be there: what cannot be sent
-        uses up no sequence number.
+        """Publish messages, once each.
 
-        Whenever this fails after something was sent, the connection has ended with it.
+        They are composed when the connection is known to exist, so that a message that cannot be sent uses up no sequence
+        number. If publishing fails after a message was sent, the connection has ended, too.
 
         Raises:
-            AdapterError: nothing was sent, or it is unknown what became of it.
+            AdapterError: nothing was sent, or it is unknown whether the broker has the message.
         """
         connection = await self._use(call)
         if connection.lost.is_set():
             call.disconnected()
             raise AdapterError("connection_lost", "the connection broke before anything was sent")
-        # From here to the last send() nobody else gets to run.
+        # No other task runs from here to the last send().
         deliveries = []
         try:
             for message in compose():
@@ -151,7 +151,7 @@ class Link:
             call.answered(packet_id=deliveries[-1].packet_id)
 
     async def subscribe(self, call: Call, text: str, qos: int) -> int:
-        """Subscribe for the tools, now and on every later connection; returns the granted QoS.
+        """Subscribe for the tools, now and on every later connection, and return the granted QoS.
 
         Raises:
             AdapterError: as :meth:`exchange`, or the broker refuses.
@@ -165,7 +165,7 @@ class Link:
         return granted
 
     async def unsubscribe(self, call: Call, text: str) -> None:
-        """End a subscription of the tools; the broker goes on sending what the adapter itself needs.
+        """End a subscription of the tools; the adapter stays subscribed to the filters that it needs itself.
 
         Raises:
             AdapterError: as :meth:`exchange`.
@@ -177,7 +177,7 @@ class Link:
         self.subscriptions.pop(text, None)
 
     async def need(self, call: Call, filters: Mapping[str, int]) -> None:
-        """Subscribe to what the adapter itself needs, unless it is, and on every later connection.
+        """Subscribe to filters that the adapter itself needs, if it is not yet, and on every later connection.
 
         Raises:
             AdapterError: as :meth:`exchange`, or the broker refuses.
@@ -203,20 +203,20 @@ class Link:
         return connection
 
     async def _connected(self) -> Connection:
-        """The connection, made now if there is none.
+        """Return the connection, made now if there is none.
 
         Raises:
-            AdapterError: it cannot be made.
+            AdapterError: the connection cannot be made.
         """
         if self._connection is not None and self._connection.is_live():
             return self._connection
         if self._attempt is None or self._attempt.done():
             self._attempt = asyncio.create_task(self._connect())
-            # If everybody who waits for it is cancelled, nobody asks how it ended.
+            # Retrieves the exception even if every call that waits for the attempt is cancelled.
             self._attempt.add_done_callback(lambda task: task.cancelled() or task.exception())
         if self._keeper is None or self._keeper.done():
             self._keeper = asyncio.create_task(self._keep_connected())
-        # One attempt serves all calls, and does not end with the one that began it.
+        # One attempt serves all calls, and goes on if the call that began it is cancelled.
         return await asyncio.shield(self._attempt)
 
     async def _connect(self) -> Connection:
@@ -235,7 +235,7 @@ class Link:
         return connection
 
     async def _restore(self, connection: Connection) -> None:
-        """Subscriptions and births, before anybody may use the connection."""
+        """Restore subscriptions and births before a call may use the connection."""
         self.nodes.interrupted()
         filters = dict(self.needed)
         for text, subscription in self.subscriptions.items():
@@ -251,7 +251,7 @@ class Link:
             await connection.delivered([connection.send(birth) for birth in self.edge_node.births()])
 
     async def _keep_connected(self) -> None:
-        """Make a new connection whenever there is none, as often as it takes."""
+        """Make a new connection whenever there is none, until it succeeds."""
         loop, delay, short_lived = asyncio.get_running_loop(), _FIRST_RETRY_S, 0
         while True:
             try:
@@ -271,7 +271,7 @@ class Link:
             await asyncio.sleep(min(_FIRST_RETRY_S * 2 ** max(0, short_lived - 4), _TAKEN_OVER_RETRY_S))
 
     async def close(self) -> None:
-        """Leave: NDEATH first, because a DISCONNECT discards the will (intentional-disconnect-ndeath)."""
+        """Publish NDEATH, because a DISCONNECT discards the will (intentional-disconnect-ndeath), and disconnect."""
         for task in (self._keeper, self._rebirth, self._attempt):
             if task is not None:
                 task.cancel()
@@ -291,17 +291,17 @@ class Link:
             self.inbox.add(message)
         self.nodes.received(message)
         asked = message.topic == self.edge_node.topic("NCMD") and is_rebirth_command(message.payload)
-        # A host that asks again while the births are on their way gets them.
+        # A host that asks again while the births are being published receives those.
         if asked and (self._rebirth is None or self._rebirth.done()):
             self._rebirth = asyncio.create_task(self._be_born_again())
 
     async def _be_born_again(self) -> None:
-        """Births again, same bdSeq, no reconnect (data-commands-rebirth-action-1 to -3)."""
+        """Publish the births again, with the same bdSeq and no reconnect (data-commands-rebirth-action-1 to -3)."""
         async with self.publishing:
             connection = self._connection
             if connection is None or not connection.is_live() or not self.edge_node.alive:
                 return
-            # After a loss the next connection begins with births anyway.
+            # If the connection is lost, the next one begins with births anyway.
             with suppress(ConnectionLostError, AdapterError):
                 await connection.delivered([connection.send(birth) for birth in self.edge_node.births()])
 

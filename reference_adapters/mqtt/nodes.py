@@ -1,8 +1,8 @@
-"""What the adapter knows of the edge nodes on the broker, as a host that listens: births, deaths, last values.
+"""The edge nodes on the broker as a listening host knows them: births, deaths, last values.
 
-A value is only as good as what came before it. After a gap in the sequence, after the node's death and after an
-interruption of our own connection nobody knows what was missed, and the listing says so; only a birth mends it. The
-births are not asked for here, because asking is a command: whoever wants them publishes NCMD ``Node Control/Rebirth``.
+After a gap in the sequence, after the node's death and after an interruption of the adapter's own connection it is unknown
+which messages were missed. The listing says so until the next birth. The tracker does not ask for births, because asking is
+a command: a user who wants them publishes NCMD ``Node Control/Rebirth``.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from .topics import NAMESPACE
 __all__ = ["LISTENING", "NodeTracker"]
 
 LISTENING = f"{NAMESPACE}/#"
-"""The filter under which everything arrives that the tracker needs."""
+"""The filter that selects every message that the tracker needs."""
 
 MAX_HELD = 10_000
-"""Nodes, devices and metrics together; births beyond that are not taken in."""
+"""Limit for nodes, devices and metrics together; births beyond it are ignored."""
 
 _KINDS = {4: ("NBIRTH", "NDATA", "NDEATH"), 5: ("DBIRTH", "DDATA", "DDEATH")}
 
@@ -42,10 +42,9 @@ class _Node:
     """One edge node.
 
     Attributes:
-        status: ``online``, ``offline``, or ``unknown`` when its birth was not seen, or something may have been missed
-            since.
+        status: ``online``, ``offline``, or ``unknown`` when its birth was not seen, or messages may have been missed since.
         gap: a sequence number was missing since the birth.
-        last: topic, seq and timestamp of the last message, to recognise what overlapping subscriptions bring twice.
+        last: topic, seq and timestamp of the last message, to recognise one that overlapping subscriptions deliver twice.
     """
 
     status: str = "unknown"
@@ -62,7 +61,7 @@ class NodeTracker:
 
     Attributes:
         listening: the adapter is subscribed to :data:`LISTENING`.
-        overfull: there was more than can be held.
+        overfull: a birth was ignored because of :data:`MAX_HELD`.
     """
 
     def __init__(self) -> None:
@@ -70,27 +69,23 @@ class NodeTracker:
         self.overfull = False
         self._nodes: dict[tuple[str, str], _Node] = {}
 
-    # -- hearing ------------------------------------------------------------------------------------------
+    # -- receiving ----------------------------------------------------------------------------------------
 
     def interrupted(self) -> None:
-        """There was no connection for a while: births, deaths and data may have been missed."""
+        """Note an interruption of the connection: births, deaths and data may have been missed."""
         for node in self._nodes.values():
             node.status, node.seq = "unknown", None
 
     def received(self, message: Message) -> None:
-        """Take a message into account; what is not Sparkplug is ignored."""
+        """Take a message into account; messages that are not Sparkplug are ignored."""
         parts = message.topic.split("/")
-        if (
-            not self.listening
-            or parts[0] != NAMESPACE
-            or len(parts) not in _KINDS
-            or parts[2] not in _KINDS[len(parts)]
-        ):
+        known_topic = parts[0] == NAMESPACE and len(parts) in _KINDS and parts[2] in _KINDS[len(parts)]
+        if not self.listening or not known_topic:
             return
         _, group, kind, name, *device = parts
         node = self._nodes.get((group, name)) or _Node()
         if node.status == "offline" and kind != "NBIRTH":
-            # Nobody may speak for a node that is dead.
+            # No message is valid for a node that is dead.
             return
         about = node.devices.get(device[0], _Device()) if device else node.own
         birth = kind.endswith("BIRTH")
@@ -109,12 +104,7 @@ class NodeTracker:
         if kind == "NDEATH":
             _die(node, payload)
             return
-        if kind == "NBIRTH":
-            node.devices.clear()
-            node.status, node.gap, node.bd_seq = "online", False, _bd_seq(payload)
-        elif node.seq is not None and payload.seq != (node.seq + 1) % 256:
-            node.gap = True
-        node.seq = payload.seq
+        _follow_sequence(node, payload, first=kind == "NBIRTH")
         if kind == "DBIRTH":
             node.devices[device[0]] = about
         if birth:
@@ -129,10 +119,10 @@ class NodeTracker:
             1 + len(about.metrics) for node in self._nodes.values() for about in (node.own, *node.devices.values())
         )
 
-    # -- telling ------------------------------------------------------------------------------------------
+    # -- reporting ----------------------------------------------------------------------------------------
 
     def listing(self) -> list[dict[str, Any]]:
-        """Every node, by group and name."""
+        """Return every node, by group and name."""
         return [
             {
                 "group_id": group,
@@ -154,13 +144,13 @@ class NodeTracker:
         ]
 
     def check_command(self, group: str, name: str, device: str | None, metrics: list[NewMetric]) -> bool:
-        """Names and types of a command agree with the birth (operational-behavior-data-commands-ncmd-metric-name).
+        """Compare names and types of a command with the birth (operational-behavior-data-commands-ncmd-metric-name).
 
         Returns:
             whether there is a birth to compare with.
 
         Raises:
-            AdapterError: ``illegal_address`` or ``type_mismatch``.
+            AdapterError: ``illegal_address`` or ``type_mismatch``: they differ.
         """
         node = self._nodes.get((group, name))
         about = None if node is None or node.status != "online" else node.devices.get(device) if device else node.own
@@ -182,6 +172,16 @@ def _bd_seq(payload: Payload) -> int | None:
     return value if isinstance(value, int) else None
 
 
+def _follow_sequence(node: _Node, payload: Payload, *, first: bool) -> None:
+    """Take the sequence number of a message into account; ``first`` is the NBIRTH, with which a life begins."""
+    if first:
+        node.devices.clear()
+        node.status, node.gap, node.bd_seq = "online", False, _bd_seq(payload)
+    elif node.seq is not None and payload.seq != (node.seq + 1) % 256:
+        node.gap = True
+    node.seq = payload.seq
+
+
 def _die(node: _Node, payload: Payload) -> None:
     # The death of an earlier life may arrive after the birth of the next (host-action-ndeath, bdSeq).
     if node.status == "online" and node.bd_seq is not None and node.bd_seq != _bd_seq(payload):
@@ -201,7 +201,7 @@ def _by_key(payload: Payload) -> Metrics:
 
 def _update(metrics: Metrics, payload: Payload) -> None:
     for metric in payload.metrics:
-        # A name that no birth declared means nothing.
+        # A metric that the birth did not declare is ignored.
         if metric["name"] in metrics:
             born = metrics[metric["name"]]
             new: DecodedMetric = {**metric, "alias": born["alias"], "datatype": born["datatype"]}

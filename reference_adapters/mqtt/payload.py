@@ -1,8 +1,8 @@
 """Sparkplug B payloads (Sparkplug 3.0, section 6.4): strict encoding by datatype, decoding to JSON.
 
-The message types are built from the specification's field table in a descriptor pool of their own, so that no generated
-module can clash with another package's. Parts that are only passed on (metadata, properties, data sets, templates) are
-declared as bytes: the same on the wire.
+The message types are built from the specification's field table in a descriptor pool of their own, so that they cannot clash
+with a generated module of another package. Parts that are only passed on (metadata, properties, data sets, templates) are
+declared as bytes, which is the same on the wire.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ _NUMBERS: dict[str, int] = {
     **{name: index for index, name in enumerate(("DateTime", "Text", "UUID"), 13)},
     "Bytes": 17,
 }
-# Sparkplug 3.0, section 6.4.16. Those without a number of their own above are only received, as bytes.
+# Sparkplug 3.0, section 6.4.16. Types that are not in _NUMBERS are only received, as bytes.
 _NAMES = {
     **{number: name for name, number in _NUMBERS.items()},
     **dict(enumerate(("DataSet", "Bytes", "File", "Template", "PropertySet", "PropertySetList"), 16)),
@@ -103,7 +103,7 @@ MAX_TEXT = 65_535
 """Characters of a text, or of the base64 of bytes, in one metric that is published."""
 
 MAX_METRICS = 5000
-"""Metrics of one received payload that are looked at; a megabyte can hold half a million empty ones."""
+"""Limit for the metrics of one received payload that are decoded; a megabyte can hold half a million empty ones."""
 
 
 class DecodedMetric(TypedDict):
@@ -189,7 +189,7 @@ def check_value(datatype: Datatype, value: Any, field: str) -> None:
 
 
 def encode(metrics: Iterable[Metric], seq: int | None) -> bytes:
-    """The bytes of a payload with checked metrics; ``seq`` is None where the specification has none."""
+    """Return the bytes of a payload with checked metrics; ``seq`` is None where the specification has none."""
     now = time.time_ns() // 1_000_000
     payload = _Payload(timestamp=now)
     if seq is not None:
@@ -238,7 +238,8 @@ def decode(data: bytes, births: Mapping[str | int, DecodedMetric] | None = None)
     """Decode a payload.
 
     Args:
-        births: what a birth declared, by name and by alias: names and datatypes that data messages may leave out.
+        data: the bytes of the payload.
+        births: metrics of the birth by name and by alias; data messages may leave out names and datatypes.
 
     Raises:
         AdapterError: ``invalid_input``: not a Sparkplug payload.
@@ -257,7 +258,7 @@ def decode(data: bytes, births: Mapping[str | int, DecodedMetric] | None = None)
 
 
 def is_rebirth_command(data: bytes) -> bool:
-    """The payload of an NCMD asks for the births; what is no payload asks for nothing."""
+    """Whether the payload of an NCMD asks for the births; bytes that are no payload do not."""
     try:
         metrics = decode(data).metrics
     except AdapterError:
@@ -295,5 +296,5 @@ def _decoded(metric: Any, births: Mapping[str | int, DecodedMetric]) -> DecodedM
 
 
 def exact(number: int | None) -> int | str | None:
-    """A whole number as JSON can carry it: a decimal string where other readers would round it."""
+    """Return a whole number for JSON: as a decimal string where readers would round the number."""
     return str(number) if number is not None and abs(number) > _EXACT_IN_JSON else number

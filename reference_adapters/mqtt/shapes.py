@@ -1,4 +1,4 @@
-"""What the tools take and give: arguments with their bounds, and the shapes of ``data``."""
+"""The arguments of the tools with their bounds, and the shapes of their ``data``."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
-from ..core import AdapterError, AdapterServer, Call, device_text
+from ..core import AdapterError, Call, device_text, tool
 from .connection import Message
 from .edge_node import Life, declared
 from .link import Link
@@ -34,67 +34,51 @@ from .shapes import (
 )
 from .topics import NAMESPACE
 
-__all__ = ["add_sparkplug_tools"]
-
-SPARKPLUG = "sparkplug-b"
+__all__ = ["SparkplugTools"]
 
 
-def add_sparkplug_tools(server: AdapterServer, link: Link) -> None:
-    """Offer them; the edge node is the link's."""
-    node = link.edge_node
-    # Subscribed to before the first birth (message-flow-edge-node-ncmd-subscribe, -device-dcmd-subscribe).
-    commands = {node.topic("NCMD"): 1, node.topic("DCMD", "+"): 1}
+class SparkplugTools:
+    """The Sparkplug tools over one connection to a broker; the edge node is the link's."""
 
-    async def publish(call: Call, kind: str, device: str | None, compose: Callable[[], list[Message]]) -> int:
-        """Publish as edge node; the sequence number of the message that the call is about."""
-        seq = 0
+    def __init__(self, link: Link) -> None:
+        self._link = link
+        self._node = link.edge_node
+        # Subscribed to before the first birth (message-flow-edge-node-ncmd-subscribe, -device-dcmd-subscribe).
+        self._commands = {self._node.topic("NCMD"): 1, self._node.topic("DCMD", "+"): 1}
+        self._listening_since = ""
 
-        def told() -> list[Message]:
-            nonlocal seq
-            messages = compose()
-            seq = 0 if kind == "NBIRTH" else node.seq
-            call.trace.update(group=node.group, edge_node=node.name, type=kind, bd_seq=node.bd_seq)
-            if device is not None:
-                call.trace["device"] = device
-            if kind != "NDEATH":
-                call.trace["seq"] = seq
-            return messages
+    # -- births and deaths --------------------------------------------------------------------------------
 
-        await link.publish(call, told)
-        call.trace["topic"] = node.topic(kind, device)
-        return seq
-
-    # -- births and deaths ----------------------------------------------------------------------------------
-
-    @server.tool("sparkplug.node_birth", writes=True, idempotent=False, protocol=SPARKPLUG)
-    async def publish_node_birth(call: Call, arguments: NodeBirth) -> NodePublished:
+    @tool("sparkplug.node_birth", writes=True, idempotent=False)
+    async def publish_node_birth(self, call: Call, arguments: NodeBirth) -> NodePublished:
         """Publish NBIRTH and the DBIRTH of every device that is born."""
-        metrics = declared(_checked(arguments.metrics))
-        async with link.publishing:
-            await link.need(call, commands)
+        node, metrics = self._node, declared(_checked(arguments.metrics))
+        async with self._link.publishing:
+            await self._link.need(call, self._commands)
             life = (node.life or Life()).with_node(metrics)
-            seq = await publish(call, "NBIRTH", None, lambda: node.births(life))
+            seq = await self._publish(call, "NBIRTH", None, lambda: node.births(life))
             node.life = life
         return {"edge_node_id": node.name, "metric_count": len(metrics), "seq": seq, "bd_seq": node.bd_seq}
 
-    @server.tool("sparkplug.node_death", writes=True, protocol=SPARKPLUG)
-    async def publish_node_death(call: Call, arguments: Nothing) -> NodeDied:
+    @tool("sparkplug.node_death", writes=True)
+    async def publish_node_death(self, call: Call, arguments: Nothing) -> NodeDied:
         """Publish NDEATH. The devices die with the node; all have to be born again before data."""
-        async with link.publishing:
+        node = self._node
+        async with self._link.publishing:
             node.living()
-            await publish(call, "NDEATH", None, lambda: [node.death()])
+            await self._publish(call, "NDEATH", None, lambda: [node.death()])
             node.life = None
         return {"edge_node_id": node.name, "bd_seq": node.bd_seq}
 
-    @server.tool("sparkplug.device_birth", writes=True, idempotent=False, protocol=SPARKPLUG)
-    async def publish_device_birth(call: Call, arguments: DeviceBirth) -> DevicePublished:
+    @tool("sparkplug.device_birth", writes=True, idempotent=False)
+    async def publish_device_birth(self, call: Call, arguments: DeviceBirth) -> DevicePublished:
         """Publish DBIRTH of a device, with NBIRTH before it if the node is not born."""
-        device, metrics = arguments.device_id, declared(_checked(arguments.metrics))
-        async with link.publishing:
-            await link.need(call, commands)
+        node, device, metrics = self._node, arguments.device_id, declared(_checked(arguments.metrics))
+        async with self._link.publishing:
+            await self._link.need(call, self._commands)
             life = (node.life or Life()).with_device(device, metrics)
             alone = node.alive
-            seq = await publish(
+            seq = await self._publish(
                 call,
                 "DBIRTH",
                 device,
@@ -103,95 +87,65 @@ def add_sparkplug_tools(server: AdapterServer, link: Link) -> None:
             node.life = life
         return {"edge_node_id": node.name, "device_id": device, "metric_count": len(metrics), "seq": seq}
 
-    @server.tool("sparkplug.device_death", writes=True, protocol=SPARKPLUG)
-    async def publish_device_death(call: Call, arguments: Device) -> DeviceDied:
+    @tool("sparkplug.device_death", writes=True)
+    async def publish_device_death(self, call: Call, arguments: Device) -> DeviceDied:
         """Publish DDEATH of a device."""
-        device = arguments.device_id
-        async with link.publishing:
+        node, device = self._node, arguments.device_id
+        async with self._link.publishing:
             node.living().metrics_of(device)
-            seq = await publish(call, "DDEATH", device, lambda: [node.numbered("DDEATH", device, ())])
+            seq = await self._publish(call, "DDEATH", device, lambda: [node.numbered("DDEATH", device, ())])
             node.life = node.living().without_device(device)
         return {"edge_node_id": node.name, "device_id": device, "seq": seq}
 
-    # -- data -----------------------------------------------------------------------------------------------
+    # -- data ---------------------------------------------------------------------------------------------
 
-    async def publish_data(call: Call, kind: str, device: str | None, arguments: NodeData | DeviceData) -> int:
-        async with link.publishing:
-            metrics = node.new_values(device, [(metric.name, metric.value) for metric in arguments.metrics])
-            seq = await publish(call, kind, device, lambda: [node.numbered(kind, device, metrics)])
-            node.remember(device, metrics)
-        return seq
-
-    @server.tool("sparkplug.node_data", writes=True, idempotent=False, protocol=SPARKPLUG)
-    async def publish_node_data(call: Call, arguments: NodeData) -> NodePublished:
+    @tool("sparkplug.node_data", writes=True, idempotent=False)
+    async def publish_node_data(self, call: Call, arguments: NodeData) -> NodePublished:
         """Publish NDATA with metrics that the birth declared."""
-        seq = await publish_data(call, "NDATA", None, arguments)
-        return {"edge_node_id": node.name, "metric_count": len(arguments.metrics), "seq": seq, "bd_seq": node.bd_seq}
+        seq = await self._publish_data(call, "NDATA", None, arguments)
+        node, count = self._node, len(arguments.metrics)
+        return {"edge_node_id": node.name, "metric_count": count, "seq": seq, "bd_seq": node.bd_seq}
 
-    @server.tool("sparkplug.device_data", writes=True, idempotent=False, protocol=SPARKPLUG)
-    async def publish_device_data(call: Call, arguments: DeviceData) -> DevicePublished:
+    @tool("sparkplug.device_data", writes=True, idempotent=False)
+    async def publish_device_data(self, call: Call, arguments: DeviceData) -> DevicePublished:
         """Publish DDATA with metrics that the device's birth declared."""
-        device = arguments.device_id
-        seq = await publish_data(call, "DDATA", device, arguments)
-        return {"edge_node_id": node.name, "device_id": device, "metric_count": len(arguments.metrics), "seq": seq}
+        device, count = arguments.device_id, len(arguments.metrics)
+        seq = await self._publish_data(call, "DDATA", device, arguments)
+        return {"edge_node_id": self._node.name, "device_id": device, "metric_count": count, "seq": seq}
 
-    # -- commands -------------------------------------------------------------------------------------------
+    # -- commands -----------------------------------------------------------------------------------------
 
-    async def command(call: Call, kind: str, device: str | None, arguments: NodeCommand) -> Commanded:
-        metrics, target = _checked(arguments.metrics), arguments.edge_node_id
-        declared(metrics, own=())
-        group = node.group if arguments.group_id is None else arguments.group_id
-        known = link.nodes.check_command(group, target, device, metrics)
-        topic = f"{NAMESPACE}/{group}/{kind}/{target}" + ("" if device is None else f"/{device}")
-
-        def compose() -> list[Message]:
-            call.trace.update(group=group, edge_node=target, type=kind)
-            if device is not None:
-                call.trace["device"] = device
-            # Commands carry no sequence number (payloads-ncmd-seq, payloads-dcmd-seq).
-            return [Message(topic=topic, payload=encode(metrics, None))]
-
-        await link.publish(call, compose)
-        return {
-            "topic": topic,
-            "metric_count": len(metrics),
-            "delivery": call.trace["delivery"],
-            "checked_against_birth": known,
-        }
-
-    @server.tool("sparkplug.node_command", writes=True, idempotent=False, protocol=SPARKPLUG)
-    async def publish_node_command(call: Call, arguments: NodeCommand) -> Commanded:
+    @tool("sparkplug.node_command", writes=True, idempotent=False)
+    async def publish_node_command(self, call: Call, arguments: NodeCommand) -> Commanded:
         """Publish NCMD to an edge node. Names and types are checked if its birth was seen (list_sparkplug_nodes)."""
-        return await command(call, "NCMD", None, arguments)
+        return await self._command(call, "NCMD", None, arguments)
 
-    @server.tool("sparkplug.device_command", writes=True, idempotent=False, protocol=SPARKPLUG)
-    async def publish_device_command(call: Call, arguments: DeviceCommand) -> Commanded:
+    @tool("sparkplug.device_command", writes=True, idempotent=False)
+    async def publish_device_command(self, call: Call, arguments: DeviceCommand) -> Commanded:
         """Publish DCMD to a device. Names and types are checked if its birth was seen (list_sparkplug_nodes)."""
-        return await command(call, "DCMD", arguments.device_id, arguments)
+        return await self._command(call, "DCMD", arguments.device_id, arguments)
 
-    # -- listening ------------------------------------------------------------------------------------------
+    # -- listening ----------------------------------------------------------------------------------------
 
-    listening_since = ""
-
-    @server.tool("sparkplug.nodes", protocol=SPARKPLUG)
-    async def list_sparkplug_nodes(call: Call, arguments: Nothing) -> KnownNodes:
+    @tool("sparkplug.nodes")
+    async def list_sparkplug_nodes(self, call: Call, arguments: Nothing) -> KnownNodes:
         """List the edge nodes heard of, with their devices and last values. The first call begins to listen; births come
         when nodes connect, or after an NCMD with Node Control/Rebirth = true."""
-        nonlocal listening_since
+        link = self._link
         if link.nodes.listening:
-            # Whatever the broker had for us before it answers this has been heard.
+            # Everything that the broker had for this client before its answer has then been received.
             await link.ask(call)
         else:
             since = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
             await link.need(call, {LISTENING: 0})
-            link.nodes.listening, listening_since = True, since
+            link.nodes.listening, self._listening_since = True, since
         if link.nodes.overfull:
             call.extra["truncated"] = {"returned": len(link.nodes.listing()), "total": None}
         nodes = _foreign(call, "/data/nodes", link.nodes.listing())
-        return {"nodes": nodes, "listening_since": listening_since}
+        return {"nodes": nodes, "listening_since": self._listening_since}
 
-    @server.tool("sparkplug.decode", protocol=SPARKPLUG)
-    async def decode_sparkplug_payload(call: Call, arguments: Base64Payload) -> DecodedPayload:
+    @tool("sparkplug.decode")
+    async def decode_sparkplug_payload(self, call: Call, arguments: Base64Payload) -> DecodedPayload:
         """Decode a Sparkplug B payload. Metrics that only have an alias keep it: names are in the birth."""
         try:
             data = base64.b64decode(arguments.payload, validate=True)
@@ -203,6 +157,57 @@ def add_sparkplug_tools(server: AdapterServer, link: Link) -> None:
         metrics: list[DecodedMetric] = _foreign(call, "/data/metrics", payload.metrics)
         return {"seq": exact(payload.seq), "timestamp": exact(payload.timestamp), "metrics": metrics}
 
+    # -- publishing ---------------------------------------------------------------------------------------
+
+    async def _publish(self, call: Call, kind: str, device: str | None, compose: Callable[[], list[Message]]) -> int:
+        """Publish as edge node and return the sequence number of the message that the call is about."""
+        node, seq = self._node, 0
+
+        def composed() -> list[Message]:
+            nonlocal seq
+            messages = compose()
+            seq = 0 if kind == "NBIRTH" else node.seq
+            call.trace.update(group=node.group, edge_node=node.name, type=kind, bd_seq=node.bd_seq)
+            if device is not None:
+                call.trace["device"] = device
+            if kind != "NDEATH":
+                call.trace["seq"] = seq
+            return messages
+
+        await self._link.publish(call, composed)
+        call.trace["topic"] = node.topic(kind, device)
+        return seq
+
+    async def _publish_data(self, call: Call, kind: str, device: str | None, arguments: NodeData | DeviceData) -> int:
+        node = self._node
+        async with self._link.publishing:
+            metrics = node.new_values(device, [(metric.name, metric.value) for metric in arguments.metrics])
+            seq = await self._publish(call, kind, device, lambda: [node.numbered(kind, device, metrics)])
+            node.remember(device, metrics)
+        return seq
+
+    async def _command(self, call: Call, kind: str, device: str | None, arguments: NodeCommand) -> Commanded:
+        metrics, target = _checked(arguments.metrics), arguments.edge_node_id
+        declared(metrics, own=())
+        group = self._node.group if arguments.group_id is None else arguments.group_id
+        known = self._link.nodes.check_command(group, target, device, metrics)
+        topic = f"{NAMESPACE}/{group}/{kind}/{target}" + ("" if device is None else f"/{device}")
+
+        def compose() -> list[Message]:
+            call.trace.update(group=group, edge_node=target, type=kind)
+            if device is not None:
+                call.trace["device"] = device
+            # Commands carry no sequence number (payloads-ncmd-seq, payloads-dcmd-seq).
+            return [Message(topic=topic, payload=encode(metrics, None))]
+
+        await self._link.publish(call, compose)
+        return {
+            "topic": topic,
+            "metric_count": len(metrics),
+            "delivery": call.trace["delivery"],
+            "checked_against_birth": known,
+        }
+
 
 def _checked(metrics: Sequence[TypedMetric]) -> list[Metric]:
     for index, metric in enumerate(metrics):
@@ -211,7 +216,7 @@ def _checked(metrics: Sequence[TypedMetric]) -> list[Metric]:
 
 
 def _foreign(call: Call, pointer: str, value: Any) -> Any:
-    """The same structure with every text in it cleaned, listed as one in ``meta.untrusted``; base64 is left alone."""
+    """Return a copy with every text cleaned, listed as one in ``meta.untrusted``; base64 is not changed."""
     if isinstance(value, str):
         value = device_text(call, pointer, value)
     elif isinstance(value, list):

@@ -26,7 +26,7 @@ def _check_text(text: str) -> None:
 
 
 def check_name(topic: str) -> str:
-    """A topic to publish on.
+    """Check a topic to publish on and return it.
 
     Raises:
         AdapterError: ``invalid_input``.
@@ -37,13 +37,13 @@ def check_name(topic: str) -> str:
     if topic.startswith("$"):
         raise _refuse("topics beginning with $ belong to the broker")
     if topic.split("/", 1)[0] == NAMESPACE:
-        # Whatever is published there by hand breaks the sequence of some edge node.
+        # A message that is published there by hand breaks the sequence of an edge node.
         raise _refuse("topics of Sparkplug are published by the tools for edge nodes, devices and commands")
     return topic
 
 
 def check_filter(text: str) -> str:
-    """A topic filter to subscribe to.
+    """Check a topic filter to subscribe to and return it.
 
     Raises:
         AdapterError: ``invalid_input``.
@@ -58,7 +58,7 @@ def check_filter(text: str) -> str:
 
 
 def matches(text: str, topic: str) -> bool:
-    """The filter selects the topic."""
+    """Whether the filter selects the topic."""
     wanted, levels = text.split("/"), topic.split("/")
     if topic.startswith("$") and wanted[0] in ("+", "#"):
         return False

@@ -6,6 +6,6 @@ Environment: ``OPCUA_URL`` (opc.tcp://127.0.0.1:4840), ``OPCUA_TIMEOUT_S`` (2, p
 
 from __future__ import annotations
 
-from .tools import build
+from .adapter import build
 
 __all__ = ["build"]

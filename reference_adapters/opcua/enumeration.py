@@ -1,8 +1,8 @@
 """Finds every variable of a server: one Browse a level.
 
-The folders are browsed again in every enumeration, so that what is new is found. Whether a variable has variables below it
-is asked once a session: what a variable is made of follows from its type, and asking again for each of them would
-cost half as much as everything else.
+The folders are browsed again in every enumeration, so that new nodes are found. Whether a variable has variables below it is
+asked once a session: its components follow from its type, and asking again for each variable would cost half as much as the
+rest of the enumeration.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ Found = dict[ua.NodeId, ua.QualifiedName]
 
 _OBJECTS = ua.NodeId(ua.ObjectIds.ObjectsFolder)
 _HAS_PROPERTY = ua.NodeId(ua.ObjectIds.HasProperty)
-# Every field that is not asked for is time saved at both ends: this is what most of an enumeration's time goes into.
+# A field that is not asked for saves time in server and adapter; these fields take most of an enumeration's time.
 _RESULT = Mask.ReferenceTypeId | Mask.NodeClass | Mask.BrowseName
 _CLASSES = ua.NodeClass.Object | ua.NodeClass.Variable
 
 
-async def find_variables(services: Services, call: Call, leaves: set[ua.NodeId]) -> Found:
-    """The data variables below the Objects folder by node id, with their browse names.
+async def find_variables(services: Services, call: Call) -> Found:
+    """Return the data variables below the Objects folder by node id, with their browse names.
+
+    Namespace 0 is left out: it describes the server itself. Properties are left out: they describe nodes, they are no data of
+    their own.
 
     Args:
-        services: to ask with.
-        call: whose ``meta.truncated`` tells when there may be more.
-        leaves: the variables of this session that are known to have none below them; grows.
-
-    Namespace 0 is left out: it is the server's own bookkeeping. Properties are left out: they describe nodes, they are no
-    data of their own.
+        services: the services to ask with.
+        call: its ``meta.truncated`` tells when there may be more variables.
     """
+    leaves = services.leaves
     found: Found = {}
-    # Ends cycles, and lists once what is referenced twice.
+    # Ends cycles, and lists a variable with two references once.
     seen = {_OBJECTS}
     level = [_OBJECTS]
     for _ in range(MAX_LEVELS):

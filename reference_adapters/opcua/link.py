@@ -1,5 +1,5 @@
-"""The session with the server: made on demand, replaced when it is lost, a request never repeated if it may have
-changed something."""
+"""The session with the server: made on demand, replaced when it is lost. A request that may have changed the plant is never
+repeated."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = ["Link", "NodeFacts", "Session"]
 
 T = TypeVar("T")
 
-# The library logs refusals, which are answers here, and endpoints, which may carry credentials.
+# The library logs refusals, which are answers of the tools, and endpoints, which may contain credentials.
 logging.getLogger("asyncua").setLevel(logging.CRITICAL)
 
 _FAREWELL_S = 2.0
@@ -56,7 +56,7 @@ class _Wire(Observer):  # type: ignore[misc]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NodeFacts:
-    """What must be known of a variable before it can be written.
+    """Type and shape of a variable, which must be known before it can be written.
 
     Attributes:
         kind: its built-in type.
@@ -70,10 +70,10 @@ class NodeFacts:
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class Session:
-    """One session, and what was learnt in it about the server.
+    """One session, and the facts about the server that were read in it.
 
-    What was learnt is valid for this session only: after a restart the same identifier may mean another node, and the
-    same namespace may have another index. So a request that was prepared in one session is never sent in another.
+    These facts are valid for this session only: after a restart the same identifier may mean another node, and the same
+    namespace may have another index. So a request that was prepared in one session is never sent in another.
     """
 
     client: Client
@@ -97,13 +97,13 @@ class Session:
         """Make one service call.
 
         Args:
-            call: the tool call it is made for.
+            call: the tool call that needs it.
             request: makes the service call.
-            items: so many results there have to be.
-            changes: it is a Write or Call.
+            items: number of results that the answer must have.
+            changes: the service is Write or Call.
 
         Raises:
-            AdapterError: a service fault, no answer, or one that is not understood.
+            AdapterError: a service fault, no answer, or an answer that is not understood.
             LostError: the session ended.
         """
         if not self.alive:
@@ -114,35 +114,36 @@ class Session:
             results = await request(self.client.uaclient)
             if len(results) != items:
                 raise ValueError
-        except UaStatusCodeError as fault:
-            status = ua.StatusCode(fault.code)
-            call.answered(status_code=trace_status(status))
-            error = refusal(status, writes=call.writes, changes=changes)
-            if status.name in _GONE:
-                raise LostError(error, sent=changes) from None
-            raise error from None
-        except TimeoutError:
-            # Whoever is silent may be gone for good, so the next call begins with a new connection.
-            error = AdapterError("timeout", f"the server did not answer within {self.timeout_s:g} s")
-            raise LostError(error, sent=True) from None
-        except OSError:
-            error = AdapterError("connection_lost", "the connection broke during the call")
-            raise LostError(error, sent=changes) from None
-        except Exception:
-            # Whatever the decoder trips over: struct.error, KeyError, UaError, UnicodeDecodeError, …
-            error = AdapterError("protocol_error", "the server's answer is not the answer to the request")
-            raise LostError(error, sent=True) from None
+        except Exception as fault:
+            raise self._failure(call, fault, changes=changes) from None
         finally:
             _calling.reset(token)
         return results
+
+    def _failure(self, call: Call, fault: Exception, *, changes: bool) -> AdapterError | LostError:
+        if isinstance(fault, UaStatusCodeError):
+            status = ua.StatusCode(fault.code)
+            call.answered(status_code=trace_status(status))
+            refused = refusal(status, writes=call.writes, changes=changes)
+            return LostError(refused, sent=changes) if status.name in _GONE else refused
+        if isinstance(fault, TimeoutError):
+            # A silent server may be gone for good, so the next call begins with a new connection.
+            error = AdapterError("timeout", f"the server did not answer within {self.timeout_s:g} s")
+            return LostError(error, sent=True)
+        if isinstance(fault, OSError):
+            error = AdapterError("connection_lost", "the connection broke during the call")
+            return LostError(error, sent=changes)
+        # Any fault of the decoder: struct.error, KeyError, UaError, UnicodeDecodeError, …
+        error = AdapterError("protocol_error", "the server's answer is not the answer to the request")
+        return LostError(error, sent=True)
 
 
 class LostError(Exception):
     """The session cannot be used any longer.
 
     Attributes:
-        error: what the caller is told if the work is not done again.
-        sent: it must not be done again.
+        error: the error of the call if the work is not repeated.
+        sent: the work must not be repeated.
     """
 
     def __init__(self, error: AdapterError, *, sent: bool) -> None:
@@ -156,8 +157,8 @@ class Link:
 
     Args:
         url: ``opc.tcp://host:port``.
-        timeout_s: for each step of connecting, and for each service call.
-        username, password: of the user; anonymous without.
+        timeout_s: seconds for each step of connecting, and for each service call.
+        username, password: credentials of the user; None is anonymous.
     """
 
     def __init__(self, url: str, timeout_s: float, username: str | None, password: str | None) -> None:
@@ -171,10 +172,10 @@ class Link:
         self._generation = 0
 
     async def perform(self, call: Call, work: Callable[[Session], Awaitable[T]]) -> T:
-        """Do something in a session. Once more in a new one, if the session was lost before anything was changed.
+        """Do work in a session; repeat it once in a new one if the session was lost before anything was changed.
 
         Raises:
-            AdapterError: no connection, or what ``work`` raised.
+            AdapterError: no connection, or the error that ``work`` raised.
         """
         try:
             return await self._attempt(call, work)
@@ -209,7 +210,7 @@ class Link:
         return session
 
     async def _connect(self, call: Call) -> Session:
-        # The watchdog must not mistake a slow answer for a lost connection: far above the tools' timeout.
+        # Far above the tools' timeout, so that the watchdog does not take a slow answer for a lost connection.
         client = Client(self._url, timeout=self._timeout_s, watchdog_intervall=60.0)
         client.uaclient.observer = _Wire()
         if self._username is not None:
@@ -229,13 +230,13 @@ class Link:
     def _drop(self, session: Session) -> None:
         if self._session is session:
             self._session = None
-            # Nobody waits for it: the server may be gone.
+            # No call waits for the farewell: the server may be gone.
             task = asyncio.create_task(_leave(session.client))
             self._farewells.add(task)
             task.add_done_callback(self._farewells.discard)
 
     async def close(self) -> None:
-        """Close the session at the server, too."""
+        """Close the session in the server and the connection."""
         if self._session is not None:
             self._drop(self._session)
         if self._farewells:

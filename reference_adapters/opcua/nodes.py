@@ -23,14 +23,14 @@ _LARGEST_INDEX, _LARGEST_NUMBER = 2**16 - 1, 2**32 - 1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NodeName:
-    """A node id as it was written.
+    """A node id as the caller wrote it.
 
     Attributes:
-        text: as given.
-        field: JSON Pointer to it in the arguments.
+        text: the text as given.
+        field: JSON Pointer to the text in the arguments.
         identifier: numeric, string, GUID or bytes.
-        index: of the namespace, where the text gives one; 0 if it gives none.
-        uri: of the namespace, where the text gives that.
+        index: namespace index that the text gives; 0 if it gives none.
+        uri: namespace URI that the text gives, or None.
     """
 
     text: str
@@ -40,15 +40,15 @@ class NodeName:
     uri: str | None
 
     def at(self, index: int) -> ua.NodeId:
-        """The node id with this namespace index."""
+        """Return the node id with this namespace index."""
         return ua.NodeId(self.identifier, index)
 
 
 def parse_node(text: str, field: str) -> NodeName:
-    """Read a node id.
+    """Parse a node id.
 
     Raises:
-        AdapterError: it is none.
+        AdapterError: ``invalid_input``: the text is no node id.
     """
     match = _SYNTAX.fullmatch(text)
     if match is not None and not _CONTROL.search(text):

@@ -27,24 +27,30 @@ _LIMITS = {
 }
 _HIERARCHICAL, _HAS_PROPERTY = ua.NodeId(Ids.HierarchicalReferences), ua.NodeId(Ids.HasProperty)
 _HAS_SUBTYPE = ua.NodeId(Ids.HasSubtype)
+_Page = tuple[int, ua.BrowseResult]
 _ABSTRACT = {Ids.BaseDataType, Ids.Number, Ids.Integer, Ids.UInteger}
 _DEEPEST_TYPE = 20
 
 
 class Services:
-    """What a tool asks of the server.
+    """The service calls that a tool makes.
 
-    Every method may raise AdapterError, or LostError for whoever made the session.
+    Every method may raise AdapterError, or LostError, which the link handles.
     """
 
     def __init__(self, session: Session, call: Call) -> None:
         self._session = session
         self._call = call
 
+    @property
+    def leaves(self) -> set[ua.NodeId]:
+        """The variables that are known in this session to have no variables below them; callers add to it."""
+        return self._session.leaves
+
     # -- names ----------------------------------------------------------------------------------------------
 
     async def node(self, name: NodeName) -> ua.NodeId:
-        """The node id, with the index that its namespace has in this session."""
+        """Return the node id, with the index that its namespace has in this session."""
         if name.uri is None:
             return name.at(name.index)
         if self._session.namespaces is None:
@@ -61,7 +67,7 @@ class Services:
     async def read(
         self, nodes: Sequence[ua.NodeId], *attributes: ua.AttributeIds, request: str = "read"
     ) -> list[ua.DataValue]:
-        """Attributes of nodes (default: the value), node by node."""
+        """Read attributes of nodes (default: the value), node by node."""
         wanted = [
             ua.ReadValueId(NodeId=node, AttributeId=attribute)
             for node in nodes
@@ -77,7 +83,7 @@ class Services:
         return await self._in_portions(wanted, request, send)
 
     async def write(self, nodes: Sequence[ua.NodeId], values: Sequence[ua.Variant]) -> list[ua.StatusCode]:
-        """Write values, and only values: servers may refuse a client's status and times (OPC 10000-4, 5.11.4.1)."""
+        """Write values without status and times, which servers may refuse (OPC 10000-4, 5.11.4.1)."""
         parameters = ua.WriteParameters(
             NodesToWrite=[
                 ua.WriteValue(NodeId=node, AttributeId=Attributes.Value, Value=ua.DataValue(value, StatusCode=None))
@@ -102,7 +108,7 @@ class Services:
     async def _in_portions(
         self, items: Sequence[S], limit: str, send: Callable[[Sequence[S]], Awaitable[list[T]]]
     ) -> list[T]:
-        """Send all at once; in portions to a server that says that it cannot take so many."""
+        """Send all items at once, or in portions after the server has refused that many."""
         limits = self._session.limits
         most = (limits or {}).get(limit) or len(items)
         try:
@@ -124,7 +130,7 @@ class Services:
     # -- types ----------------------------------------------------------------------------------------------
 
     async def facts(self, nodes: Sequence[ua.NodeId], fields: Sequence[str]) -> list[NodeFacts]:
-        """Types and ranks of variables that are to be written, asked once a session, in one request.
+        """Return types and ranks of variables that are to be written, read once a session, in one request.
 
         Args:
             nodes: the variables.
@@ -148,7 +154,7 @@ class Services:
         return [known[node] for node in nodes]
 
     async def method_inputs(self, method: ua.NodeId) -> list[NodeFacts]:
-        """The input arguments that a method declares, asked once a session."""
+        """Return the input arguments that a method declares, read once a session."""
         if method not in self._session.inputs:
             (properties,) = await self.browse([method], kind=_HAS_PROPERTY, fields=["/method_id"])
             declared = [each.NodeId for each in properties if each.BrowseName.Name == "InputArguments"]
@@ -169,7 +175,7 @@ class Services:
         return self._session.inputs[method]
 
     async def _built_in(self, data_type: ua.NodeId, variable: ua.NodeId | None) -> ua.VariantType:
-        """The built-in type in which values of a data type travel (OPC 10000-3, 5.8.3 and 8.14)."""
+        """Return the built-in type in which values of a data type are transferred (OPC 10000-3, 5.8.3 and 8.14)."""
         known = self._session.types
         asked, depth = data_type, 0
         while asked not in known and not _is_base(asked) and depth < _DEEPEST_TYPE:
@@ -183,7 +189,7 @@ class Services:
         elif number == Ids.Enumeration:
             kind = ua.VariantType.Int32
         elif number in _ABSTRACT and variable is not None:
-            # Any of several types is allowed; the one that the variable holds now is.
+            # Several types are allowed; the type of the variable's present value is one of them.
             (value,) = await self.read([variable])
             return ua.VariantType(value.Value.VariantType.value)
         elif number is None or number in _ABSTRACT:
@@ -205,14 +211,14 @@ class Services:
         classes: int = 0,
         result: int = ua.BrowseResultMask.BrowseName,
     ) -> list[list[ua.ReferenceDescription]]:
-        """The references of each node, every page of them.
+        """Return the references of each node, from every page.
 
         Args:
-            nodes: where to look.
-            fields: JSON Pointers to their names in the arguments; one for all, where they are not in the arguments.
-            kind, direction: of the references.
+            nodes: the nodes whose references are wanted.
+            fields: JSON Pointers to their names in the arguments; one for all nodes that are not in the arguments.
+            kind, direction: type and direction of the references.
             classes: mask of node classes, 0 for all.
-            result: what is asked about each reference; less is faster.
+            result: mask of the facts about each reference; fewer are faster.
         """
         asked = [
             ua.BrowseDescription(
@@ -229,14 +235,8 @@ class Services:
         waiting = list(range(len(nodes)))
         while waiting:
             first = await self._in_portions([asked[index] for index in waiting], "browse", self._send_browse)
-            pages = list(zip(waiting, first, strict=True))
-            # A server out of continuation points answers some nodes now, and the others when these are through.
-            late = [index for index, page in pages if page.StatusCode.name == "BadNoContinuationPoints"]
-            served = (
-                [(index, page) for index, page in pages if index not in late] if len(late) < len(waiting) else pages
-            )
+            served, waiting = _served(list(zip(waiting, first, strict=True)))
             await self._turn_pages(served, found, fields)
-            waiting = late if served is not pages else []
         return found
 
     async def _send_browse(self, portion: Sequence[ua.BrowseDescription]) -> list[ua.BrowseResult]:
@@ -247,7 +247,7 @@ class Services:
 
     async def _turn_pages(
         self,
-        pages: list[tuple[int, ua.BrowseResult]],
+        pages: list[_Page],
         found: list[list[ua.ReferenceDescription]],
         fields: Sequence[str],
     ) -> None:
@@ -273,9 +273,21 @@ class Services:
             await self._request(lambda client: client.browse_next(parameters), 0)
 
     def _refused(self, status: ua.StatusCode, field: str) -> AdapterError:
-        """What a request that changes nothing was refused with, so that nothing will be changed."""
+        """Return the error for a refused question; after it nothing is changed."""
         self._call.answered(status_code=trace_status(status))
         return refusal(status, writes=self._call.writes, field=field or None)
+
+
+def _served(pages: list[_Page]) -> tuple[list[_Page], list[int]]:
+    """Return the pages to turn, and the nodes to browse again after them.
+
+    A server that has run out of continuation points answers some nodes now, and the others after these. If it answers none,
+    its refusals are the answer.
+    """
+    late = [index for index, page in pages if page.StatusCode.name == "BadNoContinuationPoints"]
+    if len(late) == len(pages):
+        return pages, []
+    return [(index, page) for index, page in pages if index not in late], late
 
 
 def _is_base(data_type: ua.NodeId) -> bool:

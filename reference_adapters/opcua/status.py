@@ -68,12 +68,12 @@ _CODES: dict[str, tuple[str, str]] = {
 
 
 def trace_status(status: ua.StatusCode) -> dict[str, Any]:
-    """``meta.trace.status_code``: the 32-bit value as it was on the wire, and its symbol."""
+    """Return ``meta.trace.status_code``: the 32-bit value as it was on the wire, and its symbol."""
     return {"value": status.value, "symbol": status.name}
 
 
 def quality(status: ua.StatusCode) -> str:
-    """``good``, ``uncertain`` or ``bad``, from the two severity bits; both bits set is bad."""
+    """Return ``good``, ``uncertain`` or ``bad`` from the two severity bits; both bits set is bad."""
     return ("good", "uncertain", "bad", "bad")[status.value >> 30]
 
 
@@ -85,13 +85,14 @@ def refusal(
     field: str | None = None,
     details: dict[str, Any] | None = None,
 ) -> AdapterError:
-    """The error of an operation that the server answered with a Bad status.
+    """Return the error for an operation that the server answered with a Bad status.
 
     Args:
-        writes: it was asked for a tool that changes something,
-        changes: and was the Write or Call itself, not one of the questions before it.
+        status: the Bad status.
+        writes: the tool changes the state of the plant.
+        changes: the operation was the Write or Call itself, not one of the questions before it.
         field: JSON Pointer to the argument that named the operation's target.
-        details: what else the server said.
+        details: further information of the server.
     """
     code, outcome = _CODES.get(status.name, ("device_failure", "unknown"))
     return AdapterError(

@@ -1,4 +1,4 @@
-"""Texts that the server supplies, marked place by place and not text by text: an enumeration has thousands of them."""
+"""Texts that the server supplies. They are marked as untrusted place by place: an enumeration has thousands of texts."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _LONGEST = 1024
 
 
 def cleaner(call: Call, pointer: str) -> Callable[[str | None], str]:
-    """A function that makes texts fit to be shown below ``pointer``, a JSON Pointer that ``meta.untrusted`` then lists."""
+    """Return a function that cleans texts of the server; ``meta.untrusted`` then lists ``pointer``, their place in the data."""
 
     def clean(text: str | None) -> str:
         if not text:

@@ -36,10 +36,10 @@ _FIRST_YEAR = 1601
 
 
 def to_variant(value: Any, kind: ua.VariantType, rank: int, dimensions: Sequence[int], field: str) -> ua.Variant:
-    """The variant to write.
+    """Return the variant to write.
 
     Args:
-        value: from JSON.
+        value: the JSON value.
         kind: the node's built-in type.
         rank: the node's ValueRank: n dimensions, 0 at least one, -1 none, -2 any number, -3 none or one.
         dimensions: the node's ArrayDimensions; 0 is any length.
@@ -103,7 +103,7 @@ def _scalar(value: Any, kind: ua.VariantType, field: str) -> Any:
     if kind in _LARGEST:
         if type(value) not in (int, float):
             raise _mismatch(f"the node is {kind.name}; a number is needed", field)
-        # Not abs(): comparing is exact for integers of any size, converting them is not.
+        # Two comparisons instead of abs(): comparing is exact for integers of any size, converting them is not.
         if not -_LARGEST[kind] <= value <= _LARGEST[kind]:
             raise _overflow(f"{kind.name} holds numbers up to {_LARGEST[kind]:g}", field)
         if float(value) != value:
@@ -125,7 +125,7 @@ def _scalar(value: Any, kind: ua.VariantType, field: str) -> Any:
 def _moment(text: str) -> datetime:
     moment = datetime.fromisoformat(text)
     if moment.tzinfo is None:
-        raise ValueError("a time without offset is nobody's time")
+        raise ValueError("the time has no offset from UTC")
     moment = moment.astimezone(UTC)
     if moment.year < _FIRST_YEAR:
         raise OverflowError
@@ -149,11 +149,11 @@ _FROM_TEXT: dict[ua.VariantType, Callable[[str], Any]] = {
 
 
 def from_variant(variant: ua.Variant | None, clean: Callable[[str], str]) -> ValueObject:
-    """The value with its type, and with the name of what JSON has no number for at its own place in ``special``.
+    """Return the value with its type; ``special`` names a number that JSON cannot represent, at the value's own place.
 
     Args:
-        variant: as it was received.
-        clean: makes a text of the device fit to be shown.
+        variant: the received variant.
+        clean: cleans a text of the server.
     """
     if variant is None or variant.VariantType == _Type.Null:
         return {"value": None, "data_type": "Null", "special": None}
@@ -217,7 +217,10 @@ def _structure(value: Any, clean: Callable[[str], str]) -> Any:
 
 
 def timestamp(moment: datetime | None, *, exact: bool = False) -> str | None:
-    """RFC 3339, UTC, in milliseconds, with ``exact`` in microseconds where there are any; OPC UA times are UTC."""
+    """Return a time as in RFC 3339, UTC, in milliseconds, with ``exact`` in microseconds where there are any.
+
+    OPC UA times are UTC.
+    """
     if moment is None:
         return None
     moment = moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)

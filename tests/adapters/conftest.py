@@ -9,13 +9,16 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import select
 import selectors
+import signal
 import socket
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -64,19 +67,104 @@ PATIENCE_S = 40.0
 """How long something is waited for that must come; whatever waits goes on as soon as it is there."""
 
 
-class Client:
-    """One adapter process and a raw JSON-RPC client on its pipes."""
+class ForkServer:
+    """The process that forks adapters, see :mod:`fork_server`."""
 
-    def __init__(self, command: list[str], env: Mapping[str, str] | None = None, era: str = MODERN) -> None:
-        self.era = era
-        self.process = subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            bufsize=0,
-            env={**os.environ, **(env or {})},
+    def __init__(self) -> None:
+        self._channel, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._channel.settimeout(PATIENCE_S)
+        with theirs:
+            self._process = subprocess.Popen(
+                [sys.executable, str(Path(__file__).with_name("fork_server.py")), str(theirs.fileno())],
+                pass_fds=[theirs.fileno()],
+            )
+        self._codes: dict[int, int] = {}
+
+    def start(self, command: list[str], env: Mapping[str, str]) -> Forked:
+        """Fork an adapter that runs the command of a Python program."""
+        (stdin, *sources), (sink, *outputs) = zip(*(os.pipe() for _ in range(3)), strict=True)
+        request = json.dumps({"command": command[1:], "env": dict(env)}).encode()
+        socket.send_fds(self._channel, [request], [stdin, *outputs])
+        for descriptor in (stdin, *outputs):
+            os.close(descriptor)
+        while "started" not in (answer := self._next()):
+            pass
+        return Forked(self, answer["started"], sink, *sources)
+
+    def _next(self) -> dict[str, int]:
+        answer: dict[str, int] = json.loads(self._channel.recv(1 << 16))
+        if "ended" in answer:
+            self._codes[answer["ended"]] = answer["code"]
+        return answer
+
+    def code(self, pid: int, timeout_s: float) -> int | None:
+        """Return the exit code of a process, or None if it has not ended in time."""
+        deadline = time.monotonic() + timeout_s
+        while pid not in self._codes:
+            ready, _, _ = select.select([self._channel], [], [], max(0.0, deadline - time.monotonic()))
+            if not ready:
+                return None
+            self._next()
+        return self._codes[pid]
+
+    def close(self) -> None:
+        self._channel.close()
+        self._process.wait(timeout=PATIENCE_S)
+
+
+class Forked:
+    """A forked adapter; what :class:`subprocess.Popen` offers of a started one."""
+
+    def __init__(self, server: ForkServer, pid: int, stdin: int, stdout: int, stderr: int) -> None:
+        self._server = server
+        self.pid = pid
+        self.stdin, self.stdout, self.stderr = (
+            os.fdopen(stdin, "wb", buffering=0),
+            os.fdopen(stdout, "rb", buffering=0),
+            os.fdopen(stderr, "rb", buffering=0),
         )
+
+    def poll(self) -> int | None:
+        return self._server.code(self.pid, 0.0)
+
+    def wait(self, timeout: float) -> int:
+        code = self._server.code(self.pid, timeout)
+        assert code is not None, "the adapter did not end"
+        return code
+
+    def send_signal(self, number: int) -> None:
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
+    def kill(self) -> None:
+        self.send_signal(signal.SIGKILL)
+
+
+class Client:
+    """One adapter process and a raw JSON-RPC client on its pipes.
+
+    Args:
+        command: of a Python program.
+        env: settings on top of this process's environment.
+        era: version of the protocol.
+        server: forks the adapter; without it the command is started.
+    """
+
+    def __init__(
+        self,
+        command: list[str],
+        env: Mapping[str, str] | None = None,
+        era: str = MODERN,
+        server: ForkServer | None = None,
+    ) -> None:
+        self.era = era
+        environment = {**os.environ, **(env or {})}
+        self.process: subprocess.Popen[bytes] | Forked
+        if server is not None:
+            self.process = server.start(command, environment)
+        else:
+            pipe = subprocess.PIPE
+            self.process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, bufsize=0, env=environment)
         assert self.process.stdin
         assert self.process.stdout
         assert self.process.stderr
@@ -178,6 +266,15 @@ class Client:
         self._schemas[tool].validate(result["structuredContent"])
         return Reply(result=result)
 
+    def pass_time(self) -> None:
+        """Move the clock of a forked adapter's event loop on, after it has dealt with everything that it was sent.
+
+        Every time-out of an exchange that has begun elapses; a call's deadline elapses with the second time.
+        """
+        assert isinstance(self.process, Forked)
+        self.request("tools/list", {})
+        self.process.send_signal(signal.SIGUSR1)
+
     def close(self) -> tuple[int, float]:
         """Close stdin; exit code and seconds until the end."""
         started = time.monotonic()
@@ -219,7 +316,9 @@ class Mock:
         ready = self._event("ready")
         self.port: int = ready["port"]
         self.pid: int = ready["pid"]
-        self._control = socket.create_connection(("127.0.0.1", ready["control"]), timeout=2 * PATIENCE_S)
+        self._control = socket.socket(socket.AF_UNIX)
+        self._control.settimeout(2 * PATIENCE_S)
+        self._control.connect(ready["control"])
         self._lines = self._control.makefile("rb")
 
     def _event(self, expected: str) -> dict[str, Any]:
@@ -301,12 +400,21 @@ class Mock:
 
 
 @pytest.fixture(scope="session")
-def sessions() -> Iterator[Callable[..., Client]]:
-    """Starts adapters that live until the end of the test run: ``sessions(command, env, era)``."""
+def fork_server() -> Iterator[ForkServer]:
+    server = ForkServer()
+    yield server
+    server.close()
+
+
+@pytest.fixture(scope="session")
+def sessions(fork_server: ForkServer) -> Iterator[Callable[..., Client]]:
+    """Starts adapters that live until the end of the test run: ``sessions(command, env, era, forked)``."""
     opened: list[Client] = []
 
-    def start(command: list[str], env: Mapping[str, str] | None = None, era: str = MODERN) -> Client:
-        opened.append(Client(command, env, era))
+    def start(
+        command: list[str], env: Mapping[str, str] | None = None, era: str = MODERN, *, forked: bool = True
+    ) -> Client:
+        opened.append(Client(command, env, era, fork_server if forked else None))
         return opened[-1]
 
     yield start

@@ -18,7 +18,15 @@ from typing import Annotated, Any, Literal
 import pytest
 from jsonschema import Draft202012Validator
 from pydantic import Field
-from pytest_otmcp.reference_adapters.core import LEFT_OUT, AdapterError, AdapterServer, Arguments, BoundsCode, Call
+from pytest_otmcp.reference_adapters.core import (
+    LEFT_OUT,
+    AdapterError,
+    AdapterServer,
+    Arguments,
+    BoundsCode,
+    Call,
+    tool,
+)
 from pytest_otmcp.reference_adapters.core.run import serve
 
 LEGACY, MODERN = "2025-11-25", "2026-07-28"
@@ -50,6 +58,63 @@ class Everything(Arguments):
     items: list[Inner] = Field(default_factory=list)
 
 
+class Tools:
+    """One tool for each thing that a tool can do."""
+
+    @tool("toy.take")
+    async def take(self, call: Call, arguments: Everything) -> dict[str, Any]:
+        """Take anything."""
+        return arguments.model_dump()
+
+    @tool("toy.null")
+    async def null(self, call: Call, arguments: Nothing) -> dict[str, Any]:
+        """Do nothing."""
+        return {}
+
+    @tool("toy.write", writes=True, idempotent=False)
+    async def write(self, call: Call, arguments: Everything) -> dict[str, Any]:
+        """Pretend to write."""
+        call.sending()
+        call.answered(word=arguments.word)
+        return {}
+
+    @tool("toy.hang", writes=True)
+    async def hang(self, call: Call, arguments: Everything) -> dict[str, Any]:
+        """Never return; the request has left when ``flag`` is set. Says on stderr when it begins and ends."""
+        if arguments.flag:
+            call.sending()
+        print(f"{arguments.text} hangs", file=sys.stderr, flush=True)
+        try:
+            await asyncio.Event().wait()
+        finally:
+            print(f"{arguments.text} is let go", file=sys.stderr, flush=True)
+        return {}
+
+    @tool("toy.crash")
+    async def crash(self, call: Call, arguments: Nothing) -> dict[str, Any]:
+        """Have a bug."""
+        raise RuntimeError("secret path /opt/adapter/main.py")
+
+    @tool("toy.infinite")
+    async def infinite(self, call: Call, arguments: Nothing) -> dict[str, Any]:
+        """Return what JSON cannot say."""
+        return {"value": float("inf")}
+
+    @tool("toy.noisy")
+    async def noisy(self, call: Call, arguments: Nothing) -> dict[str, Any]:
+        """Print where no print belongs."""
+        print("a stray line", flush=True)
+        os.write(1, b"another one\n")
+        return {}
+
+    @tool("toy.refuse")
+    async def refuse(self, call: Call, arguments: Nothing) -> dict[str, Any]:
+        """Refuse, having tried once."""
+        call.sending()
+        call.answered()
+        raise AdapterError("device_busy", "x" * 600, details={"a": 1}, retry_after_ms=5, partial={"done": 1})
+
+
 def build() -> AdapterServer:
     async def close() -> None:
         if "CLOSED_MARK" in os.environ:
@@ -67,59 +132,7 @@ def build() -> AdapterServer:
         close=close,
     )
 
-    @server.tool("toy.take")
-    async def take(call: Call, arguments: Everything) -> dict[str, Any]:
-        """Take anything."""
-        return arguments.model_dump()
-
-    @server.tool("toy.null")
-    async def null(call: Call, arguments: Nothing) -> dict[str, Any]:
-        """Do nothing."""
-        return {}
-
-    @server.tool("toy.write", writes=True, idempotent=False)
-    async def write(call: Call, arguments: Everything) -> dict[str, Any]:
-        """Pretend to write."""
-        call.sending()
-        call.answered(word=arguments.word)
-        return {}
-
-    @server.tool("toy.hang", writes=True)
-    async def hang(call: Call, arguments: Everything) -> dict[str, Any]:
-        """Never return; the request has left when ``flag`` is set. Says on stderr when it begins and ends."""
-        if arguments.flag:
-            call.sending()
-        print(f"{arguments.text} hangs", file=sys.stderr, flush=True)
-        try:
-            await asyncio.Event().wait()
-        finally:
-            print(f"{arguments.text} is let go", file=sys.stderr, flush=True)
-        return {}
-
-    @server.tool("toy.crash")
-    async def crash(call: Call, arguments: Nothing) -> dict[str, Any]:
-        """Have a bug."""
-        raise RuntimeError("secret path /opt/adapter/main.py")
-
-    @server.tool("toy.infinite")
-    async def infinite(call: Call, arguments: Nothing) -> dict[str, Any]:
-        """Return what JSON cannot say."""
-        return {"value": float("inf")}
-
-    @server.tool("toy.noisy")
-    async def noisy(call: Call, arguments: Nothing) -> dict[str, Any]:
-        """Print where no print belongs."""
-        print("a stray line", flush=True)
-        os.write(1, b"another one\n")
-        return {}
-
-    @server.tool("toy.refuse")
-    async def refuse(call: Call, arguments: Nothing) -> dict[str, Any]:
-        """Refuse, having tried once."""
-        call.sending()
-        call.answered()
-        raise AdapterError("device_busy", "x" * 600, details={"a": 1}, retry_after_ms=5, partial={"done": 1})
-
+    server.add(Tools())
     return server
 
 
@@ -292,8 +305,8 @@ def test_a_cancelled_call_is_never_answered(writable: Any) -> None:
 
 
 def test_a_bug_is_an_internal_error_without_internals(toy: Any) -> None:
-    for tool in ("crash", "infinite"):
-        error = toy.call(tool).error
+    for name in ("crash", "infinite"):
+        error = toy.call(name).error
         assert error["code"] == "internal_error"
         assert "secret" not in json.dumps(error)
     assert b"secret path" in toy.stderr

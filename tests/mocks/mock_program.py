@@ -9,6 +9,7 @@ import asyncio
 import contextlib
 import itertools
 import json
+import os
 import sys
 from typing import Any
 
@@ -18,6 +19,8 @@ PATIENCE_S = 40.0
 """How long a test waits for what must happen; whatever waits goes on as soon as it has."""
 
 _LINE_LIMIT = 64 * 1024 * 1024
+_THIRD_PARTIES = os.path.dirname(__file__)
+"""Where mock packages lie that are no part of the product, as an installation of theirs would do."""
 
 
 class RefusedError(Exception):
@@ -35,8 +38,8 @@ class Control:
         self._pump = asyncio.create_task(self._read())
 
     @classmethod
-    async def connect(cls, port: int) -> Control:
-        return cls(*await asyncio.open_connection("127.0.0.1", port, limit=_LINE_LIMIT))
+    async def connect(cls, path: str) -> Control:
+        return cls(*await asyncio.open_unix_connection(path, limit=_LINE_LIMIT))
 
     async def _read(self) -> None:
         try:
@@ -115,10 +118,12 @@ class MockProgram:
         """Start the program; :meth:`ready` or :meth:`end` has to follow."""
         return cls(
             await asyncio.create_subprocess_exec(
-                *(sys.executable, "-m", "pytest_otmcp.mocks", *arguments),
+                # As the kit does it: the working directory is no place to import from.
+                *(sys.executable, "-P", "-m", "pytest_otmcp.mocks", *arguments),
                 stdin=asyncio.subprocess.PIPE,
                 stdout=asyncio.subprocess.PIPE,
                 stderr=asyncio.subprocess.PIPE,
+                env={**os.environ, "PYTHONPATH": _THIRD_PARTIES},
             )
         )
 
@@ -139,7 +144,7 @@ class MockProgram:
         return event
 
     async def ready(self, *, paused: bool = True) -> None:
-        """Wait for the device and connect to its control port."""
+        """Wait for the device and connect to its control socket."""
         self.ready_event = await self.event()
         assert self.ready_event["event"] == "ready", self.ready_event
         self.control = await self.connect_control()

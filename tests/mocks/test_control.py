@@ -25,8 +25,8 @@ async def exchange(modbus: MockProgram, request: bytes = READ_HR_0) -> None:
 
 
 async def test_answers_carry_the_ids_of_pipelined_requests(modbus: MockProgram) -> None:
-    results = await asyncio.gather(*(modbus.control.ask(op) for op in ("image", "ready", "journal_reset") * 20))
-    assert [set(result) for result in results] == [{"units"}, {"protocol", "port", "pid"}, {"next"}] * 20
+    results = await asyncio.gather(*(modbus.control.ask(op) for op in ("image", "ready", "reset") * 20))
+    assert [set(result) for result in results] == [{"units", "points"}, {"protocol", "port", "pid"}, set()] * 20
 
 
 async def test_requests_of_one_client_are_done_in_order(modbus: MockProgram) -> None:
@@ -66,7 +66,7 @@ async def test_several_clients_see_the_same_device(modbus: MockProgram) -> None:
     ],
 )
 async def test_what_is_no_request_is_answered_with_a_sentence(modbus: MockProgram, line: str, words: str) -> None:
-    reader, writer = await asyncio.open_connection("127.0.0.1", modbus.ready_event["control"])
+    reader, writer = await asyncio.open_unix_connection(modbus.ready_event["control"])
     writer.write(line.encode() + b"\n")
     answer = json.loads(await reader.readline())
     assert answer["ok"] is False
@@ -168,14 +168,48 @@ async def test_a_client_that_goes_away_while_waiting_leaves_nothing_behind(modbu
     assert await modbus.control.journal(kind="request")
 
 
-async def test_a_cleared_journal_counts_on() -> None:
-    journal = Journal()
-    for _ in range(3):
+async def test_released_entries_are_gone_for_good_and_not_counted_as_dropped() -> None:
+    journal = Journal(capacity=10)
+    assert [journal.append(connection=1, direction="in", kind="x") for _ in range(8)] == list(range(8))
+    journal.forget(6)
+    assert [entry["seq"] for entry in journal.since(0)] == [6, 7]
+    assert (journal.first, journal.next, journal.dropped) == (6, 8, 0)
+    journal.forget(3)
+    assert journal.first == 6
+    journal.forget(1_000)
+    assert (journal.since(0), journal.first, journal.next) == ([], 8, 8)
+    assert journal.append(connection=1, direction="in", kind="y") == 8
+    assert [entry["seq"] for entry in journal.since(0)] == [8]
+    assert journal.since(9) == []
+
+
+async def test_a_journal_that_is_consumed_never_drops_anything() -> None:
+    journal = Journal(capacity=10)
+    for _ in range(100):
+        mark = journal.next
+        for _ in range(5):
+            journal.append(connection=1, direction="in", kind="x")
+        assert len(journal.since(mark)) == 5
+        journal.forget(journal.next)
+    assert (journal.first, journal.next, journal.dropped) == (500, 500, 0)
+
+
+async def test_a_wait_looks_at_nothing_that_came_before_its_mark() -> None:
+    class Counting:
+        """Equals every kind, and counts how often it was asked."""
+
+        asked = 0
+
+        def __eq__(self, other: object) -> bool:
+            self.asked += 1
+            return True
+
+        __hash__ = None  # type: ignore[assignment]
+
+    journal, kind = Journal(), Counting()
+    for _ in range(1_000):
         journal.append(connection=1, direction="in", kind="x")
-    journal.clear()
-    journal.append(connection=1, direction="in", kind="y")
-    assert [entry["seq"] for entry in journal.since(0)] == [3]
-    assert journal.since(4) == []
+    assert len(await journal.wait(998, {"kind": kind}, 2, 0)) == kind.asked == 2
 
 
 async def test_a_full_journal_drops_the_oldest_and_counts_them() -> None:
@@ -196,7 +230,7 @@ class SlowDevice(Device):
         super().__init__()
         self.begun = self.done = 0
 
-    async def serve(self, listener: Any) -> None:
+    async def serve(self, endpoints: Mapping[str, Any]) -> None:
         raise NotImplementedError
 
     async def aclose(self) -> None:

@@ -7,8 +7,10 @@ import contextlib
 import os
 import signal
 import socket
+import stat
 import sys
 from collections.abc import Awaitable, Callable
+from pathlib import Path
 
 import psutil
 import pytest
@@ -22,11 +24,60 @@ async def complaint(*arguments: str) -> tuple[int, str]:
 
 
 async def test_the_ready_line_tells_where_everything_is(modbus: MockProgram) -> None:
-    assert set(modbus.ready_event) == {"event", "protocol", "host", "port", "control", "pid"}
+    assert set(modbus.ready_event) == {"event", "protocol", "host", "port", "endpoints", "control", "pid"}
     assert modbus.ready_event["protocol"] == "modbus"
+    address = {"kind": "tcp", "host": modbus.host, "port": modbus.port}
+    assert modbus.ready_event["endpoints"] == {"modbus": address}
     assert modbus.ready_event["pid"] != modbus.process.pid
     ready = await modbus.control.ask("ready")
     assert ready == {"protocol": "modbus", "port": modbus.port, "pid": modbus.ready_event["pid"]}
+
+
+async def test_the_control_socket_is_in_a_directory_of_this_user_alone(modbus: MockProgram) -> None:
+    control = os.stat(modbus.ready_event["control"])
+    directory = os.stat(os.path.dirname(modbus.ready_event["control"]))
+    assert stat.S_ISSOCK(control.st_mode)
+    assert (stat.S_IMODE(directory.st_mode), directory.st_uid) == (0o700, os.getuid())
+
+
+def shown_by_the_kernel(*pids: int) -> list[bytes]:
+    """What /proc says of processes, and of all sockets."""
+    shown = [Path("/proc/net/unix").read_bytes()]
+    for pid in pids:
+        process = Path("/proc") / str(pid)
+        shown += [(process / name).read_bytes() for name in ("cmdline", "environ")]
+        shown += [os.readlink(link).encode() for link in (process / "fd").iterdir()]
+    return shown
+
+
+async def test_the_path_of_the_control_socket_is_told_in_the_ready_line_alone(modbus: MockProgram) -> None:
+    directory = os.path.dirname(modbus.ready_event["control"]).encode()
+    shown = shown_by_the_kernel(modbus.process.pid, modbus.ready_event["pid"])
+    assert [text for text in shown if directory in text] == []
+
+
+async def test_the_control_socket_goes_with_the_device_and_its_directory_with_the_program(modbus: MockProgram) -> None:
+    path = modbus.ready_event["control"]
+    modbus.say("stop")
+    await modbus.event()
+    with pytest.raises(FileNotFoundError):
+        os.stat(path)
+    modbus.say("start")
+    await modbus.ready()
+    await modbus.end()
+    with pytest.raises(FileNotFoundError):
+        os.stat(os.path.dirname(path))
+
+
+async def test_a_temporary_directory_with_a_long_name_is_no_obstacle(
+    start_mock: Callable[..., Awaitable[MockProgram]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    deep = tmp_path / ("d" * 100)
+    deep.mkdir()
+    monkeypatch.setenv("TMPDIR", str(deep))
+    program = await start_mock("modbus")
+    assert len(program.ready_event["control"]) < 108
+    assert list(deep.iterdir()) == []
 
 
 async def test_a_stopped_device_is_gone_and_its_port_refuses(modbus: MockProgram) -> None:
@@ -134,6 +185,8 @@ async def test_a_killed_launcher_leaves_no_device(modbus: MockProgram) -> None:
     assert await modbus.end() == (-signal.SIGKILL, "")
     with pytest.raises(ConnectionRefusedError):
         await asyncio.open_connection(modbus.host, modbus.port)
+    with pytest.raises(FileNotFoundError):
+        os.stat(os.path.dirname(modbus.ready_event["control"]))
 
 
 async def test_a_launcher_killed_after_a_restart_leaves_no_device(modbus: MockProgram) -> None:
@@ -189,12 +242,15 @@ async def test_a_mock_can_take_the_port_of_one_that_just_ended(
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["profinet"], "invalid choice: 'profinet'"),
+        (["profinet"], "there is no mock 'profinet'; there are modbus, mqtt, opcua, sparkplug, and modules by their"),
+        (["thirdparty.profinet"], "thirdparty.profinet cannot be imported: No module named 'thirdparty.profinet'"),
+        (["thirdparty.nothing"], "thirdparty.nothing offers no mock: it lacks ENDPOINTS, warm, create"),
+        (["thirdparty.terminal", "--port", "1502"], "--port: thirdparty.terminal serves on a pseudo terminal"),
         (["modbus", "--port", "70000"], "--port: expected 0 to 65535, found 70000"),
         (["modbus", "--port", "x"], "invalid int value: 'x'"),
-        (["modbus", "--broker", "mqtt://127.0.0.1"], "--broker: sparkplug needs it"),
-        (["sparkplug"], "--broker: sparkplug needs it"),
-        ([], "required: protocol"),
+        (["modbus", "--broker", "mqtt://127.0.0.1"], "unrecognized arguments: --broker mqtt://127.0.0.1"),
+        (["sparkplug"], "required: --broker"),
+        ([], "required: PROTOCOL"),
     ],
 )
 async def test_a_wrong_option_is_named_and_ends_with_2(arguments: list[str], words: str) -> None:

@@ -22,7 +22,7 @@ from mqtt_tools import PATIENCE_S, Peer
 from pytest_otmcp.mocks.journal import Entry
 from pytest_otmcp.mocks.mqtt.device import MqttDevice
 from pytest_otmcp.mocks.mqtt.sparkplug import decode_message, encode_payload
-from pytest_otmcp.mocks.mqtt.standalone import broker_address
+from pytest_otmcp.mocks.sparkplug.simulator import broker_address
 
 NODE = "spBv1.0/factory/{}/edge-node-1"
 DDATA = "spBv1.0/g/DDATA/n/d"
@@ -164,7 +164,7 @@ async def plant() -> AsyncIterator[Plant]:
     listener.bind(("127.0.0.1", 0))
     device = MqttDevice()
     try:
-        await device.serve(listener)
+        await device.serve({"mqtt": listener})
         yield Plant(device, listener.getsockname()[1])
     finally:
         await device.aclose()
@@ -403,9 +403,11 @@ def program(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], dict[str, 
         assert process.wait(PATIENCE_S) == 0
 
 
-def ask(port: int, **request: Any) -> Any:
+def ask(path: str, **request: Any) -> Any:
     """One exchange on a control channel."""
-    with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as control, control.makefile("rw") as stream:
+    with socket.socket(socket.AF_UNIX) as control, control.makefile("rw") as stream:
+        control.settimeout(PATIENCE_S)
+        control.connect(path)
         stream.write(json.dumps({"id": 1, **request}) + "\n")
         stream.flush()
         answer = json.loads(stream.readline())
@@ -470,8 +472,8 @@ def test_the_simulator_lives_at_a_foreign_broker() -> None:
 @pytest.mark.parametrize(
     ("arguments", "code", "complaint"),
     [
-        (["sparkplug"], 2, "sparkplug needs it"),
-        (["mqtt", "--broker", "mqtt://x"], 2, "do not take it"),
+        (["sparkplug"], 2, "required: --broker"),
+        (["mqtt", "--broker", "mqtt://x"], 2, "unrecognized arguments: --broker"),
         (["sparkplug", "--broker", "http://x"], 2, "expected mqtt://host:port"),
         (["sparkplug", "--broker", "mqtt://127.0.0.1:1"], 1, "cannot join mqtt://127.0.0.1:1"),
     ],

@@ -7,10 +7,11 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
+from pytest_otmcp.conformance.tasks.messages import received
 
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.session.exchange import Exchange
-from pytest_otmcp.trial.expectations import failed, received, succeeded
+from pytest_otmcp.trial.expectations import failed, succeeded
 from pytest_otmcp.trial.reply import Reply
 
 SILENCE = Exchange(tool="write", arguments={"address": 1}, request=b"{}", failure="timeout")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import time
 from collections import deque
 from collections.abc import Mapping
@@ -46,15 +47,20 @@ class TapJournal:
     def entries(self, since: int = 0) -> list[Entry]:
         """The entries with this sequence number or a later one."""
         self._catch_up()
-        if not self._entries:
-            return []
-        skipped = max(0, since - self._entries[0]["seq"])
-        return [entry for index, entry in enumerate(self._entries) if index >= skipped]
+        newest = list(itertools.islice(reversed(self._entries), max(0, self._next - since)))
+        newest.reverse()
+        return newest
 
     def reset(self) -> None:
         """Forget the entries; sequence numbers go on."""
         self._catch_up()
         self._entries.clear()
+
+    def forget(self, before: int) -> None:
+        """Release the entries with a smaller sequence number for good; sequence numbers go on."""
+        self._catch_up()
+        while self._entries and self._entries[0]["seq"] < before:
+            self._entries.popleft()
 
     async def wait(self, since: int, match: Mapping[str, Any], count: int = 1, timeout_s: float = 2.0) -> list[Entry]:
         """The entries from ``since`` on whose fields equal ``match``: as soon as there are ``count`` of them, or

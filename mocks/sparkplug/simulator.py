@@ -1,6 +1,6 @@
-"""The edge node alone, at a foreign broker: ``python -m pytest_otmcp.mocks sparkplug --broker mqtt://host:port``.
+"""An edge node as a device of its own: ``python -m pytest_otmcp.mocks sparkplug --broker mqtt://host:port``.
 
-It prints one ready line with the broker's address and its own control port, and runs until standard input ends. Its
+It serves nobody, so there is nothing for a launcher to keep. It prints one ready line with the broker's address and its own control socket, and runs until standard input ends. Its
 journal holds the packets of its own connection, as the edge node sees them.
 """
 
@@ -11,23 +11,25 @@ import contextlib
 import json
 import os
 import signal
-import socket
 import sys
 from collections.abc import Mapping
 from typing import Any
 from urllib.parse import urlsplit
 
 from ..control import ControlServer
+from ..control_socket import ControlSocket
 from ..device import Device
-from .describe import describe
-from .edge_node import CLIENT_ID, EdgeNode
-from .packets import Packet
+from ..endpoint import OpenEndpoint
+from ..journal import Direction
+from ..mqtt.describe import describe
+from ..mqtt.edge_node import CLIENT_ID, EdgeNode
+from ..mqtt.packets import Packet
 
 __all__ = ["SparkplugSimulator", "broker_address", "run"]
 
 
 def broker_address(url: str) -> tuple[str, int]:
-    """Host and port of ``mqtt://host[:port]``.
+    """Return host and port of ``mqtt://host[:port]``.
 
     Raises:
         ValueError: the URL is of another form.
@@ -39,7 +41,7 @@ def broker_address(url: str) -> tuple[str, int]:
 
 
 class SparkplugSimulator(Device):
-    """An edge node as a device of its own."""
+    """An edge node whose journal holds its own packets: ``out`` is what it sent to the broker."""
 
     protocol = "sparkplug"
 
@@ -48,20 +50,22 @@ class SparkplugSimulator(Device):
         self._address = (host, port)
         self._edge_node = EdgeNode(self._observe)
 
-    def _observe(self, direction: str, packet: Packet) -> None:
+    def _observe(self, direction: Direction, packet: Packet) -> None:
         fields = describe(packet)
-        self.journal.append(connection=1, direction=direction, kind=packet.type.name, client_id=CLIENT_ID, **fields)
+        self.journal.append(
+            connection=1, direction=direction, kind=packet.type.name, origin="plant", client_id=CLIENT_ID, **fields
+        )
 
-    async def serve(self, listener: socket.socket) -> None:
-        """Connect to the broker. Nobody connects to an edge node: the listener is closed."""
-        listener.close()
+    async def serve(self, endpoints: Mapping[str, OpenEndpoint]) -> None:
+        """Connect to the broker. Nobody connects to an edge node: there are no endpoints."""
         await self._edge_node.start(*self._address)
 
     async def aclose(self) -> None:
         await self._edge_node.aclose()
 
     def image(self) -> dict[str, Any]:
-        return {"edge_node": self._edge_node.image()}
+        """Return the ``edge_node``; and ``points``: ``edge_node/<device>/<tag>`` to value."""
+        return {"edge_node": self._edge_node.image(), "points": self._edge_node.points()}
 
     async def poke(self, params: Mapping[str, Any]) -> None:
         raise ValueError("an edge node has nothing to poke: publish a command at its broker")
@@ -78,14 +82,13 @@ class SparkplugSimulator(Device):
         await self._edge_node.tick()
 
 
-def run(url: str) -> int:
+def run(host: str, port: int) -> int:
     """Serve until standard input ends or a signal arrives; returns the exit code.
 
     Raises:
-        ValueError: the URL is malformed.
         OSError: the broker cannot be reached or refuses.
     """
-    asyncio.run(_run(*broker_address(url)))
+    asyncio.run(_run(host, port))
     return 0
 
 
@@ -103,10 +106,14 @@ async def _run(host: str, port: int) -> None:
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, ended.set)
     device = SparkplugSimulator(host, port)
-    await device.serve(socket.socket())
-    control = await ControlServer(device).start()
-    ready = {"event": "ready", "protocol": device.protocol, "host": host, "port": port}
-    sys.stdout.write(json.dumps({**ready, "control": control, "pid": os.getpid()}) + "\n")
-    sys.stdout.flush()
-    await ended.wait()
-    await device.aclose()
+    await device.serve({})
+    control = ControlSocket()
+    try:
+        await ControlServer(device).start(control.listen())
+        ready = {"event": "ready", "protocol": device.protocol, "host": host, "port": port}
+        sys.stdout.write(json.dumps({**ready, "control": control.path, "pid": os.getpid()}) + "\n")
+        sys.stdout.flush()
+        await ended.wait()
+        await device.aclose()
+    finally:
+        control.remove()

@@ -1,5 +1,5 @@
-"""Nodes beside the plant that a test asks for: other types, arrays, access rights, long lists, cycles. Gone after a
-reset.
+"""Nodes beside the plant that a test asks for: other types, arrays, access rights, long lists, cycles. A reset removes
+them.
 
 ``create`` takes a list of objects, each with one of these members:
 
@@ -19,38 +19,35 @@ reset.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from asyncua import ua
+from asyncua import Server, ua
 
 from .plant import Method, Plant, Variable
 from .values import fits, shape_of, variant
 
-if TYPE_CHECKING:
-    from .server import PlantServer
-
-__all__ = ["Annex"]
+__all__ = ["ExtraNodes"]
 
 _BITS = {"read": 1, "write": 2}
 # Access rights of everybody and of this user.
 _ACCESS = {"read_write": (3, 3), "read": (1, 1), "denied": (3, 0), "hidden": (0, 0)}
 
 
-class Annex:
-    """Adds nodes to a plant and takes them away again."""
+class ExtraNodes:
+    """Adds nodes to a plant and removes them again."""
 
-    def __init__(self, server: PlantServer, plant: Plant) -> None:
+    def __init__(self, server: Server, plant: Plant) -> None:
         self._server = server
         self._plant = plant
         self._added: list[ua.NodeId] = []
         self._names: dict[str, ua.NodeId] = {}
         self._links: list[tuple[ua.NodeId, ua.ReferenceDescription]] = []
 
-    async def create(self, wishes: Any) -> None:
+    async def create(self, descriptions: Any) -> None:
         """Add nodes.
 
         Raises:
-            ValueError: a wish is not understood; those before it are fulfilled.
+            ValueError: a description is not understood; the nodes before it have been added.
         """
         makers = {
             "folder": self._folder,
@@ -58,19 +55,23 @@ class Annex:
             "method": self._method,
             "reference": self._reference,
         }
-        if not isinstance(wishes, list) or not all(isinstance(wish, Mapping) for wish in wishes):
+        if not isinstance(descriptions, list) or not all(
+            isinstance(description, Mapping) for description in descriptions
+        ):
             raise ValueError("create: expected a list of objects")
-        for wish in wishes:
-            kinds = [kind for kind in makers if kind in wish]
+        for description in descriptions:
+            kinds = [kind for kind in makers if kind in description]
             if len(kinds) != 1:
-                raise ValueError(f"create: expected one of {', '.join(makers)}, found {sorted(wish)}")
+                raise ValueError(f"create: expected one of {', '.join(makers)}, found {sorted(description)}")
             try:
-                await makers[kinds[0]](wish)
+                await makers[kinds[0]](description)
             except (ua.UaError, TypeError, KeyError) as error:
-                raise ValueError(f"create {kinds[0]} {wish[kinds[0]]!r}: {type(error).__name__} {error}") from None
+                raise ValueError(
+                    f"create {kinds[0]} {description[kinds[0]]!r}: {type(error).__name__} {error}"
+                ) from None
 
     async def clear(self) -> None:
-        """Take everything away."""
+        """Remove everything that was added."""
         for node, reference in self._links:
             self._server.iserver.aspace[node].references.remove(reference)
         for node in self._added:
@@ -96,10 +97,10 @@ class Annex:
             if reference.IsForward and reference.ReferenceTypeId == ua.NodeId(ua.ObjectIds.HasProperty):
                 self._remove(reference.NodeId)
 
-    async def _place(self, wish: Mapping[str, Any], name: str) -> tuple[ua.NodeId, ua.QualifiedName]:
+    async def _place(self, description: Mapping[str, Any], name: str) -> tuple[ua.NodeId, ua.QualifiedName]:
         index = self._plant.namespace
-        if "namespace" in wish:
-            index = await self._server.register_namespace(str(wish["namespace"]))
+        if "namespace" in description:
+            index = await self._server.register_namespace(str(description["namespace"]))
         return ua.NodeId(name, index), ua.QualifiedName(name, index)
 
     def _known(self, name: str) -> ua.NodeId:
@@ -112,23 +113,25 @@ class Annex:
         self._added.append(node)
         self._names[name] = node
 
-    async def _folder(self, wish: Mapping[str, Any]) -> None:
-        name = str(wish["folder"])
-        parent = self._server.get_node(self._known(wish.get("in", "Plant")))
-        self._keep(name, (await parent.add_folder(*await self._place(wish, name))).nodeid)
+    async def _folder(self, description: Mapping[str, Any]) -> None:
+        name = str(description["folder"])
+        parent = self._server.get_node(self._known(description.get("in", "Plant")))
+        self._keep(name, (await parent.add_folder(*await self._place(description, name))).nodeid)
 
-    async def _variable(self, wish: Mapping[str, Any]) -> None:
-        name, kind = str(wish["variable"]), ua.VariantType[wish["type"]]
-        value = variant(wish["value"], kind)
-        shape = shape_of(wish["value"])
-        rank, dimensions = int(wish.get("rank", len(shape) or -1)), tuple(wish.get("dimensions", ()))
+    async def _variable(self, description: Mapping[str, Any]) -> None:
+        name, kind = str(description["variable"]), ua.VariantType[description["type"]]
+        value = variant(description["value"], kind)
+        shape = shape_of(description["value"])
+        rank, dimensions = int(description.get("rank", len(shape) or -1)), tuple(description.get("dimensions", ()))
         if not fits(value, kind, rank, list(dimensions)):
             raise ValueError(f"create: the value of {name!r} does not fit its rank and dimensions")
-        everybody, user = _ACCESS[wish.get("access", "read_write")]
-        parent = self._server.get_node(self._known(wish.get("in", "Plant")))
-        add = parent.add_property if wish.get("property") else parent.add_variable
-        data_type = ua.NodeId.from_string(wish["data_type"]) if "data_type" in wish else ua.NodeId(kind.value)
-        node = await add(*await self._place(wish, name), value, kind, data_type)
+        everybody, user = _ACCESS[description.get("access", "read_write")]
+        parent = self._server.get_node(self._known(description.get("in", "Plant")))
+        add = parent.add_property if description.get("property") else parent.add_variable
+        data_type = (
+            ua.NodeId.from_string(description["data_type"]) if "data_type" in description else ua.NodeId(kind.value)
+        )
+        node = await add(*await self._place(description, name), value, kind, data_type)
         self._keep(name, node.nodeid)
         for attribute, number, width in (
             (ua.AttributeIds.ValueRank, rank, ua.VariantType.Int32),
@@ -140,9 +143,9 @@ class Annex:
         await node.write_attribute(ua.AttributeIds.ArrayDimensions, ua.DataValue(lengths))
         # On its way through the library an array forgets that it is one (asyncua 2.1).
         await self._plant.hold(node.nodeid, value)
-        if wish.get("property"):
+        if description.get("property"):
             return
-        low, high = wish.get("range", (None, None))
+        low, high = description.get("range", (None, None))
         self._plant.variables[node.nodeid] = Variable(
             browse_name=name,
             parent=parent.nodeid,
@@ -154,17 +157,17 @@ class Annex:
             range=(low, high),
         )
 
-    async def _method(self, wish: Mapping[str, Any]) -> None:
-        name, inputs = str(wish["method"]), [ua.VariantType[kind] for kind in wish["inputs"]]
+    async def _method(self, description: Mapping[str, Any]) -> None:
+        name, inputs = str(description["method"]), [ua.VariantType[kind] for kind in description["inputs"]]
 
         async def echo(*arguments: Any) -> list[Any]:
             return list(arguments)
 
         method = Method(owner=self._plant.folders["Methods"], inputs=inputs, outputs=inputs, function=echo)
-        self._keep(name, await self._plant.add_method(*await self._place(wish, name), method))
+        self._keep(name, await self._plant.add_method(*await self._place(description, name), method))
 
-    async def _reference(self, wish: Mapping[str, Any]) -> None:
-        source, target = self._known(wish["reference"]), self._known(wish["to"])
+    async def _reference(self, description: Mapping[str, Any]) -> None:
+        source, target = self._known(description["reference"]), self._known(description["to"])
         space = self._server.iserver.aspace
         # Not through the library, which refuses what closes a circle. Servers with circles exist.
         for node, other, forward in ((source, target, True), (target, source, False)):

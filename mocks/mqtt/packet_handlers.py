@@ -1,6 +1,6 @@
-"""What the broker does with a packet: the conversation rules of chapter 3 and 4, without bytes and sockets.
+"""Handlers of the control packets of a client: the conversation rules of chapters 3 and 4, without bytes and sockets.
 
-Whatever a client may not say at this point raises :class:`~.wire.ProtocolViolation`.
+A packet that a client may not send at this point raises :class:`~.wire.ProtocolViolation`.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from .properties import PROTOCOL_ERROR, Property
 from .session import PACKET_IDENTIFIER_NOT_FOUND, Session
 from .wire import ProtocolViolation
 
-__all__ = ["Afterwards", "accept", "obey", "refusal", "supervised_keepalive"]
+__all__ = ["Afterwards", "accept", "handle", "refusal", "supervised_keepalive"]
 
 NO_MATCHING_SUBSCRIBERS = 0x10
 NO_SUBSCRIPTION_EXISTED = 0x11
@@ -41,7 +41,7 @@ Afterwards = Callable[[], None] | None
 
 
 def accept(broker: Broker, connect: Connect) -> tuple[Session | None, Connack]:
-    """The session a CONNECT opens, None when it is refused, and the CONNACK (5: section 3.1.4 and 3.2)."""
+    """Return the session that a CONNECT opens, None when it is refused, and the CONNACK (5: section 3.1.4 and 3.2)."""
     if Property.AUTHENTICATION_METHOD in connect.properties:
         return None, Connack(session_present=False, reason_code=BAD_AUTHENTICATION_METHOD)
     modern = connect.protocol_level == MQTT_5
@@ -65,14 +65,15 @@ def accept(broker: Broker, connect: Connect) -> tuple[Session | None, Connack]:
 
 
 def supervised_keepalive(broker: Broker, connect: Connect) -> int:
-    """The keep-alive in force, in seconds, 0 for none: the client's, or the broker's limit (5: section 3.2.2.3.14)."""
+    """Return the keep-alive in force, in seconds, 0 for none: the client's, or the broker's limit (5: section
+    3.2.2.3.14)."""
     limit = broker.limits.server_keep_alive
     if limit is None or connect.protocol_level != MQTT_5:
         return connect.keepalive
     return min(connect.keepalive or limit, limit)
 
 
-def obey(
+def handle(
     broker: Broker, session: Session, level: int, packet: Packet, content: Mapping[str, Any]
 ) -> tuple[Packet | None, Afterwards]:
     """Do what a packet of a connected client asks.
@@ -135,7 +136,7 @@ def _subscribe(broker: Broker, session: Session, level: int, packet: Subscribe) 
 
 
 def refusal(packet: Packet, code: int) -> Packet | None:
-    """The answer that refuses a PUBLISH, SUBSCRIBE or UNSUBSCRIBE; QoS 0 has none."""
+    """Return the answer that refuses a PUBLISH, SUBSCRIBE or UNSUBSCRIBE; QoS 0 has none."""
     match packet:
         case Publish(qos=0):
             return None

@@ -1,0 +1,99 @@
+"""Steps and windows that the tasks of several protocols share: outages, restarts, recovery."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from pytest_otmcp.core.finding import Finding
+from pytest_otmcp.protocols.journal import Entries
+from pytest_otmcp.protocols.unsolicited import nothing_commanded
+from pytest_otmcp.trial.repetition import Repetition
+from pytest_otmcp.trial.rig import Rig
+
+__all__ = [
+    "CONNECTION_FAULTS",
+    "QUIET_S",
+    "RAPID_CALLS",
+    "SETTLING_S",
+    "UNCERTAIN",
+    "outage",
+    "survive_a_restart",
+]
+
+RAPID_CALLS = 50
+
+SETTLING_S = 1.0
+"""The paper's window: how long after the endpoint accepts connections again a call may still fail."""
+
+NOTICING_S = 1.0
+"""How long a status may still say "connected" after the connection was cut (requirement REC-002: one keep-alive)."""
+
+RECOVERING_S = 5.0
+"""How long the same session is given to recover (requirement REC-001, the bound for level Silver)."""
+
+QUIET_S = 0.25
+"""How long the device is watched, once per item, for a request that must not come."""
+
+CONNECTION_FAULTS = ("connect_failed", "connection_lost", "timeout")
+UNCERTAIN = ("not_sent", "unknown")
+
+Witness = Callable[[Entries], list[Finding]]
+
+
+async def survive_a_restart(run: Repetition, rig: Rig, operation: str, **inputs: Any) -> None:
+    """Perform the operation before, during and after an outage of the endpoint; all three phases are asserted."""
+    run.succeeds(await rig.call(operation, **inputs))
+    await rig.stop_device()
+    run.fails(await rig.call_until_failure(operation, window_s=NOTICING_S, **inputs), *CONNECTION_FAULTS)
+    await rig.start_device()
+    run.succeeds((await rig.call_until_success(operation, window_s=SETTLING_S, **inputs))[-1])
+
+
+async def outage(run: Repetition, rig: Rig, operation: str, witness: Witness, **inputs: Any) -> None:
+    """Measure one trial: warm call, outage, failing call, restart, same session, fresh session.
+
+    Two ways back are measured and never mixed: the same session, which the assistant already has, and a fresh session with
+    a process of its own. Times of recovery count from the moment at which the endpoint accepts connections. The device
+    witnesses both.
+    """
+    warm = await rig.call(operation, **inputs)
+    run.must_succeed(warm)
+    # Nothing of what was asked for in other items may come now.
+    run.witnessed(nothing_commanded(rig.protocol, await rig.journal()))
+    stop_ms = await rig.stop_device()
+    failing = await rig.call_until_failure(operation, window_s=NOTICING_S, **inputs)
+    run.fails(failing, *CONNECTION_FAULTS)
+    restart_ms = await rig.start_device()
+
+    attempts = []
+    # An adapter that only promises to work in a new session is not asked for more.
+    if rig.claims("recovery"):
+        attempts = await rig.call_until_success(operation, window_s=RECOVERING_S, **inputs)
+        run.succeeds(attempts[-1])
+        run.witnessed(witness(await rig.journal()))
+    recovered = attempts[-1] if attempts and attempts[-1].success else None
+    accepting_ns = rig.accepting_ns
+
+    fresh = await rig.fresh_session()
+    first = await rig.call(operation, **inputs)
+    run.succeeds(first)
+    run.witnessed(witness(await rig.session_journal()))
+
+    run.witnessed(nothing_commanded(rig.protocol, await rig.journal()))
+
+    run.phases = {
+        "warm_call": warm.latency_ms,
+        "stop": stop_ms,
+        "detect": failing.latency_ms,
+        "restart": restart_ms,
+        "same_session": milliseconds(accepting_ns, recovered.exchange.received_ns) if recovered else None,
+        "same_session_attempts": len(attempts),
+        "same_session_ok": recovered is not None,
+        "fresh_session": milliseconds(fresh.spawned_ns, first.exchange.received_ns) if first.success else None,
+        "fresh_session_ok": bool(first.success),
+    }
+
+
+def milliseconds(begin_ns: int, end_ns: int | None) -> float | None:
+    return None if end_ns is None else (end_ns - begin_ns) / 1e6

@@ -1,0 +1,99 @@
+"""Two ways to receive messages: most adapters subscribe and are asked later, some only answer a call that waits."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import json
+import math
+from collections.abc import Mapping
+
+from pytest_otmcp.core.finding import Finding
+from pytest_otmcp.trial.expectations import succeeded
+from pytest_otmcp.trial.repetition import Repetition
+from pytest_otmcp.trial.reply import Reply
+from pytest_otmcp.trial.rig import Rig
+
+__all__ = ["collect", "publish_from_kit", "received", "receives", "sync_point"]
+
+COLLECT_S = 2
+"""How long a call that waits for messages is told to wait, on a machine that is not slow."""
+
+SUBSCRIBING_S = 4.0
+"""How long such a call is given to subscribe; a message that is published earlier cannot be received."""
+
+Messages = Mapping[str, tuple[str, str]]
+
+
+async def publish_from_kit(mqtt: Rig, topic: str, payload: bytes) -> None:
+    """Let the broker publish a message that does not come from the adapter, QoS 0, not retained."""
+    message = {"topic": topic, "payload": base64.b64encode(payload).decode(), "qos": 0, "retain": False}
+    await mqtt.poke(publish=message)
+
+
+async def collect(run: Repetition, mqtt: Rig, messages: Messages) -> list[Reply]:
+    """Ask for the messages on several topic filters at once, and publish one for each when all are subscribed to.
+
+    Args:
+        messages: topic filter to topic and payload.
+    """
+    # A slow machine is slow to subscribe as well, and that may count as waiting.
+    seconds = math.ceil(COLLECT_S * max(1.0, run.time_scale))
+
+    async def publish() -> None:
+        wanted = len(messages)
+        granted = await mqtt.wait_for(kind="SUBACK", direction="out", count=wanted, timeout_s=SUBSCRIBING_S)
+        if len(granted) >= wanted:
+            for topic, payload in messages.values():
+                await publish_from_kit(mqtt, topic, payload.encode())
+
+    calls = (mqtt.call("messages", filter=text, seconds=seconds) for text in messages)
+    publishing = asyncio.create_task(publish())
+    try:
+        replies = await run.together(*calls)
+    finally:
+        # Also when there was no reply: nothing is to be published in the midst of the next repetition.
+        await publishing
+    for reply, (topic, payload) in zip(replies, messages.values(), strict=True):
+        receives(run, mqtt, reply, topic, payload)
+    return replies
+
+
+async def sync_point(run: Repetition, mqtt: Rig, filter: str) -> None:
+    """Perform an exchange on the adapter's connection: the adapter has then read what the broker sent before."""
+    if mqtt.claims("info"):
+        run.succeeds(await mqtt.call("info", role="control"))
+    else:
+        run.succeeds(await mqtt.call("subscribe", role="control", filter=filter, qos=0))
+
+
+def receives(run: Repetition, mqtt: Rig, reply: Reply, topic: str, payload: str) -> None:
+    """Expect a message among those that the adapter has received."""
+    filtered = mqtt.accepts_input("messages", "filter")
+    run.judge(reply, received(reply, topic, payload, filtered=filtered))
+
+
+def received(reply: Reply, topic: str, payload: str, *, filtered: bool) -> list[Finding]:
+    """The answer holds the message with this payload once, on its topic.
+
+    Args:
+        filtered: only messages on this topic were asked for, so that there must be no other.
+    """
+    if findings := succeeded(reply):
+        return findings
+    messages = reply.outputs.get("messages")
+    listed = messages if isinstance(messages, list) else []
+    found = [message for message in listed if isinstance(message, dict) and message.get("payload") == payload]
+    asked_for = listed if filtered else found
+    if len(found) == 1 and all(isinstance(message, dict) and message.get("topic") == topic for message in asked_for):
+        return []
+    shown = json.dumps(messages, ensure_ascii=False, default=repr)[:400]
+    return [
+        Finding(
+            code="wrong_value",
+            message=f"{reply.label}: the message {payload!r} on {topic!r} should be there once"
+            f"{' and nothing else' if filtered else ''}, the reply says {shown}",
+            requirement="MQT-004",
+            evidence=json.dumps(reply.envelope, ensure_ascii=False, default=repr)[:400],
+        )
+    ]

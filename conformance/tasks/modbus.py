@@ -1,0 +1,265 @@
+"""The tasks on Modbus.
+
+Each function is one repetition. It says what the assistant asks for, what the envelope must say, and what the device must
+have seen. Values are different in every repetition, so that no cached or crossed answer can pass.
+"""
+
+from __future__ import annotations
+
+from pytest_otmcp.protocols.modbus import oracle
+from pytest_otmcp.trial.repetition import Repetition
+from pytest_otmcp.trial.rig import Rig
+from pytest_otmcp.trial.task import Tasks
+
+from .common import CONNECTION_FAULTS, QUIET_S, RAPID_CALLS, SETTLING_S, UNCERTAIN, outage, survive_a_restart
+
+__all__ = ["TASKS"]
+
+TASKS = Tasks()
+
+READ_HOLDING_REGISTERS = 3
+READ_INPUT_REGISTERS = 4
+ILLEGAL_DATA_ADDRESS = 2
+
+
+@TASKS.task(
+    "M1",
+    "normal",
+    "Ping the adapter and confirm the TCP mock is reachable.",
+    needs="modbus.ping",
+    capability="reading",
+    requirements="REC-002 MCP-008",
+)
+async def ping(run: Repetition, modbus: Rig) -> None:
+    reply = await modbus.call("ping")
+    run.succeeds(reply, reachable=True)
+    run.witnessed(oracle.some_exchange(await modbus.journal()))
+
+
+@TASKS.task(
+    "M2",
+    "normal",
+    "Read a four-register sensor block from the Modbus mock.",
+    needs="modbus.read_input",
+    capability="reading",
+    requirements="RD-001 RD-002 RD-004",
+)
+async def read_sensor_block(run: Repetition, modbus: Rig) -> None:
+    values = [run.rng.randrange(0x10000) for _ in range(4)]
+    await modbus.poke(unit=1, table="input_registers", address=0, values=values)
+    reply = await modbus.call("read_input", address=0, count=4)
+    run.succeeds(reply, values=values)
+    journal = await modbus.journal()
+    run.witnessed(
+        oracle.exactly_one_request(journal, function=READ_INPUT_REGISTERS, address=0, quantity=4),
+        oracle.no_state_changing_request(journal),
+        oracle.image_holds(await modbus.image(), "input_registers", 0, values),
+    )
+
+
+@TASKS.task(
+    "M3",
+    "normal",
+    "Write a holding register and read it back for verification.",
+    needs="modbus.write_holding modbus.read_holding",
+    capability="writing",
+    requirements="WR-001 WR-002 WR-003",
+)
+async def write_and_read_back(run: Repetition, modbus: Rig) -> None:
+    value = 40 + run.rep
+    # Guard cells on both sides: what was written to, or is read from, a neighbour cannot pass.
+    await modbus.poke(unit=1, table="holding_registers", address=0, values=[0xFFFF - value])
+    await modbus.poke(unit=1, table="holding_registers", address=2, values=[0xFFFF - value])
+    before = await modbus.image()
+    written = await modbus.call("write_holding", address=1, value=value)
+    after = await modbus.image()
+    read = await modbus.call("read_holding", address=1, count=1)
+    run.succeeds(written, value=value)
+    run.succeeds(read, values=[value])
+    run.witnessed(
+        oracle.exactly_one_write(await modbus.journal(), "holding_registers", address=1, values=[value]),
+        oracle.only_changed(before, after, {("1", "holding_registers", 1): value}),
+    )
+
+
+@TASKS.task(
+    "M4",
+    "normal",
+    "Attempt a write with writes disabled and expect a guarded rejection.",
+    needs="modbus.write_holding modbus.read_holding modbus.guard",
+    capability="write_protection",
+    requirements="WR-004 ERR-006",
+)
+async def guarded_write(run: Repetition, modbus_ro: Rig) -> None:
+    before = await modbus_ro.image()
+    reply = await modbus_ro.call("write_holding", address=1, value=999)
+    run.fails(reply, "writes_disabled", outcome="not_sent")
+    run.witnessed(
+        oracle.no_state_changing_request(await modbus_ro.journal()),
+        oracle.only_changed(before, await modbus_ro.image(), {}),
+    )
+
+
+@guarded_write.after
+async def the_guard_was_put_to_the_test(run: Repetition, modbus: Rig, modbus_ro: Rig) -> None:
+    # A denial proves something only if the read-only session reaches its device and the same call works elsewhere.
+    read = await modbus_ro.call("read_holding", address=1, count=1)
+    run.succeeds(read)
+    written = await modbus.call("write_holding", address=1, value=999)
+    run.succeeds(written, value=999)
+    run.witnessed(
+        oracle.some_exchange(await modbus_ro.journal()),
+        oracle.exactly_one_write(await modbus.journal(), "holding_registers", address=1, values=[999]),
+    )
+    # The whole life of the read-only session, its closing included, is on this device's journal and nobody else's.
+    await modbus_ro.close_session()
+    run.witnessed(oracle.no_state_changing_request(await modbus_ro.session_journal()))
+
+
+@TASKS.task(
+    "FM1",
+    "fault",
+    "Read invalid register address (9999) and expect a structured protocol error.",
+    needs="modbus.read_holding",
+    capability="refusing",
+    requirements="ERR-002 ENV-007",
+)
+async def read_missing_register(run: Repetition, modbus: Rig) -> None:
+    missing = modbus.probe("missing_address")
+    reply = await modbus.call("read_holding", address=missing, count=1)
+    run.fails(reply, "illegal_address", trace={"exception_code": ILLEGAL_DATA_ADDRESS})
+    journal = await modbus.journal()
+    run.witnessed(
+        oracle.exactly_one_request(journal, function=3, address=missing, quantity=1),
+        oracle.exception_sent(journal, ILLEGAL_DATA_ADDRESS),
+    )
+
+
+@TASKS.task(
+    "FM2",
+    "fault",
+    "Write overflow value (70000 > uint16 max) and expect adapter rejection.",
+    needs="modbus.write_holding",
+    capability="refusing",
+    requirements="ADR-003 ERR-006",
+)
+async def write_overflow(run: Repetition, modbus: Rig) -> None:
+    before = await modbus.image()
+    reply = await modbus.call("write_holding", address=1, value=70000)
+    run.fails(reply, "range_overflow", outcome="not_sent")
+    run.witnessed(
+        oracle.no_state_changing_request(await modbus.journal()),
+        oracle.only_changed(before, await modbus.image(), {}),
+    )
+
+
+@write_overflow.after
+async def the_largest_value_is_accepted(run: Repetition, modbus: Rig) -> None:
+    await modbus.stays_quiet(QUIET_S, oracle.no_state_changing_request)
+    run.succeeds(await modbus.call("write_holding", address=1, value=65535), value=65535)
+    run.witnessed(
+        oracle.exactly_one_write(await modbus.journal(), "holding_registers", address=1, values=[65535]),
+        oracle.image_holds(await modbus.image(), "holding_registers", 1, [65535]),
+    )
+
+
+@TASKS.task(
+    "S1",
+    "stress",
+    "Four concurrent register reads.",
+    needs="modbus.read_input",
+    capability="load",
+    position=1,
+    requirements="CON-001",
+)
+async def concurrent_register_reads(run: Repetition, modbus: Rig) -> None:
+    values = [run.rng.randrange(0x10000) for _ in range(4)]
+    await modbus.poke(unit=1, table="input_registers", address=10, values=values)
+    replies = await run.together(*(modbus.call("read_input", address=10 + i, count=1) for i in range(4)))
+    for reply, value in zip(replies, values, strict=True):
+        run.succeeds(reply, values=[value])
+    run.witnessed(oracle.request_count(await modbus.journal(), function=4, count=4))
+
+
+@TASKS.task(
+    "S4",
+    "stress",
+    "Concurrent register read and write.",
+    needs="modbus.read_holding modbus.write_holding",
+    capability="load",
+    position=4,
+    requirements="CON-004 WR-003",
+)
+async def concurrent_register_read_and_write(run: Repetition, modbus: Rig) -> None:
+    old, new = run.rng.sample(range(0x10000), 2)
+    await modbus.poke(unit=1, table="holding_registers", address=20, values=[old])
+    read, written = await run.together(
+        modbus.call("read_holding", address=20, count=1),
+        modbus.call("write_holding", address=20, value=new),
+    )
+    run.succeeds(read)
+    run.one_of(read, "values", [old], [new])
+    run.succeeds(written, value=new)
+    run.witnessed(
+        oracle.exactly_one_write(await modbus.journal(), "holding_registers", address=20, values=[new]),
+        oracle.image_holds(await modbus.image(), "holding_registers", 20, [new]),
+    )
+
+
+@TASKS.task(
+    "S7",
+    "stress",
+    "Fifty register reads in a row.",
+    needs="modbus.read_input",
+    capability="load",
+    position=7,
+    requirements="CON-006",
+)
+async def rapid_register_reads(run: Repetition, modbus: Rig) -> None:
+    values = [run.rng.randrange(0x10000) for _ in range(RAPID_CALLS)]
+    await modbus.poke(unit=1, table="input_registers", address=0, values=values)
+    for address, value in enumerate(values):
+        run.succeeds(await modbus.call("read_input", address=address, count=1), values=[value])
+    run.witnessed(oracle.request_count(await modbus.journal(), function=4, count=RAPID_CALLS))
+
+
+@TASKS.task(
+    "S10",
+    "stress",
+    "Endpoint restart between register reads.",
+    needs="modbus.read_input modbus.recovery",
+    capability="outages",
+    position=10,
+    requirements="REC-001 REC-002 RD-004",
+)
+async def modbus_restart(run: Repetition, modbus: Rig) -> None:
+    await survive_a_restart(run, modbus, "read_input", address=0, count=4)
+    run.witnessed(oracle.exactly_one_request(await modbus.journal(), function=4, address=0, quantity=4))
+
+
+@modbus_restart.after
+async def a_failed_register_write_is_not_delivered_later(run: Repetition, modbus: Rig) -> None:
+    if not modbus.claims("write_holding"):
+        return
+    await modbus.stop_device()
+    reply = await modbus.call("write_holding", address=30, value=run.rng.randrange(1, 0x10000))
+    run.fails(reply, *CONNECTION_FAULTS, outcome=UNCERTAIN)
+    await modbus.start_device()
+    # When it answers again it has its connection back: what it had kept for later would have been sent by now.
+    run.succeeds((await modbus.call_until_success("read_input", window_s=SETTLING_S, address=0, count=4))[-1])
+    await modbus.stays_quiet(QUIET_S, oracle.no_state_changing_request)
+    # One more answer: adapter and device did run in that time.
+    run.succeeds(await modbus.call("read_input", address=0, count=4))
+    run.witnessed(oracle.no_state_changing_request(await modbus.journal()))
+
+
+@TASKS.task(
+    "R-modbus",
+    "recovery",
+    "Recover from a restart of the Modbus device.",
+    needs="modbus.read_input",
+    capability="outages",
+    requirements="REC-001 REC-002 MCP-009",
+)
+async def recovery(run: Repetition, modbus: Rig) -> None:
+    await outage(run, modbus, "read_input", oracle.some_exchange, address=0, count=4)

@@ -1,0 +1,298 @@
+"""The tasks on MQTT and Sparkplug B.
+
+Each function is one repetition. It says what the assistant asks for, what the envelope must say, and what the device must
+have seen. Values are different in every repetition, so that no cached or crossed answer can pass.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from pytest_otmcp.protocols.mqtt import oracle
+from pytest_otmcp.trial.repetition import Repetition
+from pytest_otmcp.trial.rig import Rig
+from pytest_otmcp.trial.task import Tasks
+
+from .common import CONNECTION_FAULTS, QUIET_S, RAPID_CALLS, SETTLING_S, UNCERTAIN, outage, survive_a_restart
+from .messages import collect, publish_from_kit, receives, sync_point
+
+__all__ = ["TASKS"]
+
+TASKS = Tasks()
+
+
+@TASKS.task(
+    "Q1",
+    "normal",
+    "Inspect broker connectivity through the MCP adapter.",
+    needs="mqtt.info",
+    capability="reading",
+    requirements="REC-002",
+)
+async def broker_info(run: Repetition, mqtt: Rig) -> None:
+    reply = await mqtt.call("info")
+    run.succeeds(reply, connected=True)
+    run.witnessed(oracle.exchange(await mqtt.journal()))
+
+
+@TASKS.task(
+    "Q2",
+    "normal",
+    "Subscribe to the mock sensor topic namespace.",
+    needs="mqtt.receive",
+    capability="reading",
+    requirements="MQT-002 MQT-004",
+)
+async def subscribe_to_sensors(run: Repetition, mqtt: Rig) -> None:
+    if mqtt.blocks("messages"):
+        nonce = f"nonce-{run.rng.getrandbits(64):016x}"
+        await collect(run, mqtt, {"sensors/#": ("sensors/temperature", nonce)})
+        return
+    reply = await mqtt.call("subscribe", filter="sensors/#", qos=0)
+    run.succeeds(reply, granted_qos=0)
+    qos = mqtt.expected_if_accepted("subscribe", "qos", 0)
+    # An adapter that holds the subscription already need not ask for it again.
+    run.witnessed(oracle.subscribed(await mqtt.session_journal(), filter="sensors/#", qos=qos))
+    topic, payload = "sensors/temperature", f"nonce-{run.rng.getrandbits(64):016x}".encode()
+    await publish_from_kit(mqtt, topic, payload)
+    await mqtt.wait_for(kind="PUBLISH", direction="out", topic=topic, timeout_s=1.0)
+    run.witnessed(oracle.delivered(await mqtt.journal(), topic=topic, payload=payload))
+
+
+@subscribe_to_sensors.after
+async def a_received_message_can_be_read(run: Repetition, mqtt: Rig) -> None:
+    if mqtt.blocks("messages"):
+        return
+    nonce = f"nonce-{run.rng.getrandbits(64):016x}"
+    run.succeeds(await mqtt.call("messages", filter="sensors/#"))
+    await publish_from_kit(mqtt, "sensors/pressure", nonce.encode())
+    await mqtt.wait_for(kind="PUBLISH", direction="out", topic="sensors/pressure", timeout_s=1.0)
+    await sync_point(run, mqtt, "sensors/#")
+    reply = await mqtt.call("messages", filter="sensors/pressure")
+    receives(run, mqtt, reply, "sensors/pressure", nonce)
+
+
+@TASKS.task(
+    "Q3",
+    "normal",
+    "Publish a standard MQTT control payload.",
+    needs="mqtt.publish",
+    capability="writing",
+    guards="mqtt",
+    requirements="MQT-001 MQT-003 WR-003 WR-004",
+)
+async def publish_control(run: Repetition, mqtt: Rig) -> None:
+    payload = json.dumps({"pump_speed": 50 + run.rep})
+    reply = await mqtt.call("publish", topic="control/pump", payload=payload, qos=0)
+    run.succeeds(reply, topic="control/pump", delivery="unacknowledged")
+    await mqtt.wait_for(kind="PUBLISH", direction="in", topic="control/pump", timeout_s=1.0)
+    qos = mqtt.expected_if_accepted("publish", "qos", 0)
+    journal = await mqtt.journal()
+    run.witnessed(oracle.published_once(journal, topic="control/pump", payload=payload.encode(), qos=qos))
+
+
+@publish_control.after
+async def nothing_is_published_with_writes_disabled(run: Repetition, mqtt_ro: Rig | None) -> None:
+    await guarded_publish(run, mqtt_ro, "publish", topic="control/pump", payload="guarded", qos=0)
+
+
+async def guarded_publish(run: Repetition, guarded: Rig | None, operation: str, **inputs: Any) -> None:
+    if guarded is None:
+        return
+    run.fails(await guarded.call(operation, **inputs), "writes_disabled", outcome="not_sent")
+    # A denial proves something only if the session reaches its broker; the same call works in the task itself.
+    if guarded.claims("info"):
+        run.succeeds(await guarded.call("info"))
+        run.witnessed(oracle.exchange(await guarded.journal()))
+    await guarded.close_session()
+    run.witnessed(oracle.no_packet(await guarded.session_journal(), "PUBLISH", direction="in"))
+
+
+@TASKS.task(
+    "Q4",
+    "normal",
+    "Publish a Sparkplug B DDATA update for the mock device.",
+    needs="mqtt.device_birth mqtt.device_data",
+    capability="writing",
+    guards="mqtt",
+    requirements="WR-004 SPB-001 SPB-002 SPB-003 SPB-004",
+)
+async def publish_device_data(run: Repetition, mqtt: Rig) -> None:
+    value = 20.0 + run.rep
+    metrics = [{"name": "temperature", "value": value}]
+    reply = await mqtt.call("device_data", device="device-1", metrics=metrics)
+    run.succeeds(reply, metric_count=1)
+    await mqtt.wait_for(kind="PUBLISH", direction="in", timeout_s=1.0)
+    run.witnessed(
+        oracle.ddata_metric(await mqtt.journal(), device="device-1", name="temperature", value=value),
+        oracle.sparkplug_sequence(await mqtt.session_journal()),
+    )
+
+
+@publish_device_data.before
+async def the_device_is_born(run: Repetition, mqtt: Rig) -> None:
+    metrics = [{"name": "temperature", "datatype": "Double", "value": 20.0}]
+    run.succeeds(await mqtt.call("device_birth", device="device-1", metrics=metrics))
+
+
+@publish_device_data.after
+async def no_device_is_born_with_writes_disabled(run: Repetition, mqtt_ro: Rig | None) -> None:
+    metrics = [{"name": "temperature", "datatype": "Double", "value": 20.0}]
+    await guarded_publish(run, mqtt_ro, "device_birth", device="device-1", metrics=metrics)
+
+
+@TASKS.task(
+    "FQ1",
+    "fault",
+    "Publish to empty topic string and expect a structured invalid-input error.",
+    needs="mqtt.publish",
+    capability="refusing",
+    requirements="ADR-006 ERR-006",
+)
+async def publish_to_nowhere(run: Repetition, mqtt: Rig) -> None:
+    reply = await mqtt.call("publish", topic="", payload=json.dumps({"pump_speed": 50}), qos=0)
+    run.fails(reply, "invalid_input", outcome="not_sent")
+    journal = await mqtt.journal()
+    run.witnessed(oracle.no_packet(journal, "PUBLISH", direction="in"), oracle.session_stays_up(journal))
+
+
+@publish_to_nowhere.after
+async def a_proper_topic_is_accepted(run: Repetition, mqtt: Rig) -> None:
+    await mqtt.stays_quiet(QUIET_S, lambda journal: oracle.no_packet(journal, "PUBLISH", direction="in"))
+    run.succeeds(await mqtt.call("publish", topic="control/pump", payload="control", qos=0))
+    await mqtt.wait_for(kind="PUBLISH", direction="in", topic="control/pump", timeout_s=1.0)
+    qos = mqtt.expected_if_accepted("publish", "qos", 0)
+    journal = await mqtt.journal()
+    run.witnessed(oracle.published_once(journal, topic="control/pump", payload=b"control", qos=qos))
+
+
+@TASKS.task(
+    "FQ2",
+    "fault",
+    "Subscribe with invalid QoS (5) and expect a structured invalid-input error.",
+    needs="mqtt.subscribe mqtt.subscribe.qos",
+    capability="refusing",
+    requirements="ADR-007",
+)
+async def subscribe_with_qos_5(run: Repetition, mqtt: Rig) -> None:
+    reply = await mqtt.call("subscribe", filter="sensors/#", qos=mqtt.probe("bad_qos"))
+    run.fails(reply, "invalid_input")
+    journal = await mqtt.journal()
+    run.witnessed(oracle.no_packet(journal, "SUBSCRIBE", direction="in"), oracle.session_stays_up(journal))
+
+
+@subscribe_with_qos_5.after
+async def a_proper_qos_is_accepted(run: Repetition, mqtt: Rig) -> None:
+    await mqtt.stays_quiet(QUIET_S, lambda journal: oracle.no_packet(journal, "SUBSCRIBE", direction="in"))
+    run.succeeds(await mqtt.call("subscribe", filter="sensors/#", qos=1), granted_qos=1)
+    run.witnessed(oracle.subscribed(await mqtt.session_journal(), filter="sensors/#", qos=1))
+
+
+@TASKS.task(
+    "S2",
+    "stress",
+    "Four concurrent reads of received messages.",
+    needs="mqtt.receive",
+    capability="load",
+    position=2,
+    requirements="CON-001 MQT-004",
+)
+async def concurrent_message_reads(run: Repetition, mqtt: Rig) -> None:
+    nonces = {f"stress/{i}": f"nonce-{run.rng.getrandbits(64):016x}" for i in range(4)}
+    if mqtt.blocks("messages"):
+        await collect(run, mqtt, {topic: (topic, nonce) for topic, nonce in nonces.items()})
+        return
+    for topic, nonce in nonces.items():
+        await publish_from_kit(mqtt, topic, nonce.encode())
+    await mqtt.wait_for(kind="PUBLISH", direction="out", topic="stress/3", timeout_s=1.0)
+    await sync_point(run, mqtt, "stress/#")
+    replies = await run.together(*(mqtt.call("messages", filter=topic) for topic in nonces))
+    for reply, (topic, nonce) in zip(replies, nonces.items(), strict=True):
+        receives(run, mqtt, reply, topic, nonce)
+
+
+@concurrent_message_reads.before
+async def the_adapter_listens(run: Repetition, mqtt: Rig) -> None:
+    if mqtt.blocks("messages"):
+        return
+    run.succeeds(await mqtt.call("subscribe", filter="stress/#", qos=0))
+
+
+@TASKS.task(
+    "S5",
+    "stress",
+    "Concurrent broker inspection and publish.",
+    needs="mqtt.info mqtt.publish",
+    capability="load",
+    position=5,
+    requirements="CON-004 WR-003",
+)
+async def concurrent_info_and_publish(run: Repetition, mqtt: Rig) -> None:
+    payload = json.dumps({"pump_speed": 50 + run.rep, "nonce": run.rng.getrandbits(32)})
+    info, message = await run.together(
+        mqtt.call("info"),
+        mqtt.call("publish", topic="control/pump", payload=payload, qos=0),
+    )
+    run.succeeds(info, connected=True)
+    run.succeeds(message, topic="control/pump")
+    await mqtt.wait_for(kind="PUBLISH", direction="in", topic="control/pump", timeout_s=1.0)
+    qos = mqtt.expected_if_accepted("publish", "qos", 0)
+    journal = await mqtt.journal()
+    run.witnessed(oracle.published_once(journal, topic="control/pump", payload=payload.encode(), qos=qos))
+
+
+@TASKS.task(
+    "S8",
+    "stress",
+    "Fifty broker inspections in a row.",
+    needs="mqtt.info",
+    capability="load",
+    position=8,
+    requirements="CON-006",
+)
+async def rapid_broker_inspections(run: Repetition, mqtt: Rig) -> None:
+    for _ in range(RAPID_CALLS):
+        run.succeeds(await mqtt.call("info"), connected=True)
+    run.witnessed(oracle.exchange(await mqtt.journal(), at_least=RAPID_CALLS))
+
+
+@TASKS.task(
+    "S11",
+    "stress",
+    "Broker restart between broker inspections.",
+    needs="mqtt.info mqtt.recovery",
+    capability="outages",
+    position=11,
+    requirements="REC-001 REC-002",
+)
+async def broker_restart(run: Repetition, mqtt: Rig) -> None:
+    await survive_a_restart(run, mqtt, "info")
+    run.witnessed(oracle.exchange(await mqtt.journal()))
+
+
+@broker_restart.after
+async def a_failed_publish_is_not_delivered_later(run: Repetition, mqtt: Rig) -> None:
+    if not mqtt.claims("publish"):
+        return
+    payload = f"nonce-{run.rng.getrandbits(64):016x}"
+    await mqtt.stop_device()
+    reply = await mqtt.call("publish", topic="control/pump", payload=payload, qos=1)
+    run.fails(reply, *CONNECTION_FAULTS, outcome=UNCERTAIN)
+    await mqtt.start_device()
+    run.succeeds((await mqtt.call_until_success("info", window_s=SETTLING_S))[-1])
+    await mqtt.stays_quiet(QUIET_S, lambda journal: oracle.never_published(journal, payload.encode()))
+    run.succeeds(await mqtt.call("info"))
+    run.witnessed(oracle.never_published(await mqtt.journal(), payload.encode()))
+
+
+@TASKS.task(
+    "R-mqtt",
+    "recovery",
+    "Recover from a restart of the MQTT broker.",
+    needs="mqtt.info",
+    capability="outages",
+    requirements="REC-001 REC-002 MCP-009",
+)
+async def recovery(run: Repetition, mqtt: Rig) -> None:
+    await outage(run, mqtt, "info", oracle.exchange)

@@ -1,0 +1,66 @@
+"""The Unix socket of a device's control channel, in a directory that only this user can enter.
+
+Whoever can reach the control channel can change what the device testifies. Therefore it is no port, which every process of
+the machine and every container that shares the network could find and use, and its path is told in the ready line alone:
+it is in no command line and in no environment, and the kernel's list of sockets (``/proc/net/unix``) does not have it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import shutil
+import socket
+import tempfile
+
+__all__ = ["ControlSocket"]
+
+_LONGEST = 107
+"""Bytes of a path that fit into sun_path, which has 108 and ends with a zero."""
+
+
+class ControlSocket:
+    """A private directory with room for one listening socket; the socket may be made anew as often as needed.
+
+    Attributes:
+        path: where clients connect.
+
+    Raises:
+        OSError: there is no temporary directory, or the path of each is too long for a socket.
+    """
+
+    def __init__(self) -> None:
+        # A path of TMPDIR may be longer than a socket's may be, as those of build systems and pytest often are.
+        for parent in (tempfile.gettempdir(), "/tmp"):  # noqa: S108  (mkdtemp makes a directory of mode 0700 in it)
+            directory = tempfile.mkdtemp(prefix="otmcp-", dir=parent)
+            self.path = os.path.join(directory, "control")
+            if len(os.fsencode(self.path)) <= _LONGEST:
+                self._directory = directory
+                return
+            os.rmdir(directory)
+        raise OSError(errno.ENAMETOOLONG, "no temporary directory has a path short enough for a control socket")
+
+    def listen(self) -> socket.socket:
+        """Return a listening socket at the path; there may be none yet, or none any more."""
+        listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        directory = os.open(self._directory, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            # The kernel lists a socket under the name that it was bound to, and shows the list to everybody.
+            listener.bind(f"/proc/self/fd/{directory}/{os.path.basename(self.path)}")
+            listener.listen()
+        except BaseException:
+            listener.close()
+            raise
+        finally:
+            os.close(directory)
+        return listener
+
+    def clear(self) -> None:
+        """Remove the socket of a device that is gone: nobody can connect to it, and the next one needs its name."""
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(self.path)
+
+    def remove(self) -> None:
+        """Remove the directory."""
+        shutil.rmtree(self._directory, ignore_errors=True)

@@ -1,0 +1,30 @@
+"""The endpoints of a device: what it declares, and what it is given to serve on."""
+
+from __future__ import annotations
+
+import socket
+from dataclasses import dataclass
+from typing import Literal
+
+__all__ = ["Endpoint", "Kind", "OpenEndpoint"]
+
+Kind = Literal["tcp", "udp", "pty"]
+
+OpenEndpoint = socket.socket | int
+"""``tcp``: a bound socket that does not listen yet; ``udp``: a bound socket; ``pty``: the master's file descriptor."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Endpoint:
+    """One endpoint that clients of a device use.
+
+    A mock package declares its endpoints as ``ENDPOINTS``; the first is the one whose port ``--port`` chooses and whose
+    address the ready event repeats as ``host`` and ``port``.
+
+    Attributes:
+        name: unique within the package.
+        kind: a TCP port, a UDP port, or a pseudo terminal in the place of a serial line.
+    """
+
+    name: str
+    kind: Kind

@@ -1,0 +1,299 @@
+"""The grammar of a subject file: each key with its kind, its meaning and its default, stated once. Pure.
+
+``load`` reads files by it, ``schema`` writes it as JSON Schema for editors, and the tests compare the documentation with it.
+What an adapter's tables may say of its operations comes from the description of its protocol.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ..core.error_registry import registry
+from ..protocols.protocol import Operation, OtProtocol
+from .answers import UNCLASSIFIED
+from .kinds import (
+    ANYTHING,
+    DATE,
+    FLAG,
+    NUMBER,
+    PATH,
+    REASON,
+    REGEX,
+    SECONDS,
+    STRING,
+    TEXT,
+    Kind,
+    OneOf,
+    strings,
+)
+from .tables import ByType, Key, ListOf, MapOf, Named, Rule, Table, Template
+
+__all__ = ["OUTPUT", "adapter_table", "binding_table", "subject_file"]
+
+_VARIANTS = ("rw", "ro")
+_ARGV = Named("argv", strings("the argument vector", filled=True))
+_TABLE = MapOf(ANYTHING)
+_VARIANT = Named(
+    "variant",
+    Table(
+        {
+            "command": Key(_ARGV, "The argument vector, instead of the adapter's."),
+            "args": Key(strings("further arguments"), "Further arguments.", default=[]),
+            "env": Key(MapOf(STRING), "Further environment.", default={}),
+            "files": Key(MapOf(STRING), "Further files.", default={}),
+        }
+    ),
+)
+_ANSWER = Named("answer", OneOf(("envelope", "structured", "json", "text", "texts")))
+_OUTCOME_RULE = Table(
+    {
+        "is_error": Key(FLAG, "The result's isError."),
+        "text": Key(REGEX, "Regular expression, searched in the whole text."),
+        "path": Key(PATH, "JMESPath over the document; holds when it finds something true."),
+        "then": Key(OneOf(("success", "failure")), "What the answer means."),
+    },
+    rules=(
+        Rule(
+            holds=lambda table: "then" in table and len(table) > 1,
+            objection="expected a condition (is_error, text or path) and 'then'",
+            described={"required": ["then"], "minProperties": 2},
+        ),
+    ),
+)
+_OUTCOME = Named("outcome", ListOf(_OUTCOME_RULE, "a list of rules"))
+_OUTPUT_TABLE = Table(
+    {
+        "path": Key(PATH, "JMESPath over the document."),
+        "regex": Key(REGEX, "First group, or whole match, of a regular expression in what was found."),
+        "split": Key(TEXT, "Separator that makes a list of it."),
+        "wrap": Key(FLAG, "A single value becomes a list of one.", default=False),
+        "strip": Key(TEXT, "Prefix that is taken off; of a list, off each element."),
+        "as": Key(
+            OneOf(("int", "float", "bool", "string", "hex", "json", "python")),
+            "The type of the value; of a list, of each element.",
+        ),
+        "then": Key(PATH, "JMESPath over what 'as' made."),
+    }
+)
+OUTPUT = Named("output", ByType(str, PATH, _OUTPUT_TABLE))
+_INPUT_TYPE = Named("input_type", OneOf(("string", "int", "float", "bool", "hex", "json", "list")))
+
+
+def subject_file(protocols: Mapping[str, OtProtocol]) -> Table:
+    """Return the grammar of a subject file whose adapters speak these protocols, by key."""
+    deviation = Table(
+        {
+            "item": Key(TEXT, "Id of the item that fails.", required=True),
+            "reason": Key(TEXT, "Why it fails.", required=True),
+            "expires": Key(DATE, "The last day on which the failure is excused, such as 2027-03-31.", required=True),
+        },
+        "A failure that the vendor knows of.",
+    )
+    subject = Table(
+        {
+            "name": Key(TEXT, "Name of the product, as printed in reports.", required=True),
+            "version": Key(TEXT, "Its version, as printed in reports.", required=True),
+        }
+    )
+    adapters = Table(
+        {
+            key: Key(Named(f"adapter.{key}", adapter_table(known)), f"The adapter for {known.name}.")
+            for key, known in protocols.items()
+        },
+        rules=(
+            Rule(
+                holds=bool, objection=f"expected at least one of {', '.join(protocols)}", described={"minProperties": 1}
+            ),
+        ),
+    )
+    return Table(
+        {
+            "subject": Key(subject, "Who is tested.", required=True),
+            "adapter": Key(adapters, "The adapter for each protocol that the subject speaks.", required=True),
+            "deviation": Key(
+                ListOf(deviation, "[[deviation]] tables"), "Failures that the vendor knows of.", default=[]
+            ),
+        }
+    )
+
+
+def adapter_table(protocol: OtProtocol) -> Table:
+    """Return the grammar of ``[adapter.KEY]`` for one protocol."""
+    unclaimed = Table({facet: Key(REASON, "The reason why the adapter does not have it.") for facet in protocol.facets})
+    probes = Table({name: Key(ANYTHING, f"Asked for instead of {value!r}.") for name, value in protocol.probes.items()})
+    connect = Table(
+        {
+            "tool": Key(TEXT, "Name of the MCP tool.", required=True),
+            "arguments": Key(_TABLE, "Its arguments; {host} and its like are replaced.", default={}),
+        }
+    )
+    return Table(
+        {
+            "command": Key(
+                _ARGV, "The argument vector; {host} {port} {url} {python} {dir} {work} {http_port} are replaced."
+            ),
+            "cwd": Key(TEXT, "Working directory, relative to this file."),
+            "env": Key(MapOf(STRING), "Environment beyond a short allow-list.", default={}),
+            "files": Key(MapOf(STRING), "Files written below {work} before the launch, name to content.", default={}),
+            "secrets": Key(
+                strings("names of environment variables"),
+                "Environment variables whose values are never shown.",
+                default=[],
+            ),
+            "transport": Key(OneOf(("stdio", "http")), "How the adapter is spoken to.", default="stdio"),
+            "url": Key(TEXT, 'The MCP endpoint, for transport = "http".'),
+            "era": Key(OneOf(("auto", "legacy")), "'legacy': must be addressed by the handshake of 2025-11-25."),
+            "start_timeout_s": Key(SECONDS, "Time for start and handshake.", default=30.0),
+            "deadline_s": Key(SECONDS, "Time within which every call must have answered.", default=5.0),
+            "rw": Key(_VARIANT, "What the launch with writes enabled has in addition.", default={}),
+            "ro": Key(_VARIANT, "What the launch with writes disabled has in addition.", default={}),
+            "unclaimed": Key(
+                Named(f"adapter.{protocol.key}.unclaimed", unclaimed),
+                "Facet to the reason why the adapter does not have it.",
+                default={},
+            ),
+            "connect": Key(connect, "A tool call before all others."),
+            **{
+                choice.key: Key(OneOf(tuple(choice.unclaims)), _sentence(choice.meaning), default=choice.default)
+                for choice in protocol.choices
+            },
+            "recovery": Key(
+                OneOf(("same_session", "connect_step", "new_session")),
+                "How work goes on after an outage.",
+                default="same_session",
+            ),
+            **_answering("; without it the adapter answers in the kit's own envelope"),
+            "probes": Key(probes, "What to ask for where something must be refused.", default={}),
+            "bindings": Key(TEXT, "Python file with functions for operations."),
+            "bind": Key(
+                Named(f"adapter.{protocol.key}.bind", _bind(protocol)), "Which tool performs which operation, and how."
+            ),
+        },
+        rules=(_HAS_A_COMMAND, _URL_IS_FOR_HTTP, _HTTP_HAS_A_URL, _CONNECT_STEP_HAS_A_CALL),
+    )
+
+
+def binding_table(operation: Operation) -> Table:
+    """Return the grammar of one table that binds a tool to the operation."""
+    inputs = operation.inputs
+    result = Table(
+        {name: Key(OUTPUT, f"Where '{name}' is.") for name in operation.outputs},
+        rules=tuple(map(_judged, operation.needed)),
+    )
+    known = ", ".join(f"${name}" for name in inputs) or "none"
+    return Table(
+        {
+            "tool": Key(TEXT, "Name of the MCP tool."),
+            "resource": Key(TEXT, "URI of a resource to read instead."),
+            "arguments": Key(Template(inputs), f"Template; inputs: {known}.", default={}),
+            "result": Key(result, "Where the outputs are.", default={}, required=bool(operation.needed)),
+            "when": Key(_by_input(inputs, ANYTHING), "Values of inputs for which this is the tool.", default={}),
+            "offset": Key(_by_input(inputs, NUMBER), "Number added to an input.", default={}),
+            "names": Key(_by_input(inputs, _TABLE), "The vendor's name for each value of an input.", default={}),
+            "as": Key(_by_input(inputs, _INPUT_TYPE), "The type in which the tool wants an input.", default={}),
+            "blocking": Key(FLAG, "The call waits for what it answers.", default=False),
+            **_answering("; without it as the adapter does"),
+        },
+        _sentence(operation.meaning),
+        rules=(_HAS_A_TOOL, _RESOURCE_STANDS_ALONE) + ((_ANSWERS_AT_ONCE,) if operation.waits is None else ()),
+    )
+
+
+def _bind(protocol: OtProtocol) -> Table:
+    bind: dict[str, Key] = {}
+    for name, operation in protocol.operations.items():
+        table = Named(f"adapter.{protocol.key}.bind.{name}", binding_table(operation))
+        bind[name] = Key(ByType(list, ListOf(table, "a table", least=1), table), _sentence(operation.meaning))
+    return Table(bind)
+
+
+def _answering(otherwise: str) -> dict[str, Key]:
+    codes = OneOf((*registry(), UNCLASSIFIED))
+    error = Table(
+        {
+            "text": Key(REGEX, "Regular expression, searched in the failure's text.", required=True),
+            "code": Key(codes, "Code of the failure.", required=True),
+        }
+    )
+    return {
+        "answer": Key(_ANSWER, f"What an answer is{otherwise}."),
+        "outcome": Key(_OUTCOME, "Whether an answer is a success; first match wins, without a match isError decides."),
+        "errors": Key(Named("errors", ListOf(error, "a list of rules")), "Codes of failures; first match wins."),
+    }
+
+
+def _by_input(inputs: tuple[str, ...], kind: Kind) -> Table:
+    return Table({name: Key(kind, f"For the input '{name}'.") for name in inputs})
+
+
+def _judged(output: str) -> Rule:
+    return Rule(
+        holds=lambda table: output in table,
+        objection=f"lacks {output!r}, without which the operation cannot be judged",
+        described={"required": [output]},
+    )
+
+
+def _sentence(meaning: str) -> str:
+    return f"{meaning[0].upper()}{meaning[1:]}."
+
+
+def _has_commands(table: Mapping[str, Any]) -> bool:
+    return "command" in table or all("command" in table.get(name, {}) for name in _VARIANTS)
+
+
+_HAS_A_COMMAND = Rule(
+    holds=_has_commands,
+    at="command",
+    objection="expected a non-empty list of strings, the argument vector, found nothing",
+    described={
+        "anyOf": [
+            {"required": ["command"]},
+            {"required": list(_VARIANTS), "properties": {name: {"required": ["command"]} for name in _VARIANTS}},
+        ]
+    },
+)
+_SPEAKS_HTTP = {"required": ["transport"], "properties": {"transport": {"const": "http"}}}
+_URL_IS_FOR_HTTP = Rule(
+    holds=lambda table: "url" not in table or table.get("transport") == "http",
+    at="url",
+    objection='only an adapter with transport = "http" has a URL',
+    described={"if": {"required": ["url"]}, "then": _SPEAKS_HTTP},
+)
+_HTTP_HAS_A_URL = Rule(
+    holds=lambda table: "url" in table or table.get("transport") != "http",
+    at="url",
+    objection="expected a non-empty string, found nothing",
+    described={"if": _SPEAKS_HTTP, "then": {"required": ["url"]}},
+)
+_CONNECT_STEP_HAS_A_CALL = Rule(
+    holds=lambda table: "connect" in table or table.get("recovery") != "connect_step",
+    at="recovery",
+    objection="'connect_step' needs a 'connect' table",
+    described={
+        "if": {"required": ["recovery"], "properties": {"recovery": {"const": "connect_step"}}},
+        "then": {"required": ["connect"]},
+    },
+)
+_HAS_A_TOOL = Rule(
+    holds=lambda table: "tool" in table or "resource" in table,
+    at="tool",
+    objection="expected a non-empty string, found nothing",
+    described={"anyOf": [{"required": ["tool"]}, {"required": ["resource"]}]},
+)
+_RESOURCE_STANDS_ALONE = Rule(
+    holds=lambda table: "resource" not in table or not ("tool" in table or table.get("arguments")),
+    at="resource",
+    objection="a resource is read without tool and arguments",
+    described={
+        "if": {"required": ["resource"]},
+        "then": {"properties": {"tool": False, "arguments": {"maxProperties": 0}}},
+    },
+)
+_ANSWERS_AT_ONCE = Rule(
+    holds=lambda table: not table.get("blocking"),
+    at="blocking",
+    objection="only a call for messages may wait for them",
+    described={"properties": {"blocking": {"const": False}}},
+)

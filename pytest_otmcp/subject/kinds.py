@@ -1,0 +1,221 @@
+"""Kinds of single values in a subject file. Pure.
+
+A kind does two things with one statement of what is right: it reads a value and refuses a wrong one in one sentence, and it
+writes itself as JSON Schema. ``tables`` has the kinds that are put together from others, ``grammar`` the file.
+"""
+
+from __future__ import annotations
+
+import datetime
+import difflib
+import math
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import jmespath
+
+__all__ = [
+    "ANYTHING",
+    "DATE",
+    "FLAG",
+    "NUMBER",
+    "PATH",
+    "REASON",
+    "REGEX",
+    "SECONDS",
+    "STRING",
+    "TEXT",
+    "Definitions",
+    "Expression",
+    "Kind",
+    "OneOf",
+    "Refusal",
+    "Scalar",
+    "nearest",
+    "strings",
+    "toml_type",
+]
+
+Definitions = dict[str, Any]
+"""The ``$defs`` of a schema, by name."""
+
+
+class Refusal(Exception):
+    """A value is not what the grammar expects.
+
+    Args:
+        key: dotted path of the value in the file; empty for the whole document.
+        message: what was expected, and what was found instead.
+    """
+
+    def __init__(self, key: str, message: str) -> None:
+        super().__init__(f"{key}: {message}" if key else message)
+
+
+def toml_type(value: Any) -> str:
+    """Name the type of a value in TOML's words."""
+    if value is None:
+        return "nothing"
+    if isinstance(value, datetime.date | datetime.time):
+        return "a date"
+    if value == "":
+        return "an empty string"
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    return {dict: "a table", list: "a list", str: "a string", bool: "a boolean"}.get(type(value), "a number")
+
+
+def nearest(name: Any, known: Iterable[str]) -> str:
+    """Say which of the known names is the nearest; all of them where none is near."""
+    names = list(known)
+    near = difflib.get_close_matches(str(name), names, 1)
+    return f"did you mean {near[0]!r}?" if near else f"known are {', '.join(sorted(names))}"
+
+
+class Kind(ABC):
+    """What values are right."""
+
+    @abstractmethod
+    def read(self, value: Any, key: str) -> Any:
+        """Return the value, checked, with the defaults of its tables filled in.
+
+        Args:
+            value: None when the file lacks a required key.
+            key: dotted path of the value.
+
+        Raises:
+            Refusal: the value is wrong.
+        """
+
+    @abstractmethod
+    def schema(self, definitions: Definitions) -> dict[str, Any]:
+        """Return the JSON Schema of right values, and add the definitions that it refers to."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scalar(Kind):
+    """A value without a structure that the kit would look into.
+
+    Attributes:
+        expected: in words.
+        accepts: the value is right.
+        described: the same in JSON Schema, as far as it can say it.
+        shown: names a wrong value.
+    """
+
+    expected: str
+    accepts: Callable[[Any], bool]
+    described: Mapping[str, Any]
+    shown: Callable[[Any], str] = toml_type
+
+    def read(self, value: Any, key: str) -> Any:
+        if not self.accepts(value):
+            raise Refusal(key, f"expected {self.expected}, found {self.shown(value)}")
+        return value
+
+    def schema(self, definitions: Definitions) -> dict[str, Any]:
+        return dict(self.described)
+
+
+def _is_number(value: Any) -> bool:
+    # JSON's true is no number, Python's is.
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _is_strings(value: Any) -> bool:
+    return isinstance(value, list) and all(isinstance(part, str) for part in value)
+
+
+def strings(meaning: str, *, filled: bool = False) -> Scalar:
+    """Return the kind of a list of strings; ``filled`` is one that must not be empty."""
+    return Scalar(
+        expected=f"a {'non-empty ' if filled else ''}list of strings, {meaning}",
+        accepts=lambda value: _is_strings(value) and (bool(value) or not filled),
+        described={"type": "array", "items": {"type": "string"}} | ({"minItems": 1} if filled else {}),
+        shown=_shown_list,
+    )
+
+
+def _shown_list(value: Any) -> str:
+    if not isinstance(value, list):
+        return toml_type(value)
+    wrong = [part for part in value if not isinstance(part, str)]
+    return f"a list with {toml_type(wrong[0])}" if wrong else "an empty list"
+
+
+STRING = Scalar(expected="a string", accepts=lambda value: isinstance(value, str), described={"type": "string"})
+TEXT = Scalar(
+    expected="a non-empty string",
+    accepts=lambda value: isinstance(value, str) and value != "",
+    described={"type": "string", "minLength": 1},
+)
+REASON = Scalar(
+    expected="the reason in a string",
+    accepts=lambda value: isinstance(value, str) and value.strip() != "",
+    described={"type": "string", "pattern": r"\S"},
+    shown=lambda value: "a blank string" if isinstance(value, str) else toml_type(value),
+)
+NUMBER = Scalar(expected="a number", accepts=_is_number, described={"type": "number"})
+SECONDS = Scalar(
+    expected="seconds above 0 and up to 300",
+    accepts=lambda value: _is_number(value) and 0 < value <= 300,
+    described={"type": "number", "exclusiveMinimum": 0, "maximum": 300},
+    shown=repr,
+)
+FLAG = Scalar(expected="true or false", accepts=lambda value: isinstance(value, bool), described={"type": "boolean"})
+# JSON has no dates: an editor hands a validator a string or something of its own.
+DATE = Scalar(
+    expected="a date such as 2027-03-31 without quotes",
+    accepts=lambda value: isinstance(value, datetime.date) and not isinstance(value, datetime.datetime),
+    described={},
+)
+ANYTHING = Scalar(expected="a value", accepts=lambda value: value is not None, described={})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Expression(Kind):
+    """A string in a language of its own.
+
+    Attributes:
+        language: name of such a string, with its article.
+        compile: raises when the string is none.
+    """
+
+    language: str
+    compile: Callable[[str], object]
+
+    def read(self, value: Any, key: str) -> Any:
+        if not isinstance(value, str) or not value:
+            raise Refusal(key, f"expected {self.language} in a string, found {toml_type(value)}")
+        try:
+            self.compile(value)
+        except (re.error, jmespath.exceptions.JMESPathError, OverflowError, RecursionError) as error:
+            raise Refusal(key, f"not {self.language}: {str(error).partition(chr(10))[0]}") from None
+        return value
+
+    def schema(self, definitions: Definitions) -> dict[str, Any]:
+        return {"type": "string", "minLength": 1}
+
+
+PATH = Expression(language="a JMESPath expression", compile=jmespath.compile)
+REGEX = Expression(language="a regular expression", compile=re.compile)
+
+
+@dataclass(frozen=True, slots=True)
+class OneOf(Kind):
+    """One of some strings."""
+
+    known: tuple[str, ...]
+
+    def read(self, value: Any, key: str) -> Any:
+        if value is None:
+            raise Refusal(key, f"expected one of {', '.join(self.known)}, found nothing")
+        if not isinstance(value, str) or value not in self.known:
+            raise Refusal(key, f"unknown {value!r}; {nearest(value, self.known)}")
+        return value
+
+    def schema(self, definitions: Definitions) -> dict[str, Any]:
+        return {"enum": list(self.known)}

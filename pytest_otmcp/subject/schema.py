@@ -1,0 +1,39 @@
+"""The JSON Schema of a subject file, for editors: ``python -m pytest_otmcp.subject.schema`` prints it.
+
+The file ``subject.schema.json`` beside this module is its output for the kit's own protocols. Where a package registers a
+further protocol, the command prints a schema that has that protocol as well.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from ..protocols.protocol import OtProtocol
+from ..protocols.registry import protocols
+from .grammar import subject_file
+from .kinds import Definitions
+
+__all__ = ["schema", "schema_text"]
+
+
+def schema(known: Mapping[str, OtProtocol]) -> dict[str, Any]:
+    """Return the schema of a subject file whose adapters speak these protocols, by key."""
+    definitions: Definitions = {}
+    root = subject_file(known).schema(definitions)
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "pytest-otmcp subject file",
+        **root,
+        "$defs": definitions,
+    }
+
+
+def schema_text(known: Mapping[str, OtProtocol]) -> str:
+    """Return the schema as the text of a file."""
+    return json.dumps(schema(known), indent=1, ensure_ascii=False) + "\n"
+
+
+if __name__ == "__main__":
+    print(schema_text(protocols()), end="")

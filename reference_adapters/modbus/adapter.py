@@ -1,0 +1,39 @@
+"""How the Modbus TCP adapter is put together from its settings."""
+
+from __future__ import annotations
+
+from ..core import AdapterServer, ConfigError, Environment
+from .link import Link
+from .shapes import is_unit
+from .tags import load_tags
+from .tools import Tools
+
+__all__ = ["build"]
+
+
+def build() -> AdapterServer:
+    """Build the adapter that the environment configures.
+
+    Raises:
+        ConfigError: a setting cannot be used.
+    """
+    environment = Environment()
+    host = environment.text("MODBUS_HOST", "127.0.0.1")
+    port = environment.whole("MODBUS_PORT", 502, 1, 65535)
+    unit = environment.whole("MODBUS_UNIT_ID", 1, 0, 255)
+    if not is_unit(unit):
+        raise ConfigError(f"MODBUS_UNIT_ID: expected 0 to 247 or 255, found {unit}")
+    tags = load_tags(environment.optional("MODBUS_TAG_MAP"))
+    link = Link(host, port, environment.seconds("MODBUS_TIMEOUT_S", 1.0))
+    server = AdapterServer(
+        name="modbus-reference",
+        version="0.1.0",
+        protocol="modbus-tcp",
+        endpoint=f"modbus+tcp://{f'[{host}]' if ':' in host else host}:{port}",
+        writes_enabled=environment.writes_enabled("MODBUS_WRITES_ENABLED"),
+        switch="MODBUS_WRITES_ENABLED",
+        deadline_s=environment.seconds("MODBUS_DEADLINE_S", 3.0),
+        close=link.close,
+    )
+    server.add(Tools(link, default_unit=unit, tags=tags))
+    return server

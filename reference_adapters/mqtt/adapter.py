@@ -1,0 +1,76 @@
+"""How the MQTT and Sparkplug B adapter is put together from its settings."""
+
+from __future__ import annotations
+
+import re
+from urllib.parse import urlsplit
+
+from ..core import AdapterServer, ConfigError, Environment
+from .connection import Endpoint
+from .edge_node import EdgeNode
+from .link import Link
+from .sparkplug_tools import SparkplugTools
+from .tools import Tools
+
+__all__ = ["build"]
+
+_LEVEL = re.compile(r"[^/+#\x00-\x1f\x7f]+")
+
+
+def build() -> AdapterServer:
+    """Build the adapter that the environment configures.
+
+    Raises:
+        ConfigError: a setting cannot be used.
+    """
+    environment = Environment()
+    endpoint = _endpoint(environment)
+    may_write = environment.writes_enabled("MQTT_WRITES_ENABLED")
+    node = EdgeNode(
+        _identifier(environment, "SPARKPLUG_GROUP_ID", "factory"),
+        _identifier(environment, "SPARKPLUG_EDGE_NODE_ID", "otmcp-adapter"),
+    )
+    link = Link(endpoint, node, may_write=may_write)
+    server = AdapterServer(
+        name="mqtt-reference",
+        version="0.1.0",
+        protocol="mqtt",
+        endpoint=endpoint.uri,
+        writes_enabled=may_write,
+        switch="MQTT_WRITES_ENABLED",
+        deadline_s=environment.seconds("MQTT_DEADLINE_S", 4.0),
+        close=link.close,
+    )
+    server.add(Tools(link))
+    server.add(SparkplugTools(link), protocol="sparkplug-b")
+    return server
+
+
+def _endpoint(environment: Environment) -> Endpoint:
+    expected = ConfigError("MQTT_URL: expected mqtt://host:port or mqtts://host:port")
+    try:
+        parts = urlsplit(environment.text("MQTT_URL", "mqtt://127.0.0.1:1883"))
+        port = parts.port
+    except ValueError:
+        raise expected from None
+    if parts.scheme not in ("mqtt", "mqtts") or not parts.hostname or parts.path.strip("/") or parts.query:
+        raise expected
+    if parts.username is not None:
+        raise ConfigError("MQTT_URL: user name and password belong into MQTT_USERNAME and MQTT_PASSWORD")
+    tls = parts.scheme == "mqtts"
+    return Endpoint(
+        host=parts.hostname,
+        port=port or (8883 if tls else 1883),
+        tls=tls,
+        client_id=environment.text("MQTT_CLIENT_ID", "otmcp-adapter"),
+        username=environment.optional("MQTT_USERNAME"),
+        password=environment.optional("MQTT_PASSWORD"),
+        timeout_s=environment.seconds("MQTT_TIMEOUT_S", 2.0),
+    )
+
+
+def _identifier(environment: Environment, name: str, default: str) -> str:
+    text = environment.text(name, default)
+    if not _LEVEL.fullmatch(text):
+        raise ConfigError(f"{name}: expected one level of a topic, without / + #, found {text!r}")
+    return text

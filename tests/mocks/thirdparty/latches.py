@@ -1,0 +1,105 @@
+"""A device with an endpoint of every kind: three latches, set over TCP, UDP and a pseudo terminal.
+
+A telegram is one byte. It sets the latch of the endpoint on which it came, and is answered with the byte after it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import socket
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from pytest_otmcp.mocks.device import Device
+from pytest_otmcp.mocks.endpoint import Endpoint, OpenEndpoint
+
+__all__ = ["ENDPOINTS", "create", "warm"]
+
+ENDPOINTS = (
+    Endpoint(name="stream", kind="tcp"),
+    Endpoint(name="datagram", kind="udp"),
+    Endpoint(name="line", kind="pty"),
+)
+
+
+def warm() -> None:
+    """Do nothing: nothing is slow here."""
+
+
+def create() -> Latches:
+    """Return a device whose latches are 0."""
+    return Latches()
+
+
+class Latches(Device):
+    """Serves one stream client at a time, any number of senders of datagrams, and the line."""
+
+    protocol = "latches"
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.latches = {endpoint.name: 0 for endpoint in ENDPOINTS}
+
+    async def serve(self, endpoints: Mapping[str, OpenEndpoint]) -> None:
+        loop = asyncio.get_running_loop()
+        for name, endpoint in endpoints.items():
+            if isinstance(endpoint, socket.socket) and name == "stream":
+                await asyncio.start_server(self._stream, sock=endpoint)
+            elif isinstance(endpoint, socket.socket):
+                await loop.create_datagram_endpoint(lambda: _Datagrams(self), sock=endpoint)
+            else:
+                os.set_blocking(endpoint, False)
+                loop.add_reader(endpoint, self._line, endpoint)
+
+    def _line(self, master: int) -> None:
+        self.execute("line", os.read(master, 4096), lambda answer: os.write(master, answer))
+
+    async def _stream(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        while data := await reader.read(4096):
+            self.execute("stream", data, writer.write)
+        writer.close()
+
+    def execute(self, endpoint: str, telegrams: bytes, answer: Callable[[bytes], Any]) -> None:
+        """Execute telegrams and answer each."""
+        for telegram in telegrams:
+            fields: dict[str, Any] = {"endpoint": endpoint, "value": telegram}
+            asked = self.journal.append(
+                connection=0, direction="in", kind="SET", request=True, state_changing=True, **fields
+            )
+            self.latches[endpoint] = telegram
+            self.journal.append(connection=0, direction="out", kind="DONE", answers=asked, endpoint=endpoint)
+            answer(bytes([telegram + 1]))
+
+    async def aclose(self) -> None:
+        """Do nothing: the process ends right after this."""
+
+    def image(self) -> dict[str, Any]:
+        return {"points": dict(self.latches)}
+
+    async def poke(self, params: Mapping[str, Any]) -> None:
+        if params["latch"] not in self.latches:
+            raise ValueError(f"there is no latch {params['latch']!r}")
+        self.latches[params["latch"]] = params["value"]
+
+    def fault(self, rules: list[dict[str, Any]]) -> list[int]:
+        if rules:
+            raise ValueError("latches have no faults")
+        return []
+
+    async def reset(self) -> None:
+        self.latches = dict.fromkeys(self.latches, 0)
+
+    async def tick(self) -> None:
+        """Do nothing: a latch does not move by itself."""
+
+
+class _Datagrams(asyncio.DatagramProtocol):
+    def __init__(self, device: Latches) -> None:
+        self._device = device
+
+    def connection_made(self, transport: asyncio.DatagramTransport) -> None:  # type: ignore[override]
+        self._transport = transport
+
+    def datagram_received(self, data: bytes, address: Any) -> None:
+        self._device.execute("datagram", data, lambda answer: self._transport.sendto(answer, address))
