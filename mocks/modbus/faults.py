@@ -1,15 +1,36 @@
-"""The fault plan: which request is answered how, first match wins."""
+"""The fault plan of the Modbus device: which request is answered how."""
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
+
+from ..fault_rules import FLAG, Field, Plan, Table, integer, number
 
 __all__ = ["FaultPlan", "Rule"]
 
-_CONDITIONS = ("function", "address", "unit", "times")
+_REGISTER = integer(0, 0xFFFF)
+_TABLE = Table(
+    conditions={"function": integer(0, 0xFF), "address": integer(0, 0xFFFF), "unit": integer(0, 0xFF)},
+    actions={
+        "exception": integer(0, 0xFF),
+        "delay_s": number(0, 3600),
+        "drop": FLAG,
+        "garbage": FLAG,
+        "transaction_id": integer(-0xFFFF, 0xFFFF),
+        "answer_unit": integer(0, 0xFF),
+        "truncate": integer(0, 260),
+        "close": FLAG,
+        "reset": FLAG,
+        "ack_only": FLAG,
+        "answer_values": Field(
+            accepts=lambda value: isinstance(value, list) and len(value) <= 125 and all(map(_REGISTER.accepts, value)),
+            expected="a list of at most 125 integers from 0 to 65535",
+        ),
+    },
+    example="{'drop': true}",
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,78 +67,30 @@ class Rule:
     ack_only: bool = False
     answer_values: tuple[int, ...] | None = None
 
-    @classmethod
-    def read(cls, source: Mapping[str, Any]) -> Rule:
-        """A rule from the control channel: conditions at the top, what happens under ``action``.
 
-        Raises:
-            ValueError: an unknown name, or a value that the name cannot have.
-        """
-        action = source.get("action")
-        if not isinstance(action, Mapping) or not action:
-            raise ValueError("a fault rule needs an action, for instance {'action': {'drop': true}}")
-        known = {field.name for field in fields(cls)}
-        for name in (*(set(source) - {"action"} - set(_CONDITIONS)), *(set(action) - (known - set(_CONDITIONS)))):
-            raise ValueError(f"unknown member {name!r} of a fault rule")
-        values: dict[str, Any] = {**source, **action}
-        del values["action"]
-        for name, value in values.items():
-            if value is not None and not _ACCEPTS[name](value):
-                raise ValueError(f"a fault rule cannot have {value!r} as {name!r}")
-        # None means: as if it had not been said.
-        values = {name: value for name, value in values.items() if value is not None}
-        if "answer_values" in values:
-            values["answer_values"] = tuple(values["answer_values"])
-        return cls(**values)
+class FaultPlan(Plan[Rule]):
+    """The plan that the rules of the control channel make.
 
-
-def _integer(lowest: int, highest: int) -> Callable[[Any], bool]:
-    return lambda value: type(value) is int and lowest <= value <= highest
-
-
-def _registers(value: Any) -> bool:
-    return isinstance(value, list) and len(value) <= 125 and all(map(_integer(0, 0xFFFF), value))
-
-
-def _boolean(value: Any) -> bool:
-    return isinstance(value, bool)
-
-
-_ACCEPTS: dict[str, Callable[[Any], bool]] = {
-    "function": _integer(0, 0xFF),
-    "address": _integer(0, 0xFFFF),
-    "unit": _integer(0, 0xFF),
-    "times": _integer(0, sys.maxsize),
-    "exception": _integer(0, 0xFF),
-    "delay_s": lambda value: type(value) in (int, float) and 0 <= value <= 3600,
-    "drop": _boolean,
-    "garbage": _boolean,
-    "transaction_id": _integer(-0xFFFF, 0xFFFF),
-    "answer_unit": _integer(0, 0xFF),
-    "truncate": _integer(0, 260),
-    "close": _boolean,
-    "reset": _boolean,
-    "ack_only": _boolean,
-    "answer_values": _registers,
-}
-
-
-class FaultPlan:
-    """Rules in order, with a count of how often each was applied."""
+    Raises:
+        ValueError: a rule is not understood.
+    """
 
     def __init__(self, rules: list[dict[str, Any]]) -> None:
-        self._rules = [Rule.read(rule) for rule in rules]
-        self.hits = [0] * len(self._rules)
+        super().__init__([_read(rule) for rule in rules])
 
     def match(self, unit: int, request: Mapping[str, Any]) -> Rule | None:
-        """The rule that applies to this request, if any; counts it."""
-        for index, rule in enumerate(self._rules):
-            if (
+        """Return the rule that applies to this request, if any; count it."""
+        return self.first(
+            lambda rule: (
                 rule.function in (None, request["function"])
                 and rule.address in (None, request.get("address"))
                 and rule.unit in (None, unit)
-                and (rule.times is None or self.hits[index] < rule.times)
-            ):
-                self.hits[index] += 1
-                return rule
-        return None
+            )
+        )
+
+
+def _read(source: Mapping[str, Any]) -> Rule:
+    values = _TABLE.read(source)
+    if "answer_values" in values:
+        values["answer_values"] = tuple(values["answer_values"])
+    return Rule(**values)

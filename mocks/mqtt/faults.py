@@ -1,4 +1,4 @@
-"""The fault plan of the broker: which packet of a client is answered how, first match wins."""
+"""The fault plan of the broker: which packet of a client is answered how."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from ..fault_rules import FLAG, TEXT, Plan, Table, integer, number, one_of
 from .packets import Packet, Publish, Subscribe, Unsubscribe
 
 __all__ = ["OWN_CLIENTS", "FaultPlan", "Rule"]
 
 OWN_CLIENTS = "otmcp-mock-"
-"""Client ids that begin so belong to the mock itself: only a rule that names them applies to them."""
+"""Client ids with this prefix belong to the mock itself: only a rule that names them applies to them."""
 
 _PACKETS = ("CONNECT", "PUBLISH", "PUBREC", "PUBREL", "SUBSCRIBE", "UNSUBSCRIBE", "PINGREQ")
 _REFUSALS = range(0x80, 0x100)
@@ -21,6 +22,19 @@ _CODES = {
     "SUBSCRIBE": (0, 1, 2, *_REFUSALS),
     "UNSUBSCRIBE": _REFUSALS,
 }
+_TABLE = Table(
+    conditions={"packet": one_of(*_PACKETS), "client_id": TEXT, "topic": TEXT},
+    actions={
+        "no_answer": FLAG,
+        "delay_s": number(0, 3600),
+        "reason_code": integer(0, 0xFF),
+        "close": FLAG,
+        "reset": FLAG,
+    },
+    example="{'no_answer': true}",
+    required=("packet",),
+    one_action=True,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,31 +62,8 @@ class Rule:
     close: bool = False
     reset: bool = False
 
-    @classmethod
-    def read(cls, source: Mapping[str, Any]) -> Rule:
-        """A rule from the control channel: conditions at the top, what happens under ``action``.
-
-        Raises:
-            ValueError: an unknown name, or a code for a packet whose answer has none.
-        """
-        action = source.get("action")
-        if not isinstance(action, Mapping) or len(action) != 1:
-            raise ValueError("a fault rule needs one action, for instance {'action': {'no_answer': true}}")
-        conditions = {name: value for name, value in source.items() if name != "action"}
-        unknown = (conditions.keys() - {"packet", "client_id", "topic", "times"}) | (
-            action.keys() - {"no_answer", "delay_s", "reason_code", "close", "reset"}
-        )
-        if unknown:
-            raise ValueError(f"unknown member {min(unknown)!r} of a fault rule")
-        if conditions.get("packet") not in _PACKETS:
-            raise ValueError(f"a fault rule needs the name of a packet, one of {', '.join(_PACKETS)}")
-        code = action.get("reason_code")
-        if code is not None and code not in _CODES.get(conditions["packet"], ()):
-            raise ValueError(f"reason_code {code!r} is no answer to {conditions['packet']}")
-        return cls(**conditions, **action)
-
     def applies(self, packet: Packet, client_id: str) -> bool:
-        """Whether the conditions hold."""
+        """Tell whether the conditions hold."""
         if self.packet != packet.type.name:
             return False
         if self.client_id is None and client_id.startswith(OWN_CLIENTS):
@@ -81,7 +72,7 @@ class Rule:
 
     @property
     def refuses(self) -> bool:
-        """Whether the packet is not to be obeyed."""
+        """Tell whether the packet is not to be obeyed."""
         return self.reason_code is not None and (self.reason_code >= 0x80 or self.packet == "CONNECT")
 
 
@@ -97,17 +88,23 @@ def _topics(packet: Packet) -> tuple[str, ...]:
             return ()
 
 
-class FaultPlan:
-    """Rules in order, with a count of how often each was applied."""
+class FaultPlan(Plan[Rule]):
+    """The plan that the rules of the control channel make.
+
+    Raises:
+        ValueError: a rule is not understood.
+    """
 
     def __init__(self, rules: list[dict[str, Any]]) -> None:
-        self._rules = [Rule.read(rule) for rule in rules]
-        self.hits = [0] * len(self._rules)
+        super().__init__([_read(rule) for rule in rules])
 
     def match(self, packet: Packet, client_id: str) -> Rule | None:
-        """The rule that applies to this packet, if any; counts it."""
-        for index, rule in enumerate(self._rules):
-            if rule.applies(packet, client_id) and (rule.times is None or self.hits[index] < rule.times):
-                self.hits[index] += 1
-                return rule
-        return None
+        """Return the rule that applies to this packet, if any; count it."""
+        return self.first(lambda rule: rule.applies(packet, client_id))
+
+
+def _read(source: Mapping[str, Any]) -> Rule:
+    rule = Rule(**_TABLE.read(source))
+    if rule.reason_code is not None and rule.reason_code not in _CODES.get(rule.packet, ()):
+        raise ValueError(f"reason_code {rule.reason_code!r} is no answer to {rule.packet}")
+    return rule

@@ -40,12 +40,12 @@ class Exchange:
         answer: facts of the answer, for the journal.
     """
 
-    def __init__(self, state: DeviceState, connection: int, service: str, handle: int) -> None:
+    def __init__(self, device: DeviceState, connection: int, service: str, handle: int) -> None:
         self.service = service
         self.handle = handle
         self.rule: Rule = NOTHING
         self.answer: dict[str, Any] = {}
-        self._state = state
+        self._device = device
         self._connection = connection
         self._asked: int | None = None
         _current.set(self)
@@ -53,7 +53,7 @@ class Exchange:
     def asked(self, **facts: Any) -> None:
         """Record the request, the first time that this is called."""
         if self._asked is None:
-            self._asked = self._state.journal.append(
+            self._asked = self._device.journal.append(
                 connection=self._connection,
                 direction="in",
                 kind=self.service,
@@ -68,7 +68,7 @@ class Exchange:
         Raises:
             UaStatusCodeError: the call is to be answered with this ServiceFault.
         """
-        self.rule = rule = self._state.faults.match(self.service, nodes)
+        self.rule = rule = self._device.faults.match(self.service, nodes)
         if rule.delay_s:
             await asyncio.sleep(rule.delay_s)
         if rule.service_fault is not None:
@@ -78,7 +78,7 @@ class Exchange:
     def answered(self, result: ua.StatusCode) -> None:
         """Record the answer."""
         self.asked()
-        self._state.journal.append(
+        self._device.journal.append(
             connection=self._connection,
             direction="out",
             kind=self.service,

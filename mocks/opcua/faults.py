@@ -1,16 +1,35 @@
-"""The server's fault plan: which service call is treated how, first match wins."""
+"""The fault plan of the OPC UA server: which service call is treated how."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from asyncua import ua
 
+from ..fault_rules import FLAG, TEXT, Field, Plan, Table, number
+
 __all__ = ["NOTHING", "FaultPlan", "Rule"]
 
-_CONDITIONS = ("service", "node", "times")
+_SYMBOL = Field(
+    accepts=lambda value: isinstance(value, str) and isinstance(getattr(ua.StatusCodes, value, None), int),
+    expected="the symbol of a status code",
+)
+_TABLE = Table(
+    conditions={"service": TEXT, "node": TEXT},
+    actions={
+        "status": _SYMBOL,
+        "service_fault": _SYMBOL,
+        "delay_s": number(0, 600),
+        "ack_only": FLAG,
+        "clamp": number(),
+        "drop": FLAG,
+        "close": FLAG,
+        "reset": FLAG,
+    },
+    example="{'status': 'BadDeviceFailure'}",
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,75 +61,22 @@ class Rule:
     close: bool = False
     reset: bool = False
 
-    @classmethod
-    def read(cls, source: Mapping[str, Any]) -> Rule:
-        """A rule from the control channel: conditions at the top, what happens under ``action``.
-
-        Raises:
-            ValueError: an unknown name, or a value that the name cannot have.
-        """
-        action = source.get("action")
-        if not isinstance(action, Mapping) or not action:
-            raise ValueError("a fault rule needs an action, for instance {'action': {'status': 'BadDeviceFailure'}}")
-        actions = {field.name for field in fields(cls)} - set(_CONDITIONS)
-        for name in (*(set(source) - {"action"} - set(_CONDITIONS)), *(set(action) - actions)):
-            raise ValueError(f"unknown member {name!r} of a fault rule")
-        values: dict[str, Any] = {**source, **action}
-        del values["action"]
-        for name, value in values.items():
-            if not _ACCEPTED[name](value):
-                raise ValueError(f"a fault rule cannot have {value!r} as {name!r}")
-        return cls(**values)
-
-
-def _flag(value: Any) -> bool:
-    return isinstance(value, bool)
-
-
-def _number(value: Any) -> bool:
-    return type(value) in (int, float)
-
-
-def _symbol(value: Any) -> bool:
-    return isinstance(value, str) and isinstance(getattr(ua.StatusCodes, value, None), int)
-
-
-_ACCEPTED = {
-    "service": lambda value: isinstance(value, str),
-    "node": lambda value: isinstance(value, str),
-    "times": lambda value: type(value) is int and value >= 0,
-    "status": _symbol,
-    "service_fault": _symbol,
-    "delay_s": lambda value: _number(value) and 0 <= value <= 600,
-    "ack_only": _flag,
-    "clamp": _number,
-    "drop": _flag,
-    "close": _flag,
-    "reset": _flag,
-}
 
 NOTHING = Rule()
 """What applies to a call that no rule matches."""
 
 
-class FaultPlan:
-    """Rules in order, with a count of how often each was applied."""
+class FaultPlan(Plan[Rule]):
+    """The plan that the rules of the control channel make.
+
+    Raises:
+        ValueError: a rule is not understood.
+    """
 
     def __init__(self, rules: list[dict[str, Any]]) -> None:
-        self._rules = [Rule.read(rule) for rule in rules]
-        self.hits = [0] * len(self._rules)
-
-    def __bool__(self) -> bool:
-        return bool(self._rules)
+        super().__init__([Rule(**_TABLE.read(rule)) for rule in rules])
 
     def match(self, service: str, nodes: Sequence[str]) -> Rule:
-        """The rule that applies to this call, or :data:`NOTHING`; counts it."""
-        for index, rule in enumerate(self._rules):
-            if (
-                rule.service in (None, service)
-                and (rule.node is None or rule.node in nodes)
-                and (rule.times is None or self.hits[index] < rule.times)
-            ):
-                self.hits[index] += 1
-                return rule
-        return NOTHING
+        """Return the rule that applies to this call, or :data:`NOTHING`; count it."""
+        found = self.first(lambda rule: rule.service in (None, service) and (rule.node is None or rule.node in nodes))
+        return NOTHING if found is None else found

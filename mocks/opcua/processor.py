@@ -38,25 +38,25 @@ class _Processor(UaProcessor):  # type: ignore[misc]
         internal_server: InternalServer,
         transport: asyncio.Transport,
         limits: TransportLimits,
-        state: DeviceState,
+        device: DeviceState,
         number: int,
     ) -> None:
         super().__init__(internal_server, transport, limits)
-        self._state = state
+        self._device = device
         self._number = number
         self._late: set[asyncio.Task[None]] = set()
 
     def open_secure_channel(self, algohdr: Any, seqhdr: Any, body: Buffer) -> None:
-        Exchange(self._state, self._number, "OpenSecureChannel", 0).asked()
+        Exchange(self._device, self._number, "OpenSecureChannel", 0).asked()
         super().open_secure_channel(algohdr, seqhdr, body)
 
     async def process(self, header: Any, body: Buffer) -> bool:
         if header.MessageType == ua.MessageType.SecureClose:
-            Exchange(self._state, self._number, "CloseSecureChannel", 0).asked()
+            Exchange(self._device, self._number, "CloseSecureChannel", 0).asked()
         return bool(await super().process(header, body))
 
     async def process_message(self, seqhdr: Any, body: Buffer) -> bool:
-        if not self._state.faults:
+        if not self._device.faults:
             return bool(await super().process_message(seqhdr, body))
         # A call that is held up must not hold up the next one.
         task = asyncio.create_task(self._process_late(seqhdr, body))
@@ -70,7 +70,7 @@ class _Processor(UaProcessor):  # type: ignore[misc]
 
     async def _process_message(self, typeid: ua.NodeId, requesthdr: Any, seqhdr: Any, body: Buffer) -> bool:
         service = _SERVICES.get(typeid.Identifier, typeid.to_string())
-        exchange = Exchange(self._state, self._number, service, requesthdr.RequestHandle)
+        exchange = Exchange(self._device, self._number, service, requesthdr.RequestHandle)
         if service not in _WITH_NODES:
             exchange.asked()
             await exchange.suffer()
@@ -107,15 +107,15 @@ class _Processor(UaProcessor):  # type: ignore[misc]
 class PlantProtocol(OPCUAProtocol):  # type: ignore[misc]
     """A connection with a number, 1 for the device's first."""
 
-    def __init__(self, *, state: DeviceState, number: int, **parts: Any) -> None:
+    def __init__(self, *, device: DeviceState, number: int, **parts: Any) -> None:
         super().__init__(**parts)
-        self._state = state
+        self._device = device
         self._number = number
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._journal("CONNECTED")
         super().connection_made(transport)
-        self.processor = _Processor(self.iserver, self.transport, self.limits, self._state, self._number)
+        self.processor = _Processor(self.iserver, self.transport, self.limits, self._device, self._number)
         self.processor.set_policies(self.policies)
 
     def connection_lost(self, ex: BaseException | None) -> None:
@@ -123,4 +123,4 @@ class PlantProtocol(OPCUAProtocol):  # type: ignore[misc]
         super().connection_lost(ex)
 
     def _journal(self, kind: str) -> None:
-        self._state.journal.append(connection=self._number, direction="in", kind=kind)
+        self._device.journal.append(connection=self._number, direction="in", kind=kind)

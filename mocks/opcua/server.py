@@ -39,11 +39,11 @@ class PlantServer(Server):  # type: ignore[misc]
         self._listener: asyncio.Server | None = None
         self.set_server_name("OT-MCP mock plant")
 
-    async def listen(self, listener: socket.socket, device: DeviceState) -> None:
+    async def listen(self, listener: socket.socket, owner: DeviceState) -> None:
         """Accept connections on ``listener`` for a device."""
 
         class Session(PlantSession):
-            state = device
+            device = owner
 
         host, port = listener.getsockname()[:2]
         self.set_endpoint(f"opc.tcp://{host}:{port}")
@@ -57,7 +57,7 @@ class PlantServer(Server):  # type: ignore[misc]
         def protocol() -> PlantProtocol:
             server = self.bserver
             return PlantProtocol(
-                state=device,
+                device=owner,
                 number=next(numbers),
                 iserver=server.iserver,
                 policies=server._policies,

@@ -37,22 +37,22 @@ _SERVER = (Stamps.Server, Stamps.Both)
 class PlantSession(InternalSession):  # type: ignore[misc]
     """One session of one client."""
 
-    state: DeviceState
+    device: DeviceState
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        self.browser = Browser(self.aspace, lambda: self.state.limits)
+        self.browser = Browser(self.aspace, lambda: self.device.limits)
 
     async def create_session(self, params: ua.CreateSessionParameters, sockname: Any = None) -> Any:
-        if self.state.limits.sessions and len(self.state.browsers) >= self.state.limits.sessions:
+        if self.device.limits.sessions and len(self.device.browsers) >= self.device.limits.sessions:
             await super().close_session()
             raise ServiceError(Codes.BadTooManySessions)
-        self.state.browsers.add(self.browser)
+        self.device.browsers.add(self.browser)
         return await super().create_session(params, sockname=sockname)
 
     async def close_session(self, delete_subs: bool = True) -> None:
         # Also called when the connection is gone; the journal has what the client asked, and this may be nobody's wish.
-        self.state.browsers.discard(self.browser)
+        self.device.browsers.discard(self.browser)
         self.browser.close()
         await super().close_session(delete_subs)
 
@@ -63,7 +63,7 @@ class PlantSession(InternalSession):  # type: ignore[misc]
         exchange.asked(
             nodes=[{"node_id": item.NodeId.to_string(), "attribute": _attribute(item.AttributeId)} for item in items]
         )
-        bounded(items, self.state.limits.nodes_per_read)
+        bounded(items, self.device.limits.nodes_per_read)
         if params.MaxAge < 0:
             raise ServiceError(Codes.BadMaxAgeInvalid)
         if params.TimestampsToReturn not in (Stamps.Source, Stamps.Server, Stamps.Both, Stamps.Neither):
@@ -110,7 +110,7 @@ class PlantSession(InternalSession):  # type: ignore[misc]
     async def write(self, params: ua.WriteParameters) -> list[ua.StatusCode]:
         exchange, items = current(), params.NodesToWrite or []
         exchange.asked(nodes=[_written(item) for item in items])
-        bounded(items, self.state.limits.nodes_per_write)
+        bounded(items, self.device.limits.nodes_per_write)
         rule = await exchange.suffer(_names(item.NodeId for item in items))
         results = [await self._write_one(item, rule) for item in items]
         exchange.answer["results"] = [{"status": result.name} for result in results]
@@ -142,7 +142,7 @@ class PlantSession(InternalSession):  # type: ignore[misc]
             return int(Codes.BadNotWritable)
         if (refusal := self._access(item.NodeId, ua.AccessLevel.CurrentWrite)) is not None:
             return refusal
-        variable = self.state.plant.variables.get(item.NodeId)
+        variable = self.device.plant.variables.get(item.NodeId)
         if variable is None:
             return int(Codes.BadNotWritable)
         if item.IndexRange:
@@ -160,7 +160,7 @@ class PlantSession(InternalSession):  # type: ignore[misc]
         exchange, items = current(), params.NodesToBrowse or []
         nodes = _names(item.NodeId for item in items)
         exchange.asked(nodes=nodes, most=params.RequestedMaxReferencesPerNode)
-        bounded(items, self.state.limits.nodes_per_browse)
+        bounded(items, self.device.limits.nodes_per_browse)
         if not params.View.ViewId.is_null():
             raise ServiceError(Codes.BadViewIdUnknown)
         forced = _forced(await exchange.suffer(nodes))
@@ -215,7 +215,7 @@ class PlantSession(InternalSession):  # type: ignore[misc]
             for request in params or []
         ]
         exchange.asked(nodes=nodes, methods=methods)
-        bounded(params, self.state.limits.methods_per_call)
+        bounded(params, self.device.limits.methods_per_call)
         forced = _forced(await exchange.suffer(nodes))
         results = []
         for request in params:
@@ -235,7 +235,7 @@ class PlantSession(InternalSession):  # type: ignore[misc]
     async def _perform(self, request: ua.CallMethodRequest) -> ua.CallMethodResult:
         if request.ObjectId not in self.aspace:
             raise MethodRefusal(Codes.BadNodeIdUnknown)
-        method = self.state.plant.methods.get(request.MethodId)
+        method = self.device.plant.methods.get(request.MethodId)
         if method is None or request.ObjectId != method.owner:
             raise MethodRefusal(Codes.BadMethodInvalid)
         given = request.InputArguments or []
@@ -248,7 +248,7 @@ class PlantSession(InternalSession):  # type: ignore[misc]
             arguments = [Codes.BadTypeMismatch if each else Codes.Good for each in wrong]
             raise MethodRefusal(Codes.BadInvalidArgument, arguments)
         outputs = await method.function(*(argument.Value for argument in given))
-        self.state.plant.calls[request.MethodId] += 1
+        self.device.plant.calls[request.MethodId] += 1
         return ua.CallMethodResult(
             InputArgumentResults=[ua.StatusCode() for _ in given],
             OutputArguments=[ua.Variant(value, kind) for value, kind in zip(outputs, method.outputs, strict=True)],

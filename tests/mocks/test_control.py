@@ -1,4 +1,7 @@
-"""The control channel and the journal, on the Modbus mock; every mock uses the same code."""
+"""The control channel and the journal, on the Modbus mock; every mock uses the same code.
+
+What each device has to do about them is in ``test_device_contract``.
+"""
 
 from __future__ import annotations
 
@@ -76,18 +79,6 @@ async def test_what_is_no_request_is_answered_with_a_sentence(modbus: MockProgra
     writer.close()
 
 
-async def test_a_paused_plant_stands_still_and_a_tick_moves_it(modbus: MockProgram) -> None:
-    async def temperature() -> int:
-        value: int = (await modbus.control.image())["units"]["1"]["input_registers"][0]
-        return value
-
-    cold = await temperature()
-    await modbus.control.ask("tick", steps=0)
-    assert await temperature() == cold
-    await modbus.control.ask("tick", steps=30)
-    assert await temperature() > cold
-
-
 async def test_an_unpaused_plant_moves_by_itself(start_mock: Any) -> None:
     program = await start_mock("modbus", paused=False)
     before = await program.control.image()
@@ -95,36 +86,6 @@ async def test_an_unpaused_plant_moves_by_itself(start_mock: Any) -> None:
         # The device tells no one of its ticks.
         while await program.control.image() == before:  # noqa: ASYNC110
             await asyncio.sleep(0.05)
-
-
-async def test_reset_brings_back_the_values_and_keeps_journal_and_connections(modbus: MockProgram) -> None:
-    start = await modbus.control.image()
-    reader, writer = await asyncio.open_connection(modbus.host, modbus.port)
-    writer.write(bytes.fromhex("0001 0000 0006 01 06 0032 0007"))
-    await reader.readexactly(12)
-    await modbus.control.ask("tick", steps=5)
-    await modbus.control.ask("fault", rules=[{"action": {"drop": True}}])
-    seen = await modbus.control.next()
-    await modbus.control.ask("reset")
-    assert await modbus.control.image() == start
-    assert await modbus.control.next() == seen
-    writer.write(READ_HR_0)
-    await reader.readexactly(11)
-    writer.close()
-
-
-async def test_the_journal_tells_a_connections_life_in_order(modbus: MockProgram) -> None:
-    await exchange(modbus)
-    await exchange(modbus)
-    for connection in (1, 2):
-        await modbus.control.wait(kind="DISCONNECTED", connection=connection)
-    entries = await modbus.control.journal()
-    kinds = ["CONNECTED", "request", "response", "DISCONNECTED"]
-    assert [entry["kind"] for entry in entries if entry["connection"] == 1] == kinds
-    assert [entry["kind"] for entry in entries if entry["connection"] == 2] == kinds
-    assert [entry["seq"] for entry in entries] == list(range(len(entries)))
-    times = [entry["t_ns"] for entry in entries]
-    assert times == sorted(times)
 
 
 async def test_a_wait_is_answered_by_what_has_already_happened(modbus: MockProgram) -> None:

@@ -99,7 +99,7 @@ async def test_every_endpoint_is_served_when_the_device_says_so(latches: MockPro
         for client in clients:
             client.send(7)
             assert await client.answer() == 8
-    assert (await latches.control.image())["points"] == dict.fromkeys(ENDPOINTS, 7)
+    assert (await latches.control.image())["points"] == {"clock": 0, **dict.fromkeys(ENDPOINTS, 7)}
 
 
 async def test_a_restart_keeps_all_addresses_and_the_lines_that_are_open(latches: MockProgram) -> None:

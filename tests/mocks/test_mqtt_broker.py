@@ -383,21 +383,3 @@ def test_the_mocks_own_clients_are_spared_unless_they_are_named(broker: RunningB
         broker.broker.faults = FaultPlan([{**rule, "client_id": "otmcp-mock-x"}])
         raw.send(frame(0xC0))
         assert raw.rest() == b""
-
-
-@pytest.mark.parametrize(
-    ("rule", "complaint"),
-    [
-        ({"packet": "PUBLISH"}, "needs one action"),
-        ({"packet": "PUBLISH", "action": {}}, "needs one action"),
-        ({"packet": "PUBLISH", "action": {"explode": True}}, "unknown member 'explode'"),
-        ({"packet": "PUBLISH", "colour": "red", "action": {"close": True}}, "unknown member 'colour'"),
-        ({"packet": "PUBLISHED", "action": {"close": True}}, "name of a packet"),
-        ({"action": {"close": True}}, "name of a packet"),
-        ({"packet": "PINGREQ", "action": {"reason_code": 0x80}}, "no answer to PINGREQ"),
-        ({"packet": "SUBSCRIBE", "action": {"reason_code": 3}}, "no answer to SUBSCRIBE"),
-    ],
-)
-def test_a_fault_rule_that_is_not_understood_is_refused(rule: dict[str, object], complaint: str) -> None:
-    with pytest.raises(ValueError, match=complaint):
-        FaultPlan([rule])

@@ -13,11 +13,12 @@ import socket
 import struct
 import subprocess
 import sys
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from typing import Any
 
 import pytest
 import pytest_asyncio
+from mock_program import MockProgram
 from mqtt_tools import PATIENCE_S, Peer
 from pytest_otmcp.mocks.journal import Entry
 from pytest_otmcp.mocks.mqtt.device import MqttDevice
@@ -353,23 +354,6 @@ async def test_a_poke_is_a_message_from_the_kit(plant: Plant) -> None:
 
 
 @pytest.mark.asyncio
-@pytest.mark.parametrize(
-    ("params", "complaint"),
-    [
-        ({}, "an MQTT poke is"),
-        ({"publish": {"topic": "a"}}, "an MQTT poke is"),
-        ({"publish": {"topic": "a/#", "payload": ""}}, "wildcard"),
-        ({"publish": {"topic": "", "payload": ""}}, "empty"),
-        ({"publish": {"topic": "a", "payload": "%"}}, "base64"),
-        ({"publish": {"topic": "a", "payload": "", "qos": 3}}, "qos"),
-    ],
-)
-async def test_a_poke_that_is_not_understood_is_refused(plant: Plant, params: dict[str, Any], complaint: str) -> None:
-    with pytest.raises(ValueError, match=complaint):
-        await plant.device.poke(params)
-
-
-@pytest.mark.asyncio
 async def test_a_reset_restores_start_up_values_and_keeps_connections(plant: Plant) -> None:
     async with plant.client() as client:
         await asyncio.to_thread(client.subscribe, "sensors/#")
@@ -390,52 +374,9 @@ async def test_a_reset_restores_start_up_values_and_keeps_connections(plant: Pla
 # -- programs -------------------------------------------------------------------------------------------------
 
 
-@contextlib.contextmanager
-def program(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], dict[str, Any]]]:
-    """A mock program and its ready line."""
-    command_line = [sys.executable, "-m", "pytest_otmcp.mocks", *arguments]
-    process = subprocess.Popen(command_line, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-    with process:
-        assert process.stdout is not None
-        yield process, json.loads(process.stdout.readline())
-        assert process.stdin is not None
-        process.stdin.close()
-        assert process.wait(PATIENCE_S) == 0
-
-
-def ask(path: str, **request: Any) -> Any:
-    """One exchange on a control channel."""
-    with socket.socket(socket.AF_UNIX) as control, control.makefile("rw") as stream:
-        control.settimeout(PATIENCE_S)
-        control.connect(path)
-        stream.write(json.dumps({"id": 1, **request}) + "\n")
-        stream.flush()
-        answer = json.loads(stream.readline())
-    assert answer["ok"], answer
-    return answer["result"]
-
-
-def test_the_mqtt_program_comes_back_on_the_same_port_with_a_new_life() -> None:
-    with program("mqtt") as (process, ready):
-        assert process.stdin is not None
-        assert process.stdout is not None
-        with Peer(ready["port"], "client") as client:
-            client.publish("kept", b"x", 1, retain=True)
-            process.stdin.write("stop\n")
-            process.stdin.flush()
-            assert json.loads(process.stdout.readline())["event"] == "stopped"
-            client.disconnects.get(timeout=PATIENCE_S)
-        process.stdin.write("start\n")
-        process.stdin.flush()
-        again = json.loads(process.stdout.readline())
-        assert (again["event"], again["port"]) == ("ready", ready["port"])
-        assert list(ask(again["control"], op="image")["retained"]) == ["system/status"]
-        with Peer(ready["port"], "client") as client:
-            client.subscribe("system/status")
-            assert client.payloads(1) == [b'{"online": true}']
-
-
-def test_the_simulator_lives_at_a_foreign_broker() -> None:
+@pytest.fixture
+def foreign_broker() -> Iterator[int]:
+    """The port of a broker that is not ours."""
     mosquitto = shutil.which("mosquitto")
     if mosquitto is None:
         pytest.skip("mosquitto is not installed: the edge node was not tried at a foreign broker")
@@ -447,26 +388,39 @@ def test_the_simulator_lives_at_a_foreign_broker() -> None:
         assert broker.stderr is not None
         # "mosquitto version … running" is its last line before it serves.
         assert any(line.endswith(b" running\n") for line in iter(broker.stderr.readline, b""))
-        with Peer(port, "host", version=4) as host:
-            host.subscribe("spBv1.0/#", 1)
-            with program("sparkplug", "--broker", f"mqtt://127.0.0.1:{port}") as (_, ready):
-                assert (ready["protocol"], ready["port"]) == ("sparkplug", port)
-                ask(ready["control"], op="pause")
-                ask(ready["control"], op="tick", steps=1)
-                births = [host.next() for _ in range(3)]
-                assert [one.topic.split("/")[2] for one in births] == ["NBIRTH", "DBIRTH", "DBIRTH"]
-                since = ask(ready["control"], op="journal", since=0)["next"]
-                host.publish(NODE.format("NCMD"), REBIRTH, 1)
-                match = {"kind": "PUBLISH", "direction": "out", "topic": NODE.format("DBIRTH") + "/device-2"}
-                assert ask(ready["control"], op="wait", since=since, match=match, timeout_s=PATIENCE_S - 1)["entries"]
-                image = ask(ready["control"], op="image")["edge_node"]
-                assert (image["connected"], image["bd_seq"], image["seq"]) == (True, 0, 2)
-            last = host.next()
-            while last.topic != NODE.format("NDEATH"):
-                last = host.next()
+        yield port
     finally:
         broker.send_signal(signal.SIGTERM)
         broker.communicate(timeout=PATIENCE_S)
+
+
+@pytest.mark.asyncio
+async def test_the_simulator_lives_at_a_foreign_broker(
+    foreign_broker: int, start_mock: Callable[..., Awaitable[MockProgram]]
+) -> None:
+    with Peer(foreign_broker, "host", version=4) as host:
+        host.subscribe("spBv1.0/#", 1)
+        program = await start_mock("sparkplug", "--broker", f"mqtt://127.0.0.1:{foreign_broker}")
+        assert (program.ready_event["protocol"], program.port) == ("sparkplug", foreign_broker)
+        await program.control.ask("tick", steps=1)
+        births = [await asyncio.to_thread(host.next) for _ in range(3)]
+        assert [one.topic.split("/")[2] for one in births] == ["NBIRTH", "DBIRTH", "DBIRTH"]
+        since = await program.control.next()
+        host.publish(NODE.format("NCMD"), REBIRTH, 1)
+        await program.control.wait(since, kind="PUBLISH", direction="out", topic=NODE.format("DBIRTH") + "/device-2")
+        image = await program.control.image()
+        held = image["edge_node"]
+        assert (held["connected"], held["bd_seq"], held["seq"]) == (True, 0, 2)
+        assert image["points"]["edge_node/device-2/speed"] == -10
+        roles = {
+            (one["origin"], one["request"], one["state_changing"], one["answers"])
+            for one in await program.control.journal()
+        }
+        assert roles == {("plant", False, False, None)}
+        assert await program.end() == (0, "")
+        last = host.next()
+        while last.topic != NODE.format("NDEATH"):
+            last = host.next()
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """A device with an endpoint of every kind: three latches, set over TCP, UDP and a pseudo terminal.
 
-A telegram is one byte. It sets the latch of the endpoint on which it came, and is answered with the byte after it.
+A telegram is one byte. Zero asks for nothing but an answer; any other sets the latch of the endpoint on which it came. It is
+answered with the byte after it. The plant's own latch, ``clock``, counts seconds.
 """
 
 from __future__ import annotations
@@ -9,10 +10,12 @@ import asyncio
 import os
 import socket
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from pytest_otmcp.mocks.device import Device
 from pytest_otmcp.mocks.endpoint import Endpoint, OpenEndpoint
+from pytest_otmcp.mocks.fault_rules import Plan, Table, integer
 
 __all__ = ["ENDPOINTS", "create", "warm"]
 
@@ -32,6 +35,17 @@ def create() -> Latches:
     return Latches()
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rule:
+    """What is answered, as often as it says."""
+
+    answer: int
+    times: int | None = None
+
+
+RULES = Table(conditions={}, actions={"answer": integer(0, 255)}, example="{'answer': 7}")
+
+
 class Latches(Device):
     """Serves one stream client at a time, any number of senders of datagrams, and the line."""
 
@@ -39,7 +53,9 @@ class Latches(Device):
 
     def __init__(self) -> None:
         super().__init__()
-        self.latches = {endpoint.name: 0 for endpoint in ENDPOINTS}
+        self.latches = {"clock": 0, **{endpoint.name: 0 for endpoint in ENDPOINTS}}
+        self.faults: Plan[Rule] = Plan([])
+        self.clients = 0
 
     async def serve(self, endpoints: Mapping[str, OpenEndpoint]) -> None:
         loop = asyncio.get_running_loop()
@@ -53,23 +69,34 @@ class Latches(Device):
                 loop.add_reader(endpoint, self._line, endpoint)
 
     def _line(self, master: int) -> None:
-        self.execute("line", os.read(master, 4096), lambda answer: os.write(master, answer))
+        self.execute("line", 0, os.read(master, 4096), lambda answer: os.write(master, answer))
 
     async def _stream(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.clients += 1
+        connection = self.clients
+        self.journal.append(connection=connection, direction="in", kind="CONNECTED")
         while data := await reader.read(4096):
-            self.execute("stream", data, writer.write)
+            self.execute("stream", connection, data, writer.write)
+        self.journal.append(connection=connection, direction="in", kind="DISCONNECTED")
         writer.close()
 
-    def execute(self, endpoint: str, telegrams: bytes, answer: Callable[[bytes], Any]) -> None:
+    def execute(self, endpoint: str, connection: int, telegrams: bytes, answer: Callable[[bytes], Any]) -> None:
         """Execute telegrams and answer each."""
         for telegram in telegrams:
-            fields: dict[str, Any] = {"endpoint": endpoint, "value": telegram}
             asked = self.journal.append(
-                connection=0, direction="in", kind="SET", request=True, state_changing=True, **fields
+                connection=connection,
+                direction="in",
+                kind="SET" if telegram else "ASK",
+                request=True,
+                state_changing=telegram > 0,
+                endpoint=endpoint,
+                value=telegram,
             )
-            self.latches[endpoint] = telegram
-            self.journal.append(connection=0, direction="out", kind="DONE", answers=asked, endpoint=endpoint)
-            answer(bytes([telegram + 1]))
+            if telegram:
+                self.latches[endpoint] = telegram
+            rule = self.faults.first(lambda rule: True)
+            self.journal.append(connection=connection, direction="out", kind="DONE", answers=asked, endpoint=endpoint)
+            answer(bytes([telegram + 1 if rule is None else rule.answer]))
 
     async def aclose(self) -> None:
         """Do nothing: the process ends right after this."""
@@ -83,15 +110,16 @@ class Latches(Device):
         self.latches[params["latch"]] = params["value"]
 
     def fault(self, rules: list[dict[str, Any]]) -> list[int]:
-        if rules:
-            raise ValueError("latches have no faults")
-        return []
+        plan = Plan([Rule(**RULES.read(rule)) for rule in rules])
+        hits, self.faults = self.faults.hits, plan
+        return hits
 
     async def reset(self) -> None:
         self.latches = dict.fromkeys(self.latches, 0)
+        self.faults = Plan([])
 
     async def tick(self) -> None:
-        """Do nothing: a latch does not move by itself."""
+        self.latches["clock"] += 1
 
 
 class _Datagrams(asyncio.DatagramProtocol):
@@ -102,4 +130,4 @@ class _Datagrams(asyncio.DatagramProtocol):
         self._transport = transport
 
     def datagram_received(self, data: bytes, address: Any) -> None:
-        self._device.execute("datagram", data, lambda answer: self._transport.sendto(answer, address))
+        self._device.execute("datagram", 0, data, lambda answer: self._transport.sendto(answer, address))

@@ -1,0 +1,127 @@
+"""Fault plans: rules that say what a device does wrong with which request. The first rule that fits applies.
+
+A rule arrives as ``{condition: value, …, "times": n, "action": {action: value, …}}``. A protocol describes its conditions and
+actions as tables of fields; reading and counting is the same for all.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Generic, Protocol, TypeVar
+
+__all__ = ["FLAG", "TEXT", "Field", "Plan", "Table", "integer", "number", "one_of"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Field:
+    """A value that a rule may have.
+
+    Attributes:
+        accepts: tells whether the field can have a value.
+        expected: what it can have, for the sentence that refuses another.
+    """
+
+    accepts: Callable[[Any], bool]
+    expected: str
+
+
+def integer(lowest: int, highest: int = sys.maxsize) -> Field:
+    """Return a field for whole numbers; true and false are none."""
+    expected = f"an integer from {lowest}" + (f" to {highest}" if highest < sys.maxsize else "")
+    return Field(accepts=lambda value: type(value) is int and lowest <= value <= highest, expected=expected)
+
+
+def number(lowest: float = -math.inf, highest: float = math.inf) -> Field:
+    """Return a field for numbers; true and false are none."""
+    bounds = f" from {lowest:g} to {highest:g}" if math.isfinite(highest) else ""
+    return Field(
+        accepts=lambda value: type(value) in (int, float) and lowest <= value <= highest, expected=f"a number{bounds}"
+    )
+
+
+def one_of(*names: str) -> Field:
+    """Return a field for one of these names."""
+    return Field(accepts=lambda value: isinstance(value, str) and value in names, expected=f"one of {', '.join(names)}")
+
+
+FLAG = Field(accepts=lambda value: isinstance(value, bool), expected="true or false")
+TEXT = Field(accepts=lambda value: isinstance(value, str), expected="a string")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Table:
+    """The rules of one protocol.
+
+    Attributes:
+        conditions: fields that say which requests a rule is about; ``times``, how often it applies, is always one.
+        actions: fields that say what is done to them.
+        example: an action, for the sentence that refuses a rule without one.
+        required: conditions that every rule has to have.
+        one_action: a rule has exactly one action.
+    """
+
+    conditions: Mapping[str, Field]
+    actions: Mapping[str, Field]
+    example: str
+    required: Sequence[str] = ()
+    one_action: bool = False
+
+    def read(self, source: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the values of a rule, conditions and actions together. A null is left out, as if it had not been said.
+
+        Raises:
+            ValueError: there is no action, an unknown name, or a value that the name cannot have.
+        """
+        action = source.get("action")
+        if not isinstance(action, Mapping) or not action or (self.one_action and len(action) != 1):
+            count = "one action" if self.one_action else "an action"
+            raise ValueError(f"a fault rule needs {count}, for instance {{'action': {self.example}}}")
+        conditions = {name: value for name, value in source.items() if name != "action"}
+        values: dict[str, Any] = {}
+        for known, given in (({**self.conditions, "times": integer(0)}, conditions), (self.actions, action)):
+            for name, value in given.items():
+                if name not in known:
+                    raise ValueError(f"unknown member {name!r} of a fault rule; known are {', '.join(known)}")
+                if value is None:
+                    continue
+                if not known[name].accepts(value):
+                    raise ValueError(f"a fault rule cannot have {value!r} as {name!r}: expected {known[name].expected}")
+                values[name] = value
+        for name in self.required:
+            if name not in values:
+                raise ValueError(f"a fault rule needs {name!r}, {self.conditions[name].expected}")
+        return values
+
+
+class _Rule(Protocol):
+    @property
+    def times(self) -> int | None: ...
+
+
+R = TypeVar("R", bound=_Rule)
+
+
+class Plan(Generic[R]):
+    """Rules in order, with a count of how often each was applied.
+
+    Attributes:
+        hits: how often, by rule.
+    """
+
+    def __init__(self, rules: Sequence[R]) -> None:
+        self._rules = list(rules)
+        self.hits = [0] * len(self._rules)
+
+    def __bool__(self) -> bool:
+        return bool(self._rules)
+
+    def first(self, fits: Callable[[R], bool]) -> R | None:
+        """Return the first rule that fits and has not been applied too often yet, and count it."""
+        for index, rule in enumerate(self._rules):
+            if (rule.times is None or self.hits[index] < rule.times) and fits(rule):
+                self.hits[index] += 1
+                return rule
+        return None
