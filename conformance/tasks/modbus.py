@@ -7,6 +7,7 @@ have seen. Values are different in every repetition, so that no cached or crosse
 from __future__ import annotations
 
 from pytest_otmcp.protocols.modbus import oracle
+from pytest_otmcp.protocols.modbus.entries import points
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.rig import Rig
 from pytest_otmcp.trial.task import Tasks
@@ -78,7 +79,7 @@ async def write_and_read_back(run: Repetition, modbus: Rig) -> None:
     run.succeeds(read, values=[value])
     run.witnessed(
         oracle.exactly_one_write(await modbus.journal(), "holding_registers", address=1, values=[value]),
-        oracle.only_changed(before, after, {("1", "holding_registers", 1): value}),
+        oracle.only_changed(before, after, points("holding_registers", 1, [value])),
     )
 
 

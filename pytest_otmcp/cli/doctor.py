@@ -73,7 +73,7 @@ def _adapters(args: argparse.Namespace) -> Iterator[Adapter]:
 async def _examine(adapter: Adapter, variant: str) -> bool:
     from ..onboarding.known_causes import advice
     from ..plant.mock_device import MockDevice
-    from ..subject.binding_check import drift
+    from ..subject.binding_check import check_bindings
     from ..subject.model import READ_WRITE
     from ..trial.adapter_under_test import AdapterUnderTest, BenchOptions
 
@@ -96,7 +96,7 @@ async def _examine(adapter: Adapter, variant: str) -> bool:
             print(f"  {variant}: {count} line(s) on stdout are no MCP message, the first: {first[0]!r}")
         connected = bool((await device.journal(0)).entries)
         print(f"  {variant}: the device {'has seen a connection' if connected else 'has seen nothing yet'}")
-        faults = drift(adapter, session.tools) if variant == READ_WRITE else []
+        faults = check_bindings(adapter, session.tools) if variant == READ_WRITE else []
         for fault in faults:
             print(f"  {variant}: {fault}")
         return not faults

@@ -6,10 +6,11 @@ import base64
 import random
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, cast
 
 from ..core.strict_json import parse_strict
-from ..plant.mock_device import Entry, MockDevice
+from ..plant.mock_device import MockDevice
+from ..protocols.journal import JournalEntry
 from ..protocols.opcua.oracle import children_of, folder_id, some_service
 from ..subject.answers import read_answer
 from ..subject.model import Answering, Binding
@@ -18,6 +19,8 @@ from .evidence import Found, find, lists_in
 from .vocabulary import Guess
 
 __all__ = ["Proposal", "Trier"]
+
+Entry = dict[str, Any]
 
 _TRIES = 4
 """Likeliest tools that are tried for an operation."""
@@ -119,7 +122,7 @@ class Trier:
         if station.adapter.protocol == "mqtt":
             # A message without acknowledgement is still on its way when the answer is there.
             await self._device.wait(since, {"kind": "PUBLISH", "direction": "in"}, timeout_s=0.2)
-        entries = (await self._device.journal(since)).entries
+        entries = cast("list[Entry]", (await self._device.journal(since)).entries)
         if exchange.response is None:
             return _Shown(message=None, entries=entries, words=f"no answer ({exchange.failure})")
         try:
@@ -342,7 +345,7 @@ class Trier:
     async def _variables(self, guess: Guess) -> Proposal:
         image = await self._device.image()
         shown = await self._call(guess, {})
-        seen = not some_service(shown.entries)
+        seen = not some_service(cast("list[JournalEntry]", shown.entries))
         proposal = self._judged(guess, shown, proven=seen, seen="services" if seen else "")
         self._locate_in_any_order(proposal, "node_ids", set(image["variables"]))
         proposal.proven = proposal.proven and "node_ids" in proposal.outputs

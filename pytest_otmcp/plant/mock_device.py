@@ -18,11 +18,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..core.errors import KitError
+from ..protocols.journal import JournalEntry
 from ..session.process import subject_environment
 
 __all__ = ["Entry", "Journal", "MockDevice"]
 
-Entry = dict[str, Any]
+Entry = JournalEntry
 """One journal entry; see the mocks' documentation for the fields of each protocol."""
 
 _LAUNCH_TIMEOUT_S = 60.0

@@ -11,7 +11,7 @@ import base64
 import time
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
-from typing import Any
+from typing import Any, cast
 from urllib.parse import urlsplit
 
 from ..core.errors import KitError
@@ -104,7 +104,9 @@ class TappedBroker:
         Raises:
             KitError: the oldest of them were released, or have given way to newer ones.
         """
-        return Journal(entries=self.tap.journal.entries(since), next=self.tap.journal.next_seq).whole(since)
+        return Journal(
+            entries=cast("list[Entry]", self.tap.journal.entries(since)), next=self.tap.journal.next_seq
+        ).whole(since)
 
     async def forget(self, before: int) -> None:
         """Release the entries before ``before`` for good: they have been read."""
@@ -113,7 +115,7 @@ class TappedBroker:
     async def wait(self, since: int, match: Mapping[str, Any], *, timeout_s: float, count: int = 1) -> list[Entry]:
         """The entries from ``since`` on whose fields equal ``match``, as soon as there are ``count`` of them, or
         those there are when the time is over."""
-        return await self.tap.journal.wait(since, match, count, timeout_s)
+        return cast("list[Entry]", await self.tap.journal.wait(since, match, count, timeout_s))
 
     async def poke(self, *, publish: Mapping[str, Any]) -> None:
         """Publish a message past the tap: ``topic``, ``payload`` (base64), ``qos`` (0 or 1), ``retain``.

@@ -38,5 +38,5 @@ class JournalEntry(TypedDict):
     answers: int | None
 
 
-Entries = Sequence[Mapping[str, Any]]
+Entries = Sequence[JournalEntry]
 Image = Mapping[str, Any]

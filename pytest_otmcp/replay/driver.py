@@ -8,6 +8,7 @@ from typing import Any
 
 from ..core.errors import KitError, SubjectError
 from ..core.verdict import Status
+from ..protocols.journal import Entries
 from ..record.images import restored_images
 from ..trial.adapter_under_test import NoBindingError
 from ..trial.driver import SessionFacts
@@ -73,7 +74,7 @@ class ReplayDriver:
         if missing and not self._ended:
             raise HistoryError(f"{' and '.join(missing)} did not take part")
 
-    def before(self) -> Sequence[tuple[str, Sequence[Mapping[str, Any]]]]:
+    def before(self) -> Sequence[tuple[str, Entries]]:
         """What had reached the devices since the last item that had them."""
         return [(place.protocol, place.before) for place in self._places]
 

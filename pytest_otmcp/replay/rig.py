@@ -7,9 +7,10 @@ consecutive sequence numbers and begins where the one before it ended.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, cast
 
 from ..core.strict_json import same_json
+from ..protocols.oracle import has
 from ..subject.model import READ_WRITE, Binding
 from ..trial.reply import Reply
 from ..trial.rig import Entry, FreshSession, Rig, place_name
@@ -100,8 +101,8 @@ class ReplayRig(Rig):
         self._place = place
         self._past = past
         self._images = images
-        self._unread: list[Entry] = [
-            {name: value for name, value in entry.items() if name not in ("protocol", "variant")}
+        self._unread = [
+            cast(Entry, {name: value for name, value in entry.items() if name not in ("protocol", "variant")})
             for entry in device
             if (entry["protocol"], entry.get("variant", READ_WRITE)) == (place.protocol, place.variant)
         ]
@@ -179,11 +180,7 @@ class ReplayRig(Rig):
 
     async def wait_for(self, *, timeout_s: float, count: int = 1, **match: Any) -> list[Entry]:
         seen = self._seen("wait")
-        found = [
-            entry
-            for entry in self._unread
-            if all(name in entry and entry[name] == value for name, value in match.items())
-        ]
+        found = [entry for entry in self._unread if has(entry, **match)]
         if len(found) < seen:
             raise HistoryError(f"{seen} entries with {_listed(match)} were seen at {self.name}, there are {len(found)}")
         return found[:seen]

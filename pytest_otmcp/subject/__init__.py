@@ -1,4 +1,4 @@
-"""Who is tested, how it is started, and which of its tools performs which operation."""
+"""The subject under test: how its adapters are started, and which of their tools performs which operation."""
 
 from __future__ import annotations
 

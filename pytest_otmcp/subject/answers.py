@@ -1,8 +1,8 @@
 """Reads an adapter's answer by the rules of its subject file: document, outcome, error code, outputs. Pure.
 
-No adapter in the wild answers in one shape: prose, JSON inside a text, JSON inside JSON, ``isError`` false with a text
-that begins with "Failed". What a vendor declares is applied here, in the order of the file, first match wins; nothing is
-guessed from the names of keys.
+Public adapters answer in many shapes: prose, JSON inside a text, JSON inside JSON, ``isError`` false with a text that begins
+with "Failed". The vendor's rules are applied here in the order of the file, and the first match wins; nothing is guessed
+from the names of keys.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ UNCLASSIFIED = "unclassified"
 
 _MAX_TEXT = 2000
 
-# What an answer says of itself when it does not come from the device. The keys mean it only when they are true.
+# Words by which an answer admits that it does not come from the device. The keys admit it only when they are true.
 _ADMISSION = re.compile(
     r"\b(demo(nstration)? mode|simulation mode|simulated (value|response|write|read|mode)|dry[- ]?run|mock mode"
     r"|from (the )?cache|cached (value|result|response))\b",
@@ -46,14 +46,14 @@ _ADMITTING_KEYS = ("demo", "demo_mode", "simulated", "simulation", "dry_run", "d
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answer:
-    """What an answer says, by the rules.
+    """The content of an answer, by the rules.
 
     Attributes:
-        success: the claim.
-        document: what output rules are about; None when the answer has none.
+        success: the answer claims success.
+        document: the value that output rules search; None when the answer has none.
         text: all text blocks, a line each; of a JSON-RPC error its message.
         code: error code of a failure.
-        admission: what the answer says of itself that forbids to call it a success, or None.
+        admission: words by which the answer admits that it does not come from the device, so that it is no success; or None.
     """
 
     success: bool
@@ -64,7 +64,7 @@ class Answer:
 
 
 def read_answer(message: Mapping[str, Any], form: str) -> tuple[Any, str, bool]:
-    """Document, text and ``isError`` of a JSON-RPC response."""
+    """Return document, text and ``isError`` of a JSON-RPC response."""
     result = message.get("result")
     if not isinstance(result, dict):
         error = message.get("error")
@@ -95,10 +95,10 @@ def _json_or(text: str, otherwise: Any) -> Any:
 
 
 def _from_json(text: str) -> Any:
-    """A JSON text, without what only Python takes for JSON (NaN) or cannot hold.
+    """Parse a JSON text, without NaN, which only Python takes for JSON, and without what Python cannot hold.
 
     Raises:
-        ValueError: it is none.
+        ValueError: the text is not JSON.
     """
     try:
         return _plain(json.loads(text))
@@ -107,29 +107,29 @@ def _from_json(text: str) -> Any:
 
 
 def _plain(value: Any) -> Any:
-    """A value that JSON can say; records hold nothing else.
+    """Return the value if JSON can say it; records hold nothing else.
 
     Raises:
-        ValueError, TypeError: it cannot: NaN, infinity, or a literal of Python's own such as a set.
+        ValueError, TypeError: JSON cannot say it: NaN, infinity, or a literal of Python's own such as a set.
     """
     json.dumps(value, allow_nan=False)
     return value
 
 
 def interpret(message: Mapping[str, Any], answering: Answering) -> Answer:
-    """The answer in a JSON-RPC response ``message``."""
+    """Read the answer in a JSON-RPC response ``message``."""
     document, text, is_error = read_answer(message, answering.form)
     success = not is_error
     for rule in answering.outcome:
         if (
             (rule.is_error is None or rule.is_error == is_error)
             and (rule.text is None or re.search(rule.text, text))
-            and (rule.path is None or _truthy(_search(rule.path, document)))
+            and (rule.path is None or _is_true(_search(rule.path, document)))
         ):
             success = rule.success
             break
     if "error" in message:
-        # Whatever the rules say: there is no result that could be a success.
+        # A JSON-RPC error has no result that could be a success, so no rule can make it one.
         success = False
     if success:
         return Answer(success=True, document=document, text=text, admission=_admission(document, text))
@@ -138,8 +138,8 @@ def interpret(message: Mapping[str, Any], answering: Answering) -> Answer:
     return Answer(success=False, document=document, text=failure, code=code)
 
 
-def _truthy(value: Any) -> bool:
-    # JMESPath's own notion: zero is true, what is empty is not.
+def _is_true(value: Any) -> bool:
+    # As JMESPath defines it: zero is true, an empty string, list or object is not.
     return not (value is None or value is False or value == "" or value == [] or value == {})
 
 
@@ -147,7 +147,7 @@ def _search(path: str, document: Any) -> Any:
     try:
         return jmespath.search(path, document)
     except jmespath.exceptions.JMESPathError:
-        # A function met a value of another type, such as length() of a number: it is not what the rule is about.
+        # A function met a value of another type, such as length() of a number: the rule is not about this answer.
         return None
 
 
@@ -158,9 +158,9 @@ def _admission(document: Any, text: str) -> str | None:
 
 
 def _without_payload(document: Any, text: str) -> str:
-    # Of a JSON document only the keys speak for the adapter: a message or a node may be named anything.
+    # Of a JSON document only the keys speak for the adapter: a message or a node may have any text for a name.
     if isinstance(document, Mapping) and list(document) == ["result"]:
-        # So the SDKs wrap what is no object, a sentence for instance.
+        # The SDKs wrap a result that is no object, a sentence for instance, in this way.
         document = document["result"]
         return document if isinstance(document, str) else ""
     return text if document is None or isinstance(document, str) else ""
@@ -183,7 +183,7 @@ def _members(value: Any) -> Iterator[tuple[str, Any]]:
 
 
 def synthesised(answer: Answer, *, protocol: str, operation: str, writes: bool) -> dict[str, Any]:
-    """An envelope for an answer that has none; ``meta.synthesised`` says so."""
+    """Make an envelope for an answer that has none; ``meta.synthesised`` says so."""
     data = answer.document if isinstance(answer.document, dict) else {"document": answer.document}
     error = None
     if not answer.success:
@@ -202,7 +202,7 @@ def synthesised(answer: Answer, *, protocol: str, operation: str, writes: bool) 
 def synthesised_from_outputs(
     outputs: Mapping[str, Any], refused: tuple[str, str] | None, *, protocol: str, operation: str
 ) -> dict[str, Any]:
-    """An envelope for what a function of the bindings file found; ``refused`` is the code and the adapter's words."""
+    """Make an envelope for the outputs of a binding function; ``refused`` is the code and the adapter's words."""
     code, text = refused or (None, "")
     answer = Answer(success=refused is None, document=dict(outputs), text=text, code=code)
     return synthesised(
@@ -211,7 +211,7 @@ def synthesised_from_outputs(
 
 
 def extract(rules: Mapping[str, OutputRule], document: Any) -> dict[str, Any]:
-    """The outputs of a document; one that is not where its rule says is None."""
+    """Return the outputs of a document; an output that is not where its rule says is None."""
     return {name: _output(rule, document) for name, rule in rules.items()}
 
 

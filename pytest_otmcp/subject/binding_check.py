@@ -12,11 +12,11 @@ from typing import Any
 
 from .model import Adapter
 
-__all__ = ["drift"]
+__all__ = ["check_bindings"]
 
 
-def drift(adapter: Adapter, tools: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Every contradiction between the bindings and ``tools`` (name to its entry in ``tools/list``), a sentence each."""
+def check_bindings(adapter: Adapter, tools: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Return the contradictions between the bindings and ``tools`` (name to entry in ``tools/list``), a sentence each."""
     found: list[str] = []
     for name, bound in adapter.operations.items():
         if isinstance(bound, tuple) and adapter.why_not_claimed(name) is None:
@@ -47,7 +47,7 @@ def _compare(
     schema = tools[tool].get("inputSchema") or {}
     properties = schema.get("properties") or {}
     for argument in arguments:
-        if argument not in properties and not _open(schema):
+        if argument not in properties and not _is_open(schema):
             near = difflib.get_close_matches(argument, properties, 1)
             hint = f"did you mean {near[0]!r}?" if near else f"it takes {', '.join(properties) or 'none'}"
             yield f"{where}.arguments.{argument}: the tool {tool!r} has no such argument; {hint}"
@@ -56,8 +56,8 @@ def _compare(
             yield f"{where}.arguments: the tool {tool!r} requires {argument!r}"
 
 
-def _open(schema: Mapping[str, Any]) -> bool:
-    """The schema names no arguments at all, or says that it takes others as well."""
+def _is_open(schema: Mapping[str, Any]) -> bool:
+    """Tell whether a tool takes more arguments than its schema names, or the schema names none at all."""
     extra = schema.get("additionalProperties")
     return (
         extra is True

@@ -12,8 +12,8 @@ A subject names a file, ``bindings = "otmcp_bindings.py"``, whose functions are 
         await tools.call("commit_write", token=prepared.structured["token"])
         return {"value": value}
 
-What a function returns are the operation's outputs. Every call it makes is recorded; the operation's time counts from its
-first request to its last reply.
+A function returns the operation's outputs. Every call that it makes is recorded; the operation's time counts from the first
+request to the last reply.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Refused(Exception):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ToolAnswer:
-    """What a tool answered.
+    """The answer of a tool.
 
     Attributes:
         text: all text blocks, a line each; of a JSON-RPC error its message.
@@ -63,10 +63,10 @@ class ToolAnswer:
 
 
 class Tools(Protocol):
-    """What a function is given.
+    """The adapter's tools, as a binding function calls them.
 
     Attributes:
-        host, port, url: where the mock device is.
+        host, port, url: endpoint of the mock device.
         state: kept from call to call for as long as the session lasts, for handles and their like.
     """
 
@@ -83,15 +83,15 @@ class Tools(Protocol):
 
 
 def load_functions(path: Path, protocol: str, key: str) -> dict[str, Function]:
-    """The operations that a bindings file performs for ``protocol``.
+    """Load the functions of a bindings file, by the operation of ``protocol`` that each performs.
 
-    Functions whose name begins with an underscore, and those that are imported, are the file's own business.
+    Functions whose name begins with an underscore, and imported ones, are helpers of the file and left alone.
 
     Raises:
-        UsageError: the file cannot be imported, or defines something that is no operation.
+        UsageError: the file cannot be imported, or defines a function that is no operation.
     """
     name = f"otmcp_bindings_{protocol}"
-    # Whatever its name ends with, it is Python.
+    # A bindings file need not be named *.py, so the loader is named.
     loader = SourceFileLoader(name, str(path))
     module = ModuleType(name)
     module.__file__ = str(path)
@@ -116,7 +116,7 @@ def _checked(name: str, function: Callable[..., Any], protocol: str, where: str)
         raise UsageError(f"{where}: {name} is no operation; they are {known} (begin helpers with an underscore)")
     if not inspect.iscoroutinefunction(function):
         raise UsageError(f"{where}: {name} must be an 'async def'")
-    # How long to wait is told to tools that are bound as ``blocking``; a function is asked for what there is.
+    # Only tools that are bound as ``blocking`` are told how long to wait; a function is asked for what there is already.
     asked = [name for name in operation.inputs if name != operation.waits]
     try:
         inspect.signature(function).bind(None, **dict.fromkeys(asked))
@@ -128,10 +128,10 @@ def _checked(name: str, function: Callable[..., Any], protocol: str, where: str)
 
 
 def checked_outputs(function: Function, protocol: str, returned: Any) -> Mapping[str, Any]:
-    """What a function returned, if it is what its operation asks for.
+    """Return the outputs that a function returned, if the operation's needed ones are among them.
 
     Raises:
-        UsageError: it is not.
+        UsageError: a needed output is missing, or JSON cannot say an output.
     """
     operation = protocols()[protocol].operations[function.name]
     if not isinstance(returned, Mapping) or not set(operation.needed) <= set(returned):

@@ -29,7 +29,7 @@ from .kinds import (
 )
 from .tables import ByType, Key, ListOf, MapOf, Named, Rule, Table, Template
 
-__all__ = ["OUTPUT", "adapter_table", "binding_table", "subject_file"]
+__all__ = ["OUTPUT_TABLE", "adapter_table", "binding_table", "subject_file"]
 
 _VARIANTS = ("rw", "ro")
 _ARGV = Named("argv", strings("the argument vector", filled=True))
@@ -62,7 +62,14 @@ _OUTCOME_RULE = Table(
     ),
 )
 _OUTCOME = Named("outcome", ListOf(_OUTCOME_RULE, "a list of rules"))
-_OUTPUT_TABLE = Table(
+_ERROR_RULE = Table(
+    {
+        "text": Key(REGEX, "Regular expression, searched in the failure's text.", required=True),
+        "code": Key(OneOf((*registry(), UNCLASSIFIED)), "Code of the failure.", required=True),
+    }
+)
+_ERRORS = Named("errors", ListOf(_ERROR_RULE, "a list of rules"))
+OUTPUT_TABLE = Table(
     {
         "path": Key(PATH, "JMESPath over the document."),
         "regex": Key(REGEX, "First group, or whole match, of a regular expression in what was found."),
@@ -76,7 +83,7 @@ _OUTPUT_TABLE = Table(
         "then": Key(PATH, "JMESPath over what 'as' made."),
     }
 )
-OUTPUT = Named("output", ByType(str, PATH, _OUTPUT_TABLE))
+_OUTPUT = Named("output", ByType(str, PATH, OUTPUT_TABLE))
 _INPUT_TYPE = Named("input_type", OneOf(("string", "int", "float", "bool", "hex", "json", "list")))
 
 
@@ -87,8 +94,7 @@ def subject_file(protocols: Mapping[str, OtProtocol]) -> Table:
             "item": Key(TEXT, "Id of the item that fails.", required=True),
             "reason": Key(TEXT, "Why it fails.", required=True),
             "expires": Key(DATE, "The last day on which the failure is excused, such as 2027-03-31.", required=True),
-        },
-        "A failure that the vendor knows of.",
+        }
     )
     subject = Table(
         {
@@ -143,7 +149,11 @@ def adapter_table(protocol: OtProtocol) -> Table:
             ),
             "transport": Key(OneOf(("stdio", "http")), "How the adapter is spoken to.", default="stdio"),
             "url": Key(TEXT, 'The MCP endpoint, for transport = "http".'),
-            "era": Key(OneOf(("auto", "legacy")), "'legacy': must be addressed by the handshake of 2025-11-25."),
+            "era": Key(
+                OneOf(("auto", "legacy")),
+                "'legacy' for a server that must be addressed by the handshake of 2025-11-25, 'auto' for one that need not; "
+                "without it as the run says.",
+            ),
             "start_timeout_s": Key(SECONDS, "Time for start and handshake.", default=30.0),
             "deadline_s": Key(SECONDS, "Time within which every call must have answered.", default=5.0),
             "rw": Key(_VARIANT, "What the launch with writes enabled has in addition.", default={}),
@@ -178,7 +188,7 @@ def binding_table(operation: Operation) -> Table:
     """Return the grammar of one table that binds a tool to the operation."""
     inputs = operation.inputs
     result = Table(
-        {name: Key(OUTPUT, f"Where '{name}' is.") for name in operation.outputs},
+        {name: Key(_OUTPUT, f"Where '{name}' is.") for name in operation.outputs},
         rules=tuple(map(_judged, operation.needed)),
     )
     known = ", ".join(f"${name}" for name in inputs) or "none"
@@ -195,7 +205,6 @@ def binding_table(operation: Operation) -> Table:
             "blocking": Key(FLAG, "The call waits for what it answers.", default=False),
             **_answering("; without it as the adapter does"),
         },
-        _sentence(operation.meaning),
         rules=(_HAS_A_TOOL, _RESOURCE_STANDS_ALONE) + ((_ANSWERS_AT_ONCE,) if operation.waits is None else ()),
     )
 
@@ -209,17 +218,10 @@ def _bind(protocol: OtProtocol) -> Table:
 
 
 def _answering(otherwise: str) -> dict[str, Key]:
-    codes = OneOf((*registry(), UNCLASSIFIED))
-    error = Table(
-        {
-            "text": Key(REGEX, "Regular expression, searched in the failure's text.", required=True),
-            "code": Key(codes, "Code of the failure.", required=True),
-        }
-    )
     return {
         "answer": Key(_ANSWER, f"What an answer is{otherwise}."),
         "outcome": Key(_OUTCOME, "Whether an answer is a success; first match wins, without a match isError decides."),
-        "errors": Key(Named("errors", ListOf(error, "a list of rules")), "Codes of failures; first match wins."),
+        "errors": Key(_ERRORS, "Codes of failures; first match wins."),
     }
 
 

@@ -38,7 +38,6 @@ from .model import (
     Variant,
     environment_names,
 )
-from .tables import Table
 
 __all__ = ["load_subject", "reference_subject"]
 
@@ -69,14 +68,9 @@ def load_subject(path: Path) -> Subject:
     except tomllib.TOMLDecodeError as error:
         raise UsageError(f"{path}: not valid TOML: {error}") from None
     try:
-        return _subject(_grammar().read(document, ""), path, content)
+        return _subject(subject_file(protocols()).read(document, ""), path, content)
     except Refusal as refusal:
         raise UsageError(f"{path}: {refusal}") from None
-
-
-@cache
-def _grammar() -> Table:
-    return subject_file(protocols())
 
 
 def _subject(document: Mapping[str, Any], path: Path, content: bytes) -> Subject:

@@ -1,4 +1,4 @@
-"""What a subject file says, as frozen data. Reading the file is ``load``'s job; running it is the bench's."""
+"""The content of a subject file, as frozen data. ``load`` reads the file; the room ``trial`` runs the adapters."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _SECRET_NAME = re.compile(
 
 
 def replace_placeholders(text: str, values: Mapping[str, str]) -> Any:
-    """``{host}`` and its like, and ``{env:NAME}``, replaced; a text that is nothing but ``{port:int}`` becomes a number."""
+    """Replace ``{host}`` and its like, and ``{env:NAME}``; a text that is nothing but ``{port:int}`` becomes a number."""
     whole = _PLACEHOLDER.fullmatch(text)
     if whole is not None and whole["int"] and whole["name"] in values:
         return int(values[whole["name"]])
@@ -62,13 +62,13 @@ def replace_placeholders(text: str, values: Mapping[str, str]) -> Any:
 
 
 def environment_names(text: str) -> set[str]:
-    """Names of the environment variables that a text takes its parts from."""
+    """Return the names of the environment variables that ``{env:NAME}`` stands for in a text."""
     return {match["env"] for match in _PLACEHOLDER.finditer(text) if match["env"] is not None}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OutputRule:
-    """Where an output is in the document, applied in the order of the attributes.
+    """The place of an output in an answer's document; the attributes are applied in this order.
 
     Attributes:
         path: JMESPath over the document; None for the document itself.
@@ -77,7 +77,7 @@ class OutputRule:
         strip: prefix that is taken off, as ``2:`` off a browse name.
         convert: ``int``, ``float``, ``bool``, ``string``, ``json``, ``python`` or ``hex``; of a list, each element.
         then: JMESPath over what ``convert`` made.
-        wrap: the value becomes a list of one.
+        wrap: a single value becomes a list of one.
     """
 
     path: str | None = None
@@ -91,10 +91,10 @@ class OutputRule:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OutcomeRule:
-    """What an answer that looks like this means; all conditions that are given must hold.
+    """The meaning of answers that match; all conditions that are given must hold.
 
     Attributes:
-        success: the meaning.
+        success: matching answers claim success, not failure.
         is_error: the result's ``isError``.
         text: regular expression, searched in the answer's whole text.
         path: JMESPath over the document; holds when it finds something true in JMESPath's sense.
@@ -108,7 +108,7 @@ class OutcomeRule:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ErrorRule:
-    """A failure whose text matches has this code of the registry."""
+    """The code of the error registry for failures whose text matches the regular expression ``text``."""
 
     text: str
     code: str
@@ -132,22 +132,22 @@ class Answering:
 
     @property
     def native(self) -> bool:
-        """The adapter answers in the kit's envelope."""
+        """Tell whether the adapter answers in the kit's envelope."""
         return self.form == "envelope"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Binding:
-    """How one tool performs an abstract operation, or one case of it.
+    """The tool call that performs an abstract operation, or one case of the operation.
 
     Attributes:
         tool: name of the MCP tool, or URI of the resource.
-        resource: it is a resource that is read.
-        blocking: the call waits for what it answers, as one that collects messages does.
+        resource: ``tool`` is the URI of a resource, which is read.
+        blocking: the call waits for what it answers, as a call that collects messages does.
         arguments: template; a string ``"$name"`` stands for the operation's input of that name, keeping its type, and
             ``{host}`` and its like are replaced as in a launch command.
-        outputs: output name to where it is.
-        when: input values for which this binding is the one; empty for all.
+        outputs: output name to its place in the answer.
+        when: input values that this binding is for; empty for all.
         offset: number added to an input.
         names: input name to the vendor's name for each of its values.
         convert: input name to the type in which the tool wants it.
@@ -166,7 +166,7 @@ class Binding:
     blocking: bool = False
 
     def fill(self, inputs: Mapping[str, Any], endpoint: Mapping[str, str]) -> dict[str, Any]:
-        """The tool's arguments for these inputs."""
+        """Return the tool's arguments for these inputs."""
         prepared = {name: self._prepared(name, value) for name, value in inputs.items()}
         filled: dict[str, Any] = replace_template(self.arguments, prepared, endpoint)
         return filled
@@ -183,11 +183,11 @@ class Binding:
         return value
 
     def fits(self, inputs: Mapping[str, Any]) -> bool:
-        """This is the binding for these inputs."""
+        """Tell whether this binding is for these inputs."""
         return all(inputs.get(name) == value for name, value in self.when.items())
 
     def mentions(self, name: str) -> bool:
-        """The template has a place for this input."""
+        """Tell whether the template has a place for this input."""
         return name in placeholders(self.arguments)
 
 
@@ -207,7 +207,7 @@ _CONVERSIONS: Mapping[str, Callable[[Any], Any]] = {
 
 
 def replace_template(template: Any, inputs: Mapping[str, Any], endpoint: Mapping[str, str]) -> Any:
-    """A template with inputs and endpoint filled in."""
+    """Return a template with inputs and endpoint filled in."""
     if isinstance(template, str):
         return inputs[template[1:]] if template.startswith("$") else replace_placeholders(template, endpoint)
     if isinstance(template, Mapping):
@@ -218,7 +218,7 @@ def replace_template(template: Any, inputs: Mapping[str, Any], endpoint: Mapping
 
 
 def placeholders(template: Any) -> set[str]:
-    """Names of the inputs that a template has a place for."""
+    """Return the names of the inputs that a template has a place for."""
     if isinstance(template, str):
         return {template[1:]} if template.startswith("$") else set()
     if isinstance(template, Mapping):
@@ -242,10 +242,10 @@ class Function:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Connect:
-    """A tool call that has to come before all others.
+    """A tool call that comes before all others.
 
     Attributes:
-        again: it has to be repeated after an outage.
+        again: the call is repeated after an outage.
     """
 
     tool: str
@@ -270,7 +270,7 @@ class Variant:
     files: Mapping[str, str]
 
     def for_endpoint(self, values: Mapping[str, str]) -> Variant:
-        """This variant with the placeholders replaced."""
+        """Return this variant with the placeholders replaced."""
 
         def texts(table: Mapping[str, str]) -> dict[str, str]:
             return {name: str(replace_placeholders(value, values)) for name, value in table.items()}
@@ -288,20 +288,20 @@ class Adapter:
     """One adapter under test.
 
     Attributes:
-        protocol: ``modbus``, ``mqtt`` or ``opcua``.
+        protocol: its key.
         directory: of the subject file.
         variants: ``rw`` (writes enabled) and ``ro`` (writes disabled).
         operations: abstract operation name to the bindings that perform it, in the order in which they are tried, or to a
             function.
         answering: how answers are read where a binding does not say otherwise.
         unclaimed: facet to the reason why the adapter does not have it.
-        connect: what comes before the first call, or None.
+        connect: the tool call before all others, or None.
         recovery: after an outage work goes on in the ``same_session``, after the ``connect_step``, or in a ``new_session``.
-        probes: what to ask for where something must be refused, by name.
+        probes: name to the input that tasks use where the adapter must refuse.
         secrets: names of environment variables whose values must not be shown.
         transport: ``stdio`` or ``http``.
         url: of the MCP endpoint, when the transport is ``http``.
-        era: MCP protocol era the adapter has to be addressed in, or None for what the run asks for.
+        era: MCP protocol era of the adapter's sessions, or None for that of the run.
         deadline_s: the time within which every call must have answered.
         start_timeout_s: the time within which the adapter must have finished its handshake.
     """
@@ -323,14 +323,14 @@ class Adapter:
     start_timeout_s: float
 
     def why_not_claimed(self, facet: str) -> str | None:
-        """The reason why the subject does not claim a facet; None when it does."""
+        """Return the reason why the subject does not claim a facet; None when it does."""
         if facet in self.unclaimed:
             return self.unclaimed[facet]
         operation = facet.partition(".")[0]
         return self.unclaimed.get(operation)
 
     def why_not_testable(self, facet: str) -> str | None:
-        """What is missing for a claimed facet to be exercised; None when nothing is."""
+        """Return what is missing for a claimed facet to be exercised; None when nothing is."""
         operation, _, optional = facet.partition(".")
         if operation in (GUARD, RECOVERY):
             return None
@@ -342,7 +342,7 @@ class Adapter:
         return None
 
     def secret_values(self) -> set[str]:
-        """Values that must not be shown: of environment variables that are declared secret or are named like secrets."""
+        """Return the values that must not be shown: of variables that are declared secret or are named like secrets."""
         found: set[str] = set()
         for variant in self.variants.values():
             named = {name: str(replace_placeholders(value, {})) for name, value in variant.env.items()}
@@ -351,24 +351,28 @@ class Adapter:
             found |= {value for name, value in named.items() if name in self.secrets or _SECRET_NAME.search(name)}
         return found
 
-    def blocks(self, operation: str) -> bool:
-        """The operation is performed by a call that waits for what it answers."""
-        bound = self.operations.get(operation)
-        return isinstance(bound, tuple) and any(binding.blocking for binding in bound)
+    @property
+    def blocking(self) -> tuple[str, ...]:
+        """The operations that are performed by a call that waits for what it answers."""
+        return tuple(
+            name
+            for name, bound in self.operations.items()
+            if isinstance(bound, tuple) and any(binding.blocking for binding in bound)
+        )
 
     def facts(self) -> dict[str, Any]:
-        """What ``run.json`` says about how this adapter was tested."""
+        """Return what ``run.json`` says about how this adapter was tested."""
         return {
             "command": list(self.variants["rw"].command),
             "envelope": "native" if self.answering.native else "synthesised",
             "recovery": self.recovery,
-            "blocking": [name for name in self.operations if self.blocks(name)],
+            "blocking": list(self.blocking),
             "unclaimed": dict(self.unclaimed),
             "unjudged": sorted(self._unjudged()),
         }
 
-    def lacks(self) -> set[str]:
-        """Optional inputs that no binding has a place for, such as ``subscribe.qos``."""
+    def missing_inputs(self) -> set[str]:
+        """Return the optional inputs that no binding has a place for, such as ``subscribe.qos``."""
         return {
             f"{name}.{optional}"
             for name, operation in protocols()[self.protocol].operations.items()
@@ -377,7 +381,7 @@ class Adapter:
         }
 
     def _unjudged(self) -> set[str]:
-        """Outputs that tasks would judge if the subject said where they are."""
+        """Return the outputs that tasks would judge if the subject said where they are."""
         return {
             f"{name}.{output}"
             for name, bound in self.operations.items()
@@ -393,7 +397,7 @@ class Deviation:
 
     Attributes:
         item: id of the item that fails.
-        reason: why.
+        reason: why it fails.
         expires: the last day on which it is excused.
     """
 
@@ -409,9 +413,9 @@ class Subject:
     Attributes:
         name, version: as printed in reports.
         adapters: protocol to adapter.
-        source: where the description was read from.
-        deviations: known ones.
-        digest: ``sha256:…`` of what describes the subject: its file, and its bindings files.
+        source: the subject file.
+        deviations: failures that the vendor knows of.
+        digest: ``sha256:…`` over the subject file and its bindings files.
     """
 
     name: str

@@ -153,12 +153,10 @@ class Table(Kind):
 
     Attributes:
         keys: by name.
-        meaning: one sentence for an author of a subject file; empty where its key has one.
         rules: checked in this order, after the members.
     """
 
     keys: Mapping[str, Key]
-    meaning: str = ""
     rules: tuple[Rule, ...] = ()
 
     def read(self, value: Any, key: str) -> Any:
@@ -181,8 +179,7 @@ class Table(Kind):
         return members
 
     def schema(self, definitions: Definitions) -> dict[str, Any]:
-        schema: dict[str, Any] = {"description": self.meaning} if self.meaning else {}
-        schema |= {
+        schema: dict[str, Any] = {
             "type": "object",
             "properties": {name: key.schema(definitions) for name, key in self.keys.items()},
             "additionalProperties": False,

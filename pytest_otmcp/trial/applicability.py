@@ -43,8 +43,5 @@ def stations(task: Task, adapters: Mapping[str, Adapter]) -> list[str]:
 
 def _resolved(facet: str, adapters: Mapping[str, Adapter]) -> Iterator[str]:
     protocol, _, name = facet.partition(".")
-    adapter = adapters[protocol]
-    for real in protocols()[protocol].required_facets(
-        name, [operation for operation in adapter.operations if adapter.blocks(operation)]
-    ):
+    for real in protocols()[protocol].required_facets(name, adapters[protocol].blocking):
         yield f"{protocol}.{real}"

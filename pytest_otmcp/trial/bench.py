@@ -11,7 +11,7 @@ from typing import Any
 
 from ..plant.devices import Plant
 from ..subject import Subject
-from ..subject.binding_check import drift
+from ..subject.binding_check import check_bindings
 from ..subject.model import READ_WRITE
 from .adapter_under_test import AdapterUnderTest, BenchOptions
 from .time_spent import TimeSpent
@@ -82,7 +82,7 @@ class Bench:
         for station in self._stations.values():
             # The read-only variant need not have every tool.
             if station.variant == READ_WRITE and station.tools is not None:
-                found += drift(station.adapter, station.tools)
+                found += check_bindings(station.adapter, station.tools)
         return found
 
     def facts(self) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, Protocol
 
 from ..core.verdict import Status
+from ..protocols.journal import Entries
 from .repetition import Repetition
 from .task import Steps
 
@@ -59,7 +60,7 @@ class TrialDriver(Protocol):
     async def prepare(self) -> None:
         """Bring the devices into their initial state and open the sessions."""
 
-    def before(self) -> Sequence[tuple[str, Sequence[Mapping[str, Any]]]]:
+    def before(self) -> Sequence[tuple[str, Entries]]:
         """Protocol and journal of each device, from the last item that had it to this one: nobody called then."""
 
     def repetition(self, rep: int, role: str) -> Repetition:

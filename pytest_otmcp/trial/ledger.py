@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ..core.finding import Finding
+from ..protocols.journal import JournalEntry
 from .reply import Reply
 
 __all__ = ["Entry", "Judged", "Ledger"]
 
-Entry = dict[str, Any]
+Entry = JournalEntry
 """One journal entry; see the mocks' documentation for the fields of each protocol."""
 
 
@@ -44,7 +45,7 @@ class Ledger:
     Attributes:
         calls: in the order of their replies.
         findings: of replies, devices and the task itself, in the order in which they came up.
-        journal: every entry of this repetition that has been kept so far.
+        journal: every entry of this repetition that has been kept so far, with its ``protocol`` and, of a read-only adapter, ``variant``.
         observations: what was looked at; see :mod:`pytest_otmcp.record.images`.
     """
 
@@ -54,7 +55,7 @@ class Ledger:
         self.calls: list[Judged] = []
         self.findings: list[Finding] = []
         self.observations: list[dict[str, Any]] = []
-        self.journal: list[Entry] = []
+        self.journal: list[dict[str, Any]] = []
         self._group = 0
         self._together = False
 

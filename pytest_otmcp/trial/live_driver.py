@@ -9,6 +9,7 @@ from typing import Any
 
 from ..core.errors import SubjectError
 from ..core.verdict import Status
+from ..protocols.journal import Entries
 from ..record.images import Images
 from ..subject.model import READ_ONLY
 from .adapter_under_test import NoBindingError
@@ -63,7 +64,7 @@ class LiveDriver:
             place.accepting_ns = device.accepting_ns
         await self.open_sessions()
 
-    def before(self) -> Sequence[tuple[str, Sequence[Mapping[str, Any]]]]:
+    def before(self) -> Sequence[tuple[str, Entries]]:
         """What reached the devices since the last item that had them."""
         return [(place.station.adapter.protocol, place.before) for place in self._places]
 

@@ -67,8 +67,8 @@ class LiveItemState:
             "recovery": adapter.recovery,
             "unclaimed": sorted(adapter.unclaimed),
             "probes": dict(adapter.probes),
-            "lacks": sorted(adapter.lacks()),
-            "blocking": [name for name in adapter.operations if adapter.blocks(name)],
+            "lacks": sorted(adapter.missing_inputs()),
+            "blocking": list(adapter.blocking),
             "bindings": {
                 name: None if cases is None or isinstance(cases, Function) else [asdict(case) for case in cases]
                 for name, cases in bound.items()
@@ -93,13 +93,13 @@ class LiveRig(Rig):
         return self.station.adapter.why_not_claimed(facet) is None
 
     def blocks(self, operation: str) -> bool:
-        return self.station.adapter.blocks(operation)
+        return operation in self.station.adapter.blocking
 
     def probe(self, name: str) -> Any:
         return self.station.adapter.probes[name]
 
     def accepts_input(self, operation: str, name: str) -> bool:
-        return f"{operation}.{name}" not in self.station.adapter.lacks()
+        return f"{operation}.{name}" not in self.station.adapter.missing_inputs()
 
     @property
     def running(self) -> bool:

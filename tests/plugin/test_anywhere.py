@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from pytest_otmcp.plugin.collection import suite_root
@@ -35,11 +33,10 @@ addopts = --strict-markers --import-mode=importlib
 
 
 @pytest.fixture
-def repository(tmp_path: Path) -> Repository:
+def repository(empty_repository: Repository) -> Repository:
     """A vendor's repository with a test of the vendor's own."""
-    repository = Repository(tmp_path)
-    repository.write(tests__test_own_py=OWN_TEST)
-    return repository
+    empty_repository.write(tests__test_own_py=OWN_TEST)
+    return empty_repository
 
 
 @pytest.fixture(scope="module")
@@ -82,9 +79,12 @@ def test_broken_tests_of_the_vendor_are_not_in_the_way(repository: Repository, s
 
 def test_the_whole_suite_runs_in_a_hostile_repository_on_two_workers(repository: Repository, suite: list[str]) -> None:
     repository.write(pytest_ini=HOSTILE_INI)
+    repository.reference_subject()
     outcome = repository.pytest("--otmcp-reps=1", "-n", "2", plugins="xdist pytest_asyncio.plugin anyio")
     assert outcome.code == 0, outcome.output
     assert "VERDICT: CONFORMANT" in outcome.output
+    assert "latencies withheld" in outcome.output
+    assert outcome.record["footer"]["timing_valid"] is False
     assert [f"test_{item['suite']}[{item['id']}]" for item in outcome.record["items"]] == suite
     assert outcome.narrowed == []
     assert set(outcome.record["subject"]["adapters"]) == {"modbus", "mqtt", "opcua"}
@@ -111,9 +111,13 @@ def test_a_file_of_the_suite_can_be_named_by_its_path_on_two_workers(repository:
 
 def test_the_time_of_a_run_counts_from_the_beginning_of_the_session(repository: Repository) -> None:
     repository.subject()
-    repository.write(conftest_py="import time\n\ndef pytest_sessionstart():\n    time.sleep(3)\n")
+    # The session began three seconds ago for all that a monotonic clock says.
+    repository.write(
+        conftest_py="import time\n\nBEGUN = time.monotonic\n\n"
+        "def pytest_sessionstart():\n    time.monotonic = lambda: BEGUN() + 1000.0\n"
+    )
     outcome = repository.pytest("--otmcp-reps=1", "-k", "M1")
-    assert outcome.record["footer"]["elapsed_s"] > 3
+    assert outcome.record["footer"]["elapsed_s"] > 1000
 
 
 def test_a_bad_subject_file_is_said_in_a_sentence_and_ends_the_run_with_code_2(repository: Repository) -> None:

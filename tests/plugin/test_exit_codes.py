@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from .vendor import Repository
 
 BROKEN_KIT = """
 import pytest
-from pytest_otmcp import trial
+from pytest_otmcp.trial import trial
 
 async def broken(self):
     raise RuntimeError("a bug")
@@ -22,9 +20,9 @@ def break_the_kit(monkeypatch):
 
 
 @pytest.fixture
-def repository(tmp_path: Path) -> Repository:
+def repository(empty_repository: Repository) -> Repository:
     """An empty repository."""
-    return Repository(tmp_path)
+    return empty_repository
 
 
 def deviations(items: list[str], expires: str) -> str:
@@ -39,13 +37,13 @@ def test_known_deviations_make_the_exit_code_green_and_not_the_verdict(repositor
     failing = [item for item, status in first.statuses.items() if status == "FAIL"]
     assert failing
 
-    repository.subject("wrong-value", deviations(failing, "2999-01-01"))
+    repository.subject("wrong-value", more=deviations(failing, "2999-01-01"))
     excused = repository.pytest("--otmcp-reps=1")
     assert excused.code == 0, excused.output
     assert excused.verdict == "NOT CONFORMANT"
     assert sorted(excused.record["footer"]["deviations"]["used"]) == sorted(failing)
 
-    repository.subject("wrong-value", deviations([*failing, "M1"], "2999-01-01"))
+    repository.subject("wrong-value", more=deviations([*failing, "M1"], "2999-01-01"))
     stale = repository.pytest("--otmcp-reps=1")
     assert stale.code == 1
     assert stale.record["footer"]["deviations"]["stale"] == ["M1"]

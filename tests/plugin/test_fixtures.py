@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from contextvars import ContextVar
-from pathlib import Path
 
 import psutil
 import pytest
@@ -122,11 +121,10 @@ SENTENCES = (
 
 
 @pytest.fixture
-def repository(tmp_path: Path) -> Repository:
+def repository(empty_repository: Repository) -> Repository:
     """A repository with the Modbus reference adapter as its subject."""
-    repository = Repository(tmp_path)
-    repository.subject()
-    return repository
+    empty_repository.subject()
+    return empty_repository
 
 
 def run(repository: Repository, test: str) -> Outcome:

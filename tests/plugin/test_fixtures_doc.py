@@ -20,9 +20,17 @@ def anyio_backend():
 """
 
 
-def run(root: Path, *options: str, plugins: str, mark: str = "pytest.mark.asyncio", more: str = "") -> Outcome:
+@pytest.fixture
+def repository(empty_repository: Repository) -> Repository:
+    """A repository with the reference adapters as its subject."""
+    empty_repository.reference_subject()
+    return empty_repository
+
+
+def run(
+    repository: Repository, *options: str, plugins: str, mark: str = "pytest.mark.asyncio", more: str = ""
+) -> Outcome:
     """Run all examples, their asynchronous tests marked otherwise if need be; every warning is an error."""
-    repository = Repository(root)
     for number, example in enumerate(EXAMPLES):
         content = example.replace("@pytest.mark.asyncio\n", f"@{mark}\n" if mark else "")
         repository.write(**{f"tests__test_example_{number}_py": content + (more if mark in content else "")})
@@ -44,15 +52,15 @@ def test_there_are_examples_of_both_kinds() -> None:
 
 
 @pytest.mark.parametrize("options", [(), ("-n", "2")])
-def test_the_examples_run_under_pytest_asyncio_in_strict_mode(tmp_path: Path, options: tuple[str, ...]) -> None:
+def test_the_examples_run_under_pytest_asyncio_in_strict_mode(repository: Repository, options: tuple[str, ...]) -> None:
     loops = ("-o", "asyncio_mode=strict", "-o", "asyncio_default_fixture_loop_scope=function")
-    all_passed(run(tmp_path, *loops, *options, plugins="pytest_asyncio.plugin xdist"))
+    all_passed(run(repository, *loops, *options, plugins="pytest_asyncio.plugin xdist"))
 
 
-def test_the_examples_run_under_pytest_asyncio_in_auto_mode_with_loops_of_other_scopes(tmp_path: Path) -> None:
+def test_the_examples_run_under_pytest_asyncio_in_auto_mode_with_loops_of_other_scopes(repository: Repository) -> None:
     scopes = ("-o", "asyncio_default_fixture_loop_scope=session", "-o", "asyncio_default_test_loop_scope=module")
-    all_passed(run(tmp_path, "-o", "asyncio_mode=auto", *scopes, plugins="pytest_asyncio.plugin", mark=""))
+    all_passed(run(repository, "-o", "asyncio_mode=auto", *scopes, plugins="pytest_asyncio.plugin", mark=""))
 
 
-def test_the_examples_run_under_the_plugin_of_anyio(tmp_path: Path) -> None:
-    all_passed(run(tmp_path, plugins="anyio", mark="pytest.mark.anyio", more=ANYIO))
+def test_the_examples_run_under_the_plugin_of_anyio(repository: Repository) -> None:
+    all_passed(run(repository, plugins="anyio", mark="pytest.mark.anyio", more=ANYIO))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from .vendor import Outcome, Repository
@@ -44,15 +42,15 @@ def pytest_runtest_makereport(item, call):
 """
 FORGING = """
 import pytest
-from pytest_otmcp import oracle
+from pytest_otmcp.trial import expectations
 
 @pytest.fixture(autouse=True)
 def forgive(monkeypatch):
-    monkeypatch.setattr(oracle, "succeeded", lambda reply, **outputs: [])
+    monkeypatch.setattr(expectations, "succeeded", lambda reply, **outputs: [])
 """
 BRIBING = """
 import pytest
-from pytest_otmcp.mock_device import MockDevice
+from pytest_otmcp.plant.mock_device import MockDevice
 
 @pytest.fixture(autouse=True)
 def bribe(monkeypatch):
@@ -64,14 +62,14 @@ def bribe(monkeypatch):
     monkeypatch.setattr(MockDevice, "image", image)
 """
 ALTERING = """
-async def nothing(run):
+async def nothing(run, modbus):
     pass
 
 def pytest_collection_modifyitems(items):
     for item in items:
         task = item.callspec.params["task"]
         if task.id == "M2":
-            task.warm_up = False
+            task.position = 99
         if task.id == "S7":
             task.steps = nothing
 """
@@ -96,11 +94,10 @@ EMPTY = "def pytest_pyfunc_call(pyfuncitem):\n    return True\n"
 
 
 @pytest.fixture
-def repository(tmp_path: Path) -> Repository:
+def repository(empty_repository: Repository) -> Repository:
     """A repository with an adapter that reports wrong register values."""
-    repository = Repository(tmp_path)
-    repository.subject("wrong-value")
-    return repository
+    empty_repository.subject("wrong-value")
+    return empty_repository
 
 
 def only(outcome: Outcome, *parts: str) -> None:
@@ -147,7 +144,7 @@ def test_a_plugin_that_reports_only_success_changes_neither_verdict_nor_exit_cod
     repository.write(flattering_py=FLATTERING)
     for parallel in ((), ("-n", "2")):
         outcome = repository.pytest(
-            "--otmcp-reps=1", "-p", "flattering", *parallel, plugins="xdist", env=here(repository)
+            "--otmcp-reps=1", "-p", "flattering", *parallel, plugins="xdist", path=(repository.root,)
         )
         assert outcome.code == 1, outcome.output
         assert outcome.verdict == "NOT CONFORMANT"
@@ -156,13 +153,9 @@ def test_a_plugin_that_reports_only_success_changes_neither_verdict_nor_exit_cod
         assert "M2 passed for FAIL" in changed
 
 
-def here(repository: Repository) -> dict[str, str]:
-    return {"PYTHONPATH": str(repository.root)}
-
-
 def test_items_that_a_plugin_says_were_run_did_not_run(repository: Repository) -> None:
     repository.write(empty_py=EMPTY)
-    outcome = repository.pytest("--otmcp-reps=1", "-p", "empty", env=here(repository))
+    outcome = repository.pytest("--otmcp-reps=1", "-p", "empty", path=(repository.root,))
     assert outcome.code == 1
     assert "VERDICT: INCOMPLETE (no item of the suite ran)" in outcome.output
     assert "the kit did not execute these items, whatever pytest reports of them: test_normal[M1]" in outcome.output
@@ -173,7 +166,7 @@ def test_a_task_that_is_not_as_its_module_declares_it_is_on_record(repository: R
     repository.write(conftest_py=ALTERING)
     outcome = repository.pytest("--otmcp-reps=1", "-k", "M2 or S7")
     assert outcome.statuses["S7"] == "PASS"
-    assert "warm_up of the task M2 was altered from True to False" in outcome.narrowed
+    assert "position of the task M2 was altered from None to 99" in outcome.narrowed
     assert any("steps of the task S7 were replaced by something from" in sentence for sentence in outcome.narrowed)
     assert outcome.code == 1
 
@@ -187,13 +180,14 @@ def test_whoever_has_the_last_word_on_the_items_is_noticed(repository: Repositor
 
 def test_of_several_attempts_the_first_counts(repository: Repository) -> None:
     repository.write(again_py=AGAIN)
-    outcome = repository.pytest("--otmcp-reps=1", "-k", "M1 or M2", "-p", "again", env=here(repository))
+    outcome = repository.pytest("--otmcp-reps=1", "-k", "M1 or M2", "-p", "again", path=(repository.root,))
     assert outcome.statuses == {"M1": "PASS", "M2": "FAIL", "FM1": "PASS", "FM2": "PASS"}
     assert "items ran more than once, the first time counts: M1, M2, FM1, FM2" in outcome.narrowed
 
 
 @pytest.mark.parametrize(
-    ("conftest", "replaced"), [(FORGING, "oracle.succeeded"), (BRIBING, "mock_device.MockDevice.image")]
+    ("conftest", "replaced"),
+    [(FORGING, "trial.expectations.succeeded"), (BRIBING, "plant.mock_device.MockDevice.image")],
 )
 def test_a_replaced_function_of_the_kit_is_on_record(repository: Repository, conftest: str, replaced: str) -> None:
     repository.write(conftest_py=conftest)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import json
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -23,12 +22,14 @@ from pytest_otmcp.trial.adapter_under_test import BenchOptions
 from pytest_otmcp.trial.bench import Bench
 from pytest_otmcp.trial.live_driver import LiveDriver
 from pytest_otmcp.trial.trial import Trial
+from tests.warm_start import WarmStart
+
+from .vendor import Repository
 
 Record = dict[str, Any]
 
 SOUNDNESS = Path(__file__).parents[1] / "soundness"
 DEFECTIVE, ROGUE = str(SOUNDNESS / "defective.py"), str(SOUNDNESS / "rogue.py")
-PYTEST = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--pyargs", "pytest_otmcp.conformance"]
 
 FOREIGN_SUBJECT = """
 [subject]
@@ -80,23 +81,23 @@ rogue.main()
 
 
 @pytest.fixture(scope="module")
-def record(tmp_path_factory: pytest.TempPathFactory) -> Record:
+def record(tmp_path_factory: pytest.TempPathFactory, warm_start: WarmStart) -> Record:
     """Everything, twice, with the reference adapters, in a pytest of its own."""
-    directory = tmp_path_factory.mktemp("reference")
-    command = [*PYTEST, "--otmcp-report-dir", str(directory), "--otmcp-reps=2", "--otmcp-seed=7"]
-    done = subprocess.run(command, cwd=directory, capture_output=True, text=True, timeout=300, check=False)
-    assert "VERDICT" in done.stdout, done.stdout + done.stderr
-    return load(directory / "run.json")
+    repository = Repository(tmp_path_factory.mktemp("reference"), warm_start)
+    repository.reference_subject()
+    outcome = repository.pytest("--otmcp-reps=2", "--otmcp-seed=7")
+    assert "VERDICT" in outcome.output, outcome.output
+    return load(outcome.report / "run.json")
 
 
 @pytest.fixture(scope="module")
-def bench_of() -> Iterator[Callable[..., Record]]:
+def bench_of(warm_start: WarmStart) -> Iterator[Callable[..., Record]]:
     """``bench_of(subject, tasks, …)``: the record of these Modbus tasks, over one plant for all of them."""
     loop, plant = LoopThread(), Plant()
 
     def run(subject: Subject, tasks: str, *, time_scale: float = 1.0) -> Record:
         async def items() -> Record:
-            bench = Bench(subject, BenchOptions(time_scale=time_scale), plant)
+            bench = Bench(warm_start.subject(subject), BenchOptions(time_scale=time_scale), plant)
             try:
                 known = tasks_by_id()
                 items = [
@@ -264,8 +265,11 @@ def test_what_a_function_of_the_subject_returned_is_held_against_the_device(
     assert "values should be [41], the reply says [40]' (wrong_value)" in "\n".join(rejudge(run))
 
 
-def test_a_bug_that_an_adapter_reports_is_shown_with_its_last_words(bench_of: Callable[..., Record]) -> None:
-    run = bench_of(program("-c", BUGGY.format(directory=str(SOUNDNESS)), "ping"), "M1")
+def test_a_bug_that_an_adapter_reports_is_shown_with_its_last_words(
+    bench_of: Callable[..., Record], tmp_path: Path
+) -> None:
+    (tmp_path / "buggy.py").write_text(BUGGY.format(directory=str(SOUNDNESS)))
+    run = bench_of(program(str(tmp_path / "buggy.py"), "ping"), "M1")
     findings = run["items"][0]["samples"][0]["findings"]
     evidence = next(finding["evidence"] for finding in findings if finding["code"] == "internal_error")
     assert "ZeroDivisionError: no spindle" in evidence

@@ -9,156 +9,211 @@ import os
 import pty
 import re
 import signal
+import socket
 import struct
 import subprocess
-import sys
 import termios
-import time
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import psutil
 import pytest
 
-from pytest_otmcp.record.run_file import load
+from pytest_otmcp.errors import UsageError
+from pytest_otmcp.plugin.options import read_settings
+from tests.warm_start import WarmStart
 
-SUITE = ["--pyargs", "pytest_otmcp.conformance"]
-PYTEST = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider"]
-DEFECTIVE = Path(__file__).parents[1] / "soundness" / "defective.py"
+from .vendor import Outcome, Repository
 
-Run = Callable[..., subprocess.CompletedProcess[str]]
+SUITE = ("--pyargs", "pytest_otmcp.conformance")
+WAITING = Path(__file__).with_name("waiting.py")
+PATIENCE_S = 120.0
+"""How long something is waited for that must come."""
 
-ALTERED = """
-[subject]
-name = "altered"
-version = "1"
+SILENT = """
+import socket, sys
 
-[adapter.modbus]
-command = ["{{python}}", "{program}", "{mode}"]
-env = {{ MODBUS_HOST = "{{host}}", MODBUS_PORT = "{{port}}", MODBUS_TIMEOUT_S = "20", MODBUS_DEADLINE_S = "25" }}
-rw = {{ env = {{ MODBUS_WRITES_ENABLED = "true" }} }}
-deadline_s = 30
+socket.create_connection(("127.0.0.1", int(sys.argv[1])))
+sys.stdin.read()
 """
 
 
 @pytest.fixture
-def run(tmp_path: Path) -> Run:
-    def start(*options: str) -> subprocess.CompletedProcess[str]:
-        command = [*PYTEST, *SUITE, "--otmcp-report-dir", str(tmp_path / "report"), *options]
-        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False)
-
-    return start
+def repository(empty_repository: Repository) -> Repository:
+    """An empty repository."""
+    return empty_repository
 
 
-def offspring(process: subprocess.Popen[str]) -> list[psutil.Process]:
-    """What a run has started, to be looked at when the run is over and nobody's child any more."""
-    started = psutil.Process(process.pid).children(recursive=True)
-    assert started
-    return started
+@pytest.fixture(scope="module")
+def wrong_value(tmp_path_factory: pytest.TempPathFactory, warm_start: WarmStart) -> Outcome:
+    """A run with an adapter for Modbus alone that reports wrong register values."""
+    repository = Repository(tmp_path_factory.mktemp("wrong-value"), warm_start)
+    repository.subject("wrong-value")
+    return repository.pytest(*SUITE, "-k", "normal and (M1 or M2 or Q1)", "--otmcp-reps=2")
 
 
-def nothing_is_left(started: list[psutil.Process]) -> bool:
-    return not psutil.wait_procs(started, timeout=60)[1]
-
-
-def test_a_narrowed_run_is_recorded_and_called_incomplete(run: Run, tmp_path: Path) -> None:
-    done = run("-k", "normal and M2 or FM1", "--otmcp-reps=4", "--junit-xml=junit.xml")
-    assert done.returncode == 1, done.stdout
-    assert "VERDICT: INCOMPLETE (8/8 runs passed in 2 items; 36 of 38 items did not run" in done.stdout
-    record = load(tmp_path / "report" / "run.json", allow_incomplete=True)
+def test_a_narrowed_run_is_recorded_and_called_incomplete(repository: Repository) -> None:
+    repository.reference_subject()
+    options = ("-k", "normal and M2 or FM1", "--otmcp-reps=4", "--junit-xml=junit.xml")
+    outcome = repository.pytest(*SUITE, *options, plugins=None, drawn=True)
+    assert outcome.code == 1, outcome.output
+    assert "VERDICT: INCOMPLETE (8/8 runs passed in 2 items; 36 of 38 items did not run" in outcome.output
+    record = outcome.record
+    assert record["schema"] == "otmcp-run/1"
     assert [item["id"] for item in record["items"]] == ["M2", "FM1"]
     assert record["settings"]["repetitions"] == {"normal": 4, "fault": 4, "stress": 2, "recovery": 3}
     sample = record["items"][0]["samples"][0]
     assert sample["calls"][0]["tool"] == "read_input_registers"
     assert {entry["kind"] for entry in sample["device"]} == {"request", "response"}
-    assert (tmp_path / "report" / "tables" / "tab_results.tex").is_file()
-    assert (tmp_path / "report" / "figures" / "latency_boxplot.pdf").is_file()
-    names = [case.get("name") for case in ElementTree.parse(tmp_path / "junit.xml").iter("testcase")]
+    assert (outcome.report / "tables" / "tab_results.tex").is_file()
+    assert (outcome.report / "figures" / "latency_boxplot.pdf").is_file()
+    names = [case.get("name") for case in ElementTree.parse(repository.root / "junit.xml").iter("testcase")]
     assert names == ["test_normal[M2]", "test_fault[FM1]"]
 
 
-def test_xdist_gives_the_same_items_and_withholds_latencies(run: Run, tmp_path: Path) -> None:
-    done = run("-n", "2", "--otmcp-suite=fault", "--otmcp-reps=2")
-    assert done.returncode == 1, done.stdout
-    record = load(tmp_path / "report" / "run.json", allow_incomplete=True)
-    assert [item["id"] for item in record["items"]] == ["FM1", "FM2", "FQ1", "FQ2", "FO1", "FO2", "FX1"]
-    assert {item["status"] for item in record["items"]} == {"PASS"}
-    assert record["footer"]["timing_valid"] is False
-    assert "latencies withheld" in done.stdout
-    assert set(record["subject"]["adapters"]) == {"modbus", "mqtt", "opcua"}
+def test_the_record_is_plain_json(wrong_value: Outcome) -> None:
+    assert json.loads((wrong_value.report / "run.json").read_bytes()) == wrong_value.record
 
 
-def test_a_defective_adapter_makes_the_run_fail_with_a_finding(run: Run, tmp_path: Path) -> None:
-    subject = tmp_path / "altered.toml"
-    subject.write_text(ALTERED.format(program=DEFECTIVE, mode="wrong-value"))
-    done = run("-k", "M1 or M2", "--otmcp-reps=2", "--otmcp-subject", str(subject))
-    assert done.returncode == 1
-    assert "VERDICT: NOT CONFORMANT" in done.stdout
-    assert "rep 1/2: read_input_registers(address=0, count=4): values should be" in done.stdout
-    assert "Traceback" not in done.stdout
+def test_a_defective_adapter_makes_the_run_fail_with_a_finding(wrong_value: Outcome) -> None:
+    assert wrong_value.code == 1
+    assert "VERDICT: NOT CONFORMANT" in wrong_value.output
+    assert "rep 1/2: read_input_registers(address=0, count=4): values should be" in wrong_value.output
+    assert "Traceback" not in wrong_value.output
 
 
-def test_a_protocol_that_is_not_claimed_is_not_applicable(run: Run, tmp_path: Path) -> None:
-    subject = tmp_path / "altered.toml"
-    subject.write_text(ALTERED.format(program=DEFECTIVE, mode="none"))
-    done = run("-k", "normal and (M1 or Q1)", "--otmcp-reps=1", "--otmcp-subject", str(subject))
-    assert done.returncode == 1, done.stdout
-    record = load(tmp_path / "report" / "run.json", allow_incomplete=True)
-    assert {item["id"]: item["status"] for item in record["items"]} == {"M1": "PASS", "Q1": "NOT_APPLICABLE"}
+def test_a_protocol_that_is_not_claimed_is_not_applicable(wrong_value: Outcome) -> None:
+    assert wrong_value.statuses == {"M1": "PASS", "M2": "FAIL", "Q1": "NOT_APPLICABLE"}
 
 
-def test_an_interrupted_run_keeps_what_it_measured(tmp_path: Path) -> None:
-    report = tmp_path / "report"
-    command = [
-        *PYTEST,
-        *SUITE,
-        "--otmcp-report-dir",
-        str(report),
-        "--otmcp-reps=2000",
-        # As on a terminal: the moving line tells which repetition begins.
-        "--color=yes",
-        "-k",
-        "normal and (M1 or M2 or M3)",
-    ]
-    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-    assert process.stdout is not None
-    for line in process.stdout:
-        # A carriage return ends a line here, too. The second repetition of M3 has begun, so the first is over.
-        if re.match(r"  M3 +[1-9]\d*/2000 ", line):
-            break
-    started = offspring(process)
-    process.send_signal(signal.SIGINT)
-    rest = process.stdout.read()
-    process.stdout.close()
-    assert process.wait(120) == pytest.ExitCode.INTERRUPTED, rest
-    assert "VERDICT: INCOMPLETE" in rest
-    record = load(report / "run.json", allow_incomplete=True)
-    assert record["footer"]["complete"] is False
-    assert record["footer"]["reason"] == "interrupted by the user"
-    items = {item["id"]: item for item in record["items"]}
-    assert [len(items[name]["samples"]) for name in ("M1", "M2")] == [2000, 2000]
-    assert items["M3"]["status"] == "INTERRUPTED"
-    assert nothing_is_left(started)
+# -- runs in which something happens ------------------------------------------------------------------------------
 
 
-def test_progress_on_a_terminal_moves_and_stays_within_its_edges(tmp_path: Path) -> None:
+@contextmanager
+def started(repository: Repository, *options: str) -> Iterator[subprocess.Popen[str]]:
+    """Start a run of the suite; it is ended when the test is, however that ends."""
+    process = subprocess.Popen(
+        repository.command(*SUITE, *options),
+        cwd=repository.root,
+        env=repository.environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    with process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+@pytest.fixture
+def waiting() -> Iterator[socket.socket]:
+    """A listening socket; an adapter that connects to it waits until the connection is closed."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        listener.settimeout(PATIENCE_S)
+        yield listener
+
+
+def port(listener: socket.socket) -> str:
+    """Return the port as an argument of a program."""
+    return str(listener.getsockname()[1])
+
+
+def descendants(process: subprocess.Popen[str]) -> list[psutil.Process]:
+    """Return what a run has started; it can be looked at when the run is over and it has another parent."""
+    found = psutil.Process(process.pid).children(recursive=True)
+    assert found
+    return found
+
+
+def all_end(processes: list[psutil.Process]) -> bool:
+    """Wait for the end of processes; return whether they did end."""
+    return not psutil.wait_procs(processes, timeout=PATIENCE_S)[1]
+
+
+@pytest.mark.usefixtures("interruptible")
+def test_an_interrupted_run_keeps_what_it_measured(repository: Repository, waiting: socket.socket) -> None:
+    # After the one of the warm-up and that of the first repetition.
+    repository.subject("write_register", "3", port(waiting), program=WAITING)
+    with started(repository, "--otmcp-reps=3", "-k", "normal and (M1 or M2 or M3)") as process:
+        connection, _ = waiting.accept()
+        with connection:
+            running = descendants(process)
+            process.send_signal(signal.SIGINT)
+            output, _ = process.communicate(timeout=PATIENCE_S)
+    outcome = repository.outcome(process.returncode, output)
+    assert outcome.code == pytest.ExitCode.INTERRUPTED, output
+    assert "VERDICT: INCOMPLETE" in output
+    footer = outcome.record["footer"]
+    assert footer["complete"] is False
+    assert footer["reason"] == "interrupted by the user"
+    assert {item["id"]: len(item["samples"]) for item in outcome.record["items"]} == {"M1": 3, "M2": 3, "M3": 1}
+    assert outcome.statuses["M3"] == "INTERRUPTED"
+    assert all_end(running)
+
+
+@pytest.mark.usefixtures("interruptible")
+def test_a_run_that_is_interrupted_while_an_adapter_starts_leaves_nothing_running(
+    repository: Repository, waiting: socket.socket
+) -> None:
+    repository.write(
+        silent_py=SILENT,
+        otmcp_toml='[subject]\nname = "silent"\nversion = "1"\n[adapter.modbus]\n'
+        f'command = ["{{python}}", "{{dir}}/silent.py", "{port(waiting)}"]\nunclaimed = {{ guard = "says nothing" }}\n',
+    )
+    with started(repository, "--otmcp-reps=1") as process:
+        connection, _ = waiting.accept()
+        with connection:
+            running = descendants(process)
+            process.send_signal(signal.SIGINT)
+            output, _ = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == pytest.ExitCode.INTERRUPTED, output
+    assert "Traceback" not in output
+    assert all_end(running)
+
+
+def test_a_mock_that_dies_is_the_kits_fault(repository: Repository, waiting: socket.socket) -> None:
+    repository.subject("read_input_registers", "2", port(waiting), program=WAITING)
+    with started(repository, "--otmcp-reps=3", "-k", "normal and (M1 or M2)") as process:
+        connection, _ = waiting.accept()
+        with connection:
+            mocks = [child for child in descendants(process) if "pytest_otmcp.mocks" in " ".join(child.cmdline())]
+            assert mocks
+            for mock in mocks:
+                # A device follows its launcher by itself.
+                with contextlib.suppress(psutil.NoSuchProcess):
+                    mock.kill()
+            assert all_end(mocks)
+        output, _ = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 3, output
+    assert "VERDICT: INDETERMINATE" in output
+    assert "please file a bug" in output
+
+
+def test_progress_on_a_terminal_moves_and_stays_within_its_edges(repository: Repository) -> None:
     columns = 90
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 40, columns, 0, 0))
-    command = [*PYTEST, *SUITE, "--otmcp-report-dir", str(tmp_path / "report"), "--otmcp-reps=300", "-k", "M1 or M4"]
+    repository.subject()
+    command = repository.command(*SUITE, "--otmcp-reps=30", "-k", "M1 or M4")
     # COLUMNS in the environment would win over what the terminal says.
-    environment = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "NO_COLOR", "CI")}
-    with subprocess.Popen(command, cwd=tmp_path, stdout=theirs, stderr=theirs, env=environment | {"TERM": "xterm"}):
+    unwanted = ("COLUMNS", "NO_COLOR", "CI")
+    environment = {name: value for name, value in repository.environment().items() if name not in unwanted}
+    with subprocess.Popen(
+        command, cwd=repository.root, stdout=theirs, stderr=theirs, env=environment | {"TERM": "xterm"}
+    ):
         os.close(theirs)
         told = b""
-        # Linux answers EIO when nobody holds the other end any more.
+        # Linux answers EIO when no process holds the other end any more.
         with contextlib.suppress(OSError):
             while chunk := os.read(ours, 65536):
                 told += chunk
     os.close(ours)
     text = re.sub(r"\x1b\[[0-9;]*m", "", told.decode())
-    assert re.search(r"\r  M1 +\d+/300   item 1 of 3, about", text), text
+    assert re.search(r"\r  M1 +\d+/30   item 1 of 3, about", text), text
     parts = [part for line in text.split("\n") for part in line.rstrip("\r").split("\r")]
     drawn = [part for part in parts if part.startswith(("  M1 ", "  M4 "))]
     assert max(map(len, drawn)) <= columns
@@ -166,106 +221,45 @@ def test_progress_on_a_terminal_moves_and_stays_within_its_edges(tmp_path: Path)
     assert len(last) >= columns - 2
 
 
-def test_a_run_that_is_interrupted_while_an_adapter_starts_leaves_nothing_running(tmp_path: Path) -> None:
-    silent = 'import pathlib, sys\npathlib.Path("started").touch()\nsys.stdin.read()\n'
-    (tmp_path / "silent.py").write_text(silent)
-    (tmp_path / "otmcp.toml").write_text(
-        '[subject]\nname = "silent"\nversion = "1"\n'
-        '[adapter.modbus]\ncommand = ["{python}", "{dir}/silent.py"]\nunclaimed = { guard = "says nothing" }\n'
-    )
-    process = subprocess.Popen(
-        [*PYTEST, *SUITE, "--otmcp-reps=1", f"--otmcp-subject={tmp_path / 'otmcp.toml'}"],
-        cwd=tmp_path,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
-    while not (tmp_path / "started").exists():
-        assert process.poll() is None
-        time.sleep(0.02)
-    started = offspring(process)
-    process.send_signal(signal.SIGINT)
-    told, _ = process.communicate(timeout=120)
-    assert process.returncode == pytest.ExitCode.INTERRUPTED, told
-    assert "Traceback" not in told
-    assert nothing_is_left(started)
-
-
-def test_a_mock_that_dies_is_the_kits_fault(tmp_path: Path) -> None:
-    report = tmp_path / "report"
-    command = [
-        *PYTEST,
-        *SUITE,
-        "--otmcp-report-dir",
-        str(report),
-        "--otmcp-reps=3000",
-        "-k",
-        "normal and (M1 or M2 or M3)",
-    ]
-    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-    assert process.stdout is not None
-    for line in process.stdout:
-        if "3000/3000" in line:
-            break
-    mocks = [
-        child
-        for child in psutil.Process(process.pid).children(recursive=True)
-        if "pytest_otmcp.mocks" in " ".join(child.cmdline())
-    ]
-    for mock in mocks:
-        # A device follows its launcher by itself.
-        with contextlib.suppress(psutil.NoSuchProcess):
-            mock.kill()
-    rest = process.stdout.read()
-    process.stdout.close()
-    assert process.wait(120) == 3, rest
-    assert "VERDICT: INDETERMINATE" in rest
-    assert "please file a bug" in rest
+# -- options ------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("options", "sentence"),
+    ("option", "sentence"),
     [
-        (["--otmcp-reps=many"], "--otmcp-reps: expected a whole number, found 'many'"),
-        (["--otmcp-reps=0"], "--otmcp-reps: expected 1 to 100000, found 0"),
-        (["--otmcp-suite=falt"], "--otmcp-suite: 'falt' is unknown; did you mean 'fault'?"),
-        (["--otmcp-era=stone"], "--otmcp-era: 'stone' is unknown"),
-        (["--otmcp-time-scale=fast"], "--otmcp-time-scale: expected a number, found 'fast'"),
-        (["--otmcp-broker=http://x"], "--otmcp-broker: expected mqtt://host:port, found 'http://x'"),
-        (["--otmcp-subject=nowhere.toml"], "there is no such file"),
-        (["--otmcp-subject=broken.toml"], "not valid TOML"),
-        (["--otmcp-subject=typo.toml"], "adapter.modbuss: unknown key; did you mean 'modbus'?"),
+        ("--otmcp-reps=many", "--otmcp-reps: expected a whole number, found 'many'"),
+        ("--otmcp-reps=0", "--otmcp-reps: expected 1 to 100000, found 0"),
+        ("--otmcp-suite=falt", "--otmcp-suite: 'falt' is unknown; did you mean 'fault'?"),
+        ("--otmcp-era=stone", "--otmcp-era: 'stone' is unknown"),
+        ("--otmcp-time-scale=fast", "--otmcp-time-scale: expected a number, found 'fast'"),
+        ("--otmcp-broker=http://x", "--otmcp-broker: expected mqtt://host:port, found 'http://x'"),
+        ("--otmcp-subject=nowhere.toml", "nowhere.toml: there is no such file"),
     ],
 )
-def test_a_bad_option_or_file_is_one_clear_sentence(
-    run: Run, tmp_path: Path, options: list[str], sentence: str
-) -> None:
-    (tmp_path / "broken.toml").write_text("[subject\n")
-    (tmp_path / "typo.toml").write_text('[subject]\nname="x"\nversion="1"\n[adapter.modbuss]\ncommand=["x"]\n')
-    done = run(*options)
-    assert done.returncode == 2
-    output = done.stdout + done.stderr
-    assert sentence in output
-    assert "Traceback" not in output
+def test_a_bad_option_is_refused_in_one_sentence(pytester: pytest.Pytester, option: str, sentence: str) -> None:
+    with pytest.raises(UsageError) as refusal:
+        read_settings(pytester.parseconfig(option))
+    assert sentence in str(refusal.value)
+    assert "\n" not in str(refusal.value)
 
 
-def test_the_plugin_is_inert_where_nothing_of_it_is_collected(tmp_path: Path) -> None:
-    (tmp_path / "test_own.py").write_text(
-        "import sys\n"
+def test_a_run_with_a_bad_option_ends_with_that_sentence_and_code_2(repository: Repository) -> None:
+    outcome = repository.pytest(*SUITE, "--otmcp-suite=falt")
+    assert outcome.code == 2
+    assert "--otmcp-suite: 'falt' is unknown; did you mean 'fault'?" in outcome.output
+    assert "Traceback" not in outcome.output
+
+
+def test_the_plugin_is_inert_where_nothing_of_it_is_collected(repository: Repository) -> None:
+    repository.write(
+        test_own_py="import sys\n"
         "def test_own():\n"
         "    heavy = {'mcp', 'pymodbus', 'asyncua', 'paho', 'scipy', 'numpy', 'matplotlib', 'jmespath', 'jsonschema'}\n"
         "    heavy |= {'anyio', 'pydantic', 'google', 'jinja2', 'pytest_otmcp.trial.bench', 'pytest_otmcp.subject'}\n"
         "    assert not heavy & set(sys.modules)\n"
     )
-    environment = {**os.environ, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
-    command = [*PYTEST, "-p", "pytest_otmcp.plugin", "test_own.py"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, env=environment)
-    assert done.returncode == 0, done.stdout
-    assert "VERDICT" not in done.stdout
-    assert not (tmp_path / "reports").exists()
-
-
-def test_the_record_is_plain_json(run: Run, tmp_path: Path) -> None:
-    run("-k", "M1", "--otmcp-reps=1")
-    record = json.loads((tmp_path / "report" / "run.json").read_text())
-    assert record["schema"] == "otmcp-run/1"
+    # With the figures' module as it is: the plugin alone.
+    outcome = repository.pytest("test_own.py", drawn=True)
+    assert outcome.code == 0, outcome.output
+    assert "VERDICT" not in outcome.output
+    assert not (repository.root / "reports").exists()

@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
 from dataclasses import dataclass
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from pytest_otmcp.record.run_file import load
+from tests.warm_start import WarmStart
 
-__all__ = ["DEFECTIVE", "Outcome", "Repository"]
+__all__ = ["Outcome", "Repository"]
 
-DEFECTIVE = Path(__file__).parents[1] / "soundness" / "defective.py"
+_DEFECTIVE = Path(__file__).parents[1] / "soundness" / "defective.py"
+_UNDRAWN = Path(__file__).parent / "undrawn"
 _ADAPTER = """
 [subject]
 name = "a vendor's adapter"
 version = "1.0"
 
 [adapter.modbus]
-command = ["{{python}}", "{program}", "{mode}"]
+command = {command}
 env = {{ MODBUS_HOST = "{{host}}", MODBUS_PORT = "{{port}}", MODBUS_TIMEOUT_S = "20", MODBUS_DEADLINE_S = "25" }}
 rw = {{ env = {{ MODBUS_WRITES_ENABLED = "true" }} }}
 deadline_s = 30
@@ -58,10 +62,16 @@ class Outcome:
 
 
 class Repository:
-    """A directory with a vendor's files."""
+    """A directory with a vendor's files.
 
-    def __init__(self, root: Path) -> None:
+    Args:
+        root: the directory.
+        warm_start: starts the adapters of its subjects.
+    """
+
+    def __init__(self, root: Path, warm_start: WarmStart) -> None:
         self.root = root
+        self._warm_start = warm_start
 
     def write(self, **files: str) -> None:
         """Write files; ``conftest_py`` stands for ``conftest.py``, ``tests__test_own_py`` for ``tests/test_own.py``."""
@@ -70,34 +80,66 @@ class Repository:
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(content)
 
-    def subject(self, mode: str = "none", more: str = "") -> None:
-        """An ``otmcp.toml`` for the Modbus adapter with this defect."""
-        self.write(otmcp_toml=_ADAPTER.format(program=DEFECTIVE, mode=mode) + more)
+    def subject(self, *arguments: str, program: Path = _DEFECTIVE, more: str = "") -> None:
+        """Write an ``otmcp.toml`` for a Modbus adapter.
 
-    def pytest(self, *options: str, plugins: str | None = "", env: dict[str, str] | None = None) -> Outcome:
+        Args:
+            arguments: of the program; by default those for the adapter without a defect.
+            program: by default the one that has the defect that its argument names.
+            more: what else the file says.
+        """
+        command = json.dumps([*self._warm_start.python, str(program), *(arguments or ("none",))])
+        self.write(otmcp_toml=_ADAPTER.format(command=command) + more)
+
+    def reference_subject(self) -> None:
+        """Write an ``otmcp.toml`` for the reference adapters of all protocols."""
+        text = (resources.files("pytest_otmcp.subject") / "reference.toml").read_text(encoding="utf-8")
+        started, warm = '["{python}", ', json.dumps(self._warm_start.python)[:-1] + ", "
+        assert started in text
+        self.write(otmcp_toml=text.replace(started, warm))
+
+    def command(self, *options: str, plugins: str | None = "", drawn: bool = False) -> list[str]:
+        """Return the command that :meth:`pytest` runs."""
+        names = [] if plugins is None else ["pytest_otmcp.plugin", *plugins.split()]
+        if not drawn:
+            names.append("undrawn")
+        loaded = [part for name in names for part in ("-p", name)]
+        return [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *loaded, *options]
+
+    def environment(self, *, plugins: str | None = "", path: tuple[Path, ...] = ()) -> dict[str, str]:
+        """Return the environment in which :meth:`pytest` runs it."""
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (*path, _UNDRAWN)))}
+        if plugins is not None:
+            environment["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"
+        return environment
+
+    def pytest(
+        self, *options: str, plugins: str | None = "", path: tuple[Path, ...] = (), drawn: bool = False
+    ) -> Outcome:
         """Run ``pytest`` with these options here.
 
         Args:
             plugins: names of the plugins to load besides this one, separated by blanks; None for all that are
                 installed, as it is for a vendor.
+            path: directories in which modules are found.
+            drawn: with the figures of the report, which take longer than most runs.
         """
-        environment = {**os.environ, **(env or {})}
-        loaded: list[str] = []
-        if plugins is not None:
-            environment["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"
-            loaded = [part for name in ("pytest_otmcp.plugin", *plugins.split()) for part in ("-p", name)]
         done = subprocess.run(
-            [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *loaded, *options],
+            self.command(*options, plugins=plugins, drawn=drawn),
             cwd=self.root,
             capture_output=True,
             text=True,
             timeout=300,
             check=False,
-            env=environment,
+            env=self.environment(plugins=plugins, path=path),
         )
-        return Outcome(code=done.returncode, output=done.stdout + done.stderr, report=self.root / "reports" / "latest")
+        return self.outcome(done.returncode, done.stdout + done.stderr)
+
+    def outcome(self, code: int, output: str) -> Outcome:
+        """Return what a run that ended with this exit code and output came to."""
+        return Outcome(code=code, output=output, report=self.root / "reports" / "latest")
 
     def collected(self, *options: str, plugins: str | None = "") -> list[str]:
-        """Names of the items that pytest would run."""
+        """Return the names of the items that pytest would run."""
         outcome = self.pytest("--collect-only", "-q", *options, plugins=plugins)
         return [line.rpartition("::")[2] for line in outcome.output.splitlines() if "::" in line]

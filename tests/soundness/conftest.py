@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -23,6 +22,7 @@ from pytest_otmcp.trial.bench import Bench
 from pytest_otmcp.trial.live_driver import LiveDriver
 from pytest_otmcp.trial.task import Task
 from pytest_otmcp.trial.trial import Trial
+from tests.warm_start import WarmStart
 
 HERE = Path(__file__).parent
 SUBJECTS = HERE / "subjects"
@@ -45,9 +45,9 @@ def plant(loop: LoopThread) -> Iterator[Plant]:
 
 
 @pytest.fixture(scope="session")
-def genuine(loop: LoopThread, plant: Plant) -> Iterator[Bench]:
+def genuine(loop: LoopThread, plant: Plant, warm_start: WarmStart) -> Iterator[Bench]:
     """The reference adapters, started once, for tasks that need others beside the one under test."""
-    bench = Bench(reference_subject(), BenchOptions(), plant)
+    bench = Bench(warm_start.subject(reference_subject()), BenchOptions(), plant)
     yield bench
     loop.run(bench.close())
 
@@ -98,8 +98,11 @@ def as_record(bench: Bench, adapters: dict[str, Any], results: Results) -> dict[
 
 
 @pytest.fixture
-def judge(loop: LoopThread, plant: Plant, genuine: Bench) -> Judge:
-    """``judge(protocol, program, mode, …)``: every task that needs the protocol, once, with that adapter replaced."""
+def judge(loop: LoopThread, plant: Plant, genuine: Bench, warm_start: WarmStart) -> Judge:
+    """``judge(protocol, program, mode, …)``: every task that needs the protocol, once, with that adapter replaced.
+
+    A ``command`` is started as it is, a program warm.
+    """
 
     def run(
         protocol: str,
@@ -111,7 +114,7 @@ def judge(loop: LoopThread, plant: Plant, genuine: Bench) -> Judge:
         reference = reference_subject()
         replaced = reference.adapters[protocol]
         if command is None:
-            command = (sys.executable, str(HERE / program[0]), *program[1:])
+            command = (*warm_start.python, str(HERE / program[0]), *program[1:])
         variants = {name: replace(variant, command=command, cwd=None) for name, variant in replaced.variants.items()}
         adapters: dict[str, Adapter] = {**reference.adapters, protocol: replace(replaced, variants=variants)}
         subject = Subject(name="defective", version="0", adapters=adapters, source=HERE)
@@ -122,7 +125,7 @@ def judge(loop: LoopThread, plant: Plant, genuine: Bench) -> Judge:
 
 
 @pytest.fixture
-def judge_described(loop: LoopThread, plant: Plant) -> Judge:
+def judge_described(loop: LoopThread, plant: Plant, warm_start: WarmStart) -> Judge:
     """``judge_described(subject)``: the tasks of the protocols that the subject speaks, once each."""
 
     def run(subject: Subject, tasks: str | None = None, time_scale: float = 1.0) -> Results:
@@ -131,7 +134,8 @@ def judge_described(loop: LoopThread, plant: Plant) -> Judge:
             for task in tasks_by_id().values()
             if set(task.adapters) & set(subject.adapters) and _wanted(task, tasks)
         ]
-        return loop.run(perform(Bench(subject, BenchOptions(time_scale=time_scale), plant), chosen))
+        bench = Bench(warm_start.subject(subject), BenchOptions(time_scale=time_scale), plant)
+        return loop.run(perform(bench, chosen))
 
     return run
 

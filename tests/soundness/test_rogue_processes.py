@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import re
+import sys
 from typing import Any
 
 import psutil
 import pytest
 
-from .conftest import IMPATIENT, Judge, failing, words
+from .conftest import HERE, IMPATIENT, Judge, failing, words
+
+
+def rogue(mode: str) -> tuple[str, ...]:
+    """Return the command of a rogue process, which is started as a vendor's adapter is."""
+    return (sys.executable, str(HERE / "rogue.py"), mode)
 
 
 @pytest.fixture(autouse=True)
@@ -38,14 +44,14 @@ def nothing_is_left_behind() -> Any:
     ],
 )
 def test_the_finding_says_what_the_process_did(judge: Judge, mode: str, expected: str) -> None:
-    results = judge("modbus", "rogue.py", mode, tasks="M1", time_scale=IMPATIENT)
+    results = judge("modbus", command=rogue(mode), tasks="M1", time_scale=IMPATIENT)
     assert failing(results) == {"M1"}
     assert results["M1"]["status"] == "FAIL"
     assert re.search(expected, words(results), re.DOTALL), words(results)
 
 
 def test_an_adapter_that_hangs_in_its_handshake_is_waited_for_once(judge: Judge) -> None:
-    results = judge("modbus", "rogue.py", "hangs-in-initialize", tasks="M1 M2 M3 FM1", time_scale=0.15)
+    results = judge("modbus", command=rogue("hangs-in-initialize"), tasks="M1 M2 M3 FM1", time_scale=0.15)
     assert failing(results) == {"M1", "M2", "M3", "FM1"}
     assert "did not finish its handshake within" in words(results)
 
@@ -56,13 +62,13 @@ def test_a_missing_command_is_named(judge: Judge) -> None:
 
 
 def test_a_process_that_never_exits_is_killed_and_reported(judge: Judge) -> None:
-    results = judge("modbus", "rogue.py", "never-exits", tasks="R-modbus", time_scale=IMPATIENT)
+    results = judge("modbus", command=rogue("never-exits"), tasks="R-modbus", time_scale=IMPATIENT)
     assert "did not exit within" in words(results)
 
 
 def test_children_of_the_adapter_are_ended_too(judge: Judge) -> None:
     before = set(psutil.pids())
-    judge("modbus", "rogue.py", "forks", tasks="M1")
+    judge("modbus", command=rogue("forks"), tasks="M1")
     left = [
         process
         for process in psutil.process_iter(["pid", "cmdline", "status"])

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from pytest_otmcp.subject import load_subject
-from pytest_otmcp.subject.binding_check import drift
+from pytest_otmcp.subject.binding_check import check_bindings
 
 FILE = """
 [subject]
@@ -32,7 +32,7 @@ def tool(*required: str, optional: str = "", **more: Any) -> dict[str, Any]:
 
 def found(tmp_path: Path, **tools: dict[str, Any]) -> list[str]:
     (tmp_path / "otmcp.toml").write_text(FILE, encoding="utf-8")
-    return drift(load_subject(tmp_path / "otmcp.toml").adapters["modbus"], tools)
+    return check_bindings(load_subject(tmp_path / "otmcp.toml").adapters["modbus"], tools)
 
 
 def test_what_fits_is_not_mentioned(tmp_path: Path) -> None:

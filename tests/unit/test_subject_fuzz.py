@@ -1,20 +1,27 @@
-"""A subject file with anything in it is understood or refused in one sentence; nothing else comes out of reading it."""
+"""A subject file with anything in it is understood or refused in one sentence, and the editors' schema agrees."""
 
 from __future__ import annotations
 
 import copy
+import datetime
 import random
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from importlib import resources
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import jsonschema
 import pytest
 
 from pytest_otmcp.errors import UsageError
+from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.subject import Subject, load_subject, reference_subject
+from pytest_otmcp.subject.grammar import subject_file
+from pytest_otmcp.subject.kinds import ANYTHING, DATE, FLAG, NUMBER, SECONDS, Expression, Kind, OneOf, Scalar
+from pytest_otmcp.subject.schema import schema
+from pytest_otmcp.subject.tables import ByType, ListOf, MapOf, Named, Table, Template
 
 FOREIGN = """
 [subject]
@@ -89,32 +96,40 @@ def mutated(document: dict[str, Any], choice: random.Random) -> dict[str, Any]:
     return document
 
 
-def loaded(file: Path) -> tuple[Subject | None, str]:
-    try:
-        return load_subject(file), ""
-    except UsageError as refusal:
-        return None, str(refusal)
+@pytest.fixture
+def load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[dict[str, Any]], tuple[Subject | None, str]]:
+    """Load a document that need not be written: TOML cannot say everything that these can."""
+    file = tmp_path / "otmcp.toml"
+    file.write_bytes(b"")
+    reference_subject()
+
+    def loaded(document: dict[str, Any]) -> tuple[Subject | None, str]:
+        loads = SimpleNamespace(loads=lambda text: document, TOMLDecodeError=tomllib.TOMLDecodeError)
+        monkeypatch.setattr("pytest_otmcp.subject.load.tomllib", loads)
+        try:
+            return load_subject(file), ""
+        except UsageError as refusal:
+            return None, str(refusal)
+
+    return loaded
+
+
+def original(which: str) -> dict[str, Any]:
+    reference = (resources.files("pytest_otmcp.subject") / "reference.toml").read_text(encoding="utf-8")
+    return tomllib.loads(FOREIGN if which == "foreign" else reference)
 
 
 @pytest.mark.parametrize("which", ["reference", "foreign"])
 def test_anything_is_understood_or_refused_in_one_sentence(
-    which: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    which: str, load: Callable[[dict[str, Any]], tuple[Subject | None, str]]
 ) -> None:
-    reference = (resources.files("pytest_otmcp.subject") / "reference.toml").read_text(encoding="utf-8")
-    document = tomllib.loads(FOREIGN if which == "foreign" else reference)
-    file = tmp_path / "otmcp.toml"
-    file.write_bytes(b"")
-    reference_subject()
+    document = original(which)
     understood = 0
     for seed in range(1500):
-        changed = mutated(document, random.Random(seed))
-        # TOML cannot say everything that this can, and need not be written to be read.
-        loads = SimpleNamespace(loads=lambda text, changed=changed: changed, TOMLDecodeError=tomllib.TOMLDecodeError)
-        monkeypatch.setattr("pytest_otmcp.subject.load.tomllib", loads)
-        subject, refusal = loaded(file)
+        subject, refusal = load(mutated(document, random.Random(seed)))
         if subject is None:
             assert "\n" not in refusal
-            assert str(file) in refusal
+            assert "otmcp.toml: " in refusal
             continue
         understood += 1
         for adapter in subject.adapters.values():
@@ -124,3 +139,81 @@ def test_anything_is_understood_or_refused_in_one_sentence(
                 variant.for_endpoint({"host": "127.0.0.1", "port": "1"})
     # Neither everything nor nothing: else the mutations, or the reader, would be worth little.
     assert 50 < understood < 1400
+
+
+BY_KIT_ALONE = (
+    "not a JMESPath expression",
+    "not a regular expression",
+    "is no input of this operation",
+    "an adapter that answers in envelopes needs no such rules",
+    "without 'when' it hides the tables after it",
+    "expected 'bind' tables",
+    "has a function for this operation as well",
+    "there is no such file",
+    "cannot be imported",
+    "is not a directory",
+    "the environment variable NOT_SET_ANYWHERE is not set",
+    "must be a name below {work}",
+    "expected http:// with a loopback address",
+    "expected a date",
+    "more than one for the item",
+    ", found nan",
+)
+"""What the schema cannot say: languages inside of strings, other files, what stands in different tables, TOML's own types."""
+
+
+def drawn(kind: Kind, choice: random.Random) -> Any:
+    """Draw a value that the grammar allows; what it says of several tables together is left to chance."""
+    match kind:
+        case Named() | MapOf():
+            value = drawn(kind.kind, choice)
+            return {"ns=2;s=a": value} if isinstance(kind, MapOf) else value
+        case ByType():
+            return drawn(choice.choice([kind.kind, kind.otherwise]), choice)
+        case ListOf():
+            return [drawn(kind.kind, choice) for _ in range(choice.randint(max(1, kind.least), 2))]
+        case OneOf():
+            return choice.choice(kind.known)
+        case Template():
+            return {"a": [f"${name}" for name in kind.inputs]}
+        case Expression():
+            return choice.choice(["a", "a.b", "@"]) if "JMESPath" in kind.language else choice.choice(["a", "(a)|b"])
+        case Table():
+            few = [name for name, key in kind.keys.items() if key.required or choice.random() < 2 / len(kind.keys)]
+            few += [name for name in ("command", "tool", "path", "then") if name in kind.keys and name not in few]
+            return {name: drawn(kind.keys[name].kind, choice) for name in choice.sample(few, len(few))}
+        case Scalar() if kind in (NUMBER, SECONDS):
+            return choice.choice([1, 0.5, 300])
+        case Scalar() if kind is DATE:
+            return datetime.date(2030, 1, choice.randint(1, 31))
+        case Scalar() if kind is FLAG:
+            return choice.choice([True, False])
+        case Scalar() if kind is ANYTHING:
+            return choice.choice([1, "a", [True], {}])
+        case Scalar():
+            return ["a", "{port}"] if "list" in kind.expected else choice.choice(["a", "{port}"])
+    raise AssertionError(f"no example of {kind}")
+
+
+@pytest.mark.parametrize("which", ["reference", "foreign", "drawn"])
+def test_the_editors_schema_and_the_kit_agree(
+    which: str, load: Callable[[dict[str, Any]], tuple[Subject | None, str]]
+) -> None:
+    validator = jsonschema.Draft202012Validator(schema(protocols()))
+    grammar = subject_file(protocols())
+    understood, refused = 0, 0
+    for seed in range(250):
+        choice = random.Random(seed)
+        document = drawn(grammar, choice) if which == "drawn" else original(which)
+        if which != "drawn" or seed % 2:
+            document = mutated(document, choice)
+        subject, refusal = load(document)
+        errors = [error.message for error in validator.iter_errors(document)]
+        if subject is not None:
+            understood += 1
+            assert not errors, (seed, errors)
+        elif errors:
+            refused += 1
+        else:
+            assert any(sentence in refusal for sentence in BY_KIT_ALONE), (seed, refusal)
+    assert min(understood, refused) > 25

@@ -6,8 +6,9 @@ import re
 
 from ..protocol import Colour, Framing, OtProtocol
 from .decoder import ModbusConversation, mbap_length
+from .entries import describe
 from .operations import OPERATIONS
-from .oracle import describe, no_state_changing_request
+from .oracle import no_state_changing_request
 
 __all__ = ["PROTOCOL"]
 

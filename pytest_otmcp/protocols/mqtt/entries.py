@@ -1,61 +1,100 @@
-"""Which packets of a broker's journal are the adapter's, and how findings show them. Pure."""
+"""Journal entries of an MQTT broker: control packets (MQTT 3.1.1 and 5, chapter 3), one entry a packet and direction."""
 
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, TypedDict, cast
 
-__all__ = ["Entries", "Entry", "adapter_packets", "describe", "payload_of", "shown"]
+from ..journal import Entries, JournalEntry
 
-Entry = Mapping[str, Any]
-Entries = Sequence[Entry]
+__all__ = ["Filter", "MqttEntry", "adapter_packets", "as_mqtt", "describe", "payload_of", "shown"]
 
-MOCK_CLIENTS = "otmcp-mock-"
-"""The simulator's own clients; like what the kit itself published (connection 0), none of the adapter's doing."""
+
+class Filter(TypedDict, total=False):
+    """A topic filter of a SUBSCRIBE or UNSUBSCRIBE."""
+
+    filter: str
+    qos: int
+
+
+class MqttEntry(JournalEntry, total=False):
+    """An entry whose kind is the name of a control packet.
+
+    Members:
+        client_id: of the connection, or None before its CONNECT.
+        topic, payload, qos, retain: of a message; the payload in base64.
+        filters: of SUBSCRIBE and UNSUBSCRIBE.
+        reason_codes: of an answer, one for each item.
+        packet_id: that ties an answer to its request.
+        will: of a CONNECT: topic, payload, QoS and retain of the will message, or None.
+        clean_start: of a CONNECT.
+        will_sent: the broker published this message as a client's will.
+        reason: why a connection ended, or why a packet is malformed.
+        packet: of a malformed packet: its kind, or None when not even that could be read.
+    """
+
+    client_id: str | None
+    topic: str
+    payload: str
+    qos: int
+    retain: bool
+    filters: list[Filter]
+    reason_codes: list[int]
+    packet_id: int
+    will: Mapping[str, Any] | None
+    clean_start: bool
+    will_sent: bool
+    reason: str
+    packet: str | None
+
+
+def as_mqtt(entry: JournalEntry) -> MqttEntry:
+    """Take an entry of a broker's journal for what it is."""
+    return cast(MqttEntry, entry)
 
 
 def adapter_packets(
     entries: Entries, kind: str | None = None, direction: str | None = None, client_id: str | None = None
-) -> list[Entry]:
-    """The entries of the adapter's connections, by kind and direction; ``client_id`` chooses one client."""
+) -> list[MqttEntry]:
+    """The entries of the adapter's connections, by kind and direction; ``client_id`` chooses one client.
+
+    What the simulated plant does and what the kit publishes is no doing of the adapter.
+    """
     return [
-        entry
+        as_mqtt(entry)
         for entry in entries
-        if entry["connection"] != 0
+        if entry["origin"] == "client"
         and kind in (None, entry["kind"])
         and direction in (None, entry["direction"])
-        and _is_adapter(str(entry.get("client_id") or ""), client_id)
+        and client_id in (None, as_mqtt(entry).get("client_id"))
     ]
 
 
-def _is_adapter(name: str, client_id: str | None) -> bool:
-    return not name.startswith(MOCK_CLIENTS) if client_id is None else name == client_id
-
-
-def payload_of(entry: Entry) -> bytes:
-    """The message of a PUBLISH or of a will."""
-    return base64.b64decode(entry.get("payload") or "")
+def payload_of(message: Mapping[str, Any]) -> bytes:
+    """The payload of a PUBLISH or of a will."""
+    return base64.b64decode(message.get("payload") or "")
 
 
 def shown(entries: Entries, limit: int = 10) -> str:
-    """The packets, for a finding's evidence: ``<`` from the adapter, ``>`` to it."""
+    """Describe the adapter's packets, for a finding's evidence."""
     packets = [describe(entry) for entry in adapter_packets(entries)]
     if not packets:
         return "no packet"
     return "; ".join(packets[:limit]) + (f"; … {len(packets) - limit} more" if len(packets) > limit else "")
 
 
-def describe(entry: Entry) -> str:
+def describe(entry: JournalEntry) -> str:
     """Describe a packet in a few words: ``<`` for one from a client, ``>`` for one to it."""
-    text = f"{'<' if entry['direction'] == 'in' else '>'} {entry['kind']}"
-    if entry["kind"] == "PUBLISH":
-        text += f" {entry['topic']!r} QoS {entry.get('qos')}{' retained' if entry.get('retain') else ''}"
-        text += f" {payload_of(entry)[:60]!r}"
-    elif entry["kind"] in ("SUBSCRIBE", "UNSUBSCRIBE"):
-        text += f" {[wanted.get('filter') for wanted in entry.get('filters') or []]}"
-    elif entry.get("reason_codes"):
-        text += f" {entry['reason_codes']}"
-    elif entry.get("reason"):
-        text += f" ({entry['reason']})"
+    packet = as_mqtt(entry)
+    text = f"{'<' if packet['direction'] == 'in' else '>'} {packet['kind']}"
+    if packet["kind"] == "PUBLISH":
+        text += f" {packet['topic']!r} QoS {packet.get('qos')}{' retained' if packet.get('retain') else ''}"
+        text += f" {payload_of(packet)[:60]!r}"
+    elif packet["kind"] in ("SUBSCRIBE", "UNSUBSCRIBE"):
+        text += f" {[wanted.get('filter') for wanted in packet.get('filters') or []]}"
+    elif packet.get("reason_codes"):
+        text += f" {packet['reason_codes']}"
+    elif packet.get("reason"):
+        text += f" ({packet['reason']})"
     return text

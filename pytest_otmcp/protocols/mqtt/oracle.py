@@ -7,7 +7,9 @@ base64. What the simulator's clients and the kit did is left out everywhere, see
 from __future__ import annotations
 
 from ...core.finding import Finding
-from .entries import Entries, Entry, adapter_packets, payload_of, shown
+from ..journal import Entries, JournalEntry
+from ..oracle import Witness
+from .entries import MqttEntry, adapter_packets, as_mqtt, describe, payload_of, shown
 from .sparkplug_oracle import ddata_metric, sparkplug_sequence
 
 __all__ = [
@@ -23,45 +25,14 @@ __all__ = [
     "subscribed",
 ]
 
-# Answer to the request that it answers.
-_ANSWERS = {
-    "CONNACK": "CONNECT",
-    "SUBACK": "SUBSCRIBE",
-    "UNSUBACK": "UNSUBSCRIBE",
-    "PINGRESP": "PINGREQ",
-    "PUBACK": "PUBLISH",
-    "PUBCOMP": "PUBREL",
-}
-_REQUESTS = frozenset(_ANSWERS.values())
+_WITNESS = Witness(noun="the broker", describe=describe)
+
 _HIGHEST_QOS = 2
 _COMMANDS = "control/"
 """Where the plant listens for commands. What an adapter tells of itself elsewhere commands nothing."""
 
 
-def exchange(entries: Entries, at_least: int = 1, client_id: str | None = None) -> list[Finding]:
-    """The broker answered requests of the adapter at least that often; requests and answers are both in ``entries``."""
-    asked: dict[tuple[int, str, int | None], int] = {}
-    answered = 0
-    for entry in adapter_packets(entries, client_id=client_id):
-        if entry["direction"] == "in" and entry["kind"] in _REQUESTS:
-            key = (entry["connection"], entry["kind"], entry.get("packet_id"))
-            asked[key] = asked.get(key, 0) + 1
-        elif entry["direction"] == "out" and entry["kind"] in _ANSWERS:
-            key = (entry["connection"], _ANSWERS[entry["kind"]], entry.get("packet_id"))
-            if asked.get(key):
-                asked[key] -= 1
-                answered += 1
-    if answered >= at_least:
-        return []
-    return [
-        Finding(
-            code="no_exchange",
-            message=f"the broker should have answered the adapter at least {at_least} time(s) during the "
-            f"call(s), it answered {answered} time(s)",
-            requirement="RD-004",
-            evidence=shown(entries),
-        )
-    ]
+exchange = _WITNESS.answered
 
 
 def subscribed(entries: Entries, *, filter: str, qos: int | None, client_id: str | None = None) -> list[Finding]:
@@ -118,7 +89,7 @@ def delivered(entries: Entries, *, topic: str, payload: bytes, client_id: str | 
     ]
 
 
-def _is(entry: Entry, topic: str, payload: bytes) -> bool:
+def _is(entry: MqttEntry, topic: str, payload: bytes) -> bool:
     return bool(entry["topic"] == topic) and payload_of(entry) == payload
 
 
@@ -172,17 +143,11 @@ def never_published(entries: Entries, payload: bytes, *, client_id: str | None =
 
 def no_command(entries: Entries) -> list[Finding]:
     """No message of the adapter reached the topics on which the plant listens for commands."""
-    found = [entry for entry in adapter_packets(entries, "PUBLISH", "in") if entry["topic"].startswith(_COMMANDS)]
-    if not found:
-        return []
-    return [
-        Finding(
-            code="wrote",
-            message=f"the broker should have seen no command from the adapter, it saw {len(found)}",
-            requirement="WR-010",
-            evidence=shown(found),
-        )
-    ]
+    return _WITNESS.nothing_changed(entries, requirement="WR-010", commands=_is_command)
+
+
+def _is_command(entry: JournalEntry) -> bool:
+    return as_mqtt(entry)["topic"].startswith(_COMMANDS)
 
 
 def no_packet(entries: Entries, kind: str, *, direction: str = "in", client_id: str | None = None) -> list[Finding]:

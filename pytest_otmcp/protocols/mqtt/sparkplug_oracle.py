@@ -11,7 +11,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from ...core.finding import Finding
-from .entries import Entries, Entry, adapter_packets, payload_of, shown
+from ..journal import Entries
+from .entries import MqttEntry, adapter_packets, payload_of, shown
 from .sparkplug_decoder import DATA_TYPES, NAMESPACE, Topic, decode_message, decode_payload, parse_topic
 
 __all__ = ["ddata_metric", "sparkplug_sequence"]
@@ -92,7 +93,7 @@ def _type_name(datatype: int | None) -> str:
     return DATA_TYPES[datatype] if datatype is not None and datatype < len(DATA_TYPES) else str(datatype)
 
 
-def _messages(entries: Entries, client_id: str | None) -> Iterator[tuple[Entry, Mapping[str, Any]]]:
+def _messages(entries: Entries, client_id: str | None) -> Iterator[tuple[MqttEntry, Mapping[str, Any]]]:
     for entry in adapter_packets(entries, "PUBLISH", "in", client_id):
         # A will is published by the broker, on the client's behalf.
         if str(entry.get("topic")).startswith(NAMESPACE + "/") and not entry.get("will_sent"):
@@ -148,7 +149,7 @@ def sparkplug_sequence(
 class _Session:
     """One MQTT connection: the edge nodes that publish through it."""
 
-    def __init__(self, connect: Entry) -> None:
+    def __init__(self, connect: MqttEntry) -> None:
         self.will: Mapping[str, Any] = connect.get("will") or {}
         self.death: Mapping[str, Any] = {"metrics": [], "seq": None}
         self.will_fault: str | None = None
@@ -173,10 +174,10 @@ class _Session:
         expected = (deaths[topic] + 1) % 256 if topic in deaths else self.bd_seq
         if self.bd_seq != expected:
             text = f"bdSeq of the will must be {expected} after {deaths[topic]}, it is {self.bd_seq}"
-            yield _rule("SPB-006", text, {"topic": topic})
+            yield _rule("SPB-006", text, topic)
         deaths[topic] = self.bd_seq
 
-    def check(self, entry: Entry, topic: Topic | None, message: Mapping[str, Any]) -> Iterator[Finding]:
+    def check(self, entry: MqttEntry, topic: Topic | None, message: Mapping[str, Any]) -> Iterator[Finding]:
         if topic is None or "error" in message:
             yield _rule("SPB-001", f"the payload does not decode: {message['error']}", entry)
             return
@@ -190,7 +191,7 @@ class _Session:
         if topic.type == "NBIRTH":
             yield from self._check_will(entry, topic, message)
 
-    def _check_will(self, entry: Entry, topic: Topic, message: Mapping[str, Any]) -> Iterator[Finding]:
+    def _check_will(self, entry: MqttEntry, topic: Topic, message: Mapping[str, Any]) -> Iterator[Finding]:
         if not self.will:
             yield _rule("SPB-006", "CONNECT must carry the NDEATH as its will, it carries none", entry)
             return
@@ -211,7 +212,7 @@ class _Session:
             yield _rule("SPB-006", "the connection must begin with a clean session", entry)
 
 
-def _command(entry: Entry, topic: Topic, message: Mapping[str, Any]) -> Iterator[Finding]:
+def _command(entry: MqttEntry, topic: Topic, message: Mapping[str, Any]) -> Iterator[Finding]:
     if message["seq"] is not None:
         yield _rule("SPB-010", f"{topic.type} must carry no seq, it carries {message['seq']}", entry)
     if entry["qos"] != 0 or entry["retain"]:
@@ -225,7 +226,7 @@ class _EdgeNode:
         self._seq: int | None = None
         self._declared: dict[str | None, Declared] = {}
 
-    def check(self, entry: Entry, topic: Topic, message: Mapping[str, Any]) -> Iterator[Finding]:
+    def check(self, entry: MqttEntry, topic: Topic, message: Mapping[str, Any]) -> Iterator[Finding]:
         kind, device = topic.type, topic.device
         if kind == "NDEATH":
             self._seq, self._declared = None, {}
@@ -244,7 +245,7 @@ class _EdgeNode:
         elif device in self._declared:
             yield from self._data(entry, kind, message, self._declared[device])
 
-    def _sequence(self, entry: Entry, kind: str, seq: Any) -> Iterator[Finding]:
+    def _sequence(self, entry: MqttEntry, kind: str, seq: Any) -> Iterator[Finding]:
         if kind == "NBIRTH":
             # The specification says both "0" and "0 to 255" of the first number; the wider rule is asked for.
             if seq is None or not 0 <= seq <= 255:
@@ -255,7 +256,7 @@ class _EdgeNode:
             yield _rule("SPB-004", f"{kind} must have seq {(self._seq + 1) % 256}, it has {seq}", entry)
         self._seq = seq
 
-    def _birth(self, entry: Entry, topic: Topic, message: Mapping[str, Any]) -> Iterator[Finding]:
+    def _birth(self, entry: MqttEntry, topic: Topic, message: Mapping[str, Any]) -> Iterator[Finding]:
         if topic.type == "NBIRTH":
             # A node's birth is the death of what its devices declared before.
             self._declared = {}
@@ -273,7 +274,7 @@ class _EdgeNode:
                 yield _rule("SPB-001", f"{topic.type}: {label} has neither a value nor is_null", entry)
         self._declared[topic.device] = _declared(message)
 
-    def _data(self, entry: Entry, kind: str, message: Mapping[str, Any], declared: Declared) -> Iterator[Finding]:
+    def _data(self, entry: MqttEntry, kind: str, message: Mapping[str, Any], declared: Declared) -> Iterator[Finding]:
         for metric in message["metrics"]:
             key = metric["name"] if metric["name"] is not None else metric["alias"]
             if key not in declared:
@@ -283,10 +284,12 @@ class _EdgeNode:
                 yield _rule("SPB-009", f"{kind}: {key!r} was born as {born} and is sent as {sent}", entry)
 
 
-def _rule(requirement: str, message: str, entry: Entry) -> Finding:
+def _rule(requirement: str, message: str, where: MqttEntry | str) -> Finding:
+    """A broken rule, seen in a packet or in what goes to a topic."""
+    topic, packet = (where, None) if isinstance(where, str) else (where["topic"], where["seq"])
     return Finding(
         code="sparkplug",
-        message=f"{entry['topic']}: {message}",
+        message=f"{topic}: {message}",
         requirement=requirement,
-        evidence=f"packet {entry['seq']} of the journal" if "seq" in entry else None,
+        evidence=None if packet is None else f"packet {packet} of the journal",
     )

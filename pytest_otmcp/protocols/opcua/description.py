@@ -6,8 +6,9 @@ import re
 
 from ..protocol import Colour, Framing, OtProtocol
 from .decoder import OpcUaConversation, chunk_length
+from .entries import describe
 from .operations import OPERATIONS
-from .oracle import describe, no_state_changing_service
+from .oracle import no_state_changing_service
 
 __all__ = ["PROTOCOL"]
 

@@ -1,0 +1,90 @@
+"""Journal entries of an OPC UA server (services of OPC 10000-4) and how its points hold values."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any, TypedDict, cast
+
+from ...core.strict_json import same_json
+from ..journal import Entries, Image, JournalEntry
+
+__all__ = [
+    "Item",
+    "OpcUaEntry",
+    "answers",
+    "as_opcua",
+    "describe",
+    "holds_value",
+    "node_ids",
+    "statuses",
+    "values_read",
+]
+
+
+class Item(TypedDict, total=False):
+    """A node that a Read or Write names.
+
+    Members:
+        node_id, attribute: of the node.
+        value: that is written.
+        has_status, has_timestamp: are written with it.
+    """
+
+    node_id: str
+    attribute: str
+    value: Any
+    has_status: bool
+    has_timestamp: bool
+
+
+class OpcUaEntry(JournalEntry, total=False):
+    """An entry whose kind is the name of a service.
+
+    Members:
+        nodes: that a request names; of other services than Read and Write their node ids alone.
+        results: of an answer, one for each item: a status code's symbol, or an object with ``status``.
+        service_result: symbol of the status code of the service as a whole.
+    """
+
+    nodes: list[Any]
+    results: list[Any]
+    service_result: str
+
+
+def as_opcua(entry: JournalEntry) -> OpcUaEntry:
+    """Take an entry of an OPC UA server's journal for what it is."""
+    return cast(OpcUaEntry, entry)
+
+
+def node_ids(entry: JournalEntry) -> list[str]:
+    """Node ids that a request names."""
+    return [node["node_id"] if isinstance(node, dict) else node for node in as_opcua(entry).get("nodes", [])]
+
+
+def values_read(entry: JournalEntry) -> list[str]:
+    """Node ids whose value a Read asks for."""
+    return [node["node_id"] for node in as_opcua(entry).get("nodes", []) if node["attribute"] == "Value"]
+
+
+def statuses(entry: JournalEntry) -> list[str]:
+    """Symbols of the status codes of an answer, one for each item."""
+    results = as_opcua(entry).get("results", [])
+    return [str(result["status"] if isinstance(result, dict) else result) for result in results]
+
+
+def answers(entries: Entries, kind: str) -> list[JournalEntry]:
+    """The answers of one service."""
+    return [entry for entry in entries if entry["direction"] == "out" and entry["kind"] == kind]
+
+
+def describe(entry: JournalEntry) -> str:
+    """Describe a service request in a few words."""
+    return f"{entry['kind']} {', '.join(node_ids(entry)[:4])}".strip()
+
+
+def holds_value(image: Image, node: str, held: Any, wanted: Any) -> bool:
+    """The node holds the wanted value, or the nearest one that its data type can hold."""
+    if image["variables"].get(node, {}).get("data_type") == "Float" and isinstance(wanted, float):
+        # The nearest number of four bytes is all that such a node can hold.
+        wanted = struct.unpack("<f", struct.pack("<f", wanted))[0]
+    return same_json(held, wanted)

@@ -1,0 +1,189 @@
+"""Oracles that need nothing of a protocol but the contract of journal entries and images. Pure.
+
+A protocol makes one :class:`Witness` of its own words and uses it for whatever is the same everywhere: exactly one request,
+nothing that changes the plant, only these points changed. What only its own fields can say stays in its own oracles.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ..core.finding import Finding
+from ..core.strict_json import same_json
+from .journal import Entries, Image, JournalEntry
+
+__all__ = ["Witness", "has", "requests", "state_changing"]
+
+_MOST_SHOWN = 8
+_MOST_FINDINGS = 5
+
+
+def has(entry: Mapping[str, Any], **fields: Any) -> bool:
+    """The entry has all these fields with these values."""
+    return all(name in entry and entry[name] == value for name, value in fields.items())
+
+
+def requests(entries: Entries, **fields: Any) -> list[JournalEntry]:
+    """The entries that ask the plant for something and have these fields."""
+    return [entry for entry in entries if entry["request"] and has(entry, **fields)]
+
+
+def state_changing(entries: Entries) -> list[JournalEntry]:
+    """The requests that may change the plant."""
+    return [entry for entry in entries if entry["state_changing"]]
+
+
+def _any_equal(image: Image, point: str, held: Any, wanted: Any) -> bool:
+    return same_json(held, wanted)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Witness:
+    """Judges journal slices and images in the words of one protocol.
+
+    Attributes:
+        noun: what the device is called, such as ``the broker``.
+        describe: a journal entry in a few words.
+        holds_value: the point of an image holds a value that is as good as the wanted one; for devices that round.
+    """
+
+    noun: str
+    describe: Callable[[JournalEntry], str]
+    holds_value: Callable[[Image, str, Any, Any], bool] = _any_equal
+
+    def seen(self, entries: Entries) -> str:
+        """Describe the requests among the entries, for a finding's evidence."""
+        asked = requests(entries)
+        shown = "; ".join(self.describe(entry) for entry in asked[:_MOST_SHOWN])
+        return (shown or "no request") + (" …" if len(asked) > _MOST_SHOWN else "")
+
+    def answered(self, entries: Entries, *, at_least: int = 1) -> list[Finding]:
+        """The device answered requests at least that often; requests and answers are both among the entries."""
+        asked = {entry["seq"] for entry in requests(entries)}
+        count = sum(entry["answers"] in asked for entry in entries)
+        if count >= at_least:
+            return []
+        problem = f"it answered {count} of {len(asked)}" if asked else "it saw none"
+        return [
+            Finding(
+                code="no_exchange",
+                message=f"{self.noun} should have answered at least {at_least} request(s) during the call(s), {problem}",
+                requirement="RD-004",
+                evidence=self.seen(entries),
+            )
+        ]
+
+    def request_count(self, entries: Entries, *, count: int, **fields: Any) -> list[Finding]:
+        """``count`` requests with these fields reached the device."""
+        found = len(requests(entries, **fields))
+        if found == count:
+            return []
+        wanted = ", ".join(f"{name} {value}" for name, value in fields.items())
+        return [
+            Finding(
+                code="request_count",
+                message=f"{self.noun} should have seen {count} request(s) with {wanted}, it saw {found}",
+                requirement="ENV-005",
+                evidence=self.seen(entries),
+            )
+        ]
+
+    def exactly_one(self, entries: Entries, **fields: Any) -> list[Finding]:
+        """Exactly one request with these fields reached the device."""
+        return self.request_count(entries, count=1, **fields)
+
+    def exactly_one_write(
+        self, entries: Entries, what: str, problem_of: Callable[[JournalEntry], tuple[str, str] | None]
+    ) -> list[Finding]:
+        """One request that may change the plant reached the device, and it was the one that was asked for.
+
+        Args:
+            what: the write that was asked for, in words.
+            problem_of: requirement and words for what is wrong with a write; None when nothing is.
+        """
+        writes = state_changing(entries)
+        problem: tuple[str, str] | None
+        if len(writes) == 1:
+            problem = problem_of(writes[0])
+        else:
+            problem = "WR-003" if writes else "WR-001", f"it saw {len(writes)} request(s) that change state"
+        if problem is None:
+            return []
+        requirement, words = problem
+        return [
+            Finding(
+                code="not_written_once",
+                message=f"{self.noun} should have seen {what} once and no other write, {words}",
+                requirement=requirement,
+                evidence=self.seen(entries),
+            )
+        ]
+
+    def nothing_changed(
+        self, entries: Entries, *, requirement: str = "WR-004", commands: Callable[[JournalEntry], bool] | None = None
+    ) -> list[Finding]:
+        """No request that may change the plant reached the device.
+
+        Args:
+            commands: of these requests only those count that command the plant; None for all of them.
+        """
+        found = [entry for entry in state_changing(entries) if commands is None or commands(entry)]
+        if not found:
+            return []
+        return [
+            Finding(
+                code="wrote",
+                message=f"{self.noun} should have seen no request that changes state, it saw {len(found)}",
+                requirement=requirement,
+                evidence=self.seen(found),
+            )
+        ]
+
+    def no_duplicates(self, entries: Entries, *, identity: Callable[[JournalEntry], Any]) -> list[Finding]:
+        """No request that may change the plant reached the device twice.
+
+        Args:
+            identity: equal for requests that would do the same again.
+        """
+        counts = Counter(identity(entry) for entry in state_changing(entries))
+        return [
+            Finding(
+                code="written_twice",
+                message=f"{self.noun} should have seen each write once, it saw {what!r} {count} times",
+                requirement="WR-003",
+                evidence=self.seen(entries),
+            )
+            for what, count in counts.items()
+            if count > 1
+        ][:_MOST_FINDINGS]
+
+    def holds(self, image: Image, expected: Mapping[str, Any]) -> list[Finding]:
+        """The device's points hold these values."""
+        return self._differing(image, expected, dict.fromkeys(expected, "WR-001"))
+
+    def only_changed(self, before: Image, after: Image, expected: Mapping[str, Any]) -> list[Finding]:
+        """Between two images these points got these values; every other one is as it was, and none is gone."""
+        old = before["points"]
+        points = {**dict.fromkeys(after["points"]), **old, **expected}
+        requirements = {point: "WR-001" if point in expected else "WR-002" for point in points}
+        return self._differing(after, points, requirements)
+
+    def _differing(self, image: Image, expected: Mapping[str, Any], requirements: Mapping[str, str]) -> list[Finding]:
+        findings = []
+        held = image["points"]
+        for point in sorted(expected):
+            wanted = expected[point]
+            if point in held and self.holds_value(image, point, held[point], wanted):
+                continue
+            shown = f"holds {held[point]!r}" if point in held else "has no such point"
+            findings.append(
+                Finding(
+                    code="device_differs",
+                    message=f"{point} should hold {wanted!r}, {self.noun} {shown}",
+                    requirement=requirements[point],
+                )
+            )
+        return findings[:_MOST_FINDINGS]

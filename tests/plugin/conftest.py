@@ -1,0 +1,30 @@
+"""Repositories of vendors, for the tests that run pytest in them."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.warm_start import WarmStart
+
+from .vendor import Repository
+
+
+@pytest.fixture
+def empty_repository(tmp_path: Path, warm_start: WarmStart) -> Repository:
+    """A repository without files."""
+    return Repository(tmp_path, warm_start)
+
+
+@pytest.fixture
+def interruptible() -> Iterator[None]:
+    """Processes that a test starts are ended by Ctrl-C.
+
+    A shell without job control starts what runs in its background with SIGINT ignored, and what is ignored is inherited.
+    """
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)

@@ -1,0 +1,69 @@
+"""Starts adapters without the second of processor time that the imports of each one take.
+
+Nine tenths of an adapter's start are the import of the SDK and of its protocol's library (docs/performance.md), and most
+tests start adapters by the dozen in order to look at something else. Here one process imports everything once and forks a
+process for each start (``server``); the program that a command names (``start``) hands it arguments, environment, working
+directory and its three standard streams, and lives and ends as the forked process does.
+
+What is tested of processes, such as exit codes, signals and children, is tested with processes that are started as usual.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+from pytest_otmcp.subject import Adapter, Subject
+
+__all__ = ["WarmStart"]
+
+_HERE = Path(__file__).parent
+
+
+class WarmStart:
+    """A server that forks adapters, and the commands that ask it to.
+
+    Attributes:
+        python: what takes the place of ``python`` in a command: ``(*python, "adapter.py", "--option")``.
+    """
+
+    def __init__(self) -> None:
+        self._directory = tempfile.TemporaryDirectory(prefix="otmcp-warm-")
+        path = Path(self._directory.name, "socket")
+        # In a session of its own, so that a Ctrl-C in the terminal does not reach the adapters, as it does not otherwise.
+        self._server = subprocess.Popen(
+            [sys.executable, str(_HERE / "server.py"), str(path)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            start_new_session=True,
+        )
+        assert self._server.stdout is not None
+        assert self._server.stdout.readline() == b"listening\n"
+        # Isolated and without the site module: nothing of what they do is needed for handing things over.
+        self.python = (sys.executable, "-I", "-S", str(_HERE / "start.py"), str(path))
+
+    def close(self) -> None:
+        """End the server and every adapter that still runs."""
+        with self._server:
+            assert self._server.stdin is not None
+            self._server.stdin.close()
+        self._directory.cleanup()
+
+    def command(self, command: tuple[str, ...]) -> tuple[str, ...]:
+        """Return the command for a warm start, if it starts Python and is not one already."""
+        return (*self.python, *command[1:]) if command[0] in ("{python}", sys.executable) else command
+
+    def subject(self, subject: Subject) -> Subject:
+        """Return the subject with warm starts of all its adapters."""
+
+        def warm(adapter: Adapter) -> Adapter:
+            variants = {
+                name: replace(variant, command=self.command(variant.command))
+                for name, variant in adapter.variants.items()
+            }
+            return replace(adapter, variants=variants)
+
+        return replace(subject, adapters={protocol: warm(adapter) for protocol, adapter in subject.adapters.items()})

@@ -1,0 +1,170 @@
+"""``python server.py SOCKET``: imports what adapters import, and forks one for each request; ends with standard input."""
+
+from __future__ import annotations
+
+import gc
+import json
+import os
+import runpy
+import selectors
+import signal
+import socket
+import sys
+import threading
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+IMPORTED = (
+    "asyncua",
+    "mcp.server",
+    "mcp.server.stdio",
+    "paho.mqtt.client",
+    "pymodbus.client",
+    *(f"pytest_otmcp.reference_adapters.{name}" for name in ("core.run", "modbus", "mqtt", "opcua")),
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Adapter:
+    """A forked process.
+
+    Attributes:
+        process: its id, and that of its process group.
+        handle: becomes readable when the process has ended.
+        asked: the connection of the program that asked for it; becomes readable when that is gone.
+    """
+
+    process: int
+    handle: int
+    asked: socket.socket
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Request:
+    """What a forked process is to run.
+
+    Attributes:
+        arguments: those of ``python``.
+        directory: to work in.
+        environment: the whole of it.
+        streams: standard input, output and error.
+    """
+
+    arguments: list[str]
+    directory: str
+    environment: dict[str, str]
+    streams: list[int]
+
+    @classmethod
+    def read(cls, asked: socket.socket) -> Request:
+        """Read a request; it is one line."""
+        line, streams, _, _ = socket.recv_fds(asked, 65536, 3)
+        while not line.endswith(b"\n"):
+            line += asked.recv(65536)
+        return cls(**json.loads(line), streams=streams)
+
+
+class Server:
+    """Forks adapters, kills those that nobody waits for any more, and reports how they ended."""
+
+    def __init__(self, path: str) -> None:
+        self._listener = socket.socket(socket.AF_UNIX)
+        self._listener.bind(path)
+        self._listener.listen()
+        self._selector = selectors.DefaultSelector()
+        self._running: set[Adapter] = set()
+
+    def serve(self) -> Request | None:
+        """Serve until standard input ends, and return None; in a forked process, return what it is to run."""
+        self._selector.register(self._listener, selectors.EVENT_READ)
+        self._selector.register(0, selectors.EVENT_READ)
+        while True:
+            for key, _ in self._selector.select():
+                if key.fileobj is self._listener:
+                    request = self._fork()
+                    if request is not None:
+                        return request
+                elif key.data is None:
+                    self._end()
+                    return None
+                # Both handle and connection may have become readable.
+                elif key.data in self._running:
+                    self._finish(key.data)
+
+    def _fork(self) -> Request | None:
+        asked, _ = self._listener.accept()
+        request = Request.read(asked)
+        # A lock that another thread holds would never be released in the forked process.
+        assert threading.active_count() == 1
+        process = os.fork()
+        # By both, as either may come first; a session of its own could not be made from outside.
+        os.setpgid(process, process)
+        if process == 0:
+            return request
+        for stream in request.streams:
+            os.close(stream)
+        adapter = Adapter(process=process, handle=os.pidfd_open(process), asked=asked)
+        self._selector.register(adapter.handle, selectors.EVENT_READ, adapter)
+        self._selector.register(adapter.asked, selectors.EVENT_READ, adapter)
+        self._running.add(adapter)
+        return None
+
+    def _finish(self, adapter: Adapter) -> None:
+        """Kill what is left of the adapter's group and tell how the adapter ended."""
+        self._running.remove(adapter)
+        self._selector.unregister(adapter.handle)
+        self._selector.unregister(adapter.asked)
+        os.close(adapter.handle)
+        # Not waited for yet, so its number is still its own.
+        os.killpg(adapter.process, signal.SIGKILL)
+        _, status = os.waitpid(adapter.process, 0)
+        with adapter.asked:
+            try:
+                adapter.asked.sendall(b"%d\n" % os.waitstatus_to_exitcode(status))
+            except BrokenPipeError:
+                return
+
+    def _end(self) -> None:
+        for adapter in [*self._running]:
+            self._finish(adapter)
+
+
+def run(request: Request) -> None:
+    """Become what the request asks for, in a process that was forked for it."""
+    for number, stream in enumerate(request.streams):
+        os.dup2(stream, number)
+    # Of the server and of the other adapters.
+    os.closerange(3, os.sysconf("SC_OPEN_MAX"))
+    os.environ.clear()
+    os.environ.update(request.environment)
+    os.chdir(request.directory)
+    gc.enable()
+    sys.argv = [argument for argument in request.arguments if argument != "-P"]
+    module = sys.argv.pop(0) if sys.argv[0] == "-m" else None
+    # The first place to look for modules: the server's own directory until here.
+    sys.path[:1] = [] if "-P" in request.arguments else [os.getcwd() if module else os.path.dirname(sys.argv[0])]
+    if module:
+        runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
+    else:
+        runpy.run_path(sys.argv[0], run_name="__main__")
+
+
+def main() -> Any:
+    """Import, serve, and run what was asked for."""
+    # As the adapters do it themselves.
+    os.environ["PYDANTIC_DISABLE_PLUGINS"] = "__all__"
+    gc.disable()
+    server = Server(sys.argv[1])
+    # Requests wait until everything is imported.
+    print("listening", flush=True)
+    for name in IMPORTED:
+        import_module(name)
+    gc.freeze()
+    request = server.serve()
+    if request is not None:
+        run(request)
+
+
+if __name__ == "__main__":
+    main()

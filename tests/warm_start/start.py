@@ -1,0 +1,32 @@
+"""``python start.py SOCKET [-P] (FILE | -m MODULE) ARGUMENT...``: what ``python`` would run, by the server at SOCKET.
+
+This process has the forked one's exit code, or 128 and the number of the signal that ended it, as in a shell. When this
+process is killed, the server kills the forked one.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import sys
+
+
+def main() -> None:
+    """Hand everything over and wait for the end."""
+    path, *arguments = sys.argv[1:]
+    request = {"arguments": arguments, "directory": os.getcwd(), "environment": dict(os.environ)}
+    line = json.dumps(request).encode() + b"\n"
+    with socket.socket(socket.AF_UNIX) as server:
+        server.connect(path)
+        sent = socket.send_fds(server, [line], [0, 1, 2])
+        server.sendall(line[sent:])
+        # The reader of a stream sees its end when the forked process closes it, not later.
+        for stream in range(3):
+            os.close(stream)
+        code = int(server.makefile().readline())
+    os._exit(code if code >= 0 else 128 - code)
+
+
+if __name__ == "__main__":
+    main()
