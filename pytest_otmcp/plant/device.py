@@ -56,6 +56,9 @@ class Device(Protocol):
         """
         ...
 
+    async def forget(self, before: int) -> None:
+        """Release the entries before ``before`` for good: they have been read."""
+
     async def wait(self, since: int, match: Mapping[str, Any], *, timeout_s: float, count: int = 1) -> list[Entry]:
         """The entries from ``since`` on whose fields equal ``match``, as soon as there are ``count`` of them, or
         those there are when the time is over."""

@@ -30,6 +30,7 @@ __all__ = [
     "FreshSession",
     "Header",
     "Item",
+    "ItemBody",
     "ItemDevice",
     "ItemHead",
     "JournalEntry",
@@ -41,6 +42,7 @@ __all__ = [
     "SessionRemark",
     "Settings",
     "ShapeError",
+    "State",
     "StoredBinding",
     "Subject",
     "check",
@@ -282,17 +284,24 @@ class Call(TypedDict):
 
 
 class JournalEntry(TypedDict):
-    """One thing that reached a device, or that it sent; a protocol adds members of its own."""
+    """One thing that reached a device, or that it sent; a protocol adds members of its own.
+
+    ``seq``: sequence number, from 0 since the device was started, without gaps. ``connection``: its number, 0 for none.
+    ``direction``: ``in`` for what the device received, ``out`` for what it sent. ``kind``: what it is, in the protocol's words.
+    ``origin``: who caused it: a ``client`` of the device, the ``plant``'s own simulation, or the ``kit``. ``request``: a client
+    asks the plant for something; keeping a session alive is no request. ``state_changing``: a request that may change the
+    plant. ``answers``: ``seq`` of the request that this entry answers, or None.
+    """
 
     seq: Count
     t_ns: Nanoseconds
     connection: Count
     direction: Literal["in", "out"]
     kind: str
-    origin: NotRequired[Literal["client", "plant", "kit"]]
-    request: NotRequired[bool]
-    state_changing: NotRequired[bool]
-    answers: NotRequired[Count | None]
+    origin: Literal["client", "plant", "kit"]
+    request: bool
+    state_changing: bool
+    answers: Count | None
 
 
 class DeviceEntry(JournalEntry):
@@ -395,8 +404,9 @@ class ItemDevice(TypedDict):
     """A device as an item found it.
 
     ``device``: its name in the run's ``devices``. ``begin``: sequence number at which the item began, seen between ``asked_ns``
-    and ``seen_ns``. ``before``: the entries from the end of the last item that had the device to this one. ``quiet``: nobody
-    called the adapter meanwhile. ``session``: the session's first sequence number, None when there was none.
+    and ``seen_ns``. ``starts``: how often the device had been started again before. ``before``: the entries from the end of the
+    last item that had the device to this one. ``quiet``: nobody called the adapter meanwhile. ``session``: the first sequence
+    number of its session, None when there was none.
     """
 
     device: str
@@ -404,6 +414,7 @@ class ItemDevice(TypedDict):
     asked_ns: Nanoseconds
     seen_ns: Nanoseconds
     accepting_ns: Nanoseconds
+    starts: Count
     before: list[JournalEntry]
     quiet: bool
     session: Count | None
@@ -436,16 +447,14 @@ class RequirementRow(TypedDict):
     status: str
 
 
-class ItemHead(TypedDict):
-    """An item without its samples.
+class ItemBody(TypedDict):
+    """What a trial knows of its item, without the samples.
 
-    ``run_id``: of the run, again. ``order``: its place in the suite. ``began_ns``, ``ended_ns``: of its ``worker``, whose items
-    follow one another. ``devices``: by the adapter's name in observations.
+    ``began_ns``, ``ended_ns``: of its ``worker``, whose items follow one another. ``devices``: by the adapter's name in
+    observations.
     """
 
     id: str
-    run_id: RunId
-    order: Count
     suite: str
     family: str
     title: str
@@ -466,6 +475,13 @@ class ItemHead(TypedDict):
     around: list[Around]
     sessions: list[SessionRemark]
     ended: Ended | None
+
+
+class ItemHead(ItemBody):
+    """An item without its samples. ``run_id``: of the run, again. ``order``: its place in the suite."""
+
+    run_id: RunId
+    order: Count
 
 
 class Item(ItemHead):

@@ -78,8 +78,21 @@ def upgraded(run: Old) -> Run:
             raise Contradiction(f"the record has no valid {name!r}")
     if not isinstance(run["items"], list) or not all(isinstance(item, dict) for item in run["items"]):
         raise Contradiction("the record has no valid 'items'")
-    environment: dict[str, Any] = {"python": "", "platform": "", "cpu_count": None, "packages": {}, "started_at": _NO_TIME}
-    settings: dict[str, Any] = {"subject": None, "reps": 0, "repetitions": {}, "seed": 0, "era": "auto", "time_scale": 1.0}
+    environment: dict[str, Any] = {
+        "python": "",
+        "platform": "",
+        "cpu_count": None,
+        "packages": {},
+        "started_at": _NO_TIME,
+    }
+    settings: dict[str, Any] = {
+        "subject": None,
+        "reps": 0,
+        "repetitions": {},
+        "seed": 0,
+        "era": "auto",
+        "time_scale": 1.0,
+    }
     settings |= {"suites": [], "xdist_workers": 0, "narrowed": []}
     header = {
         "schema": TODAY,
@@ -112,7 +125,7 @@ def _item(item: Old, order: int) -> Item:
     around = {
         "role": "control",
         "calls": [_call(call) for call in item.get("other_calls", [])],
-        "device": item.get("other_device", []),
+        "device": [_entry(entry) for entry in item.get("other_device", [])],
         "observations": [],
     }
     today = {
@@ -137,9 +150,9 @@ def _item(item: Old, order: int) -> Item:
 
 def _sample(sample: Old) -> dict[str, Any]:
     return {
-        "device": [],
         "phases": None,
         **sample,
+        "device": [_entry(entry) for entry in sample.get("device", [])],
         "calls": [_call(call) for call in sample.get("calls", [])],
         "observations": [],
         "findings": [_finding(finding) for finding in sample.get("findings", [])],
@@ -153,6 +166,11 @@ def _call(call: Old) -> dict[str, Any]:
         told = {name: frames.get(name) for name in ("request", "response", "failure", "complaint")}
         today["frames"] = {**told, "faults": [_finding(fault) for fault in frames.get("faults", [])]}
     return {**today, **{name: value for name, value in call.items() if name != "frames"}}
+
+
+def _entry(entry: Old) -> dict[str, Any]:
+    today = {"origin": "client", "request": False, "state_changing": False, "answers": None}
+    return {**today, **{name: value for name, value in entry.items() if value is not None}}
 
 
 def _finding(finding: Old) -> dict[str, Any]:

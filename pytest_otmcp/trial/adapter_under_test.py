@@ -32,9 +32,10 @@ from ..subject.model import (
     replace_placeholders,
     replace_template,
 )
+from .cursor import JournalCursor
 from .reply import Expectation, Reply, observe, replace_outputs
 
-__all__ = ["AdapterUnderTest", "BenchOptions", "NoBindingError"]
+__all__ = ["MAIN", "AdapterUnderTest", "BenchOptions", "NoBindingError"]
 
 _EXIT_GRACE_S = 5.0
 """From the end of its stdin to the exit (requirement MCP-009)."""
@@ -44,6 +45,10 @@ class NoBindingError(Exception):
     """The subject claims something but does not say how to ask for it: not testable."""
 
 
+MAIN = "main"
+"""The worker of a run without others."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BenchOptions:
     """Settings of a run that the bench needs.
@@ -51,10 +56,12 @@ class BenchOptions:
     Attributes:
         era: MCP protocol era, ``auto`` or ``legacy``.
         time_scale: factor on deadlines and windows, for slow machines.
+        worker: name of this process among those of the run.
     """
 
     era: str = "auto"
     time_scale: float = 1.0
+    worker: str = MAIN
 
 
 class AdapterUnderTest:
@@ -62,8 +69,8 @@ class AdapterUnderTest:
 
     Attributes:
         tools: what the adapter last listed, name to its entry; None as long as no session was opened.
-        mark: sequence number in the device's journal at which the next slice begins.
-        looked_through: everything before ``mark`` has been looked at, and since then nobody has called the adapter.
+        cursor: where the adapter is in the journal of its device.
+        used: operations that were performed.
         unmet: requirements of the envelope that the adapter's own answers do not meet, where it does not claim to have one.
     """
 
@@ -77,14 +84,19 @@ class AdapterUnderTest:
         self._options = options
         self._start_failure: SubjectError | None = None
         self._work: tempfile.TemporaryDirectory[str] | None = None
-        self.mark = 0
-        self.looked_through = False
-        self.session_mark = 0
+        self.used: dict[str, None] = {}
+        self.cursor = JournalCursor(adapter.protocol)
 
     @property
     def deadline_s(self) -> float:
         """Seconds within which every call must have answered."""
         return self.adapter.deadline_s * self._options.time_scale
+
+    @property
+    def device_name(self) -> str:
+        """How the run record names the device."""
+        name = self.adapter.protocol if self.variant == READ_WRITE else f"{self.adapter.protocol}@{self.variant}"
+        return name if self._options.worker == MAIN else f"{self._options.worker}:{name}"
 
     @property
     def endpoint(self) -> dict[str, str]:
@@ -136,7 +148,7 @@ class AdapterUnderTest:
             return
         await self.close()
         # Everything that this session will ever do to its device is on the journal from here on.
-        self.session_mark = await self.device.mark()
+        self.cursor.open_session(await self.device.mark())
         session = self.new_session()
         try:
             await session.open()
@@ -171,6 +183,7 @@ class AdapterUnderTest:
     async def close(self) -> None:
         """Close the session, if there is one."""
         session, self.session = self.session, None
+        self.cursor.close_session()
         if session is not None:
             await session.close()
         work, self._work = self._work, None
@@ -197,6 +210,7 @@ class AdapterUnderTest:
             NoBindingError: the subject does not say how it is performed.
         """
         bound = self.adapter.operations.get(operation)
+        self.used[operation] = None
         session = self._current(session)
         if isinstance(bound, Function):
             return await self._perform(bound, session, inputs)

@@ -12,7 +12,7 @@ from ..protocols.registry import protocols
 from ..protocols.session_oracle import SessionOracle
 from .ledger import Entry
 
-__all__ = ["JournalCursor"]
+__all__ = ["JournalCursor", "Oracle"]
 
 Oracle = TypeVar("Oracle", bound=SessionOracle)
 
@@ -26,6 +26,7 @@ class JournalCursor:
     Attributes:
         next: sequence number at which the next slice begins.
         fed: sequence number before which the session's oracles have seen everything.
+        starts: how often the device was started again.
         session: sequence number at which the adapter's last session began; None when there was none.
         connected: that session is open.
         looked_through: everything before ``next`` has been looked at, and since then nobody has called the adapter.
@@ -36,6 +37,7 @@ class JournalCursor:
         self._oracles: dict[type[SessionOracle], SessionOracle] = {}
         self.next = 0
         self.fed = 0
+        self.starts = 0
         self.session: int | None = None
         self.connected = False
         self.looked_through = False
@@ -57,6 +59,7 @@ class JournalCursor:
 
     def restart(self) -> None:
         """Begin a journal that counts from 0 again, as a device that was started has it."""
+        self.starts += 1
         self.next = self.fed = 0
         if self.session is not None:
             self.session = 0

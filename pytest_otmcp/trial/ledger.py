@@ -9,6 +9,7 @@ from typing import Any
 
 from ..core.finding import Finding
 from ..protocols.journal import JournalEntry
+from ..record.schema import DeviceEntry, Observation, Role
 from .reply import Reply
 
 __all__ = ["Entry", "Judged", "Ledger"]
@@ -30,7 +31,7 @@ class Judged:
 
     reply: Reply
     inputs: Mapping[str, Any]
-    role: str
+    role: Role
     group: int
     ok: bool | None = None
 
@@ -46,20 +47,20 @@ class Ledger:
         calls: in the order of their replies.
         findings: of replies, devices and the task itself, in the order in which they came up.
         journal: every entry of this repetition that has been kept so far, with its ``protocol`` and, of a read-only adapter, ``variant``.
-        observations: what was looked at; see :mod:`pytest_otmcp.record.images`.
+        observations: what was looked at.
     """
 
-    def __init__(self, role: str, time_scale: float) -> None:
+    def __init__(self, role: Role, time_scale: float) -> None:
         self.role = role
         self.time_scale = time_scale
         self.calls: list[Judged] = []
         self.findings: list[Finding] = []
-        self.observations: list[dict[str, Any]] = []
-        self.journal: list[dict[str, Any]] = []
+        self.observations: list[Observation] = []
+        self.journal: list[DeviceEntry] = []
         self._group = 0
         self._together = False
 
-    def add(self, reply: Reply, inputs: Mapping[str, Any], role: str | None = None) -> None:
+    def add(self, reply: Reply, inputs: Mapping[str, Any], role: Role | None = None) -> None:
         """Note a reply and its faults."""
         if not self._together:
             self._group += 1
@@ -112,9 +113,9 @@ class Ledger:
             for finding in self.findings
         ]
 
-    def observed(self, at: str, what: str, seen: Any) -> None:
-        """Note that the device of the rig ``at`` was looked at; see :mod:`pytest_otmcp.record.images`."""
-        self.observations.append({"at": at, what: seen})
+    def observed(self, observation: Observation) -> None:
+        """Note that the device of a rig was looked at."""
+        self.observations.append(observation)
 
     def witnessed(self, *findings: Iterable[Finding]) -> None:
         """Take over what the device witnesses."""

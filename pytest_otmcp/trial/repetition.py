@@ -13,6 +13,7 @@ from typing import Any
 
 from ..core.finding import Finding
 from ..core.strict_json import same_json
+from ..record.schema import Phases, Role
 from ..subject.model import READ_ONLY, READ_WRITE
 from . import expectations as oracle
 from .ledger import Judged, Ledger
@@ -41,7 +42,7 @@ class Repetition:
     """
 
     def __init__(
-        self, task_id: str, rep: int, role: str, *, seed: int, time_scale: float, places: Iterable[Rig]
+        self, task_id: str, rep: int, role: Role, *, seed: int, time_scale: float, places: Iterable[Rig]
     ) -> None:
         self.rep = rep
         self.role = role
@@ -49,7 +50,7 @@ class Repetition:
         self.ledger = Ledger(role, time_scale)
         # The same seed gives the same nonces, whatever else ran before.
         self.rng = random.Random(f"{seed}/{task_id}/{role}/{rep}")
-        self.phases: dict[str, Any] | None = None
+        self.phases: Phases | None = None
         self.notes: dict[str, Any] = {}
         self._at = {(at.protocol, at.variant): at for at in places}
         for at in self.all:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-from typing import Any
 
 from ..core.finding import Finding
+from ..record.schema import Call, Frames
+from ..record.schema import Finding as StoredFinding
 from ..session.exchange import Exchange
 from .ledger import Judged, Ledger
 
@@ -15,7 +16,7 @@ _KEPT_OF_A_FRAME = 16_384
 """Bytes: an adapter may send megabytes, again and again; the record has the digest of all of them."""
 
 
-def stored_calls(ledger: Ledger) -> list[dict[str, Any]]:
+def stored_calls(ledger: Ledger) -> list[Call]:
     """Return the calls of a repetition.
 
     The envelope of a good reply says what its frames said. Where there is more to see, a fault or an answer that is no
@@ -24,9 +25,9 @@ def stored_calls(ledger: Ledger) -> list[dict[str, Any]]:
     return [_call(call, with_frames=bool(ledger.findings) or not call.reply.native) for call in ledger.calls]
 
 
-def _call(judged: Judged, *, with_frames: bool) -> dict[str, Any]:
+def _call(judged: Judged, *, with_frames: bool) -> Call:
     reply, exchange = judged.reply, judged.reply.exchange
-    stored: dict[str, Any] = {
+    stored: Call = {
         "role": judged.role,
         "adapter": reply.adapter,
         "variant": reply.variant,
@@ -51,7 +52,7 @@ def _call(judged: Judged, *, with_frames: bool) -> dict[str, Any]:
     return stored
 
 
-def _frames(faults: tuple[Finding, ...], exchange: Exchange) -> dict[str, Any]:
+def _frames(faults: tuple[Finding, ...], exchange: Exchange) -> Frames:
     return {
         "request": _frame(exchange.request),
         "response": None if exchange.response is None else _frame(exchange.response),
@@ -66,11 +67,13 @@ def _frame(frame: bytes) -> str:
     return text if len(frame) <= _KEPT_OF_A_FRAME else f"{text}… ({len(frame)} bytes)"
 
 
-def stored_finding(finding: Finding) -> dict[str, Any]:
+def stored_finding(finding: Finding) -> StoredFinding:
     """Return a finding."""
     return {
         "code": finding.code,
         "message": finding.message,
         "requirement": finding.requirement,
         "evidence": finding.evidence,
+        "strength": finding.strength,
+        "cause": finding.cause,
     }
