@@ -2,7 +2,7 @@
 
 A request is ``{"id": 1, "op": "image"}``; its answer ``{"id": 1, "ok": true, "result": {…}}`` or
 ``{"id": 1, "ok": false, "error": "one sentence"}``. Any number of clients may be connected; requests may be pipelined and
-are done one after the other, except that nothing has to wait for a ``wait``.
+are done one after the other; only a ``wait`` does not delay those behind it.
 
 ======================================================  ========================================================
 ``ready``                                               ``{"protocol", "port", "pid"}``
@@ -14,7 +14,7 @@ are done one after the other, except that nothing has to wait for a ``wait``.
 ``tick {steps}``                                        advance the simulation by hand, seconds of plant time
 ``journal {since}``                                     ``{"entries", "first", "next", "dropped"}``
 ``forget {before}``                                     release the entries before this one; ``{"first", "next"}``
-``wait {since, match, count, timeout_s}``               matching entries, as soon as there are ``count``, with ``first``, ``next``
+``wait {since, match, count, timeout_s}``               ``{"entries", "first", "next"}``, once ``count`` entries match
 ======================================================  ========================================================
 """
 
@@ -78,7 +78,7 @@ class ControlServer:
                 else:
                     await self._answer(request, writer)
         except (ConnectionError, ValueError):
-            # Gone, or a line longer than the limit.
+            # The client is gone, or sent a line longer than the limit.
             pass
         except asyncio.CancelledError:
             # The process ends. Python 3.11's streams report a handler that ends as cancelled as an error.
@@ -96,7 +96,7 @@ class ControlServer:
         except ValueError as error:
             line = json.dumps({**answer, "error": str(error)})
         except Exception as error:
-            # A bug of the device. It must reach whoever asked, not end the channel.
+            # A bug of the device. The client has to be told; the channel goes on.
             traceback.print_exc()
             line = json.dumps({**answer, "error": f"the device failed: {type(error).__name__}: {error}"})
         writer.write(line.encode() + b"\n")
@@ -144,8 +144,8 @@ class ControlServer:
         return {}
 
     async def _journal(self, request: Request) -> dict[str, Any]:
-        # What reached this machine before the question is on the journal before the answer, also when the process had to
-        # wait for the processor and found both at once: a connection takes some turns from its acceptance to its
+        # A message that reached this machine before the question is on the journal before the answer, also when the process
+        # had to wait for the processor and found both at once: a connection takes some turns from its acceptance to its
         # first request.
         for _ in range(_TURNS):
             await asyncio.sleep(0)
@@ -171,7 +171,7 @@ class ControlServer:
 
 
 def _parsed(line: bytes) -> Request:
-    # What is no request is answered as one without op: whoever sent it learns of it.
+    # A line that is no request is answered as a request without op, so its sender is told.
     try:
         request = json.loads(line)
     except (ValueError, RecursionError):

@@ -1,8 +1,8 @@
 """The Unix socket of a device's control channel, in a directory that only this user can enter.
 
-Whoever can reach the control channel can change what the device testifies. Therefore it is no port, which every process of
-the machine and every container that shares the network could find and use, and its path is told in the ready line alone:
-it is in no command line and in no environment, and the kernel's list of sockets (``/proc/net/unix``) does not have it.
+A process that reaches the control channel can change what the device testifies. Therefore it is no port, which every
+process of the machine and every container that shares the network could find and use. Its path is told in the ready
+line alone: it is in no command line, in no environment and not in the kernel's list of sockets (``/proc/net/unix``).
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class ControlSocket:
         return listener
 
     def clear(self) -> None:
-        """Remove the socket of a device that is gone: nobody can connect to it, and the next one needs its name."""
+        """Remove the socket of a device that is gone: it leads nowhere, and the next device needs its name."""
         with contextlib.suppress(FileNotFoundError):
             os.unlink(self.path)
 

@@ -1,4 +1,4 @@
-"""The base class of all devices, and the clock of their simulation. ``packages`` says what a mock package offers beside."""
+"""The base class of all devices, and the clock of their simulation. See ``packages`` for what else a mock offers."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class Device(ABC):
 
     @abstractmethod
     async def reset(self) -> None:
-        """Start-up values and no faults; connections and journal stay. Never called during a tick."""
+        """Restore the start-up values and drop the faults; connections and journal stay. Never called during a tick."""
 
     @abstractmethod
     async def tick(self) -> None:
@@ -79,29 +79,29 @@ class Simulation:
         self._turn = asyncio.Lock()
 
     def resume(self) -> None:
-        """Run freely."""
+        """Tick once a second from now on."""
         if self._task is None:
             self._task = asyncio.create_task(self._run(), name="simulation")
 
     async def pause(self) -> None:
-        """Stand still; when this returns no tick is under way."""
+        """Stop ticking; when this returns no tick is under way."""
         task, self._task = self._task, None
         if task is None:
             return
-        # Whoever has the turn knows that the task is between ticks, so none is cut in half.
+        # While this holds the turn the task is between ticks, so none is cut in half.
         async with self._turn:
             task.cancel()
             with contextlib.suppress(asyncio.CancelledError):
                 await task
 
     async def tick(self, steps: int) -> None:
-        """Advance by hand."""
+        """Advance by this many seconds at once."""
         for _ in range(steps):
             async with self._turn:
                 await self._device.tick()
 
     async def reset(self) -> None:
-        """Back to start-up values; running or paused as before."""
+        """Restore the start-up values; the simulation stays running or paused as before."""
         async with self._turn:
             await self._device.reset()
 
@@ -114,5 +114,5 @@ class Simulation:
             try:
                 await self.tick(1)
             except Exception as error:
-                # A plant that stands still without a word would be taken for a paused one.
+                # A plant that silently stands still would be taken for a paused one.
                 loop.call_exception_handler({"message": "a tick of the simulation failed", "exception": error})

@@ -21,7 +21,7 @@ Origin = Literal["client", "plant", "kit"]
 
 
 class JournalEntry(TypedDict):
-    """The fields that every entry has, whatever the protocol.
+    """The fields that every entry of every protocol has.
 
     Attributes:
         seq: sequence number: 0 for the first entry of a device process, one more for each that follows.
@@ -33,8 +33,8 @@ class JournalEntry(TypedDict):
         request: this entry asks the plant for something. Session keeping is no request where the protocol separates
             the two, and a message of the plant's own clients or of the kit never is.
         state_changing: this entry may change the plant; only a request can.
-        answers: sequence number of the entry that this message answers; None for a message that nobody asked for.
-        origin: whose connection it is: ``client`` (anybody from outside), ``plant`` (a simulated part of the plant that
+        answers: sequence number of the entry that this message answers; None for an unsolicited message.
+        origin: whose connection it is: ``client`` (a client from outside), ``plant`` (a simulated part of the plant that
             is a client of its own device), ``kit`` (a poke of the kit that the protocol shows as a message).
     """
 
@@ -62,7 +62,7 @@ class Journal:
 
     Attributes:
         next: sequence number that the next entry will get.
-        dropped: how many entries gave way at the capacity before anybody released them.
+        dropped: how many entries gave way at the capacity before they were released.
     """
 
     def __init__(self, capacity: int = _CAPACITY) -> None:

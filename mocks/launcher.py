@@ -58,7 +58,7 @@ def run(name: str, package: MockPackage, host: str, port: int) -> int:
         port: of the first endpoint, 0 for a free one; the other endpoints have free ones.
 
     Raises:
-        OSError: a port cannot be bound, or somebody else serves on it.
+        OSError: a port cannot be bound, or another program serves on it.
     """
     with contextlib.ExitStack() as kept:
         reservations: dict[str, Reservation] = {}

@@ -9,8 +9,8 @@ A mock package offers
 ``create()``   runs in the device process, before its loop, and returns a fresh :class:`~.device.Device`
 =============  ========================================================================================
 
-or, if it is no device that a launcher can stop and start, ``main(arguments)``: a program of its own, which is given the rest
-of the command line and returns the exit code.
+or, if it is no device that a launcher can stop and start, ``main(arguments)``: a program of its own, which is given the
+rest of the command line and returns the exit code.
 """
 
 from __future__ import annotations

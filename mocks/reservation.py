@@ -1,7 +1,7 @@
 """Keeps the addresses of a device while device processes come and go, one class for each kind of endpoint.
 
-While no device runs, a TCP port refuses, and a UDP port and a pseudo terminal are silent. What was sent to them meanwhile is
-never executed by the next device: it is discarded just before that one serves.
+While no device runs, a TCP port refuses, and a UDP port and a pseudo terminal are silent. What was sent to them
+meanwhile is never executed by the next device: it is discarded just before that one serves.
 """
 
 from __future__ import annotations
@@ -40,17 +40,18 @@ class Reservation(ABC):
 class _TcpPort(Reservation):
     """A bound socket that never listens.
 
-    Connections to the port are refused while no device listens, nobody else can take it meanwhile, and no client's connect()
-    can be given it as its own source port (which on loopback would connect it to itself). The device binds the same port
-    with SO_REUSEPORT. On Linux all closed sockets of a killed process are closed before waitpid() returns, so a start
-    right after a stop finds the port free; connections in TIME_WAIT do not matter to sockets that all have SO_REUSEADDR
-    or SO_REUSEPORT.
+    Connections to the port are refused while no device listens, no other program can take it meanwhile, and no client's
+    connect() can be given it as its own source port (which on loopback would connect it to itself). The device binds the
+    same port with SO_REUSEPORT. On Linux all sockets of a killed process are closed before waitpid() returns, so a
+    start right after a stop finds the port free; connections in TIME_WAIT do not matter to sockets that all have
+    SO_REUSEADDR or SO_REUSEPORT.
     """
 
     def __init__(self, host: str, port: int) -> None:
         if port:
-            # SO_REUSEPORT alone would let two mocks of one user share a port. A socket without it may not be bound where
-            # another launcher keeps its reservation (which has no SO_REUSEADDR for this reason) or anybody listens.
+            # SO_REUSEPORT alone would let two mocks of one user share a port. A socket without it may not be bound
+            # where another launcher keeps its reservation (which has no SO_REUSEADDR for this reason) or another
+            # program listens.
             _tcp_socket(host, port, socket.SO_REUSEADDR).close()
         self._socket = _tcp_socket(host, port, socket.SO_REUSEPORT)
         self._host, self._port = host, self._socket.getsockname()[1]
@@ -77,12 +78,12 @@ def _tcp_socket(host: str, port: int, *options: int) -> socket.socket:
 
 
 class _UdpPort(Reservation):
-    """The one socket of the port, which every forked device inherits; while there is none, nobody reads it.
+    """The one socket of the port, which every forked device inherits; while there is none, it is not read.
 
-    A second socket on the port, as for TCP, does not do: with SO_REUSEPORT the one that only reserves is given about half
-    of the datagrams (measured: 88 to 113 of 200, each from a port of its own). Connected to another address it is given none,
-    but then a stopped device is told of by "port unreachable". A device that is really gone is silent, and silence is
-    what a client of UDP has to be able to bear.
+    A second socket on the port, as for TCP, does not do: with SO_REUSEPORT the one that only reserves is given about
+    half of the datagrams (measured: 88 to 113 of 200, each from a port of its own). If it is connected to another
+    address it is given none, but then the kernel answers "port unreachable" for a stopped device. A device that is
+    really gone is silent, and silence is what a client of UDP has to cope with.
     """
 
     def __init__(self, host: str, port: int) -> None:
@@ -95,7 +96,8 @@ class _UdpPort(Reservation):
         self.address = {"kind": "udp", "host": host, "port": self._socket.getsockname()[1]}
 
     def open(self) -> OpenEndpoint:
-        # No datagram takes less of the buffer than a byte: a client that never stops sending does not hold up the start.
+        # Each datagram takes at least a byte of the buffer. The bound keeps a client that never stops sending from
+        # delaying the start for ever.
         for _ in range(self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)):
             try:
                 self._socket.recv(1, socket.MSG_DONTWAIT)
@@ -121,11 +123,11 @@ class _PseudoTerminal(Reservation):
         self.address = {"kind": "pty", "path": os.ttyname(self._slave)}
 
     def open(self) -> OpenEndpoint:
-        # What a client wrote is in the master's buffers, what the last device wrote in the slave's. Each side has two: a
-        # queue on the way, which the *other* side's flush empties, and the buffer that is read, into which the kernel
-        # moves the queue in its own time. Queues first: slave, then master, empties the telegrams; master, then slave, the
-        # answers. Measured: of 500 terminals 347 still had telegrams after the slave alone was flushed, 340 answers after
-        # the master alone.
+        # Telegrams of clients are in the buffers of the master, answers of the last device in those of the slave. Each
+        # side has two: a queue, which the flush of the *other* side empties, and the buffer that is read, into which the
+        # kernel moves the queue in its own time. The queue has to be emptied first: slave, then master, discards the
+        # telegrams; master, then slave, the answers. Measured: of 500 terminals 347 still had telegrams after a flush
+        # of the slave alone, 340 still had answers after one of the master alone.
         for side in (self._slave, self._master, self._slave):
             termios.tcflush(side, termios.TCIOFLUSH)
         return self._master
@@ -144,7 +146,7 @@ def reserve(endpoint: Endpoint, host: str, port: int = 0) -> Reservation:
         port: number of the port, 0 for a free one.
 
     Raises:
-        OSError: the port cannot be bound, or somebody else serves on it.
+        OSError: the port cannot be bound, or another program serves on it.
     """
     match endpoint.kind:
         case "tcp":

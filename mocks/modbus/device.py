@@ -1,7 +1,7 @@
 """The Modbus TCP server (MODBUS Messaging on TCP/IP V1.0b) with journal and fault plan.
 
-Our own, because a ground truth may not lose pipelined requests, mix up transaction identifiers or serve cells that do
-not exist, and a journal needs the connection and the bytes.
+It is no library's server, because a ground truth may not lose pipelined requests, mix up transaction identifiers or serve
+cells that do not exist, and a journal needs the connection and the bytes.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ class _Connection(asyncio.Protocol):
         self._record("in", "DISCONNECTED")
 
     def pause_writing(self) -> None:
-        # Who does not read answers is not listened to: answers must not pile up.
+        # No more requests are read from a client that does not read the answers: they must not pile up.
         self._transport.pause_reading()
 
     def resume_writing(self) -> None:
@@ -117,8 +117,8 @@ class _Connection(asyncio.Protocol):
         while len(self._buffer) >= 6 and not self._transport.is_closing():
             transaction, protocol, length = struct.unpack_from(">HHH", self._buffer)
             if protocol != 0 or not 2 <= length <= _MAX_LENGTH:
-                # Where the next frame begins cannot be known any more. The guide (section 4.4.2.2) discards
-                # such a frame without a word; a witness drops the connection, so that nobody overlooks it.
+                # Where the next frame begins cannot be known any more. The guide (section 4.4.2.2) silently discards
+                # such a frame; a witness drops the connection, so that it is not overlooked.
                 self._malformed(f"MBAP header: protocol {protocol}, length {length}")
                 self._transport.abort()
                 return

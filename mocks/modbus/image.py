@@ -1,7 +1,7 @@
-"""What the device holds: four tables of a hundred cells, and how the plant behind them moves.
+"""The memory of the device, four tables of a hundred cells, and the dynamics of the plant behind them.
 
 The plant moves its input registers, discrete inputs, mode (on a command) and alarm (when it gets hot); every other
-cell belongs to the clients. There is no chance in it: the same ticks and writes give the same values.
+cell belongs to the clients. It is deterministic: the same ticks and writes give the same values.
 
 Addresses are those of the PDU, from 0. The cells with a meaning are the paper's ("Mock endpoint fidelity"); the others
 are free for use.
@@ -51,7 +51,7 @@ class UnitImage:
         self._publish()
 
     def table(self, name: str) -> list[Any]:
-        """The cells of a table, to be read or changed in place.
+        """Return the cells of a table, to be read or changed in place.
 
         Raises:
             ValueError: there is no such table.
@@ -78,13 +78,13 @@ class UnitImage:
         cells[address : address + len(values)] = list(values)
 
     def dump(self) -> dict[str, Any]:
-        """All four tables."""
+        """Return a copy of all four tables."""
         return {name: list(self.table(name)) for name in TABLES}
 
     def tick(self) -> None:
-        """One second: commands, heater to temperature, pump to pressure and flow, conveyor to production."""
+        """Advance by one second: commands, heater to temperature, pump to pressure and flow, conveyor to production."""
         self._seconds += 1
-        self._obey_commands()
+        self._execute_commands()
         registers, running = self.holding_registers, self.discrete_inputs[RUNNING]
         heating = min(registers[HEATER], 100) * 0.8 if running else 0.0
         cooling = min(registers[FAN], 100) * 0.1
@@ -100,9 +100,12 @@ class UnitImage:
         self._was_hot = hot
         self._publish()
 
-    def _obey_commands(self) -> None:
-        """E-stop is a switch: as long as its register is not 0, nothing runs. The other commands act when their
-        registers leave 0. A register that a client has written is never taken back: what is written stays."""
+    def _execute_commands(self) -> None:
+        """Execute the command registers.
+
+        E-stop is a switch: as long as its register is not 0, nothing runs. The other commands act when their registers
+        leave 0. The plant never changes a register that a client has written.
+        """
         registers, inputs = self.holding_registers, self.discrete_inputs
         given = {command for command in (START, STOP, E_STOP, RESET) if registers[command]}
         fresh, self._given = given - self._given, given

@@ -57,7 +57,7 @@ class IllegalRequest(Exception):
 
 
 def describe(pdu: bytes) -> dict[str, Any]:
-    """The request's fields for the journal, as far as its bytes go.
+    """Return the request's fields for the journal, as far as its bytes go.
 
     ``address``, ``quantity`` and ``values`` are those of the write in a Read/Write Multiple Registers request, which
     has ``read_address`` and ``read_quantity`` besides. A coil value that is neither FF00 nor 0000 stays a number.
@@ -90,7 +90,7 @@ def describe(pdu: bytes) -> dict[str, Any]:
 
 
 def values_read(request: Mapping[str, Any], response: bytes) -> list[Any] | None:
-    """What a response PDU says was read: registers or bits; None if it is none of a read.
+    """Return the registers or bits that a response PDU carries; None if it does not answer a read.
 
     Args:
         request: the fields of the request, from :func:`describe`.
@@ -105,7 +105,7 @@ def values_read(request: Mapping[str, Any], response: bytes) -> list[Any] | None
 
 
 def read_response(function: int, values: Sequence[int]) -> bytes:
-    """The response PDU that answers a read with these registers or bits."""
+    """Return the response PDU that answers a read with these registers or bits."""
     data = _pack_bits(values) if function in (READ_COILS, READ_DISCRETE) else _pack(values)
     return bytes([function, len(data)]) + data
 
@@ -215,7 +215,9 @@ def _read_write(unit: UnitImage, body: bytes, apply: bool) -> bytes:
 
 
 def identify(objects: Mapping[int, bytes], body: bytes) -> bytes:
-    """Read Device Identification, section 6.21, with conformity level 82: basic and regular objects, stream and
+    """Return the answer to Read Device Identification (section 6.21).
+
+    Its conformity level is 82: basic and regular objects, stream and
     individual access. A stream that does not fit into one PDU is continued at the object that the answer names.
 
     Raises:

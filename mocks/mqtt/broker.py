@@ -1,6 +1,6 @@
-"""The broker: who has a session, who gets a message, what is retained, when a will is published.
+"""The broker: sessions, delivery of messages, retained messages, wills.
 
-It knows no bytes and no sockets: connections bring it packets' contents (see ``connection``).
+It knows no bytes and no sockets: connections hand it the contents of packets (see ``connection``).
 """
 
 from __future__ import annotations
@@ -82,13 +82,13 @@ class Broker:
     # -- connections --------------------------------------------------------------------------------------
 
     def opened(self, transport: asyncio.Transport) -> int:
-        """A connection was made; its number."""
+        """Note a new connection; return its number."""
         self._open.add(transport)
         self._connections += 1
         return self._connections
 
     def closed(self, transport: asyncio.Transport) -> None:
-        """A connection has ended."""
+        """Note that a connection has ended."""
         self._open.discard(transport)
         if not self._open:
             self._all_closed.set()
@@ -104,11 +104,11 @@ class Broker:
     # -- sessions -----------------------------------------------------------------------------------------
 
     def assign_client_id(self) -> str:
-        """An identifier for a client that has none [MQTT-3.1.3-6]."""
+        """Return an identifier for a client that has none [MQTT-3.1.3-6]."""
         return f"otmcp-assigned-{next(self._assigned)}"
 
     def attach(self, connect: Connect, client_id: str) -> tuple[Session, bool]:
-        """The session that a CONNECT opens, and whether it was there before (5: section 3.1.4)."""
+        """Return the session that a CONNECT opens, and whether it was there before (5: section 3.1.4)."""
         session = self.sessions.get(client_id)
         if session is not None and session.outlet is not None:
             session.outlet.take_over()
@@ -132,7 +132,7 @@ class Broker:
         return session, present
 
     def detach(self, session: Session, *, publish_will: bool) -> None:
-        """A session lost its connection: its will and its end become due (5: section 3.1.2.5, 3.1.2.11.2)."""
+        """Take the connection from a session: its will and its end become due (5: section 3.1.2.5, 3.1.2.11.2)."""
         session.outlet = None
         if not publish_will:
             session.will = None
@@ -177,7 +177,7 @@ class Broker:
     # -- messages -----------------------------------------------------------------------------------------
 
     def publish(self, packet: Publish, client_id: str, content: Mapping[str, Any]) -> bool:
-        """Route what a client publishes; whether anybody subscribes to it."""
+        """Route what a client publishes; return whether there is a subscriber."""
         return self.route(self._message(packet, client_id, content))
 
     @staticmethod
@@ -195,7 +195,7 @@ class Broker:
         )
 
     def route(self, message: Message) -> bool:
-        """Retain a message if it asks for it, and hand it to its subscribers; whether there are any."""
+        """Retain a message if it asks for it, and hand it to its subscribers; return whether there are any."""
         if message.retain:
             if message.payload:
                 self.retained[message.topic] = message
@@ -205,7 +205,7 @@ class Broker:
         for session, subscriptions in route.sessions:
             self._deliver(session, subscriptions, message)
         for key, members in route.shares.items():
-            # One of the group, whose turn it is, rather one that is connected (5: section 4.8.2).
+            # One member of the group in turn, a connected one if there is any (5: section 4.8.2).
             present = [member for member in members if member[0].outlet is not None] or members
             turn = self._turns[key] = self._turns.get(key, -1) + 1
             session, subscription = present[turn % len(present)]
@@ -232,7 +232,7 @@ class Broker:
     def _deliver(
         session: Session, subscriptions: list[Subscription], message: Message, *, stored: bool = False
     ) -> None:
-        """One copy for all overlapping subscriptions, at the highest QoS granted [MQTT-3.3.4-2, MQTT-3.3.4-3]."""
+        """Send one copy for all overlapping subscriptions, at the highest QoS granted [MQTT-3.3.4-2, MQTT-3.3.4-3]."""
         if session.client_id == message.publisher:
             subscriptions = [one for one in subscriptions if not one.no_local]
             if not subscriptions:
@@ -252,7 +252,7 @@ class Broker:
     def subscribe(
         self, session: Session, request: SubscriptionRequest, identifier: int | None, level: int
     ) -> list[Message]:
-        """Add or replace a subscription; the retained messages it is to get (5: section 3.8.3.1)."""
+        """Add or replace a subscription; return the retained messages it is to get (5: section 3.8.3.1)."""
         share, proper = split_shared(request.filter) if level == MQTT_5 else (None, request.filter)
         levels = proper.split("/")
         is_new = request.filter not in session.subscriptions
@@ -280,14 +280,14 @@ class Broker:
                 self._deliver(session, [subscription], message, stored=True)
 
     def unsubscribe(self, session: Session, topic_filter: str) -> bool:
-        """Remove a subscription; whether there was one."""
+        """Remove a subscription; return whether there was one."""
         self._routes.clear()
         return session.subscriptions.pop(topic_filter, None) is not None
 
     # -- from outside -------------------------------------------------------------------------------------
 
     def forget(self) -> None:
-        """Drop what nobody connected depends on: retained messages, and sessions without connection."""
+        """Drop retained messages, and sessions without a connection; no connected client depends on them."""
         self.retained.clear()
         for session in [one for one in self.sessions.values() if one.outlet is None]:
             session.will = None

@@ -1,4 +1,4 @@
-"""A small MQTT 3.1.1 client for the simulated plant: a real connection to whatever broker there is."""
+"""A small MQTT 3.1.1 client for the simulated plant: a real connection to any broker."""
 
 from __future__ import annotations
 

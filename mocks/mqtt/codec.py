@@ -60,7 +60,7 @@ _REASON_CODES = {
 
 
 class UnsupportedProtocol(ProtocolViolation):
-    """A CONNECT of another protocol version; it deserves a CONNACK [MQTT-3.1.2-2]."""
+    """The client sent a CONNECT of another protocol version, which is answered with a CONNACK [MQTT-3.1.2-2]."""
 
     def __init__(self, level: int) -> None:
         super().__init__(f"protocol level {level} is not supported", UNSUPPORTED_PROTOCOL_VERSION)
@@ -71,7 +71,7 @@ def _malformed(reason: str) -> NoReturn:
 
 
 def decode(first: int, body: bytes, level: int) -> Packet:
-    """The packet with this first byte of the fixed header and this body.
+    """Return the packet with this first byte of the fixed header and this body.
 
     Args:
         level: protocol level of the connection, 4 or 5; a CONNECT names its own.
@@ -110,7 +110,7 @@ def _packet_id(reader: Reader) -> int:
 
 
 def _reason(kind: PacketType, reader: Reader, level: int) -> tuple[int, Properties]:
-    """Reason code and properties, which MQTT 5 lets end early and 3.1.1 does not have."""
+    """Return reason code and properties, which MQTT 5 lets end early and 3.1.1 does not have."""
     if level != MQTT_5 or not reader.left:
         return 0, EMPTY
     code = reader.byte()
@@ -214,7 +214,7 @@ def _subscribe(reader: Reader, level: int) -> Subscribe:
 
 
 def _filter(reader: Reader, level: int) -> tuple[str, bool]:
-    """A topic filter and whether it is a shared subscription, which 3.1.1 does not have."""
+    """Return a topic filter, and whether it is a shared subscription, which 3.1.1 does not have."""
     topic_filter = reader.string()
     share, proper = split_shared(topic_filter) if level == MQTT_5 else (None, topic_filter)
     check_filter(proper)
@@ -277,7 +277,7 @@ _DECODERS: dict[PacketType, Callable[[Reader, int], Packet]] = {
 
 
 def encode(packet: Packet, level: int) -> bytes:
-    """The bytes of a packet.
+    """Return the bytes of a packet.
 
     Args:
         level: protocol level of the connection, 4 or 5; a CONNECT goes by its own.

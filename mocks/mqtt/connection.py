@@ -152,7 +152,7 @@ class Connection(asyncio.Protocol):
         return True
 
     def _alias(self, topic: str) -> tuple[str, int | None]:
-        """Topic name and alias to send: the name alone, both the first time, the alias alone from then on."""
+        """Return topic name and alias to send: the name alone, both the first time, the alias alone from then on."""
         known = self._aliases_out.get(topic)
         if known is not None:
             return "", known
@@ -320,7 +320,7 @@ class Connection(asyncio.Protocol):
         self.end("client disconnected", publish_will=packet.reason_code == DISCONNECT_WITH_WILL)
 
     def _resolve_alias(self, packet: Publish) -> Publish:
-        """The PUBLISH with its topic name in place (5: section 3.3.2.3.4)."""
+        """Return the PUBLISH with its topic name in place (5: section 3.3.2.3.4)."""
         alias = packet.properties.get(Property.TOPIC_ALIAS)
         if alias is None:
             return packet
@@ -335,5 +335,5 @@ class Connection(asyncio.Protocol):
 
 
 def _granting(packet: Subscribe, qos: int) -> Subscribe:
-    """The SUBSCRIBE as if it asked for this QoS: the fault plan grants less."""
+    """Return the SUBSCRIBE as if it asked for this QoS: the fault plan grants less."""
     return replace(packet, requests=tuple(replace(one, qos=qos) for one in packet.requests))

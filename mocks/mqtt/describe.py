@@ -1,4 +1,4 @@
-"""What the journal says of a control packet: JSON-safe facts, payloads as base64, never a password.
+"""The fields of a control packet in the journal: JSON-safe, payloads as base64, never a password.
 
 ==================  =====================================================================================
 PUBLISH             topic, payload, qos, retain, dup, packet_id (null at QoS 0); below ``spBv1.0/`` also
@@ -14,16 +14,16 @@ any of MQTT 5       properties, if there are any
 ==================  =====================================================================================
 
 Topics are whole where the wire had an alias. Not packets: CONNECTED, DISCONNECTED (reason), malformed (bytes as hex,
-reason), WILL (a will fired, whether or not anybody receives it).
+reason), WILL (a will fired, with or without a receiver).
 
 The fields that entries of all protocols share (``journal.JournalEntry``) mean here:
 
-``request``         a packet to which the broker has to give an answer of its own (CONNECT, SUBSCRIBE, UNSUBSCRIBE, PINGREQ,
-                    PUBREL) or a PUBLISH of any QoS, received from a client from outside. A broker's tools are about the
-                    broker itself, so its session packets count, other than in protocols with a plant behind the session.
-``state_changing``  a PUBLISH received from a client from outside: anything may subscribe to it
-``answers``         CONNACK to CONNECT, SUBACK to SUBSCRIBE, UNSUBACK to UNSUBSCRIBE, PUBACK or PUBREC to PUBLISH, PUBCOMP to
-                    PUBREL, PINGRESP to PINGREQ. A PUBLISH to a subscriber answers nothing, nor does what follows it.
+``request``         a packet to which the broker has to give an answer of its own (CONNECT, SUBSCRIBE, UNSUBSCRIBE,
+                    PINGREQ, PUBREL) or a PUBLISH of any QoS, received from a client from outside. An adapter's tools
+                    may be about the broker itself, so session packets count here, as they do not for OPC UA.
+``state_changing``  a PUBLISH received from a client from outside: any device may be subscribed to it
+``answers``         CONNACK to CONNECT, SUBACK to SUBSCRIBE, UNSUBACK to UNSUBSCRIBE, PUBACK or PUBREC to PUBLISH,
+                    PUBCOMP to PUBREL, PINGRESP to PINGREQ. A PUBLISH to a subscriber and its PUBREL answer nothing.
 ``origin``          ``plant`` for the connections of the simulated edge node, ``kit`` for a poke (connection 0)
 """
 
@@ -66,7 +66,7 @@ REQUESTS = frozenset(
 
 
 def describe_content(topic: str, payload: bytes) -> dict[str, Any]:
-    """Topic and payload of a message; of a Sparkplug message also what it says.
+    """Return topic and payload of a message; of a Sparkplug message also its decoded content.
 
     A host's STATE is JSON, not a Sparkplug payload (Sparkplug 3.0, section 6.4.27).
     """
@@ -77,7 +77,7 @@ def describe_content(topic: str, payload: bytes) -> dict[str, Any]:
 
 
 def describe_publish(packet: Publish, content: Mapping[str, Any]) -> dict[str, Any]:
-    """A PUBLISH whose content was described before: it is the same for all who receive it."""
+    """Return the fields of a PUBLISH whose content was described before: all its receivers share that description."""
     fields = {
         **content,
         "qos": packet.qos,
@@ -91,7 +91,7 @@ def describe_publish(packet: Publish, content: Mapping[str, Any]) -> dict[str, A
 
 
 def describe(packet: Packet) -> dict[str, Any]:
-    """Any control packet."""
+    """Return the fields of any control packet."""
     if isinstance(packet, Publish):
         return describe_publish(packet, describe_content(packet.topic, packet.payload))
     fields = _fields(packet)

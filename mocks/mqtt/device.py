@@ -77,8 +77,8 @@ class MqttDevice(Device):
         }
 
     async def poke(self, params: Mapping[str, Any]) -> None:
-        """``{"publish": {"topic", "payload" (base64), "qos", "retain"}}``: a message from the kit, journalled as received
-        on connection 0."""
+        """Publish a message of the kit, journalled as received on connection 0: ``{"publish": {"topic", "payload" (base64),
+        "qos", "retain"}}``."""
         packet = _publish(params)
         content = describe_content(packet.topic, packet.payload)
         fields = describe_publish(packet, content)

@@ -1,7 +1,7 @@
 """A Sparkplug 3.0 edge node with two devices, beside plain topics, on a connection to any broker.
 
 ============================  ===========================================================================================
-``spBv1.0/factory/…``         births, DDATA every tick, NDEATH will; obeys NCMD rebirth and DCMD of writable metrics
+``spBv1.0/factory/…``         births, DDATA every tick, NDEATH will; executes NCMD rebirth and DCMD of writable metrics
 ``sensors/{…}``               temperature, pressure, humidity every tick: ``{"value": 20.0, "unit": "degC"}``
 ``system/status``             retained: ``{"online": true}``
 ``control/#``                 subscribed; the last payload on each topic is kept
@@ -33,11 +33,11 @@ _DATATYPE_NAMES = {number: name for name, number in DATATYPES.items()}
 
 
 def _ignore(direction: Direction, packet: Packet) -> None:
-    """Observe nothing."""
+    """Do nothing with a packet."""
 
 
 class EdgeNode:
-    """Connects, is born, reports, obeys commands; comes back when the connection breaks.
+    """Connects, publishes births and data, executes commands; connects again when the connection breaks.
 
     Attributes:
         seq: of the last message; bd_seq: of this connection's birth and death.
@@ -68,7 +68,7 @@ class EdgeNode:
         self._keeper = asyncio.create_task(self._keep_connected(), name="edge-node")
 
     async def aclose(self) -> None:
-        """An orderly end: NDEATH first, because a DISCONNECT discards the will (section 5.6)."""
+        """End in an orderly way: NDEATH first, because a DISCONNECT discards the will (section 5.6)."""
         if self._keeper is not None:
             self._keeper.cancel()
             with contextlib.suppress(asyncio.CancelledError):
@@ -108,7 +108,7 @@ class EdgeNode:
                 await self._connect()
 
     async def reset(self) -> None:
-        """Start-up values, told by a rebirth.
+        """Restore the start-up values, and announce them by a rebirth.
 
         Raises:
             TimeoutError: there is no connection to the broker.
@@ -122,7 +122,7 @@ class EdgeNode:
         await self._client.ping()
 
     async def tick(self) -> None:
-        """One second of the plant; returns when the broker has handled what was published."""
+        """Advance the plant by one second; return when the broker has handled what was published."""
         changed = self.plant.tick()
         if self._client is None:
             return

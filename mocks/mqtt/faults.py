@@ -45,11 +45,11 @@ class Rule:
         packet: name of the control packet received.
         topic: topic of a PUBLISH, or one of the filters of a SUBSCRIBE or UNSUBSCRIBE.
         times: applied at most this often, None without limit.
-        no_answer: obey the packet, but do not answer it; a CONNECT is not obeyed either.
-        delay_s: obey it and answer that many seconds later; a CONNECT is obeyed later.
-        reason_code: refuse with this code and do not obey; a SUBSCRIBE with 0 to 2 is granted that QoS instead. 3.1.1
-            cannot refuse a PUBLISH or UNSUBSCRIBE: they are acknowledged and not obeyed.
-        close, reset: obey it, then close the connection, or reset it; a CONNECT is not obeyed.
+        no_answer: handle the packet, but do not answer it; a CONNECT is not handled either.
+        delay_s: handle it and answer that many seconds later; a CONNECT is handled later.
+        reason_code: refuse with this code and do not handle it; a SUBSCRIBE with 0 to 2 is granted that QoS instead. 3.1.1
+            cannot refuse a PUBLISH or UNSUBSCRIBE: they are acknowledged and not handled.
+        close, reset: handle it, then close the connection, or reset it; a CONNECT is not handled.
     """
 
     packet: str
@@ -72,7 +72,7 @@ class Rule:
 
     @property
     def refuses(self) -> bool:
-        """Tell whether the packet is not to be obeyed."""
+        """Tell whether the packet is answered without being handled."""
         return self.reason_code is not None and (self.reason_code >= 0x80 or self.packet == "CONNECT")
 
 

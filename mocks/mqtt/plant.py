@@ -13,14 +13,14 @@ _PERIOD = 60
 
 @dataclass(slots=True, kw_only=True)
 class Tag:
-    """One metric of a device. ``datatype`` is a Sparkplug name; ``writable`` ones obey DCMD."""
+    """One metric of a device. ``datatype`` is a Sparkplug name; ``writable`` ones follow DCMD."""
 
     datatype: str
     value: Any
     writable: bool = False
 
     def accepts(self, value: Any) -> bool:
-        """Whether a value is of the tag's type."""
+        """Tell whether a value is of the tag's type."""
         if self.datatype in ("Float", "Double"):
             return isinstance(value, float)
         if self.datatype == "Boolean":
@@ -51,7 +51,7 @@ class Plant:
         }
 
     def tick(self) -> dict[str, dict[str, Tag]]:
-        """One second; the tags that changed, by device."""
+        """Advance by one second; return the tags that changed, by device."""
         self.ticks += 1
         self._set("device-1", temperature=20 + 5 * self._wave(), pressure=1 + 0.2 * self._wave())
         self._set("device-2", level=50 + 30 * self._wave(), count=self.ticks)
@@ -61,7 +61,7 @@ class Plant:
         }
 
     def sensors(self) -> dict[str, dict[str, Any]]:
-        """The plain sensors, as they are published."""
+        """Return the plain sensors, as they are published."""
         return {
             "temperature": {"value": round(20 + 5 * self._wave(), 3), "unit": "degC"},
             "pressure": {"value": round(1 + 0.2 * self._wave(), 3), "unit": "bar"},
@@ -69,7 +69,8 @@ class Plant:
         }
 
     def command(self, device: str, name: str, datatype: str | None, value: Any) -> Tag | None:
-        """Obey a command; the tag as it is now, None when there is none, or it is not writable or of another type."""
+        """Execute a command; return the tag as it is now, or None when there is none, or it is not writable or of another
+        type."""
         tag = self.devices.get(device, {}).get(name)
         if tag is None or not tag.writable or datatype not in (None, tag.datatype) or not tag.accepts(value):
             return None

@@ -167,7 +167,7 @@ def decode(reader: Reader, place: Place) -> Properties:
 
 
 def encode(properties: Properties) -> bytes:
-    """The property length and the properties."""
+    """Return the bytes of the property length and of the properties."""
     if not properties:
         return b"\0"
     parts: list[bytes] = []
@@ -179,7 +179,7 @@ def encode(properties: Properties) -> bytes:
 
 
 def describe(properties: Properties) -> dict[str, Any]:
-    """JSON-safe, for the journal: by lower-case name, binary data as base64, never authentication data."""
+    """Return properties JSON-safe for the journal: by lower-case name, binary as base64, never authentication data."""
     return {
         name.name.lower(): base64.b64encode(value).decode() if isinstance(value, bytes) else value
         for name, value in properties.items()

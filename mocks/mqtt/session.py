@@ -48,12 +48,12 @@ class Message:
 
     @property
     def expired(self) -> bool:
-        """Whether its Message Expiry Interval has passed [MQTT-3.3.2-5]."""
+        """True when its Message Expiry Interval has passed [MQTT-3.3.2-5]."""
         interval = self.properties.get(Property.MESSAGE_EXPIRY_INTERVAL)
         return interval is not None and time.monotonic() - self.arrived >= interval
 
     def current_properties(self) -> Properties:
-        """The properties, with the whole seconds it waited taken off its expiry interval [MQTT-3.3.2-6]."""
+        """Return the properties, with the whole seconds it waited taken off its expiry interval [MQTT-3.3.2-6]."""
         interval = self.properties.get(Property.MESSAGE_EXPIRY_INTERVAL)
         if interval is None:
             return self.properties
@@ -133,17 +133,17 @@ class Session:
         self._last_id = 0
 
     def set_expiry(self, interval: int) -> None:
-        """A Session Expiry Interval (5: section 3.1.2.11.2): seconds, or 0xFFFFFFFF for never."""
+        """Set the Session Expiry Interval (5: section 3.1.2.11.2): seconds, or 0xFFFFFFFF for never."""
         self.expiry_s = math.inf if interval == 0xFFFFFFFF else float(interval)
 
     def cancel_timers(self) -> None:
-        """Forget what was due."""
+        """Cancel what is due while there is no connection."""
         for timer in self.timers:
             timer.cancel()
         self.timers.clear()
 
     def resume(self, outlet: Outlet) -> None:
-        """A connection is there: send again what was not acknowledged, then what waited [MQTT-4.4.0-1]."""
+        """Use a connection: send again what was not acknowledged, then what waited [MQTT-4.4.0-1]."""
         self.outlet = outlet
         self.connection = outlet.number
         self.origin = outlet.origin
@@ -199,7 +199,7 @@ class Session:
             self._unacknowledged -= 1
 
     def acknowledge(self, ack: Ack) -> Ack | None:
-        """PUBACK, PUBREC or PUBCOMP for a delivery; returns the PUBREL a PUBREC is answered with.
+        """Handle a PUBACK, PUBREC or PUBCOMP for a delivery; return the PUBREL that a PUBREC is answered with.
 
         Raises:
             ProtocolViolation: it acknowledges a delivery of another QoS.

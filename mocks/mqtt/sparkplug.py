@@ -139,7 +139,7 @@ _Payload = _build()
 
 
 def encode_payload(metrics: list[dict[str, Any]], *, timestamp: int, seq: int | None) -> bytes:
-    """The bytes of a payload.
+    """Return the bytes of a payload.
 
     Args:
         metrics: each with name, datatype (a key of :data:`DATATYPES`) and value.
@@ -162,7 +162,7 @@ def encode_payload(metrics: list[dict[str, Any]], *, timestamp: int, seq: int | 
 
 
 def topic_parts(topic: str) -> tuple[str, str, str, str | None] | None:
-    """(group, type, edge node, device) of a Sparkplug topic, or None."""
+    """Return (group, type, edge node, device) of a Sparkplug topic, or None."""
     parts = topic.split("/")
     if len(parts) not in (4, 5) or parts[0] != "spBv1.0":
         return None
@@ -170,7 +170,7 @@ def topic_parts(topic: str) -> tuple[str, str, str, str | None] | None:
 
 
 def decode_message(topic: str, data: bytes) -> dict[str, Any]:
-    """A Sparkplug message for the journal, or ``{"error": …}``."""
+    """Return a Sparkplug message for the journal, or ``{"error": …}``."""
     parts = topic_parts(topic)
     if parts is None:
         return {"error": "not a Sparkplug topic"}
@@ -208,7 +208,7 @@ def _text(value: str | bytes) -> str:
 
 
 def _value(metric: Any) -> Any:
-    """JSON-safe: bytes as base64, data sets and templates as text."""
+    """Return a value JSON-safe: bytes as base64, data sets and templates as text."""
     member = metric.WhichOneof("value")
     if member is None:
         return None

@@ -10,7 +10,7 @@ _SHARED = "$share/"
 
 
 def check_name(topic: str) -> None:
-    """A topic name has at least one character and no wildcard [MQTT-4.7.3-1, MQTT-3.3.2-2].
+    """Check a topic name: at least one character and no wildcard [MQTT-4.7.3-1, MQTT-3.3.2-2].
 
     Raises:
         ProtocolViolation: it is none.
@@ -22,7 +22,7 @@ def check_name(topic: str) -> None:
 
 
 def check_filter(topic_filter: str) -> None:
-    """Wildcards occupy whole levels, ``#`` only the last [MQTT-4.7.1-1, MQTT-4.7.1-2].
+    """Check a topic filter: wildcards occupy whole levels, ``#`` only the last [MQTT-4.7.1-1, MQTT-4.7.1-2].
 
     Raises:
         ProtocolViolation: the filter is malformed.
@@ -38,7 +38,7 @@ def check_filter(topic_filter: str) -> None:
 
 
 def split_shared(topic_filter: str) -> tuple[str | None, str]:
-    """Share name, or None, and the filter proper of ``$share/{name}/{filter}`` [MQTT-4.8.2-1, MQTT-4.8.2-2].
+    """Return the share name, or None, and the filter proper of ``$share/{name}/{filter}`` [MQTT-4.8.2-1, MQTT-4.8.2-2].
 
     Raises:
         ProtocolViolation: the share name is empty or contains a wildcard, or no filter follows it.
@@ -52,7 +52,7 @@ def split_shared(topic_filter: str) -> tuple[str | None, str]:
 
 
 def matches(filter_levels: list[str], topic_levels: list[str]) -> bool:
-    """Whether a filter matches a topic, both split at ``/``.
+    """Tell whether a filter matches a topic, both split at ``/``.
 
     A wildcard in the first level does not match a topic that begins with ``$`` [MQTT-4.7.2-1].
     """

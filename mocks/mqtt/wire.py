@@ -1,6 +1,6 @@
 """The primitive data of MQTT (5: section 1.5, 3.1.1: section 1.5): integers, strings, lengths, and the framing.
 
-This file knows no packet. Whatever it cannot read is a :class:`ProtocolViolation` of the peer.
+This file knows no packet. Bytes that it cannot read are a :class:`ProtocolViolation` of the peer.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Reader:
         return len(self._data) - self._at
 
     def take(self, count: int) -> bytes:
-        """The next ``count`` bytes."""
+        """Read the next ``count`` bytes."""
         end = self._at + count
         if end > len(self._data):
             raise ProtocolViolation("the packet ends too early")
@@ -47,23 +47,23 @@ class Reader:
         return taken
 
     def rest(self) -> bytes:
-        """Everything that is left."""
+        """Read everything that is left."""
         return self.take(self.left)
 
     def byte(self) -> int:
-        """One byte."""
+        """Read one byte."""
         return self.take(1)[0]
 
     def uint16(self) -> int:
-        """Two Byte Integer."""
+        """Read a Two Byte Integer."""
         return int.from_bytes(self.take(2), "big")
 
     def uint32(self) -> int:
-        """Four Byte Integer."""
+        """Read a Four Byte Integer."""
         return int.from_bytes(self.take(4), "big")
 
     def varint(self) -> int:
-        """Variable Byte Integer in as few bytes as possible [MQTT-1.5.5-1]."""
+        """Read a Variable Byte Integer in as few bytes as possible [MQTT-1.5.5-1]."""
         value = shift = 0
         while True:
             byte = self.byte()
@@ -77,11 +77,11 @@ class Reader:
                 raise ProtocolViolation("a variable byte integer has more than four bytes")
 
     def binary(self) -> bytes:
-        """Binary Data with its length in front."""
+        """Read Binary Data with its length in front."""
         return self.take(self.uint16())
 
     def string(self) -> str:
-        """UTF-8 Encoded String: well-formed, without surrogates and U+0000 [MQTT-1.5.4-1, MQTT-1.5.4-2].
+        """Read a UTF-8 Encoded String: well-formed, without surrogates and U+0000 [MQTT-1.5.4-1, MQTT-1.5.4-2].
 
         U+FEFF is an ordinary character [MQTT-1.5.4-3].
         """
@@ -94,23 +94,23 @@ class Reader:
         return text
 
     def finish(self) -> None:
-        """Nothing may be left."""
+        """Check that nothing is left."""
         if self.left:
             raise ProtocolViolation(f"the packet has {self.left} bytes too many")
 
 
 def uint16(value: int) -> bytes:
-    """Two Byte Integer."""
+    """Return a Two Byte Integer."""
     return value.to_bytes(2, "big")
 
 
 def uint32(value: int) -> bytes:
-    """Four Byte Integer."""
+    """Return a Four Byte Integer."""
     return value.to_bytes(4, "big")
 
 
 def varint(value: int) -> bytes:
-    """Variable Byte Integer."""
+    """Return a Variable Byte Integer."""
     if value < 0x80:
         return bytes((value,))
     encoded = bytearray()
@@ -122,12 +122,12 @@ def varint(value: int) -> bytes:
 
 
 def binary(data: bytes) -> bytes:
-    """Binary Data with its length in front."""
+    """Return Binary Data with its length in front."""
     return len(data).to_bytes(2, "big") + data
 
 
 def string(text: str) -> bytes:
-    """UTF-8 Encoded String."""
+    """Return a UTF-8 Encoded String."""
     return binary(text.encode())
 
 
@@ -148,7 +148,7 @@ class Framer:
         self._buffer += data
 
     def next(self) -> tuple[int, bytes] | None:
-        """The next whole packet; None while it is incomplete.
+        """Return the next whole packet, None while it is incomplete.
 
         Raises:
             ProtocolViolation: the remaining length has five bytes, or the packet is larger than agreed.

@@ -30,7 +30,7 @@ _DIRECTIONS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Rest:
-    """What a continuation point stands for."""
+    """The references behind a continuation point, and how many of them one page has."""
 
     references: list[ua.ReferenceDescription]
     page: int
@@ -48,15 +48,15 @@ class Browser:
 
     @property
     def open_points(self) -> int:
-        """How many continuation points the client has neither used up nor released."""
+        """Number of continuation points that the client has neither used up nor released."""
         return len(self._points)
 
     def close(self) -> None:
-        """The session ended, and with it its continuation points."""
+        """Drop the continuation points: their session has ended."""
         self._points.clear()
 
     def browse(self, description: ua.BrowseDescription, most: int) -> ua.BrowseResult:
-        """The references of one node.
+        """Return the references of one node.
 
         Args:
             description: what is asked.
@@ -78,7 +78,7 @@ class Browser:
         return self._page(found, min(most or own, own or most))
 
     def next(self, point: bytes, *, release: bool) -> ua.BrowseResult:
-        """The next page behind a continuation point, which is used up by this."""
+        """Return the next page behind a continuation point, which is used up by this."""
         rest = self._points.pop(bytes(point or b""), None)
         if rest is None:
             return ua.BrowseResult(StatusCode=ua.StatusCode(Codes.BadContinuationPointInvalid))
@@ -119,7 +119,7 @@ class Browser:
 
 @cache
 def _subtypes(space: AddressSpace, kind: ua.NodeId) -> frozenset[ua.NodeId]:
-    """A reference type with all its subtypes. Nobody adds reference types to the plant."""
+    """Return a reference type with all its subtypes. They are cached: no reference type is ever added to the plant."""
     found = {kind}
     for reference in space[kind].references:
         if reference.IsForward and reference.ReferenceTypeId == ua.NodeId(ua.ObjectIds.HasSubtype):
@@ -128,7 +128,7 @@ def _subtypes(space: AddressSpace, kind: ua.NodeId) -> frozenset[ua.NodeId]:
 
 
 def _narrowed(reference: ua.ReferenceDescription, mask: int) -> ua.ReferenceDescription:
-    """The fields that were asked for; the others are null."""
+    """Return the reference with the fields that were asked for; the others are null."""
     fields = {"NodeId": reference.NodeId}
     if mask & Mask.ReferenceTypeId:
         fields["ReferenceTypeId"] = reference.ReferenceTypeId

@@ -22,7 +22,7 @@ __all__ = ["OpcUaDevice"]
 
 
 class OpcUaDevice(Device):
-    """Serves ``urn:otmcp:plant`` without security, to anybody."""
+    """Serves ``urn:otmcp:plant`` without security, to every client."""
 
     protocol = "opcua"
 

@@ -1,4 +1,4 @@
-"""One service call on its way through the server: what the journal says of it, and what a fault does to it."""
+"""One service call on its way through the server: its entries in the journal, and the fault that applies to it."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _current: ContextVar[Exchange] = ContextVar("exchange")
 
 
 def current() -> Exchange:
-    """The service call that the running code belongs to."""
+    """Return the service call that the running code belongs to."""
     return _current.get()
 
 

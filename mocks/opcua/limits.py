@@ -1,4 +1,4 @@
-"""What the server can take at once (OPC 10000-5, 6.3.11): enforced, and advertised where clients look for it."""
+"""The limits of the server (OPC 10000-5, 6.3.11): enforced, and advertised in the nodes that clients read."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Limits:
     sessions: int = 100
 
     def changed(self, source: Mapping[str, Any]) -> Limits:
-        """These limits with those of ``source`` instead.
+        """Return these limits with those of ``source`` instead.
 
         Raises:
             ValueError: an unknown name or no number.
@@ -45,7 +45,7 @@ class Limits:
         return replace(self, **source)
 
     def advertised(self) -> dict[int, ua.Variant]:
-        """Identifier of a node of namespace 0 to the value that it has to have."""
+        """Return the values of the nodes that advertise the limits, by identifier in namespace 0."""
         u32, u16 = ua.VariantType.UInt32, ua.VariantType.UInt16
         return {
             _Ids.Server_ServerCapabilities_OperationLimits_MaxNodesPerRead: ua.Variant(self.nodes_per_read, u32),

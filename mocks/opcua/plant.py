@@ -1,4 +1,4 @@
-"""The address space and what moves behind it: sensors, actuators, status, methods in one namespace.
+"""The address space of the plant and its dynamics: sensors, actuators, status, methods in one namespace.
 
 Node identifiers are the browse names: ``ns=2;s=Temperature``.
 """
@@ -52,7 +52,7 @@ MAX_RATE = 1000.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Variable:
-    """What is fixed about a data variable.
+    """The fixed properties of a data variable.
 
     Attributes:
         start: its value when the plant starts.
@@ -90,7 +90,7 @@ class MethodRefusal(Exception):
         self._arguments = arguments
 
     def result(self) -> ua.CallMethodResult:
-        """What the client is told; per argument, where it is an argument's fault (OPC 10000-4, 5.12.2.4)."""
+        """Return the answer to the client; per argument, where the fault is in an argument (OPC 10000-4, 5.12.2.4)."""
         return ua.CallMethodResult(
             StatusCode=ua.StatusCode(self._code),
             InputArgumentResults=[ua.StatusCode(code) for code in self._arguments],
@@ -175,7 +175,7 @@ class Plant:
     # -- values -------------------------------------------------------------------------------------------
 
     def node(self, name: str) -> ua.NodeId:
-        """The data variable with this browse name or node id.
+        """Return the data variable with this browse name or node id.
 
         Raises:
             ValueError: there is none.
@@ -189,11 +189,11 @@ class Plant:
         return node
 
     def data_value(self, node: ua.NodeId) -> ua.DataValue:
-        """What the server holds for a node now."""
+        """Return what the server holds for a node now."""
         return self._server.iserver.aspace[node].attributes[ua.AttributeIds.Value].value
 
     def value(self, name: str) -> Any:
-        """The value of a variable by its browse name."""
+        """Return the value of a variable by its browse name."""
         return self.data_value(self._id(name)).Value.Value
 
     async def put(self, name: str, value: Any, status: int = ua.StatusCodes.Good) -> None:
@@ -210,13 +210,13 @@ class Plant:
         await self.hold(node, held, status)
 
     async def hold(self, node: ua.NodeId, value: ua.Variant, status: int = ua.StatusCodes.Good) -> None:
-        """Set a value as it is, now."""
+        """Set a value without a check, with the time of now."""
         now = datetime.now(UTC)
         data = ua.DataValue(value, ua.StatusCode(status), SourceTimestamp=now, ServerTimestamp=now)
         await self._server.iserver.write_attribute_value(node, data)
 
     async def restore(self) -> None:
-        """Start-up values everywhere, no method called yet."""
+        """Restore the start-up values; no method counts as performed."""
         for node, variable in self.variables.items():
             await self.hold(node, variable.start)
         for node in self.calls:
@@ -259,8 +259,10 @@ class Plant:
     # -- dynamics -----------------------------------------------------------------------------------------
 
     async def tick(self) -> None:
-        """One second: heater and fan to temperature, pump and valve to pressure, flow and level. Actuators are only
-        read: what a client wrote stays."""
+        """Advance by one second: heater and fan to temperature, pump and valve to pressure, flow and level.
+
+        Actuators are only read: what a client wrote stays.
+        """
         seconds = (self._number("Uptime") + 1) % 2**32
         await self.put("Uptime", seconds)
         running = self.value("Mode") == "RUNNING"
@@ -287,13 +289,13 @@ class Plant:
             await self.put("ProductionCount", (self._number("ProductionCount") + whole) % 2**32)
 
     def _number(self, name: str) -> Any:
-        """What a variable holds or, when a Bad status or a poke took that away, what it started with."""
+        """Return the number that a variable holds or, if a Bad status or a poke left none, the one it started with."""
         value = self.value(name)
         usable = value is not None and math.isfinite(value)
         return value if usable else self.variables[self._id(name)].start.Value
 
     def _share(self, name: str) -> float:
-        """A percentage as a number from 0 to 1."""
+        """Return a percentage as a number from 0 to 1."""
         return min(100.0, max(0.0, float(self._number(name)))) / 100
 
 

@@ -58,7 +58,7 @@ class _Processor(UaProcessor):  # type: ignore[misc]
     async def process_message(self, seqhdr: Any, body: Buffer) -> bool:
         if not self._device.faults:
             return bool(await super().process_message(seqhdr, body))
-        # A call that is held up must not hold up the next one.
+        # A call that a fault delays must not delay the next one.
         task = asyncio.create_task(self._process_late(seqhdr, body))
         self._late.add(task)
         task.add_done_callback(self._late.discard)
@@ -88,7 +88,7 @@ class _Processor(UaProcessor):  # type: ignore[misc]
         self, requesthandle: int, seqhdr: Any, response: Any, msgtype: ua.MessageType = ua.MessageType.SecureMessage
     ) -> None:
         exchange = current()
-        # A notification is sent when there is something to tell, not while its request is under way.
+        # A notification is sent when a value changes, not while its request is handled: it belongs to no exchange.
         if not isinstance(response, ua.PublishResponse):
             rule = exchange.rule
             if rule.close or rule.reset:

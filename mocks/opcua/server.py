@@ -1,5 +1,5 @@
-"""asyncua's server, bent in two places: it accepts on a socket that is given to it, and the sessions and connections of
-its clients are ours."""
+"""asyncua's server with two changes: it accepts on a socket that is given to it, and its clients get the sessions and
+connections of this package."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ __all__ = ["PlantServer"]
 
 
 class _Internal(InternalServer):  # type: ignore[misc]
-    """Hands out sessions of a device to clients from outside."""
+    """Creates sessions of a device for clients from outside."""
 
     session_type: type[PlantSession] | None = None
 

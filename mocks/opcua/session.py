@@ -51,7 +51,7 @@ class PlantSession(InternalSession):  # type: ignore[misc]
         return await super().create_session(params, sockname=sockname)
 
     async def close_session(self, delete_subs: bool = True) -> None:
-        # Also called when the connection is gone; the journal has what the client asked, and this may be nobody's wish.
+        # Also called when the connection is gone. So it is not journalled: the journal has what the client asked for.
         self.device.browsers.discard(self.browser)
         self.browser.close()
         await super().close_session(delete_subs)
@@ -95,7 +95,7 @@ class PlantSession(InternalSession):  # type: ignore[misc]
         )
 
     def _access(self, node: ua.NodeId, right: ua.AccessLevel) -> int | None:
-        """Why a variable must not be accessed: nobody may, or this user may not."""
+        """Return why a variable must not be accessed: no user may, or this user may not; None if it may."""
         if node not in self.aspace:
             return None
         attributes = self.aspace[node].attributes
@@ -127,13 +127,13 @@ class PlantSession(InternalSession):  # type: ignore[misc]
         if rule.clamp is not None:
             value, status = ua.Variant(rule.clamp, value.VariantType), Codes.GoodClamped
         now = datetime.now(UTC)
-        # What a client says about status and time is on the journal; the plant keeps its own.
+        # The status and the time that the client wrote are on the journal; the plant keeps its own.
         data = ua.DataValue(value, SourceTimestamp=now, ServerTimestamp=now)
         await self.aspace.write_attribute_value(item.NodeId, Ids.Value, data)
         return ua.StatusCode(status)
 
     def _refusal(self, item: ua.WriteValue) -> int | None:
-        """Why an item must not be written, in the order in which a server finds out."""
+        """Return why an item must not be written, in the order in which a server checks; None if it may."""
         if item.NodeId not in self.aspace:
             return int(Codes.BadNodeIdUnknown)
         if item.AttributeId not in self.aspace[item.NodeId].attributes:
@@ -177,7 +177,7 @@ class PlantSession(InternalSession):  # type: ignore[misc]
             return self._browsed([ua.BrowseResult(StatusCode=forced.StatusCode) for _ in points])
         release = parameters.ReleaseContinuationPoints
         results = [self.browser.next(point, release=release) for point in points]
-        # Table 37: whoever releases gets no results.
+        # Table 37: a release has no results.
         return self._browsed([] if release else results)
 
     def _browsed(self, results: list[ua.BrowseResult]) -> list[ua.BrowseResult]:
@@ -287,7 +287,7 @@ def _written(item: ua.WriteValue) -> dict[str, Any]:
 
 
 def _slice(value: ua.Variant, text: str) -> ua.Variant | int:
-    """A part of a one-dimensional array (NumericRange, 7.27), or the status code that says why there is none."""
+    """Return a part of a one-dimensional array (NumericRange, 7.27), or the status code that says why there is none."""
     bounds = _RANGE.fullmatch(text)
     if bounds is None:
         return int(Codes.BadIndexRangeInvalid)

@@ -35,7 +35,7 @@ _FROM_TEXT: dict[ua.VariantType, Callable[[str], Any]] = {
 
 
 def variant(value: Any, kind: ua.VariantType) -> ua.Variant:
-    """A JSON value as a variant of this type; lists become arrays, lists of lists matrices.
+    """Return a JSON value as a variant of this type; lists become arrays, lists of lists matrices.
 
     Raises:
         ValueError: the value does not fit.
@@ -63,7 +63,7 @@ def _scalar(value: Any, kind: ua.VariantType) -> Any:
 
 
 def shape_of(value: Any) -> list[int]:
-    """Lengths of the dimensions, none for a scalar."""
+    """Return the lengths of the dimensions, none for a scalar."""
     lengths = []
     while isinstance(value, list):
         lengths.append(len(value))
@@ -72,7 +72,7 @@ def shape_of(value: Any) -> list[int]:
 
 
 def fits(value: ua.Variant, kind: ua.VariantType, rank: int, dimensions: list[int]) -> bool:
-    """Whether a node of this data type, ValueRank and ArrayDimensions can hold the variant (OPC 10000-3, 5.6.2)."""
+    """Tell whether a node of this DataType, ValueRank and ArrayDimensions can hold a variant (OPC 10000-3, 5.6.2)."""
     if value.VariantType != kind:
         return False
     if not value.is_array:
@@ -85,14 +85,14 @@ def fits(value: ua.Variant, kind: ua.VariantType, rank: int, dimensions: list[in
 
 
 def finite(value: Any) -> bool:
-    """Whether every number in a value is finite."""
+    """Tell whether every number in a value is finite."""
     if isinstance(value, list):
         return all(map(finite, value))
     return not isinstance(value, float) or math.isfinite(value)
 
 
 def to_json(value: Any) -> Any:
-    """What a variant holds, for journal and image."""
+    """Return the value of a variant for journal and image."""
     if value is None or isinstance(value, bool | int | float | str):
         return value
     if isinstance(value, list):

@@ -1,7 +1,8 @@
 """An edge node as a device of its own: ``python -m pytest_otmcp.mocks sparkplug --broker mqtt://host:port``.
 
-It serves nobody, so there is nothing for a launcher to keep. It prints one ready line with the broker's address and its own control socket, and runs until standard input ends. Its
-journal holds the packets of its own connection, as the edge node sees them.
+It has no clients, so a launcher has nothing to keep. It prints one ready line with the broker's address and its own
+control socket, and runs until standard input ends. Its journal holds the packets of its own connection, as the edge node
+sees them.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ class SparkplugSimulator(Device):
         )
 
     async def serve(self, endpoints: Mapping[str, OpenEndpoint]) -> None:
-        """Connect to the broker. Nobody connects to an edge node: there are no endpoints."""
+        """Connect to the broker. Clients never connect to an edge node: there are no endpoints."""
         await self._edge_node.start(*self._address)
 
     async def aclose(self) -> None:

@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from ..core.envelope import check_result
 from ..plant.mock_device import MockDevice
+from ..protocols.envelope import check_result
 from ..protocols.registry import protocols
 from ..subject.model import READ_WRITE, Adapter, Answering, Connect, Variant
 from ..trial.adapter_under_test import AdapterUnderTest, BenchOptions

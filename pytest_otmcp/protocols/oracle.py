@@ -102,7 +102,7 @@ class Witness:
         """One request that may change the plant reached the device, and it was the one that was asked for.
 
         Args:
-            what: the write that was asked for, in words.
+            what: the write that was asked for, in words that follow "one".
             problem_of: requirement and words for what is wrong with a write; None when nothing is.
         """
         writes = state_changing(entries)
@@ -110,14 +110,14 @@ class Witness:
         if len(writes) == 1:
             problem = problem_of(writes[0])
         else:
-            problem = "WR-003" if writes else "WR-001", f"it saw {len(writes)} request(s) that change state"
+            problem = "WR-003" if writes else "WR-001", f"it saw {len(writes)}"
         if problem is None:
             return []
         requirement, words = problem
         return [
             Finding(
                 code="not_written_once",
-                message=f"{self.noun} should have seen {what} once and no other write, {words}",
+                message=f"{self.noun} should have seen one {what}, {words}",
                 requirement=requirement,
                 evidence=self.seen(entries),
             )
@@ -144,7 +144,7 @@ class Witness:
         return [
             Finding(
                 code="wrote",
-                message=f"{self.noun} should have seen no request that changes state, it saw {count}",
+                message=f"{self.noun} should have seen no state-changing request, it saw {count}",
                 requirement=requirement,
                 evidence=self.seen(first),
             )

@@ -27,6 +27,7 @@ __all__ = [
     "Operation",
     "Origin",
     "OtProtocol",
+    "Simulator",
 ]
 
 GUARD = "guard"
@@ -114,6 +115,19 @@ class Colour:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Simulator:
+    """A mock beside the protocol's device, which is only started by hand: no task has it for a witness.
+
+    Attributes:
+        clients: which clients it is for, in words.
+        options: its own command line options, without ``--``, each with a metavariable and its help text.
+    """
+
+    clients: str
+    options: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Origin:
     """Where a protocol comes from that is not the kit's own: its oracles judge, so a record names it.
 
@@ -144,13 +158,16 @@ class OtProtocol:
         unsolicited: findings for everything in a journal slice that commands the plant, although the adapter was asked for
             nothing.
         describe: one journal entry in a few words, for findings and the report.
+        title: what a journal entry is, for the report's conversations; None where its kind says it.
         mock: name of the mock as ``python -m pytest_otmcp.mocks`` takes it: a folder of the room ``mocks``, or the
             dotted name of a package of the same shape.
         clients: which clients a mock started by hand is for, in words.
+        simulators: further mocks to be started by hand, by the name that ``python -m pytest_otmcp.mocks`` takes.
         tasks: dotted name of the module that declares the tasks of the conformance suite.
-        onboarding: dotted name of the module with the words and experiments of ``otmcp init``; None when it cannot
-            propose bindings for this protocol.
+        onboarding: dotted name of the module whose ``PACK`` holds the words and experiments of ``otmcp init``; None when
+            it cannot propose bindings for this protocol.
         recognise: matches text in a command line that names the protocol.
+        envelope_names: what ``meta.protocol`` of an envelope may say; only the key when empty.
         packages: distributions whose versions the run record states.
         colour: in figures and reports.
         external: the user's own device in the mock's place; None when there is no such way.
@@ -177,6 +194,9 @@ class OtProtocol:
     choices: tuple[Choice, ...] = ()
     framing: Framing | None = None
     onboarding: str | None = None
+    title: Callable[[JournalEntry], str] | None = None
+    simulators: Mapping[str, Simulator] = field(default_factory=dict)
+    envelope_names: tuple[str, ...] = ()
     packages: tuple[str, ...] = ()
     external: ExternalDevice | None = None
     session_oracles: tuple[type[SessionOracle], ...] = ()

@@ -18,7 +18,7 @@ from ..core.errors import UsageError
 from .own import OWN
 from .protocol import Origin, OtProtocol
 
-__all__ = ["GROUP", "OWN", "protocol_keys", "protocols"]
+__all__ = ["GROUP", "OWN", "envelope_names", "protocol_keys", "protocols"]
 
 GROUP = "pytest_otmcp.protocols"
 """The entry-point group by which a package registers a protocol."""
@@ -44,6 +44,12 @@ def protocols() -> Mapping[str, OtProtocol]:
             raise UsageError(f"{_source(point)}: there is a protocol {point.name!r} already")
         found[point.name] = _registered(point)
     return MappingProxyType(found)
+
+
+@cache
+def envelope_names() -> tuple[str, ...]:
+    """Return everything that ``meta.protocol`` of an envelope may say."""
+    return tuple(name for protocol in protocols().values() for name in protocol.envelope_names or (protocol.key,))
 
 
 def _registered(point: metadata.EntryPoint) -> OtProtocol:

@@ -1,21 +1,25 @@
 """What an adapter has earned: for each protocol, what it may be trusted with, and which items say so. Pure.
 
 A capability is earned when every item behind it passed. One that misses an item is undecided, not earned: a run that was
-narrowed can only take away.
+narrowed can only take away. Items say themselves which capabilities they are about; which items there should be is known
+from the suite.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
+from ..core.capability import Capability
 from ..core.verdict import Status
 from ..protocols.protocol import GUARD
 from ..protocols.registry import protocols
+from ..suite.catalogue import all_tasks, tasks_by_id
 from . import Item, Run
+from .families import families
 
-__all__ = ["CAPABILITIES", "Capability", "Earned", "Grade", "earned", "families"]
+__all__ = ["Earned", "Grade", "Heading", "earned"]
 
 
 class Grade(StrEnum):
@@ -29,19 +33,17 @@ class Grade(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Capability:
-    """Something that a plant may ask of an adapter.
+class Heading:
+    """A capability as tables print it.
 
     Attributes:
         name: a word or two.
         meaning: what it means when it is earned.
-        items: family to the ids of the items behind it, separated by blanks.
         facet: what the subject has to claim for it, where the items also apply without.
     """
 
     name: str
     meaning: str
-    items: Mapping[str, str]
     facet: str | None = None
 
 
@@ -59,93 +61,98 @@ class Earned:
     without: tuple[str, ...] = ()
 
 
-CAPABILITIES = (
-    Capability(
-        name="Reading",
-        meaning="values, messages and structure arrive as the device holds them",
-        items={"Modbus": "M1 M2", "MQTT": "Q1 Q2", "OPC UA": "O1 O2 O4", "Cross-protocol": "X1"},
+_HEADINGS: Mapping[str, Heading] = {
+    Capability.READING: Heading(
+        name="Reading", meaning="values, messages and structure arrive as the device holds them"
     ),
-    Capability(
-        name="Writing",
-        meaning="what is reported as written reached the device, once and unchanged",
-        items={"Modbus": "M3", "MQTT": "Q3 Q4", "OPC UA": "O3", "Cross-protocol": "X2"},
+    Capability.WRITING: Heading(
+        name="Writing", meaning="what is reported as written reached the device, once and unchanged"
     ),
-    Capability(
-        name="Write protection",
-        meaning="with writes disabled, no write reaches the device",
-        items={"Modbus": "M4", "MQTT": "Q3 Q4", "OPC UA": "O3"},
-        facet=GUARD,
+    Capability.WRITE_PROTECTION: Heading(
+        name="Write protection", meaning="with writes disabled, no write reaches the device", facet=GUARD
     ),
-    Capability(
+    Capability.REFUSING: Heading(
         name="Refusing bad requests",
         meaning="what is wrong is refused with the right error, and changes nothing",
-        items={"Modbus": "FM1 FM2", "MQTT": "FQ1 FQ2", "OPC UA": "FO1 FO2", "Cross-protocol": "FX1"},
     ),
-    Capability(
-        name="Load",
-        meaning="parallel calls and long series get their own answers",
-        items={"Modbus": "S1 S4 S7", "MQTT": "S2 S5 S8", "OPC UA": "S3 S6 S9", "Cross-protocol": "X1p X2p"},
-    ),
-    Capability(
+    Capability.LOAD: Heading(name="Load", meaning="parallel calls and long series get their own answers"),
+    Capability.OUTAGES: Heading(
         name="Surviving outages",
         meaning="an endpoint that goes away is reported, and used again when it is back",
-        items={"Modbus": "S10 R-modbus", "MQTT": "S11 R-mqtt", "OPC UA": "S12 R-opcua"},
     ),
-)
+}
+_FURTHER = Heading(name="Further requirements", meaning="the other items of the suite passed")
 
-_OTHERS = "Further requirements"
-_ORDER = ("Modbus", "MQTT", "OPC UA", "Cross-protocol")
-
-
-def families(run: Run) -> list[str]:
-    """The families of a run's items, the known ones first."""
-    found = dict.fromkeys(item["family"] for item in run["items"])
-    return [name for name in _ORDER if name in found] + [name for name in found if name not in _ORDER]
+_Ids = dict[str, list[str]]
+"""Family to ids of items, in the order of the suite."""
 
 
-def earned(run: Run) -> list[tuple[Capability, dict[str, Earned]]]:
-    """Each capability with what every family of the run has earned of it.
+def earned(run: Run) -> list[tuple[Heading, dict[str, Earned]]]:
+    """Return each capability with what every family of the run has earned of it.
 
-    Items that no capability knows are one of their own, so that none of their failures is overlooked.
+    Items about no capability that is known here are one of their own, so that none of their failures is overlooked.
     """
-    known = {name for capability in CAPABILITIES for ids in capability.items.values() for name in ids.split()}
-    others: dict[str, str] = {}
-    for item in run["items"]:
-        if item["id"] not in known:
-            others[item["family"]] = f"{others.get(item['family'], '')} {item['id']}"
-    asked = list(CAPABILITIES)
-    if others:
-        asked.append(Capability(name=_OTHERS, meaning="the other items of the suite passed", items=others))
+    wanted, further = _wanted(run)
     items = {item["id"]: item for item in run["items"]}
+    rows = [(heading, wanted[name], _not_claimed(run, heading.facet)) for name, heading in _HEADINGS.items()]
+    if further:
+        rows.append((_FURTHER, further, set()))
     return [
-        (capability, {family: _of(capability, family, items, run) for family in families(run)}) for capability in asked
+        (
+            heading,
+            {
+                family: Earned(grade=Grade.NOT_CLAIMED) if family in unclaimed else _grade(ids.get(family, ()), items)
+                for family in families(run)
+            },
+        )
+        for heading, ids, unclaimed in rows
     ]
 
 
-def _of(capability: Capability, family: str, items: Mapping[str, Item], run: Run) -> Earned:
-    for protocol, facts in run["subject"]["adapters"].items():
-        if (
-            protocol in protocols()
-            and protocols()[protocol].name == family
-            and capability.facet in facts.get("unclaimed", {})
-        ):
-            return Earned(grade=Grade.NOT_CLAIMED)
-    return _grade(capability.items.get(family, "").split(), items)
+def _wanted(run: Run) -> tuple[dict[str, _Ids], _Ids]:
+    """Return the ids behind each capability, by family, and those of items behind none."""
+    behind: dict[str, tuple[str, Collection[str]]] = {
+        task.id: (task.family, task.capabilities) for task in tasks_by_id(run["subject"]["adapters"]).values()
+    }
+    behind |= {item["id"]: (item["family"], _capabilities(item)) for item in run["items"]}
+    wanted: dict[str, _Ids] = {name: {} for name in _HEADINGS}
+    further: _Ids = {}
+    for identifier, (family, capabilities) in behind.items():
+        for ids in [wanted[name] for name in capabilities if name in wanted] or [further]:
+            ids.setdefault(family, []).append(identifier)
+    return wanted, further
+
+
+def _capabilities(item: Item) -> Collection[str]:
+    if "capabilities" in item:
+        return [str(name) for name in item["capabilities"]]
+    # A record of an earlier kit does not say; the task of that id does.
+    task = all_tasks().get(item["id"])
+    return () if task is None else task.capabilities
+
+
+def _not_claimed(run: Run, facet: str | None) -> set[str]:
+    """Return the families whose adapter does not claim ``facet``."""
+    return {
+        protocols()[key].name
+        for key, facts in run["subject"]["adapters"].items()
+        if key in protocols() and facet in facts.get("unclaimed", {})
+    }
 
 
 def _grade(wanted: Sequence[str], items: Mapping[str, Item]) -> Earned:
     statuses = {name: items[name]["status"] if name in items else None for name in wanted}
 
-    def those(*found: Status | None) -> tuple[str, ...]:
+    def select(*found: Status | None) -> tuple[str, ...]:
         return tuple(name for name, status in statuses.items() if status in found)
 
-    unclaimed = those(Status.NOT_APPLICABLE)
+    unclaimed = select(Status.NOT_APPLICABLE)
     if not wanted:
         return Earned(grade=Grade.NOT_TESTED)
-    if failed := those(Status.FAIL, Status.NOT_TESTABLE):
+    if failed := select(Status.FAIL, Status.NOT_TESTABLE):
         return Earned(grade=Grade.NOT_EARNED, because=failed, without=unclaimed)
-    if open_ones := those(Status.KIT_ERROR, Status.INTERRUPTED, None):
-        return Earned(grade=Grade.UNDECIDED, because=open_ones, without=unclaimed)
-    if passed := those(Status.PASS):
+    if undecided := select(Status.KIT_ERROR, Status.INTERRUPTED, None):
+        return Earned(grade=Grade.UNDECIDED, because=undecided, without=unclaimed)
+    if passed := select(Status.PASS):
         return Earned(grade=Grade.EARNED, because=passed, without=unclaimed)
     return Earned(grade=Grade.NOT_CLAIMED, without=unclaimed)

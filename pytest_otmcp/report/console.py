@@ -13,12 +13,13 @@ from ..core.matrix import SUITES
 from ..core.statistics import mean, mean_interval, percentile
 from ..record.run_file import count_calls
 from . import Item, Run, applies, durations, least, phases, recovered, tally, timing_valid
-from .text import printable, shortened
+from .text import count, interval, number, printable, shortened
 
 __all__ = ["summary"]
 
 Line = tuple[str, str]
 
+_NONE = "---"
 _BENCHMARK = ("tool calls", "MCP client", "endpoint restarts", "fresh sessions")
 """What the time of a run is spent on that is the benchmark itself, the client's share of a tool call included."""
 
@@ -28,7 +29,7 @@ _WIDE = 120
 
 
 def summary(run: Run, width: int = 100) -> list[Line]:
-    """The closing tables, the time breakdown and the verdict.
+    """Return the closing tables, the time breakdown and the verdict.
 
     Args:
         run: a run record.
@@ -54,12 +55,10 @@ def _suite(run: Run, suite: str, items: list[Item], width: int) -> Iterator[Line
         times = durations(run, [item])
         rate = least(item)
         row = f"  {item['id']:<7}{_count(*tally([item])):>9}"
-        row += f"{'---' if rate is None else f'{100 * rate:.1f} %':>10}"
+        row += f"{_NONE if rate is None else f'{100 * rate:.1f} %':>10}"
         row += f"{_number(percentile(times, 50)):>11}{_number(percentile(times, 95)):>9}"
         if more:
-            interval = mean_interval(times)
-            row += f"{_number(mean(times)):>9}"
-            row += f"{f'{interval[0]:.2f}..{interval[1]:.2f}' if interval else '---':>17}"
+            row += f"{_number(mean(times)):>9}{interval(mean_interval(times), _NONE, '..'):>17}"
         yield shortened(f"{row}   {_title(item)}", width), _style(item)
 
 
@@ -76,11 +75,11 @@ def _recovery(run: Run, items: list[Item], width: int) -> Iterator[Line]:
 
 
 def _count(good: int, total: int) -> str:
-    return "---" if total == 0 else f"{good}/{total}"
+    return count(good, total, _NONE)
 
 
 def _number(value: float | None) -> str:
-    return "---" if value is None else f"{value:.2f}"
+    return number(value, _NONE)
 
 
 def _title(item: Item) -> str:
@@ -93,8 +92,8 @@ def _style(item: Item) -> str:
 
 def _wrapped(text: str, width: int, indent: str) -> Iterator[str]:
     # The lines of a text, such as the last ones of an adapter's stderr, stay lines, but none begins where ours do.
-    for number, line in enumerate(text.splitlines() or [""]):
-        first = indent if number else ""
+    for index, line in enumerate(text.splitlines() or [""]):
+        first = indent if index else ""
         yield from textwrap.wrap(printable(line), width, initial_indent=first, subsequent_indent=indent) or [""]
 
 

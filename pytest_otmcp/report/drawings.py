@@ -13,6 +13,7 @@ from markupsafe import Markup
 
 from ..core.statistics import percentile
 from . import Item, Run, durations, phases
+from .families import css_class
 from .text import printable
 
 __all__ = ["latencies", "recovery", "strip"]
@@ -26,11 +27,10 @@ _PHASES = {
     "same_session": "answer in the same session",
     "fresh_session": "answer in a fresh session",
 }
-_CLASSES = {"Modbus": "modbus", "MQTT": "mqtt", "OPC UA": "opcua", "Cross-protocol": "cross"}
 
 
 def strip(item: Item) -> Markup:
-    """The repetitions of an item from left to right, at most sixty marks: a mark is bad when any of its own is."""
+    """Draw the repetitions of an item from left to right as at most sixty marks: a mark is bad when any of its own is."""
     planned = max(item["planned"], len(item["samples"]))
     marks = min(planned, _CELLS)
     # One path for each kind: hundreds of items with thirty marks each are still a small page.
@@ -64,7 +64,7 @@ class _Scale:
         return round(self.left + share * self._width, 1)
 
     def axis(self, bottom: int) -> Markup:
-        """Grid and numbers."""
+        """Draw grid and numbers."""
         marks = Markup()
         for power in range(math.floor(self._low), math.ceil(self._high) + 1):
             for digit in (1, 2, 5):
@@ -87,7 +87,7 @@ def _picture(title: str, height: int, content: Markup) -> Markup:
 
 
 def latencies(run: Run) -> Markup | None:
-    """Box plots of the normal suite: quartiles, whiskers within 1.5 interquartile ranges, and every outlier."""
+    """Draw box plots of the normal suite: quartiles, whiskers within 1.5 interquartile ranges, and every outlier."""
     rows = [(item, durations(run, [item])) for item in run["items"] if item["suite"] == "normal"]
     rows = [(item, times) for item, times in rows if times]
     if not rows:
@@ -108,7 +108,7 @@ def _box(scale: _Scale, y: int, item: Item, times: Sequence[float]) -> Markup:
         scale.x(min(inside)), scale.x(max(inside)), y=y
     )
     marks += Markup('<rect class="box {}" x="{}" y="{}" width="{}" height="12"/>').format(
-        _CLASSES.get(item["family"], "cross"), scale.x(low), y - 6, round(max(1.0, scale.x(high) - scale.x(low)), 1)
+        css_class(item["family"]), scale.x(low), y - 6, round(max(1.0, scale.x(high) - scale.x(low)), 1)
     )
     marks += Markup('<line class="median" x1="{0}" y1="{1}" x2="{0}" y2="{2}"/>').format(scale.x(middle), y - 7, y + 7)
     for time in times:
@@ -118,7 +118,7 @@ def _box(scale: _Scale, y: int, item: Item, times: Sequence[float]) -> Markup:
 
 
 def recovery(run: Run) -> Markup | None:
-    """The median of each phase of the recovery items, as bars."""
+    """Draw the median of each phase of the recovery items as bars."""
     items = [item for item in run["items"] if item["suite"] == "recovery"]
     medians = {(item["id"], name): percentile(phases(run, item, name), 50) for item in items for name in _PHASES}
     known = [median for median in medians.values() if median is not None]

@@ -11,25 +11,13 @@ import binascii
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
+from ..protocols.journal import JournalEntry
+from ..protocols.registry import protocols
 from .text import clipped
 
 __all__ = ["Event", "conversation"]
-
-_FUNCTIONS = {
-    1: "read coils",
-    2: "read discrete inputs",
-    3: "read holding registers",
-    4: "read input registers",
-    5: "write single coil",
-    6: "write single register",
-    15: "write multiple coils",
-    16: "write multiple registers",
-    22: "mask write register",
-    23: "read/write multiple registers",
-}
-"""Names of the Modbus Application Protocol Specification V1.1b3, section 6."""
 
 _HEAD, _TAIL, _BAD, _AROUND = 40, 10, 10, 3
 """Events shown of a long conversation: how it began, how it ended, and what was not as required, with those around it."""
@@ -50,7 +38,8 @@ _ROLES = {
     "warmup": "warm-up",
     "recovery": "while recovering",
 }
-_PLACED = ("protocol", "variant", "seq", "t_ns", "direction", "kind", "connection", "state_changing")
+_PLACED = frozenset({"protocol", "variant", *JournalEntry.__annotations__})
+"""Members of an entry that are not among its facts: where it stands in the conversation shows them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,7 +70,7 @@ class Event:
 
 
 def conversation(calls: Sequence[Mapping[str, Any]], entries: Iterable[Mapping[str, Any]]) -> list[Event | int]:
-    """The events in their order; a number stands for so many that are left out."""
+    """Return the events in their order; a number stands for so many that are left out."""
     # Envelopes and frames of what went wrong are wanted more than those of how it began.
     ranked = sorted(range(len(calls)), key=lambda index: (calls[index]["ok"], index))
     detailed = set(ranked[:_DETAILED])
@@ -179,20 +168,24 @@ def _entry(entry: Mapping[str, Any]) -> Event:
     who = f"{entry.get('protocol', '')} device, connection {entry.get('connection')}"
     if entry.get("variant"):
         who += " (writes disabled)"
-    what = str(entry.get("kind"))
-    if (name := _FUNCTIONS.get(entry.get("function", 0))) is not None:
-        what += f": {name}"
     facts = [f"{key}={_fact(key, value)}" for key, value in entry.items() if key not in _PLACED and value is not None]
     return Event(
         at_ms=None,
         lane="device",
         towards=entry.get("direction") == "in",
         who=who,
-        what=what,
+        what=_title(entry),
         text=clipped(" ".join(facts), _SHORT),
         bad=entry.get("exception") is not None,
         changes=entry.get("state_changing") is True,
     )
+
+
+def _title(entry: Mapping[str, Any]) -> str:
+    protocol = protocols().get(str(entry.get("protocol")))
+    if protocol is None or protocol.title is None:
+        return str(entry.get("kind"))
+    return protocol.title(cast(JournalEntry, entry))
 
 
 def _fact(key: str, value: Any) -> str:

@@ -11,7 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.statistics import percentile, proportion_interval
+from ..protocols.registry import protocols
 from . import Item, Run, durations, phases, recovered, timing_valid
+from .families import family_colour
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,7 +31,6 @@ _BLUE, _ORANGE, _GREEN, _RED, _PURPLE, _SKY, _YELLOW = (
     "#56B4E9",
     "#F0E442",
 )
-_FAMILY_COLOURS = {"Modbus": _BLUE, "MQTT": _GREEN, "OPC UA": _ORANGE, "Cross-protocol": _PURPLE}
 _STYLE: dict[Any, Any] = {
     "font.size": 7,
     "font.family": "DejaVu Sans",
@@ -50,7 +51,6 @@ _OTHER_PROTOCOLS = {
     "PROFINET": 14,
     "S7comm": 20,
 }
-_NAMES = {"modbus": "Modbus", "mqtt": "MQTT", "opcua": "OPC UA"}
 
 _SHOWN_CODES = 6
 
@@ -134,12 +134,13 @@ def _legend(axes: Axes, entries: list[tuple[str, str]]) -> None:
     )
 
 
-def _colour(family: str) -> str:
-    return _FAMILY_COLOURS.get(family, "0.6")
+def _colour(family: str, unknown: str = "0.6") -> str:
+    found = family_colour(family)
+    return unknown if found is None else found.light
 
 
 def _label(text: str) -> str:
-    """A text that matplotlib neither takes for mathematics nor lacks letters for; an adapter may make up any code."""
+    """Make a text one that matplotlib neither takes for mathematics nor lacks letters for: adapters make codes up."""
     return ascii(text)[1:-1].replace("_", " ").replace("$", r"\$")[:40]
 
 
@@ -225,15 +226,15 @@ def _recovery_phases(run: Run, axes: Axes) -> bool:
 
 def _protocol_map(run: Run, axes: Axes) -> bool:
     adapters = run["subject"]["adapters"]
-    evaluated = {_NAMES[name]: adapter.get("tools") for name, adapter in adapters.items() if name in _NAMES}
+    evaluated = {protocols()[key].name: facts.get("tools") for key, facts in adapters.items() if key in protocols()}
     if not evaluated:
         return False
     boxes = [(name, tools, True) for name, tools in evaluated.items()]
-    boxes += [(name, tools, False) for name, tools in _OTHER_PROTOCOLS.items()]
+    boxes += [(name, tools, False) for name, tools in _OTHER_PROTOCOLS.items() if name not in evaluated]
     columns = 3
     for index, (name, tools, tested) in enumerate(boxes):
         row, column = divmod(index, columns)
-        colour = _FAMILY_COLOURS.get(name, "0.93")
+        colour = _colour(name, unknown="0.93")
         axes.add_patch(_box(column, -row, colour, "black" if tested else "0.6", "solid" if tested else "dashed"))
         ink = "white" if tested else "0.35"
         axes.text(column + 0.46, -row + 0.5, name, ha="center", va="center", fontweight="bold", color=ink)

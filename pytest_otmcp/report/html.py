@@ -1,6 +1,6 @@
 """The HTML report of a run: one file that needs nothing but a browser, and no network. Pure but for the writing.
 
-Whatever an adapter wrote is shown, never interpreted: jinja2 escapes every value, letters that do not print are replaced
+What an adapter wrote is shown, never interpreted: jinja2 escapes every value, letters that do not print are replaced
 by their escapes, and the page's Content-Security-Policy allows one style sheet, known by its hash, and nothing else: no
 script, no request. ``report.html.jinja`` is the page.
 """
@@ -20,9 +20,10 @@ from markupsafe import Markup
 
 from ..core.matrix import SUITES
 from . import Item, Run, command, overview, tally, timing_valid
-from .capabilities import earned, families
+from .capabilities import earned
 from .drawings import latencies, recovery, strip
 from .evidence import failures
+from .families import families, style_sheet
 from .limits import narrowed
 from .text import clipped, printable
 
@@ -59,15 +60,15 @@ def write_html(run: Run, path: Path) -> None:
 
 
 def page(run: Run) -> str:
-    """The report of a run as HTML."""
-    style = _resource("report.css")
+    """Return the report of a run as HTML."""
+    style = _resource("report.css") + style_sheet()
     verdict = run["footer"].get("verdict", "INCOMPLETE")
     good, planned = tally(run["items"])
     anchors = _anchors(run["items"])
     failing = failures(run)
     html: str = _template().render(
         run=run,
-        style=Markup(style),  # noqa: S704  (our own file)
+        style=Markup(style),  # noqa: S704  (our own file, and the colours of the protocols)
         style_hash=base64.b64encode(hashlib.sha256(style.encode()).digest()).decode(),
         verdict=verdict,
         tone=_TONES.get(verdict, "open"),
@@ -80,7 +81,7 @@ def page(run: Run) -> str:
         capabilities=earned(run),
         failures=failing,
         anchors=anchors,
-        # Who follows the id of an item that failed wants to see why.
+        # The id of an item that failed leads to its evidence.
         targets={**anchors, **{one.item["id"]: f"failed-{anchors[one.item['id']]}" for one in failing}},
         statuses=_STATUSES,
         suites=[(suite, _QUESTIONS.get(suite, ""), rows) for suite in SUITES if (rows := overview.tasks(run, suite))],
@@ -117,7 +118,7 @@ def _shown(value: Any) -> Any:
 
 
 def _anchors(items: Iterable[Item]) -> dict[str, str]:
-    """Item id to the page's id of it; an item may be called anything, an anchor may not."""
+    """Map the id of each item to its anchor on the page; an item may be called anything, an anchor may not."""
     return {
         item["id"]: f"item-{item['id']}" if re.fullmatch(r"[A-Za-z0-9.-]+", item["id"]) else f"item_{index}"
         for index, item in enumerate(items)

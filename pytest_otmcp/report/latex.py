@@ -11,12 +11,14 @@ from pathlib import Path
 
 from ..core.matrix import SUITES
 from ..core.statistics import mean, mean_interval, median_interval, outliers, percentile, standard_deviation
+from ..protocols.registry import protocols
 from ..record.run_file import count_calls
 from . import Item, Run, applies, command, durations, least, phases, recovered, tally, task_calls
+from .families import families
+from .text import count, interval, number
 
 __all__ = ["escape", "write_tables"]
 
-_FAMILIES = ("Modbus", "MQTT", "OPC UA", "Cross-protocol")
 _SPECIAL = {
     "\\": r"\textbackslash{}",
     "_": r"\_",
@@ -29,11 +31,12 @@ _SPECIAL = {
     "~": r"\textasciitilde{}",
     "^": r"\textasciicircum{}",
 }
-NONE = "---"
+_NONE = "---"
+_DIGITS = "Zero One Two Three Four Five Six Seven Eight Nine".split()
 
 
 def escape(text: str) -> str:
-    """Text as LaTeX prints it.
+    """Escape a text so that LaTeX prints it as it is.
 
     ``<`` and ``>`` stay, as in the paper's own tables. What pdfLaTeX cannot set, such as a control character in an error
     code that an adapter made up, is shown by its code point.
@@ -74,15 +77,15 @@ def _items(run: Run, suite: str, family: str | None = None) -> list[Item]:
 
 
 def _ms(value: float | None) -> str:
-    return NONE if value is None else f"{value:.1f}"
+    return number(value, _NONE, digits=1)
 
 
 def _rate(good: int, total: int) -> str:
-    return NONE if total == 0 else f"{100 * good / total:.1f}"
+    return _ms(100 * good / total if total else None)
 
 
 def _count(good: int, total: int) -> str:
-    return NONE if total == 0 else f"{good}/{total}"
+    return count(good, total, _NONE)
 
 
 def _median_p95(run: Run, items: Iterable[Item]) -> tuple[str, str]:
@@ -112,9 +115,18 @@ def _exact_counts(run: Run) -> list[str]:
         "stressToolCalls": calls["stress"],
         "recoveryToolCalls": every["recovery"],
         "otherToolCalls": every["control"] + every["setup"] + every["warmup"],
-        **{f"{name}ToolCount": adapters.get(name, {}).get("tools", NONE) for name in ("modbus", "mqtt", "opcua")},
+        **{
+            f"{_letters(known.key)}ToolCount": adapters.get(known.key, {}).get("tools", _NONE)
+            for known in protocols().values()
+            if known.always or known.key in adapters
+        },
     }
     return [f"\\newcommand{{\\{name}}}{{{value}}}" for name, value in macros.items()]
+
+
+def _letters(key: str) -> str:
+    """Turn a protocol's key into letters, as LaTeX wants them in the name of a macro: ``s7`` becomes ``sSeven``."""
+    return "".join(_DIGITS[int(sign)] if sign.isdecimal() else sign for sign in key if sign.isalnum())
 
 
 def _tabular(columns: str, head: Sequence[str], rows: Sequence[str], width: str | None = None) -> list[str]:
@@ -130,15 +142,15 @@ def _row(*cells: str) -> str:
 
 def _results(run: Run) -> list[str]:
     rows = []
-    for family in _FAMILIES:
+    for family in families(run):
         items = _items(run, "normal", family)
         if not items:
             continue
         calls = task_calls(items)
         tool = _rate(sum(call["ok"] for call in calls), len(calls))
         same_session = _rate(*recovered(_items(run, "recovery", family), "same_session"))
-        count = str(sum(map(applies, items)))
-        rows.append(_row(family, count, _rate(*tally(items)), tool, *_median_p95(run, items), same_session))
+        applying = str(sum(map(applies, items)))
+        rows.append(_row(escape(family), applying, _rate(*tally(items)), tool, *_median_p95(run, items), same_session))
     head = [
         _row("Family", "Tasks", "Task", "Tool", "Med.", "p95", "Rec."),
         r"& & (\%) & (\%) & (ms) & (ms) & (\%) \\",
@@ -148,11 +160,11 @@ def _results(run: Run) -> list[str]:
 
 def _task_breakdown(run: Run) -> list[str]:
     rows: list[str] = []
-    for family in _FAMILIES:
+    for family in families(run):
         items = _items(run, "normal", family)
         if rows and items:
             rows.append("\\midrule")
-        rows += [_row(item["id"], family, escape(item["title"]), *_median_p95(run, [item])) for item in items]
+        rows += [_row(item["id"], escape(family), escape(item["title"]), *_median_p95(run, [item])) for item in items]
     head = [_row("ID", "Family", "Operation", "Median (ms)", "p95 (ms)")]
     return _tabular("@{}llYcc@{}", head, rows, r"\textwidth")
 
@@ -161,9 +173,11 @@ def _fault_results(run: Run) -> list[str]:
     rows = []
     for item in _items(run, "fault"):
         codes = sorted({call["error_code"] for call in task_calls([item]) if call["error_code"]})
-        label = ", ".join(escape(code.replace("_", " ")) for code in codes) or NONE
+        label = ", ".join(escape(code.replace("_", " ")) for code in codes) or _NONE
         median, _ = _median_p95(run, [item])
-        rows.append(_row(item["id"], item["family"], escape(item["title"]), _rate(*tally([item])), median, label))
+        rows.append(
+            _row(item["id"], escape(item["family"]), escape(item["title"]), _rate(*tally([item])), median, label)
+        )
     head = [_row("ID", "Family", "Fault scenario", r"EH\%", "Med. (ms)", "Error class")]
     return _tabular("@{}llYccc@{}", head, rows, r"\columnwidth")
 
@@ -175,7 +189,7 @@ def _stress(run: Run) -> list[str]:
     rows = []
     for item in _items(run, "stress"):
         passed = _count(*tally([item]))
-        rows.append(_row(item["id"], item["family"], escape(item["title"]), passed, *_median_p95(run, [item])))
+        rows.append(_row(item["id"], escape(item["family"]), escape(item["title"]), passed, *_median_p95(run, [item])))
     head = [_row("ID", "Family", "Stress scenario", "Passed", "Med. (ms)", "p95 (ms)")]
     return _tabular("@{}llYccc@{}", head, rows, r"\columnwidth")
 
@@ -189,7 +203,7 @@ def _recovery(run: Run) -> list[str]:
         }
         same, fresh = (_count(*recovered([item], way)) for way in ("same_session", "fresh_session"))
         cells = (medians["detect"], medians["restart"], same, medians["same_session"], fresh, medians["fresh_session"])
-        rows.append(_row(item["family"], *cells))
+        rows.append(_row(escape(item["family"]), *cells))
     head = [
         r"& Detect & Restart & \multicolumn{2}{c}{Same session} & \multicolumn{2}{c}{Fresh session} \\",
         _row("Family", "(ms)", "(ms)", "ok", "Med. (ms)", "ok", "Med. (ms)"),
@@ -219,20 +233,20 @@ def _statistics_row(run: Run, item: Item) -> str:
     return _row(
         item["id"],
         _count(*tally([item])),
-        NONE if rate is None else f"{100 * rate:.1f}",
+        _ms(None if rate is None else 100 * rate),
         _figure(mean(times)),
         _figure(standard_deviation(times)),
         _interval(mean_interval(times)),
         _figure(percentile(times, 50)),
         _interval(median_interval(times)),
         _figure(percentile(times, 95)),
-        NONE if outside is None else str(outside),
+        _NONE if outside is None else str(outside),
     )
 
 
 def _figure(value: float | None) -> str:
-    return NONE if value is None else f"{value:.2f}"
+    return number(value, _NONE)
 
 
 def _interval(bounds: tuple[float, float] | None) -> str:
-    return NONE if bounds is None else f"{bounds[0]:.2f}--{bounds[1]:.2f}"
+    return interval(bounds, _NONE, "--")

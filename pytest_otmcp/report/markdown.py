@@ -12,8 +12,9 @@ from pathlib import Path
 
 from ..core.matrix import SUITES
 from . import Item, Run, command, tally
-from .capabilities import earned, families
+from .capabilities import earned
 from .evidence import failures, findings_of
+from .families import families
 from .limits import narrowed
 from .overview import deviations, tasks
 from .text import printable
@@ -34,14 +35,14 @@ _SIGNS = {
 
 
 def escape(text: str) -> str:
-    """Text that Markdown prints as it is, on one line, in a table too."""
+    """Escape a text so that Markdown prints it as it is, on one line, in a table too."""
     escaped = re.sub(r"[\\`*_{}\[\]<>#!|~&@:$]|(?<=www)\.", r"\\\g<0>", _line(text))
     # GitHub looks for mentions and references after Markdown is done; a joiner of no width is between what they need.
     return re.sub(r"([@#])(?=\w)", "\\1\u200d", escaped)
 
 
 def code(text: str) -> str:
-    """A code span of one line; not for a table, which is cut at its bars before code is looked for."""
+    """Make a code span of one line; not for a table, which is cut at its bars before code is looked for."""
     line = _line(text)
     if len(line) > _LETTERS:
         line = line[:_LETTERS] + "…"
@@ -59,7 +60,7 @@ def write_markdown(run: Run, path: Path) -> None:
 
 
 def summary(run: Run) -> str:
-    """The summary of a run as Markdown."""
+    """Return the summary of a run as Markdown."""
     footer, items = run["footer"], run["items"]
     good, planned = tally(items)
     verdict = footer.get("verdict", "INCOMPLETE")
@@ -96,10 +97,10 @@ def _table(head: list[str], rows: list[list[str]]) -> list[str]:
 def _earned(run: Run) -> list[str]:
     columns = families(run)
     rows = []
-    for capability, by_family in earned(run):
+    for heading, by_family in earned(run):
         grades = [by_family[family] for family in columns]
         cells = [f"{_SIGNS.get(one.grade, '❌')} {one.grade}" for one in grades]
-        rows.append([capability.name, *cells])
+        rows.append([heading.name, *cells])
     return _table(["What may be connected, and what for", *map(escape, columns)], rows)
 
 

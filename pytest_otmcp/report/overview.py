@@ -20,6 +20,7 @@ from ..core.statistics import (
 )
 from . import Item, Run, durations, least, phases, recovered, tally
 from .evidence import findings_of
+from .text import count, interval, number
 
 __all__ = [
     "NONE",
@@ -226,7 +227,7 @@ def facts(run: Run) -> list[tuple[str, str]]:
         "Python": environment.get("python"),
         "Packages": ", ".join(f"{name} {version}" for name, version in packages.items() if version),
         "Settings": ", ".join(f"{name}: {_flat(value)}" for name, value in settings.items() if name != "narrowed"),
-        "Tool calls": ", ".join(f"{role} {count}" for role, count in footer.get("tool_calls", {}).items()),
+        "Tool calls": ", ".join(f"{role} {calls}" for role, calls in footer.get("tool_calls", {}).items()),
     }
     return [(name, str(value)) for name, value in known.items() if value]
 
@@ -238,12 +239,12 @@ def _flat(value: Any) -> str:
 
 
 def _count(good: int, total: int) -> str:
-    return f"{good}/{total}" if total else NONE
+    return count(good, total, NONE)
 
 
 def _number(value: float | None) -> str:
-    return NONE if value is None else f"{value:.2f}"
+    return number(value, NONE)
 
 
 def _interval(bounds: tuple[float, float] | None) -> str:
-    return NONE if bounds is None else f"{bounds[0]:.2f} to {bounds[1]:.2f}"
+    return interval(bounds, NONE, " to ")

@@ -1,10 +1,11 @@
-"""Makes every report from a run record, and says where they are."""
+"""Writes every report of a run record, and says where they are."""
 
 from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -15,41 +16,17 @@ __all__ = ["NAMES", "render", "write_all"]
 
 _MARKUP = {"ok": {"green": True, "bold": True}, "bad": {"red": True, "bold": True}, "head": {"bold": True}, "plain": {}}
 
-Writer = Callable[[Run, Path], None]
-
-# Each is imported by its own writer: a library that is missing or broken costs the reports that need it, no others.
-
-
-def _html(run: Run, path: Path) -> None:
-    from .html import write_html
-
-    write_html(run, path)
-
-
-def _markdown(run: Run, path: Path) -> None:
-    from .markdown import write_markdown
-
-    write_markdown(run, path)
-
-
-def _tables(run: Run, path: Path) -> None:
-    from .latex import write_tables
-
-    write_tables(run, path)
-
-
-def _figures(run: Run, path: Path) -> None:
-    from .figures import write_figures
-
-    write_figures(run, path)
-
-
-_WRITERS: Mapping[str, Writer] = {
-    "report.html": _html,
-    "summary.md": _markdown,
-    "tables": _tables,
-    "figures": _figures,
+_WRITERS: Mapping[str, tuple[str, str]] = {
+    "report.html": ("html", "write_html"),
+    "summary.md": ("markdown", "write_markdown"),
+    "tables": ("latex", "write_tables"),
+    "figures": ("figures", "write_figures"),
 }
+"""What is written, to the module of this room and its function ``(run, path) -> None`` that writes it.
+
+Each module is imported when its turn comes: a library that is missing or broken costs the reports that need it, no others.
+"""
+
 NAMES = tuple(_WRITERS)
 """What :func:`write_all` writes: files and folders, by their names in the report directory."""
 
@@ -57,7 +34,7 @@ NAMES = tuple(_WRITERS)
 def write_all(run: Run, directory: Path) -> dict[str, str]:
     """Write every report of a run below ``directory``.
 
-    A report that cannot be written does not keep the others from being, and the one that an earlier run left in its
+    A report that cannot be written does not keep the others from being written. The one that an earlier run left in its
     place is removed: it would tell of another run.
 
     Args:
@@ -72,12 +49,12 @@ def write_all(run: Run, directory: Path) -> dict[str, str]:
     """
     directory.mkdir(parents=True, exist_ok=True)
     failed: dict[str, str] = {}
-    for name, write in _WRITERS.items():
+    for name, (module, function) in _WRITERS.items():
         path = directory / name
         try:
-            write(run, path)
+            getattr(import_module(f".{module}", __package__), function)(run, path)
         except Exception as error:
-            # Whatever it is: a record may be strange in ways that nobody thought of, and the others are still wanted.
+            # A record may be strange in any way, and the other reports are still wanted.
             failed[name] = f"{type(error).__name__}: {error}"
             _remove(path)
     return failed

@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from .. import __version__
-from ..core.envelope import check_result
 from ..core.errors import KitError, SubjectError, UsageError
 from ..core.strict_json import parse_strict
 from ..plant.device import Device
+from ..protocols.envelope import check_result
 from ..protocols.registry import protocols
 from ..session.exchange import Exchange, joined
 from ..session.session import McpSession, SessionOptions

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from ..core.envelope import check_result
 from ..core.finding import Finding
 from ..core.strict_json import parse_strict
+from ..protocols.envelope import check_result
 from ..protocols.registry import protocols
 from ..session.exchange import Exchange
 from ..subject.answers import extract, interpret, read_answer, synthesised, synthesised_from_outputs

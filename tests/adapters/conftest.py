@@ -24,8 +24,10 @@ from typing import Any
 import pytest
 from jsonschema import Draft202012Validator
 
-from pytest_otmcp.core.envelope import check_result
 from pytest_otmcp.core.strict_json import parse_strict
+from pytest_otmcp.protocols.envelope import check_result
+
+from .cases import Case
 
 LEGACY, MODERN = "2025-11-25", "2026-07-28"
 _META = {
@@ -269,7 +271,8 @@ class Client:
     def pass_time(self) -> None:
         """Move the clock of a forked adapter's event loop on, after it has dealt with everything that it was sent.
 
-        Every time-out of an exchange that has begun elapses; a call's deadline elapses with the second time.
+        Every time-out of an exchange that has begun elapses; a call's deadline elapses with the second time. Nothing else may
+        be about to happen at the same moment, such as the end of a connection attempt: which of the two wins is not defined.
         """
         assert isinstance(self.process, Forked)
         self.request("tools/list", {})
@@ -440,3 +443,86 @@ def mocks() -> Iterator[Callable[[str], Mock]]:
 def adapter_command() -> Callable[[str], list[str]]:
     """How a reference adapter is started: ``adapter_command(protocol)``."""
     return lambda protocol: [sys.executable, "-m", "pytest_otmcp.reference_adapters", protocol]
+
+
+TIMEOUT_S, DEADLINE_S = 20.0, 30.0
+"""Of the adapters of a rig. In real time no call comes near them; their clocks pass them when a test says so."""
+
+
+class Rig:
+    """A mock device of one protocol, and the reference adapter before it with and without permission to write."""
+
+    def __init__(self, case: Case, device: Mock, start: Callable[..., Client], folder: Path) -> None:
+        self.case = case
+        self.device = device
+        self._start = start
+        self._folder = folder
+        self.adapter = self.start("rw", writes="true")
+        self.guarded = self.start("ro")
+        self.ask(self.adapter)
+        self.ask(self.guarded)
+
+    def settings(self, name: str, *, writes: str | None = None, **more: str) -> dict[str, str]:
+        """The settings of an adapter before this device."""
+        prefix = self.case.prefix
+        return {
+            **self.case.settings(self.device.port, name, self._folder),
+            f"{prefix}_TIMEOUT_S": f"{TIMEOUT_S:g}",
+            f"{prefix}_DEADLINE_S": f"{DEADLINE_S:g}",
+            **({} if writes is None else {f"{prefix}_WRITES_ENABLED": writes}),
+            **more,
+        }
+
+    def start(self, name: str, *, writes: str | None = None, forked: bool = True, **more: str) -> Client:
+        """Start another adapter before this device."""
+        command = [sys.executable, "-m", "pytest_otmcp.reference_adapters", self.case.protocol]
+        return self._start(command, self.settings(name, writes=writes, **more), forked=forked)
+
+    def ask(self, client: Client | None = None) -> Reply:
+        """Make the device answer; after that everything that the client sent before is in the journal."""
+        reply = (client or self.adapter).call(self.case.probe, self.case.reads[self.case.probe])
+        assert reply.envelope["success"], reply.envelope
+        return reply
+
+    def fault(self, tool: str, action: Mapping[str, Any], **more: Any) -> None:
+        """Let the device do this with the requests of a tool."""
+        self.device.fault({**self.case.rules(tool), "action": action, **more})
+
+    def requests(self, mark: int, tool: str) -> list[dict[str, Any]]:
+        """The requests of a tool that reached the device."""
+        entries = self.device.since(mark, **self.case.requests(tool))
+        return [entry for entry in entries if not self.case.background(entry)]
+
+    def await_requests(self, mark: int, tool: str, count: int = 1) -> None:
+        """Wait until so many requests of a tool have reached the device."""
+        self.device.wait(mark, count, **self.case.requests(tool))
+
+    @contextlib.contextmanager
+    def outage(self) -> Iterator[None]:
+        """Take the device away for a while; afterwards both adapters have found it again."""
+        with self.device.outage():
+            yield
+        for name, client in (("rw", self.adapter), ("ro", self.guarded)):
+            self.reconnected(0, name)
+            self.ask(client)
+
+    def reconnected(self, mark: int, name: str = "rw") -> None:
+        """Wait for an adapter that makes a lost connection again by itself, lest a call join an attempt that fails."""
+        if self.case.readmitted is not None:
+            self.device.wait(mark, **self.case.readmitted(name))
+
+
+@pytest.fixture(scope="session")
+def rigs(
+    sessions: Callable[..., Client], mocks: Callable[[str], Mock], tmp_path_factory: pytest.TempPathFactory
+) -> Callable[[Case], Rig]:
+    """The rig of a case, one for the whole test run: ``rigs(case)``."""
+    made: dict[str, Rig] = {}
+
+    def rig(case: Case) -> Rig:
+        if case.protocol not in made:
+            folder = tmp_path_factory.mktemp(case.protocol)
+            made[case.protocol] = Rig(case, mocks(case.protocol), sessions, folder)
+        return made[case.protocol]
+
+    return rig

@@ -482,11 +482,21 @@ def test_streamable_http_serves_the_same_tools(toy: Any) -> None:
             process.terminate()
 
 
-def test_other_hosts_than_loopback_are_refused() -> None:
-    env = {**os.environ, "MCP_TRANSPORT": "streamable-http", "MCP_HTTP_HOST": "0.0.0.0"}  # noqa: S104
+@pytest.mark.parametrize(
+    "setting",
+    [
+        {"MCP_TRANSPORT": "pigeon"},
+        # Other hosts than loopback.
+        {"MCP_HTTP_HOST": "0.0.0.0", "MCP_TRANSPORT": "streamable-http"},  # noqa: S104
+    ],
+    ids=lambda setting: next(iter(setting)),
+)
+def test_a_transport_that_is_not_offered_is_one_sentence_and_exit_code_2(setting: dict[str, str]) -> None:
+    env = {**os.environ, **setting}
     done = subprocess.run([sys.executable, __file__], env=env, capture_output=True, text=True, timeout=60, check=False)
-    assert done.returncode == 2
-    assert "MCP_HTTP_HOST" in done.stderr
+    assert (done.returncode, done.stdout) == (2, "")
+    assert len(done.stderr.splitlines()) == 1
+    assert next(iter(setting)) in done.stderr
 
 
 if __name__ == "__main__":

@@ -15,33 +15,12 @@ from typing import Any
 import paho.mqtt.client as paho
 import pytest
 from paho.mqtt.enums import CallbackAPIVersion
-from pytest_otmcp.reference_adapters.core import ConfigError
-from pytest_otmcp.reference_adapters.mqtt import build
 from pytest_otmcp.reference_adapters.mqtt.topics import matches
 
+from .cases import MQTT
+from .conftest import PATIENCE_S
+
 CLIENT, GUARDED = "mqtt-tests-rw", "mqtt-tests-ro"
-PATIENCE_S = 40.0
-METRIC = {"name": "level", "datatype": "Int32", "value": 1}
-WRITES: dict[str, dict[str, Any]] = {
-    "publish_message": {"topic": "plain/denied", "payload": "x", "qos": 1, "retain": True},
-    "publish_node_birth": {"metrics": [METRIC]},
-    "publish_node_death": {},
-    "publish_device_birth": {"device_id": "d", "metrics": [METRIC]},
-    "publish_device_death": {"device_id": "d"},
-    "publish_node_data": {"metrics": [{"name": "level", "value": 1}]},
-    "publish_device_data": {"device_id": "d", "metrics": [{"name": "level", "value": 1}]},
-    "publish_node_command": {"edge_node_id": "n", "metrics": [METRIC]},
-    "publish_device_command": {"edge_node_id": "n", "device_id": "d", "metrics": [METRIC]},
-}
-READS: dict[str, dict[str, Any]] = {
-    "get_broker_info": {},
-    "subscribe_topic": {"topic": "reads/#"},
-    "read_messages": {"topic": "reads/#"},
-    "list_subscriptions": {},
-    "unsubscribe_topic": {"topic": "reads/#"},
-    "list_sparkplug_nodes": {},
-    "decode_sparkplug_payload": {"payload": ""},
-}
 
 
 class Peer:
@@ -80,30 +59,28 @@ class Peer:
 
 
 @pytest.fixture(scope="module")
-def broker(mocks: Any) -> Any:
-    return mocks("mqtt")
+def rig(rigs: Any) -> Any:
+    return rigs(MQTT)
+
+
+@pytest.fixture(scope="module")
+def broker(rig: Any) -> Any:
+    return rig.device
+
+
+@pytest.fixture(scope="module")
+def guarded(rig: Any) -> Any:
+    return rig.guarded
+
+
+@pytest.fixture(scope="module")
+def adapter(rig: Any) -> Any:
+    return rig.adapter
 
 
 @pytest.fixture(autouse=True)
 def clean(broker: Any) -> None:
     broker("reset")
-
-
-@pytest.fixture(scope="module")
-def env(broker: Any) -> dict[str, str]:
-    # Nothing here has to time out.
-    patience = {"MQTT_TIMEOUT_S": "7", "MQTT_DEADLINE_S": "9"}
-    return {"MQTT_URL": f"mqtt://127.0.0.1:{broker.port}", "MQTT_CLIENT_ID": CLIENT, **patience}
-
-
-@pytest.fixture(scope="module")
-def adapter(sessions: Any, adapter_command: Any, env: dict[str, str]) -> Any:
-    return sessions(adapter_command("mqtt"), {**env, "MQTT_WRITES_ENABLED": "true"})
-
-
-@pytest.fixture(scope="module")
-def guarded(sessions: Any, adapter_command: Any, env: dict[str, str]) -> Any:
-    return sessions(adapter_command("mqtt"), {**env, "MQTT_CLIENT_ID": GUARDED})
 
 
 @pytest.fixture
@@ -126,15 +103,10 @@ def drained(adapter: Any, topic: str) -> dict[str, Any]:
     return data
 
 
-def refused(reply: Any) -> tuple[str, str]:
-    return reply.error["code"], reply.error["outcome"]
-
-
 # -- the surface ---------------------------------------------------------------------------------------------
 
 
 def test_there_are_the_fifteen_tools_of_the_paper_and_one_that_reads_messages(adapter: Any) -> None:
-    assert set(adapter.tools) == {*READS, *WRITES}
     assert len(adapter.tools) == 16
 
 
@@ -154,24 +126,6 @@ def test_broker_info_asks_the_broker_every_time(adapter: Any, broker: Any) -> No
 # -- the write guard -----------------------------------------------------------------------------------------
 
 
-def test_denied_writes_do_not_even_connect(guarded: Any, broker: Any) -> None:
-    mark = broker.mark()
-    for tool, arguments in WRITES.items():
-        assert refused(guarded.call(tool, arguments)) == ("writes_disabled", "not_sent")
-    assert [entry for entry in broker.since(mark) if entry["kind"] == "CONNECTED"] == []
-
-
-@pytest.mark.parametrize("tool", WRITES)
-def test_a_denied_write_puts_nothing_on_the_wire(guarded: Any, broker: Any, tool: str) -> None:
-    guarded.call("get_broker_info")
-    mark = broker.mark()
-    reply = guarded.call(tool, WRITES[tool])
-    assert refused(reply) == ("writes_disabled", "not_sent")
-    assert reply.meta["attempts"] == 0
-    guarded.call("get_broker_info")
-    assert [entry["kind"] for entry in from_adapter(broker, mark, client=GUARDED)] == ["UNSUBSCRIBE"]
-
-
 def test_a_guarded_adapter_leaves_no_will_that_would_be_published_for_it(
     adapter: Any, guarded: Any, broker: Any
 ) -> None:
@@ -180,15 +134,6 @@ def test_a_guarded_adapter_leaves_no_will_that_would_be_published_for_it(
         connects = from_adapter(broker, 0, "CONNECT", client=client)
         assert connects
         assert all((connect["will"] is not None) is armed for connect in connects)
-
-
-def test_read_only_hints_are_true(adapter: Any, broker: Any) -> None:
-    mark = broker.mark()
-    for tool, arguments in READS.items():
-        assert adapter.tools[tool]["annotations"]["readOnlyHint"]
-        assert adapter.call(tool, arguments).envelope["success"]
-    assert from_adapter(broker, mark, "PUBLISH") == []
-    assert not any(adapter.tools[tool]["annotations"]["readOnlyHint"] for tool in WRITES)
 
 
 # -- publishing ----------------------------------------------------------------------------------------------
@@ -371,58 +316,7 @@ def test_a_refused_subscription_is_a_failure_and_not_listed(adapter: Any, broker
     assert "denied/x" not in [one["topic"] for one in listed]
 
 
-# -- what is refused -----------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("tool", "arguments", "code"),
-    [
-        ("publish_message", {"topic": "", "payload": "x"}, "invalid_input"),
-        ("publish_message", {"topic": "a/+", "payload": "x"}, "invalid_input"),
-        ("publish_message", {"topic": "a/#", "payload": "x"}, "invalid_input"),
-        ("publish_message", {"topic": "a\0b", "payload": "x"}, "invalid_input"),
-        ("publish_message", {"topic": "$SYS/x", "payload": "x"}, "invalid_input"),
-        ("publish_message", {"topic": "ü" * 32_768, "payload": "x"}, "invalid_input"),
-        ("publish_message", {"topic": "spBv1.0/factory/DDATA/edge-node-1/device-1", "payload": "x"}, "invalid_input"),
-        ("publish_message", {"topic": "a\ud800", "payload": "x"}, "invalid_input"),
-        ("publish_message", {"topic": "a", "payload": "\ud800"}, "invalid_input"),
-        ("publish_message", {"topic": "a", "payload": "###", "encoding": "base64"}, "invalid_input"),
-        ("publish_message", {"topic": "a", "payload": "x", "encoding": "latin-1"}, "invalid_input"),
-        ("publish_message", {"topic": "a", "payload": "x" * (1024 * 1024 + 1)}, "limit_exceeded"),
-        ("publish_message", {"topic": "a", "payload": "x" * (2 * 1024 * 1024 + 1)}, "limit_exceeded"),
-        ("publish_message", {"topic": "a", "payload": "x", "qos": 3}, "invalid_input"),
-        ("publish_message", {"topic": "a", "payload": "x", "qos": -1}, "invalid_input"),
-        ("publish_message", {"topic": "a", "payload": "x", "qos": True}, "invalid_input"),
-        ("publish_message", {"topic": "a", "payload": "x", "qos": "1"}, "invalid_input"),
-        ("publish_message", {"topic": "a", "payload": "x", "retain": 1}, "invalid_input"),
-        ("publish_message", {"topic": "a", "payload": 5}, "invalid_input"),
-        ("publish_message", {"topic": "a", "payload": {"speed": 5}}, "invalid_input"),
-        ("publish_message", {"topic": "a", "payload": None}, "invalid_input"),
-        ("publish_message", {"topic": "a"}, "invalid_input"),
-        ("publish_message", {"topic": "a", "payload": "x", "quality": 1}, "invalid_input"),
-        ("subscribe_topic", {"topic": "sensors/#", "qos": 5}, "invalid_input"),
-        ("subscribe_topic", {"topic": ""}, "invalid_input"),
-        ("subscribe_topic", {"topic": "a#"}, "invalid_input"),
-        ("subscribe_topic", {"topic": "a/#/b"}, "invalid_input"),
-        ("subscribe_topic", {"topic": "a/b+"}, "invalid_input"),
-        ("subscribe_topic", {"topic": "$share/g/a"}, "invalid_input"),
-        ("unsubscribe_topic", {"topic": "a#"}, "invalid_input"),
-        ("read_messages", {"topic": "a#"}, "invalid_input"),
-        ("read_messages", {"topic": "#", "limit": 0}, "invalid_input"),
-        ("read_messages", {"topic": "#", "limit": 1001}, "invalid_input"),
-        ("get_broker_info", {"verbose": True}, "invalid_input"),
-    ],
-)
-def test_what_no_packet_may_carry_is_not_sent_and_the_session_stays_up(
-    adapter: Any, broker: Any, tool: str, arguments: dict[str, Any], code: str
-) -> None:
-    adapter.call("get_broker_info")
-    mark = broker.mark()
-    reply = adapter.call(tool, arguments)
-    assert reply.error["code"] == code
-    assert reply.error["outcome"] == ("not_sent" if reply.error["class"] == "validation" else "not_applicable")
-    adapter.call("get_broker_info")
-    assert [entry["kind"] for entry in broker.since(mark, client_id=CLIENT)] == ["UNSUBSCRIBE", "UNSUBACK"]
+# -- topics and credentials -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -448,30 +342,10 @@ def test_filters_select_as_section_4_7_has_it(text: str, topic: str, selected: b
     assert matches(text, topic) is selected
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("MQTT_URL", "tcp://127.0.0.1:1883"),
-        ("MQTT_URL", "mqtt://127.0.0.1:x"),
-        ("MQTT_URL", "mqtt://"),
-        ("MQTT_URL", "mqtt://user:canary@127.0.0.1"),
-        ("SPARKPLUG_GROUP_ID", "a/b"),
-        ("SPARKPLUG_EDGE_NODE_ID", ""),
-        ("MQTT_TIMEOUT_S", "0"),
-    ],
-)
-def test_a_setting_that_cannot_be_used_is_named(monkeypatch: pytest.MonkeyPatch, name: str, value: str) -> None:
-    monkeypatch.setenv(name, value)
-    with pytest.raises(ConfigError) as caught:
-        build()
-    assert str(caught.value).startswith(name)
-    assert "canary" not in str(caught.value)
-
-
-def test_credentials_are_sent_and_never_shown(sessions: Any, adapter_command: Any, env: Any, broker: Any) -> None:
+def test_credentials_are_sent_and_never_shown(rig: Any, broker: Any) -> None:
     mark = broker.mark()
     secret = {"MQTT_CLIENT_ID": "login", "MQTT_USERNAME": "operator", "MQTT_PASSWORD": "canary-7f3a"}
-    fresh = sessions(adapter_command("mqtt"), {**env, **secret})
+    fresh = rig.start("login", **secret)
     info = fresh.call("get_broker_info")
     (connect,) = from_adapter(broker, mark, "CONNECT", client="login")
     assert connect["username"] == "operator"

@@ -19,21 +19,24 @@ from typing import Any
 import pytest
 from pytest_otmcp.reference_adapters.mqtt.connection import Connection, ConnectionLostError, Endpoint, Message
 
-CLIENT, HASTY = "mqtt-faults", "mqtt-faults-hasty"
-# Where everything answers, a process that the machine leaves standing for two seconds must not look like a fault. Where
-# something does not answer, the test waits that long; the deadline leaves room for such a pause before the time-out, too.
-TIMEOUT_S, DEADLINE_S = 7.0, 9.0
-HASTY_TIMEOUT_S, HASTY_DEADLINE_S = 2.5, 6.0
-# Later than that pause after the time-out.
-TOO_LATE_S = 6.0
+from .cases import MQTT
+from .conftest import PATIENCE_S
+
+CLIENT = "mqtt-tests-faults"
+LATE_S = 60.0
+"""When a late answer would come. The test does not wait for it: it is the adapter's clock that moves on."""
 BACK_S = 0.25
 QUIET_S = 0.3
-PATIENCE_S = 40.0
 
 
 @pytest.fixture(scope="module")
-def broker(mocks: Any) -> Any:
-    return mocks("mqtt")
+def rig(rigs: Any) -> Any:
+    return rigs(MQTT)
+
+
+@pytest.fixture(scope="module")
+def broker(rig: Any) -> Any:
+    return rig.device
 
 
 @pytest.fixture(autouse=True)
@@ -42,39 +45,13 @@ def clean(broker: Any) -> None:
 
 
 @pytest.fixture(scope="module")
-def env(broker: Any) -> dict[str, str]:
-    return {
-        "MQTT_URL": f"mqtt://127.0.0.1:{broker.port}",
-        "MQTT_CLIENT_ID": CLIENT,
-        "MQTT_TIMEOUT_S": str(TIMEOUT_S),
-        "MQTT_DEADLINE_S": str(DEADLINE_S),
-        "MQTT_WRITES_ENABLED": "true",
-    }
-
-
-@pytest.fixture(scope="module")
-def hasty_env(env: dict[str, str]) -> dict[str, str]:
-    return {
-        **env,
-        "MQTT_CLIENT_ID": HASTY,
-        "MQTT_TIMEOUT_S": str(HASTY_TIMEOUT_S),
-        "MQTT_DEADLINE_S": str(HASTY_DEADLINE_S),
-    }
-
-
-@pytest.fixture(scope="module")
-def adapter(sessions: Any, adapter_command: Any, env: dict[str, str]) -> Any:
-    return sessions(adapter_command("mqtt"), env)
-
-
-@pytest.fixture(scope="module")
-def hasty(sessions: Any, adapter_command: Any, hasty_env: dict[str, str]) -> Any:
-    """An adapter for what is not answered."""
-    return sessions(adapter_command("mqtt"), hasty_env)
+def adapter(rig: Any) -> Any:
+    """An adapter of its own: the tests compare its subscriptions."""
+    return rig.start("faults", writes="true")
 
 
 def back(broker: Any, mark: int, client: str = CLIENT) -> None:
-    """The adapter was let in, so that its next call does not join an attempt that began before and has failed."""
+    """Wait until the adapter was let in, so that its next call does not join an attempt that began before and has failed."""
     broker.wait(mark, kind="CONNACK", client_id=client, reason_codes=[0])
 
 
@@ -111,118 +88,119 @@ def refused(reply: Any) -> tuple[str, str, bool]:
         (2, "PUBLISH", {"close": True}, "connection_lost"),
         (2, "PUBREL", {"reset": True}, "connection_lost"),
         (1, "PUBLISH", {"reset": True}, "connection_lost"),
-        (1, "PUBLISH", {"delay_s": TOO_LATE_S}, "timeout"),
+        (1, "PUBLISH", {"delay_s": LATE_S}, "timeout"),
     ],
 )
 def test_a_message_without_an_answer_is_unknown_and_never_sent_again(
-    request: pytest.FixtureRequest, broker: Any, qos: int, packet: str, action: dict[str, Any], code: str
+    adapter: Any, broker: Any, qos: int, packet: str, action: dict[str, Any], code: str
 ) -> None:
-    name, client = ("hasty", HASTY) if code == "timeout" else ("adapter", CLIENT)
-    adapter = request.getfixturevalue(name)
     before = adapter.call("get_broker_info").meta["connection"]["generation"]
     mark = broker.mark()
-    broker.fault({"packet": packet, "client_id": client, "times": 1, "action": action})
-    reply = publish(adapter, "once", qos)
+    broker.fault({"packet": packet, "client_id": CLIENT, "times": 1, "action": action})
+    call = adapter.start("publish_message", {"topic": "once", "payload": "x", "qos": qos})
+    if code == "timeout":
+        broker.wait(mark, kind=packet, direction="in", client_id=CLIENT)
+        adapter.pass_time()
+    reply = adapter.reply("publish_message", call)
     assert refused(reply) == (code, "unknown", False)
     assert reply.meta["attempts"] == 1
     assert reply.meta["connection"] == {"state": "disconnected", "generation": before}
     assert reply.meta["trace"]["topic"] == "once"
     # The next connection comes by itself; with it, after what it publishes, a replay would have been there.
-    back(broker, mark, client)
+    back(broker, mark)
     after = publish(adapter, "next", 2)
     assert after.data["delivery"] == "acknowledged"
     assert after.meta["connection"]["generation"] == before + 1
-    assert [entry["topic"] for entry in sent(broker, mark, "PUBLISH", client)] == ["once", "next"]
-    assert [entry["dup"] for entry in sent(broker, mark, "PUBLISH", client)] == [False, False]
+    assert [entry["topic"] for entry in sent(broker, mark, "PUBLISH")] == ["once", "next"]
+    assert [entry["dup"] for entry in sent(broker, mark, "PUBLISH")] == [False, False]
     # Neither is the second half of a QoS 2 exchange that was given up.
-    assert len(sent(broker, mark, "PUBREL", client)) == 1 + (packet == "PUBREL")
+    assert len(sent(broker, mark, "PUBREL")) == 1 + (packet == "PUBREL")
 
 
-def test_many_messages_that_fail_together_are_sent_once_each(hasty: Any, broker: Any) -> None:
-    hasty.call("get_broker_info")
+def test_many_messages_that_fail_together_are_sent_once_each(adapter: Any, broker: Any) -> None:
+    adapter.call("get_broker_info")
     mark = broker.mark()
-    broker.fault({"packet": "PUBLISH", "client_id": HASTY, "times": 40, "action": {"no_answer": True}})
+    broker.fault({"packet": "PUBLISH", "client_id": CLIENT, "times": 40, "action": {"no_answer": True}})
     topics = [f"together/{i}" for i in range(40)]
+    ids = adapter.start_together(*(("publish_message", {"topic": one, "payload": "x", "qos": 1}) for one in topics))
     # All of them are on their way before the first of them times out.
-    ids = hasty.start_together(*(("publish_message", {"topic": one, "payload": "x", "qos": 1}) for one in topics))
-    outcomes = {hasty.reply("publish_message", one).error["outcome"] for one in ids}
+    broker.wait(mark, count=40, kind="PUBLISH", direction="in", client_id=CLIENT)
+    adapter.pass_time()
+    outcomes = {adapter.reply("publish_message", one).error["outcome"] for one in ids}
     assert outcomes == {"unknown"}
-    back(broker, mark, HASTY)
-    assert publish(hasty, "next").data["delivery"] == "acknowledged"
+    back(broker, mark)
+    assert publish(adapter, "next").data["delivery"] == "acknowledged"
     # More than twenty were in flight: paho's own limit would have kept the others for later.
-    assert [entry["topic"] for entry in sent(broker, mark, "PUBLISH", HASTY)] == [*topics, "next"]
+    assert [entry["topic"] for entry in sent(broker, mark, "PUBLISH")] == [*topics, "next"]
 
 
-def test_the_deadline_ends_a_call_and_what_it_had_begun(
-    sessions: Any, adapter_command: Any, env: Any, broker: Any
-) -> None:
-    limits = {"MQTT_TIMEOUT_S": "600", "MQTT_DEADLINE_S": str(HASTY_TIMEOUT_S)}
-    patient = sessions(adapter_command("mqtt"), {**env, "MQTT_CLIENT_ID": "patient", **limits})
+def test_the_deadline_ends_a_call_and_what_it_had_begun(rig: Any, broker: Any) -> None:
+    # Only the deadline can end its calls.
+    patient = rig.start("patient", writes="true", MQTT_TIMEOUT_S="600")
+    client = "mqtt-tests-patient"
     patient.call("get_broker_info")
     mark = broker.mark()
-    broker.fault({"packet": "PUBREL", "client_id": "patient", "action": {"no_answer": True}})
-    started = time.monotonic()
-    assert refused(publish(patient, "late", 2)) == ("timeout", "unknown", False)
-    assert time.monotonic() - started >= HASTY_TIMEOUT_S
-    back(broker, mark, "patient")
+    broker.fault({"packet": "PUBREL", "client_id": client, "action": {"no_answer": True}})
+    call = patient.start("publish_message", {"topic": "late", "payload": "x", "qos": 2})
+    broker.wait(mark, kind="PUBREL", direction="in", client_id=client)
+    patient.pass_time()
+    patient.pass_time()
+    assert refused(patient.reply("publish_message", call)) == ("timeout", "unknown", False)
+    back(broker, mark, client)
     broker.fault()
     patient.call("get_broker_info")
-    assert len(broker.since(mark, kind="PUBLISH", direction="in", client_id="patient")) == 1
-    broker.fault({"packet": "UNSUBSCRIBE", "client_id": "patient", "action": {"no_answer": True}})
-    assert patient.call("get_broker_info").error["code"] == "timeout"
+    assert len(broker.since(mark, kind="PUBLISH", direction="in", client_id=client)) == 1
+    mark = broker.mark()
+    broker.fault({"packet": "UNSUBSCRIBE", "client_id": client, "action": {"no_answer": True}})
+    call = patient.start("get_broker_info", {})
+    broker.wait(mark, kind="UNSUBSCRIBE", direction="in", client_id=client)
+    patient.pass_time()
+    patient.pass_time()
+    assert patient.reply("get_broker_info", call).error["code"] == "timeout"
     patient.close()
 
 
-def test_what_the_socket_could_not_take_in_time_is_not_sent_later(hasty: Any, broker: Any) -> None:
-    hasty.call("get_broker_info")
+def test_what_the_socket_could_not_take_in_time_is_not_sent_later(adapter: Any, broker: Any) -> None:
+    adapter.call("get_broker_info")
     mark = broker.mark()
     os.kill(broker.pid, signal.SIGSTOP)
     try:
         for number in range(64):
-            reply = hasty.call("publish_message", topic=f"stuck/{number}", payload="x" * 1_000_000, qos=0)
+            call = adapter.start("publish_message", {"topic": f"stuck/{number}", "payload": "x" * 1_000_000, "qos": 0})
+            adapter.pass_time()
+            reply = adapter.reply("publish_message", call)
             if not reply.envelope["success"]:
                 break
     finally:
         os.kill(broker.pid, signal.SIGCONT)
     assert refused(reply) == ("timeout", "unknown", False)
-    back(broker, mark, HASTY)
-    assert hasty.call("get_broker_info").envelope["success"]
-    assert f"stuck/{number}" not in [entry["topic"] for entry in sent(broker, mark, "PUBLISH", HASTY)]
+    back(broker, mark)
+    assert adapter.call("get_broker_info").envelope["success"]
+    assert f"stuck/{number}" not in [entry["topic"] for entry in sent(broker, mark, "PUBLISH")]
 
 
 # -- requests that change nothing ------------------------------------------------------------------------------
 
 
-def test_a_question_is_repeated_once_over_a_new_connection(adapter: Any, broker: Any) -> None:
-    generation = adapter.call("get_broker_info").meta["connection"]["generation"]
+def test_a_subscription_without_an_answer_is_not_listed(adapter: Any, broker: Any) -> None:
+    adapter.call("get_broker_info")
     mark = broker.mark()
-    broker.fault({"packet": "UNSUBSCRIBE", "client_id": CLIENT, "times": 1, "action": {"reset": True}})
-    reply = adapter.call("get_broker_info")
-    assert reply.data["connected"] is True
-    assert reply.meta["attempts"] == 2
-    assert reply.meta["connection"] == {"state": "reconnected", "generation": generation + 1}
-    broker.fault({"packet": "UNSUBSCRIBE", "client_id": CLIENT, "times": 2, "action": {"reset": True}})
-    mark = broker.mark()
-    assert adapter.call("get_broker_info").error["code"] == "connection_lost"
-    assert len(sent(broker, mark, "UNSUBSCRIBE")) == 2
-    assert adapter.call("get_broker_info").envelope["success"]
-
-
-def test_a_subscription_without_an_answer_is_not_listed(hasty: Any, broker: Any) -> None:
-    hasty.call("get_broker_info")
-    broker.fault({"packet": "SUBSCRIBE", "client_id": HASTY, "times": 1, "action": {"no_answer": True}})
-    reply = hasty.call("subscribe_topic", topic="silent/#")
-    assert refused(reply) == ("timeout", "not_applicable", True)
-    assert hasty.call("list_subscriptions").data["subscriptions"] == []
-    assert hasty.call("subscribe_topic", topic="silent/#").data["granted_qos"] == 0
-    hasty.call("unsubscribe_topic", topic="silent/#")
+    broker.fault({"packet": "SUBSCRIBE", "client_id": CLIENT, "times": 1, "action": {"no_answer": True}})
+    call = adapter.start("subscribe_topic", {"topic": "silent/#"})
+    broker.wait(mark, kind="SUBSCRIBE", direction="in", client_id=CLIENT)
+    adapter.pass_time()
+    assert refused(adapter.reply("subscribe_topic", call)) == ("timeout", "not_applicable", True)
+    assert adapter.call("list_subscriptions").data["subscriptions"] == []
+    back(broker, mark)
+    assert adapter.call("subscribe_topic", topic="silent/#").data["granted_qos"] == 0
+    adapter.call("unsubscribe_topic", topic="silent/#")
 
 
 # -- connecting --------------------------------------------------------------------------------------------------
 
 
-def test_each_refusal_of_a_connection_has_its_code(sessions: Any, adapter_command: Any, env: Any, broker: Any) -> None:
-    fresh = sessions(adapter_command("mqtt"), {**env, "MQTT_CLIENT_ID": "refused"})
+def test_each_refusal_of_a_connection_has_its_code(rig: Any, broker: Any) -> None:
+    fresh = rig.start("refused", writes="true", MQTT_CLIENT_ID="refused")
     codes = {1: "config_error", 2: "config_error", 4: "auth_failed", 5: "access_denied", 3: "connect_failed"}
     for code, expected in codes.items():
         broker.fault({"packet": "CONNECT", "client_id": "refused", "action": {"reason_code": code}})
@@ -239,12 +217,13 @@ def test_each_refusal_of_a_connection_has_its_code(sessions: Any, adapter_comman
     fresh.close()
 
 
-def test_a_broker_that_does_not_answer_connect_is_a_timeout_for_everybody_who_waits(
-    sessions: Any, adapter_command: Any, hasty_env: Any, broker: Any
-) -> None:
-    fresh = sessions(adapter_command("mqtt"), {**hasty_env, "MQTT_CLIENT_ID": "unanswered"})
-    broker.fault({"packet": "CONNECT", "client_id": "unanswered", "action": {"no_answer": True}})
+def test_a_broker_that_does_not_answer_connect_is_a_timeout_for_everybody_who_waits(rig: Any, broker: Any) -> None:
+    fresh = rig.start("unanswered", writes="true")
+    mark = broker.mark()
+    broker.fault({"packet": "CONNECT", "client_id": "mqtt-tests-unanswered", "action": {"no_answer": True}})
     ids = fresh.start_together(*[("publish_message", {"topic": "a", "payload": "x"})] * 8)
+    broker.wait(mark, kind="CONNECT", direction="in", client_id="mqtt-tests-unanswered")
+    fresh.pass_time()
     replies = [fresh.reply("publish_message", one) for one in ids]
     assert {refused(reply) for reply in replies} == {("timeout", "not_sent", True)}
     # Nobody had to wait for the deadline, as whoever only comes after the attempts of others would.
@@ -291,12 +270,10 @@ def impostor(answers: list[bytes]) -> Iterator[int]:
             thread.join()
 
 
-def test_what_is_no_broker_is_told_and_nothing_is_published_to_it(
-    sessions: Any, adapter_command: Any, env: Any
-) -> None:
+def test_what_is_no_broker_is_told_and_nothing_is_published_to_it(rig: Any) -> None:
     answers = [b""]
     with impostor(answers) as port:
-        fresh = sessions(adapter_command("mqtt"), {**env, "MQTT_URL": f"mqtt://127.0.0.1:{port}"})
+        fresh = rig.start("deceived", writes="true", MQTT_URL=f"mqtt://127.0.0.1:{port}")
         for answer, code in {
             b"": "connect_failed",
             b"HTTP/1.1 400 Bad Request\r\n\r\n": "connect_failed",
@@ -320,11 +297,9 @@ def mute_broker() -> Iterator[tuple[socket.socket, int]]:
         yield listener, listener.getsockname()[1]
 
 
-def test_a_connection_that_was_given_up_is_reset_so_that_the_kernel_sends_nothing_more(
-    sessions: Any, adapter_command: Any, hasty_env: Any
-) -> None:
+def test_a_connection_that_was_given_up_is_reset_so_that_the_kernel_sends_nothing_more(rig: Any) -> None:
     with mute_broker() as (listener, port):
-        fresh = sessions(adapter_command("mqtt"), {**hasty_env, "MQTT_URL": f"mqtt://127.0.0.1:{port}"})
+        fresh = rig.start("resetting", writes="true", MQTT_URL=f"mqtt://127.0.0.1:{port}")
         call = fresh.start("publish_message", {"topic": "a", "payload": "x", "qos": 1})
         connection, _ = listener.accept()
         with connection:
@@ -332,6 +307,7 @@ def test_a_connection_that_was_given_up_is_reset_so_that_the_kernel_sends_nothin
             connection.recv(1000)
             connection.sendall(b"\x20\x02\0\0")
             assert connection.recv(1000)[0] == 0x32
+            fresh.pass_time()
             with pytest.raises(ConnectionResetError):
                 connection.recv(1000)
         assert refused(fresh.reply("publish_message", call)) == ("timeout", "unknown", False)
@@ -360,11 +336,9 @@ async def test_a_connection_knows_its_end_before_the_loop_has_read_it() -> None:
             connection.send(Message(topic="a", payload=b"x"))
 
 
-def test_two_clients_with_one_identifier_do_not_throw_each_other_out_for_ever(
-    sessions: Any, adapter_command: Any, env: Any, broker: Any
-) -> None:
+def test_two_clients_with_one_identifier_do_not_throw_each_other_out_for_ever(rig: Any, broker: Any) -> None:
     mark = broker.mark()
-    twins = [sessions(adapter_command("mqtt"), {**env, "MQTT_CLIENT_ID": "twin"}) for _ in range(2)]
+    twins = [rig.start("twin", writes="true", MQTT_CLIENT_ID="twin") for _ in range(2)]
     for twin in twins:
         twin.call("get_broker_info")
     # They start at a twentieth of a second, and go slower and slower: the sixteenth comes after two seconds.
@@ -378,13 +352,15 @@ def test_two_clients_with_one_identifier_do_not_throw_each_other_out_for_ever(
 # -- outages -----------------------------------------------------------------------------------------------------
 
 
-def test_nothing_is_queued_over_an_outage_and_subscriptions_come_back_by_themselves(adapter: Any, broker: Any) -> None:
+def test_nothing_is_queued_over_an_outage_and_subscriptions_come_back_by_themselves(
+    adapter: Any, rig: Any, broker: Any
+) -> None:
     # Not the topics of the plant: after its start the broker may live a second of it before it is told to pause.
     adapter.call("subscribe_topic", topic="probes/#", qos=1)
     generation = adapter.call("get_broker_info").meta["connection"]["generation"]
     broker("poke", params={"publish": {"topic": "probes/a", "payload": "b2xk"}})
     assert received(adapter, "probes/b") == []
-    with broker.outage():
+    with rig.outage():
         for qos in (0, 1, 2):
             reply = publish(adapter, "stale", qos)
             assert refused(reply) == ("connect_failed", "not_sent", True)
@@ -423,60 +399,31 @@ def test_a_restored_subscription_that_is_refused_is_shown_as_inactive(adapter: A
     adapter.call("unsubscribe_topic", topic="lost/#")
 
 
-def test_a_message_right_after_the_brokers_end_does_not_succeed(adapter: Any, broker: Any) -> None:
+def test_a_message_right_after_the_brokers_end_does_not_succeed(adapter: Any, rig: Any, broker: Any) -> None:
     for _ in range(3):
         adapter.call("get_broker_info")
-        with broker.outage():
+        with rig.outage():
             # QoS 0 has no answer: only looking at the connection before writing can tell.
             assert refused(publish(adapter, "into the void", 0))[:2] == ("connect_failed", "not_sent")
         back(broker, 0)
         assert publish(adapter, "back", 0).meta["connection"]["state"] in ("connected", "reconnected")
 
 
-def test_the_adapter_starts_without_its_broker_and_heals_in_the_same_session(
-    sessions: Any, adapter_command: Any, env: Any, broker: Any
-) -> None:
-    birth = {"device_id": "d", "metrics": [{"name": "m", "datatype": "Int8", "value": 1}]}
-    with broker.outage():
-        fresh = sessions(adapter_command("mqtt"), {**env, "MQTT_CLIENT_ID": "early"})
-        assert len(fresh.tools) == 16
-        for tool, arguments in (
-            ("get_broker_info", {}),
-            ("subscribe_topic", {"topic": "a"}),
-            ("unsubscribe_topic", {"topic": "a"}),
-            ("publish_message", {"topic": "a", "payload": "x"}),
-            ("publish_device_birth", birth),
-            ("publish_node_birth", {}),
-            ("publish_node_command", {"edge_node_id": "n", "metrics": birth["metrics"]}),
-            ("list_sparkplug_nodes", {}),
-        ):
-            reply = fresh.call(tool, arguments)
-            assert (reply.error["code"], reply.error["retryable"]) == ("connect_failed", True)
-            assert (reply.meta["attempts"], reply.meta["connection"]["state"]) == (0, "disconnected")
-        assert fresh.call("subscribe_topic", topic="a", qos=5).error["code"] == "invalid_input"
-    (connected,) = broker.wait(0, kind="CONNACK", client_id="early")
-    assert connected["reason_codes"] == [0]
-    assert fresh.call("get_broker_info").meta["connection"]["generation"] == 1
-    # A birth that failed has not happened.
-    assert (
-        fresh.call("publish_device_data", device_id="d", metrics=[{"name": "m", "value": 1}]).error["code"]
-        == "not_born"
-    )
-    assert broker.since(0, kind="PUBLISH", direction="in", client_id="early") == []
-    fresh.close()
-
-
-def test_closing_stdin_says_goodbye_to_the_broker(sessions: Any, adapter_command: Any, env: Any, broker: Any) -> None:
-    fresh = sessions(adapter_command("mqtt"), {**env, "MQTT_CLIENT_ID": "leaving"})
+def test_a_birth_that_failed_in_an_outage_has_not_happened(rig: Any, broker: Any) -> None:
+    client = "mqtt-tests-early"
+    with rig.outage():
+        fresh = rig.start("early", writes="true")
+        metrics = [{"name": "m", "datatype": "Int8", "value": 1}]
+        birth = fresh.call("publish_device_birth", device_id="d", metrics=metrics)
+        assert refused(birth) == ("connect_failed", "not_sent", True)
+    back(broker, 0, client)
+    data = fresh.call("publish_device_data", device_id="d", metrics=[{"name": "m", "value": 1}])
+    assert data.error["code"] == "not_born"
     fresh.call("get_broker_info")
+    assert broker.since(0, kind="PUBLISH", direction="in", client_id=client) == []
     mark = broker.mark()
     assert fresh.close()[0] == 0
-    broker.wait(mark, kind="DISCONNECT", client_id="leaving")
-    broker.wait(mark, kind="DISCONNECTED", client_id="leaving")
-    assert broker.since(mark, kind="WILL", client_id="leaving") == []
-
-
-def test_an_unknown_host_is_named_as_such(sessions: Any, adapter_command: Any, env: Any) -> None:
-    lost = sessions(adapter_command("mqtt"), {**env, "MQTT_URL": "mqtt://no-such-host.invalid", "MQTT_DEADLINE_S": "5"})
-    assert lost.call("get_broker_info").error["code"] in ("dns_error", "timeout")
-    lost.close()
+    # It says goodbye, so the broker discards the will.
+    broker.wait(mark, kind="DISCONNECTED", client_id=client)
+    assert broker.since(mark, kind="DISCONNECT", client_id=client)
+    assert broker.since(mark, kind="WILL", client_id=client) == []

@@ -19,9 +19,9 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 
+from .cases import MQTT
+
 CLIENT = "mqtt-tls"
-# Nothing here has to time out.
-PATIENCE = {"MQTT_TIMEOUT_S": "7", "MQTT_DEADLINE_S": "9"}
 
 
 def certificate(folder: Path, address: str) -> tuple[Path, Path]:
@@ -84,17 +84,20 @@ def tls_before(port: int, files: tuple[Path, Path]) -> Iterator[int]:
 
 
 @pytest.fixture(scope="module")
-def broker(mocks: Any) -> Any:
-    return mocks("mqtt")
+def rig(rigs: Any) -> Any:
+    return rigs(MQTT)
 
 
-def test_everything_works_over_tls_and_bursts_do_not_get_stuck(
-    sessions: Any, adapter_command: Any, broker: Any, tmp_path: Path
-) -> None:
+@pytest.fixture(scope="module")
+def broker(rig: Any) -> Any:
+    return rig.device
+
+
+def test_everything_works_over_tls_and_bursts_do_not_get_stuck(rig: Any, broker: Any, tmp_path: Path) -> None:
     files = certificate(tmp_path, "127.0.0.1")
     with tls_before(broker.port, files) as port:
-        env = {"MQTT_CLIENT_ID": CLIENT, "MQTT_WRITES_ENABLED": "true", "SSL_CERT_FILE": str(files[0]), **PATIENCE}
-        adapter = sessions(adapter_command("mqtt"), {**env, "MQTT_URL": f"mqtts://127.0.0.1:{port}"})
+        url = f"mqtts://127.0.0.1:{port}"
+        adapter = rig.start("tls", writes="true", MQTT_CLIENT_ID=CLIENT, MQTT_URL=url, SSL_CERT_FILE=str(files[0]))
         assert adapter.call("get_broker_info").data["endpoint"] == f"mqtts://127.0.0.1:{port}"
         assert adapter.call("subscribe_topic", topic="tls/#", qos=1).data["granted_qos"] == 1
         for qos in (0, 1, 2):
@@ -111,23 +114,20 @@ def test_everything_works_over_tls_and_bursts_do_not_get_stuck(
         adapter.close()
 
 
-def test_a_broker_that_cannot_prove_who_it_is_gets_nothing(
-    sessions: Any, adapter_command: Any, broker: Any, tmp_path: Path
-) -> None:
+def test_a_broker_that_cannot_prove_who_it_is_gets_nothing(rig: Any, broker: Any, tmp_path: Path) -> None:
     trusted, wrong_address = certificate(tmp_path, "127.0.0.1"), certificate(tmp_path, "127.0.0.2")
-    env = {"MQTT_CLIENT_ID": CLIENT, "MQTT_WRITES_ENABLED": "true", "SSL_CERT_FILE": str(wrong_address[0]), **PATIENCE}
+    env = {"MQTT_CLIENT_ID": CLIENT, "SSL_CERT_FILE": str(wrong_address[0])}
     for files in (trusted, wrong_address):
         mark = broker.mark()
         with tls_before(broker.port, files) as port:
-            adapter = sessions(adapter_command("mqtt"), {**env, "MQTT_URL": f"mqtts://127.0.0.1:{port}"})
+            adapter = rig.start("tls", writes="true", MQTT_URL=f"mqtts://127.0.0.1:{port}", **env)
             error = adapter.call("publish_message", topic="secret", payload="x", qos=1).error
             assert (error["code"], error["outcome"], error["retryable"]) == ("tls_error", "not_sent", False)
             adapter.close()
         assert broker.since(mark, kind="CONNECT", client_id=CLIENT) == []
 
 
-def test_a_broker_without_tls_is_a_tls_error(sessions: Any, adapter_command: Any, broker: Any) -> None:
-    env = {"MQTT_CLIENT_ID": CLIENT, "MQTT_URL": f"mqtts://127.0.0.1:{broker.port}", **PATIENCE}
-    adapter = sessions(adapter_command("mqtt"), env)
+def test_a_broker_without_tls_is_a_tls_error(rig: Any, broker: Any) -> None:
+    adapter = rig.start("tls", MQTT_CLIENT_ID=CLIENT, MQTT_URL=f"mqtts://127.0.0.1:{broker.port}")
     assert adapter.call("get_broker_info").error["code"] in ("tls_error", "connect_failed")
     adapter.close()

@@ -5,82 +5,47 @@
 
 from __future__ import annotations
 
-import os
 import socket
 import struct
-import subprocess
 import threading
 from collections.abc import Iterable, Iterator
 from typing import Any
 
 import pytest
-from pytest_otmcp.reference_adapters.core import AdapterError, ConfigError
-from pytest_otmcp.reference_adapters.opcua import build
+from pytest_otmcp.reference_adapters.core import AdapterError
 from pytest_otmcp.reference_adapters.opcua.nodes import parse_node
 
 from pytest_otmcp.core.error_registry import wire_codes
 
-PATIENT = {"OPCUA_TIMEOUT_S": "20", "OPCUA_DEADLINE_S": "30"}
-"""For adapters whose calls are answered: no time-out may come in between on a busy machine."""
-TIMEOUT_S, DEADLINE_S = 2.5, 3.5
-"""For what must time out; what is answered has to be so in time, even if a process stands still for 2 s meanwhile."""
+from .cases import OPCUA
+from .conftest import DEADLINE_S
+
+LATE_S = 60.0
+"""When a late answer would come. The test does not wait for it: it is the adapter's clock that moves on."""
 FAREWELL = {"CloseSession", "CloseSecureChannel", "DISCONNECTED"}
 FAN, TEMPERATURE = "ns=2;s=FanSpeed", "ns=2;s=Temperature"
 METHODS, SET_RATE = "ns=2;s=Methods", "ns=2;s=SetProductionRate"
-WRITES: dict[str, dict[str, Any]] = {
-    "write_opcua_node": {"node_id": FAN, "value": 12.5},
-    "write_multiple_opcua_nodes": {
-        "items": [{"node_id": FAN, "value": 12.5}, {"node_id": "ns=2;s=AlarmActive", "value": True}]
-    },
-    "call_opcua_method": {"object_id": METHODS, "method_id": SET_RATE, "arguments": [120]},
-}
-READS: dict[str, dict[str, Any]] = {
-    "read_opcua_node": {"node_id": TEMPERATURE},
-    "read_multiple_opcua_nodes": {"node_ids": [TEMPERATURE, "ns=2;s=Mode"]},
-    "browse_opcua_node_children": {"node_id": "ns=2;s=Actuators"},
-    "get_all_variables": {},
-}
+READS, WRITES = OPCUA.reads, OPCUA.writes
 
 
 @pytest.fixture(scope="module")
-def plant(mocks: Any) -> Any:
-    return mocks("opcua")
+def rig(rigs: Any) -> Any:
+    return rigs(OPCUA)
+
+
+@pytest.fixture(scope="module")
+def plant(rig: Any) -> Any:
+    return rig.device
+
+
+@pytest.fixture(scope="module")
+def adapter(rig: Any) -> Any:
+    return rig.adapter
 
 
 @pytest.fixture(autouse=True)
 def clean(plant: Any) -> None:
     plant("reset")
-
-
-@pytest.fixture(scope="module")
-def env(plant: Any) -> dict[str, str]:
-    return {"OPCUA_URL": f"opc.tcp://127.0.0.1:{plant.port}", **PATIENT}
-
-
-@pytest.fixture(scope="module")
-def hasty(env: dict[str, str]) -> dict[str, str]:
-    """For what must time out."""
-    return {
-        **env,
-        "OPCUA_WRITES_ENABLED": "true",
-        "OPCUA_TIMEOUT_S": str(TIMEOUT_S),
-        "OPCUA_DEADLINE_S": str(DEADLINE_S),
-    }
-
-
-@pytest.fixture(scope="module")
-def adapter(sessions: Any, adapter_command: Any, env: dict[str, str]) -> Any:
-    return sessions(adapter_command("opcua"), {**env, "OPCUA_WRITES_ENABLED": "true"})
-
-
-@pytest.fixture(scope="module")
-def guarded(sessions: Any, adapter_command: Any, env: dict[str, str]) -> Any:
-    return sessions(adapter_command("opcua"), env)
-
-
-@pytest.fixture(scope="module")
-def impatient(sessions: Any, adapter_command: Any, hasty: dict[str, str]) -> Any:
-    return sessions(adapter_command("opcua"), hasty)
 
 
 @pytest.fixture
@@ -119,8 +84,7 @@ def asked(plant: Any, mark: int, **fields: Any) -> list[str]:
 
 
 def test_there_are_the_seven_tools_of_the_paper(adapter: Any) -> None:
-    assert set(adapter.tools) == {*READS, *WRITES}
-    assert {name for name, tool in adapter.tools.items() if tool["annotations"]["readOnlyHint"]} == set(READS)
+    assert len(adapter.tools) == 7
 
 
 def test_a_value_is_the_servers_with_type_status_and_times(adapter: Any, plant: Any) -> None:
@@ -137,14 +101,6 @@ def test_a_value_is_the_servers_with_type_status_and_times(adapter: Any, plant: 
     assert (trace["service"], trace["node_ids"]) == ("Read", [TEMPERATURE])
     assert trace["status_code"] == {"value": 0, "symbol": "Good"}
     assert len(trace["request_handles"]) == reply.meta["attempts"] == 1
-
-
-@pytest.mark.parametrize("tool", READS)
-def test_what_reads_changes_nothing(adapter: Any, plant: Any, tool: str) -> None:
-    before, mark = plant("image"), plant.mark()
-    assert adapter.call(tool, READS[tool]).meta["source"] == "device"
-    assert plant.since(mark, direction="in", state_changing=True) == []
-    assert plant("image") == before
 
 
 @pytest.mark.parametrize("tool", WRITES)
@@ -195,12 +151,9 @@ def overheard(plant: Any) -> Iterator[tuple[int, bytearray]]:
     listener.close()
 
 
-def test_nothing_but_the_value_is_written(
-    sessions: Any, adapter_command: Any, overheard: tuple[int, bytearray]
-) -> None:
+def test_nothing_but_the_value_is_written(rig: Any, overheard: tuple[int, bytearray]) -> None:
     port, heard = overheard
-    env = {"OPCUA_URL": f"opc.tcp://127.0.0.1:{port}", "OPCUA_WRITES_ENABLED": "true", **PATIENT}
-    subject = sessions(adapter_command("opcua"), env)
+    subject = rig.start("overheard", writes="true", OPCUA_URL=f"opc.tcp://127.0.0.1:{port}")
     assert subject.call("write_opcua_node", node_id=FAN, value=2.5).envelope["success"]
     subject.close()
     # A DataValue (OPC 10000-6, 5.2.2.17): the mask that says what it holds, then type and value; 1 is the value alone.
@@ -211,16 +164,6 @@ def test_a_written_value_stays_while_the_plant_runs(adapter: Any, plant: Any) ->
     adapter.call("write_opcua_node", node_id="ns=2;s=ValvePosition", value=25)
     plant("tick", steps=3)
     assert adapter.call("read_opcua_node", node_id="ns=2;s=ValvePosition").data["value"] == 25.0
-
-
-@pytest.mark.parametrize("tool", WRITES)
-def test_with_writes_disabled_nothing_at_all_is_sent(guarded: Any, plant: Any, tool: str) -> None:
-    before, mark = plant("image"), plant.mark()
-    reply = guarded.call(tool, WRITES[tool])
-    assert (reply.error["code"], reply.error["outcome"]) == ("writes_disabled", "not_sent")
-    assert reply.meta["attempts"] == 0
-    assert asked(plant, mark) == []
-    assert plant("image") == before
 
 
 # -- types -------------------------------------------------------------------------------------------------------
@@ -635,38 +578,7 @@ def test_texts_of_the_server_are_marked_and_cleaned(adapter: Any, plant: Any) ->
         assert "IGNORE" in str(reply.data)
 
 
-# -- arguments ---------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("tool", "arguments", "code"),
-    [
-        ("read_opcua_node", {}, "invalid_input"),
-        ("read_opcua_node", {"node_id": 5}, "invalid_input"),
-        ("read_opcua_node", {"node_id": ""}, "invalid_input"),
-        ("read_opcua_node", {"node_id": "s=" + "x" * 5000}, "limit_exceeded"),
-        ("read_opcua_node", {"node_id": TEMPERATURE, "attribute": 4}, "invalid_input"),
-        ("read_opcua_node", {"node_id": TEMPERATURE, "url": "opc.tcp://127.0.0.1:1"}, "invalid_input"),
-        ("read_multiple_opcua_nodes", {"node_ids": []}, "invalid_input"),
-        ("read_multiple_opcua_nodes", {"node_ids": [TEMPERATURE] * 1001}, "limit_exceeded"),
-        ("read_multiple_opcua_nodes", {"node_ids": TEMPERATURE}, "invalid_input"),
-        ("get_all_variables", {"depth": 3}, "invalid_input"),
-        ("write_opcua_node", {"node_id": FAN}, "invalid_input"),
-        ("write_opcua_node", {"node_id": FAN, "value": 1, "type": "Double"}, "invalid_input"),
-        ("write_opcua_node", {"node_id": "FanSpeed", "value": 1}, "invalid_input"),
-        ("write_multiple_opcua_nodes", {"items": [{"node_id": FAN, "value": 1}] * 1001}, "limit_exceeded"),
-        ("call_opcua_method", {"object_id": METHODS, "method_id": SET_RATE, "arguments": 1}, "invalid_input"),
-        ("call_opcua_method", {"object_id": METHODS, "method_id": SET_RATE, "arguments": [1] * 101}, "limit_exceeded"),
-    ],
-)
-def test_arguments_that_are_none_are_not_sent(
-    adapter: Any, guarded: Any, plant: Any, tool: str, arguments: dict[str, Any], code: str
-) -> None:
-    mark = plant.mark()
-    for subject in (adapter, guarded) if tool in READS else (adapter,):
-        error = subject.call(tool, arguments).error
-        assert (error["code"], error["outcome"]) == (code, "not_sent")
-    assert asked(plant, mark) == []
+# -- node ids ---------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -698,12 +610,12 @@ def test_what_is_no_node_id_is_refused(text: str) -> None:
     assert (refused.value.code, refused.value.field) == ("invalid_input", "/node_id")
 
 
-def test_a_namespace_uri_finds_its_node_wherever_the_server_puts_it(adapter: Any, plant: Any) -> None:
+def test_a_namespace_uri_finds_its_node_wherever_the_server_puts_it(adapter: Any, rig: Any, plant: Any) -> None:
     a, b = ({"variable": "X", "type": "Double", "value": value, "namespace": f"urn:{value}"} for value in (1.0, 2.0))
     create(plant, a, b)
     target = "nsu=urn:1.0;s=X"
     assert adapter.call("read_opcua_node", node_id=target).data["value"] == 1.0
-    with plant.outage():
+    with rig.outage():
         pass
     create(plant, b, a)
     # A read finds out that the connection is gone, and is repeated. A write would not be.
@@ -716,49 +628,6 @@ def test_a_namespace_uri_finds_its_node_wherever_the_server_puts_it(adapter: Any
 
 
 # -- time and connections ----------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("tool", WRITES)
-@pytest.mark.parametrize(
-    ("action", "code"), [("drop", "timeout"), ("close", "connection_lost"), ("reset", "connection_lost")]
-)
-def test_a_write_is_sent_once_whatever_happens(
-    adapter: Any, impatient: Any, plant: Any, tool: str, action: str, code: str
-) -> None:
-    subject = impatient if code == "timeout" else adapter
-    assert subject.call(tool, WRITES[tool]).envelope["success"]
-    service = "Call" if tool == "call_opcua_method" else "Write"
-    plant.fault({"service": service, "action": {action: True}})
-    mark = plant.mark()
-    reply = subject.call(tool, WRITES[tool])
-    assert (reply.error["code"], reply.error["outcome"], reply.error["retryable"]) == (code, "unknown", False)
-    plant.fault()
-    assert subject.call("read_opcua_node", node_id=TEMPERATURE).envelope["success"]
-    assert asked(plant, mark, state_changing=True) == [service]
-
-
-@pytest.mark.parametrize("action", ["close", "reset"])
-def test_a_read_is_repeated_once_over_a_new_connection(adapter: Any, plant: Any, action: str) -> None:
-    adapter.call("read_opcua_node", node_id=TEMPERATURE)
-    plant.fault({"service": "Read", "times": 1, "action": {action: True}})
-    mark = plant.mark()
-    reply = adapter.call("read_opcua_node", node_id=TEMPERATURE)
-    assert (reply.meta["attempts"], asked(plant, mark).count("Read")) == (2, 2)
-    assert reply.meta["connection"]["state"] == "reconnected"
-    plant.fault({"service": "Read", "action": {action: True}})
-    mark = plant.mark()
-    reply = adapter.call("read_opcua_node", node_id=TEMPERATURE)
-    assert (reply.error["code"], reply.meta["attempts"]) == ("connection_lost", 2)
-    assert asked(plant, mark).count("Read") == 2
-
-
-def test_a_read_that_is_not_answered_is_not_repeated(impatient: Any, plant: Any) -> None:
-    assert impatient.call("read_opcua_node", node_id=TEMPERATURE).envelope["success"]
-    plant.fault({"service": "Read", "action": {"drop": True}})
-    mark = plant.mark()
-    reply = impatient.call("read_opcua_node", node_id=TEMPERATURE)
-    assert (reply.error["code"], reply.meta["attempts"], asked(plant, mark)) == ("timeout", 1, ["Read"])
-    assert reply.meta["latency_ms"] >= TIMEOUT_S * 1000
 
 
 @pytest.mark.parametrize("symbol", ["BadSessionIdInvalid", "BadSessionClosed", "BadSecureChannelIdInvalid"])
@@ -775,37 +644,42 @@ def test_a_lost_session_is_replaced_and_a_write_in_it_was_not_done(adapter: Any,
     assert held(plant, FAN) == 3.0
 
 
-def test_every_call_ends_by_its_deadline(impatient: Any, plant: Any) -> None:
-    assert impatient.call("write_opcua_node", node_id=FAN, value=1).envelope["success"]
+def test_a_handshake_that_is_not_answered_leaves_the_next_call_the_rest_of_its_time(adapter: Any, plant: Any) -> None:
+    assert adapter.call("write_opcua_node", node_id=FAN, value=1).envelope["success"]
     plant.fault({"action": {"drop": True}})
-    # The first that times out takes the session with it, so all must have been sent by then.
-    identifiers = impatient.start_together(
-        *(("write_opcua_node", {"node_id": FAN, "value": value}) for value in range(4))
-    )
-    replies = [impatient.reply("write_opcua_node", identifier) for identifier in identifiers]
-    assert {reply.error["code"] for reply in replies} <= {"timeout", "connection_lost"}
-    assert {reply.error["outcome"] for reply in replies} == {"unknown"}
-    # The handshakes of the next connections are not answered either: they try one after the other, and whose turn comes
-    # late has only what is left of its time.
-    identifiers = impatient.start_together(*[("read_opcua_node", {"node_id": TEMPERATURE})] * 4)
-    errors = [impatient.reply("read_opcua_node", identifier).error for identifier in identifiers]
+    mark = plant.mark()
+    lost = adapter.start("write_opcua_node", {"node_id": FAN, "value": 2})
+    plant.wait(mark, kind="Write", direction="in")
+    adapter.pass_time()
+    assert adapter.reply("write_opcua_node", lost).error["code"] == "timeout"
+    # They try one after the other, and whose turn comes late has only what is left of its time.
+    mark = plant.mark()
+    identifiers = adapter.start_together(*[("read_opcua_node", {"node_id": TEMPERATURE})] * 3)
+    for count in (1, 2):
+        plant.wait(mark, count, kind="OpenSecureChannel", direction="in")
+        adapter.pass_time()
+    errors = [adapter.reply("read_opcua_node", identifier).error for identifier in identifiers]
     assert {error["code"] for error in errors} <= {"timeout", "connect_failed"}
     assert any(f"within {DEADLINE_S:g} s" in error["message"] for error in errors)
+    plant.fault()
+    assert adapter.call("read_opcua_node", node_id=TEMPERATURE).envelope["success"]
 
 
-def test_a_late_answer_is_not_the_next_calls(impatient: Any, plant: Any) -> None:
+def test_a_late_answer_is_not_the_next_calls(adapter: Any, plant: Any) -> None:
     plant("poke", params={"node": "Temperature", "value": 1111.0})
     plant("poke", params={"node": "Pressure", "value": 2222.0})
-    assert impatient.call("read_opcua_node", node_id=TEMPERATURE).envelope["success"]
+    assert adapter.call("read_opcua_node", node_id=TEMPERATURE).envelope["success"]
     mark = plant.mark()
-    plant.fault({"service": "Read", "node": TEMPERATURE, "times": 1, "action": {"delay_s": TIMEOUT_S + 3.0}})
-    assert impatient.call("read_opcua_node", node_id=TEMPERATURE).error["code"] == "timeout"
-    assert impatient.call("read_opcua_node", node_id="ns=2;s=Pressure").data["value"] == 2222.0
-    # Over a connection that has ended nothing comes late.
+    plant.fault({"service": "Read", "node": TEMPERATURE, "times": 1, "action": {"delay_s": LATE_S}})
+    slow = adapter.start("read_opcua_node", {"node_id": TEMPERATURE})
     [late, *_] = plant.wait(mark, kind="Read", direction="in")
+    adapter.pass_time()
+    assert adapter.reply("read_opcua_node", slow).error["code"] == "timeout"
+    assert adapter.call("read_opcua_node", node_id="ns=2;s=Pressure").data["value"] == 2222.0
+    # Over a connection that has ended nothing comes late.
     plant.wait(mark, kind="DISCONNECTED", connection=late["connection"])
     for _ in range(2):
-        assert impatient.call("read_opcua_node", node_id="ns=2;s=Pressure").data["value"] == 2222.0
+        assert adapter.call("read_opcua_node", node_id="ns=2;s=Pressure").data["value"] == 2222.0
 
 
 def test_answers_out_of_order_find_their_calls(adapter: Any, plant: Any) -> None:
@@ -832,57 +706,8 @@ def test_one_session_serves_all_calls(adapter: Any, plant: Any) -> None:
     assert not {"CONNECTED", "CreateSession"} & set(asked(plant, mark))
 
 
-def test_tools_are_listed_and_other_calls_answered_while_one_stalls(impatient: Any, plant: Any) -> None:
-    assert impatient.call("read_opcua_node", node_id=TEMPERATURE).envelope["success"]
-    plant.fault({"service": "Read", "node": TEMPERATURE, "times": 1, "action": {"drop": True}})
-    stalled, other = impatient.start_together(
-        ("read_opcua_node", {"node_id": TEMPERATURE}), ("read_opcua_node", {"node_id": "ns=2;s=Pressure"})
-    )
-    listing = impatient.send("tools/list", {})
-    assert impatient.reply("read_opcua_node", stalled).error["code"] == "timeout"
-    # Nothing was read after the answer of the stalled call: the others' came before it.
-    assert {other, listing} <= set(impatient._answers)
-    assert impatient.answer(listing)["result"]["tools"]
-    assert impatient.reply("read_opcua_node", other).envelope["success"]
-
-
-def test_a_cancelled_call_sends_nothing_more_and_the_next_one_works(adapter: Any, plant: Any) -> None:
-    adapter.call("write_opcua_node", node_id=FAN, value=1)
-    plant.fault({"service": "Write", "times": 1, "action": {"drop": True}})
-    mark = plant.mark()
-    identifier = adapter.start("write_opcua_node", {"node_id": FAN, "value": 2})
-    plant.wait(mark, kind="Write")
-    adapter.write({"jsonrpc": "2.0", "method": "notifications/cancelled", "params": {"requestId": identifier}})
-    assert adapter.call("read_opcua_node", node_id=TEMPERATURE).envelope["success"]
-    assert asked(plant, mark) == ["Write", "Read"]
-    with pytest.raises(TimeoutError):
-        adapter.answer(identifier, timeout_s=0.0)
-
-
-def test_the_adapter_starts_without_its_server_and_heals_in_the_same_session(
-    sessions: Any, adapter_command: Any, env: Any, plant: Any
-) -> None:
-    with plant.outage():
-        fresh = sessions(adapter_command("opcua"), {**env, "OPCUA_WRITES_ENABLED": "true"})
-        assert len(fresh.tools) == 7
-        for tool, arguments in {**READS, **WRITES}.items():
-            reply = fresh.call(tool, arguments)
-            assert (reply.error["code"], reply.error["retryable"]) == ("connect_failed", True)
-            assert (reply.meta["attempts"], reply.meta["connection"]["state"]) == (0, "disconnected")
-        # What is wrong in itself is wrong whether the server is there or not.
-        assert fresh.call("read_opcua_node", node_id="garbage").error["code"] == "invalid_input"
-    reply = fresh.call("read_opcua_node", node_id=TEMPERATURE)
-    assert reply.meta["connection"] == {"state": "connected", "generation": 1}
-    with plant.outage():
-        assert fresh.call("read_opcua_node", node_id=TEMPERATURE).error["code"] == "connect_failed"
-        assert fresh.call("write_opcua_node", node_id=FAN, value=1).error["outcome"] == "not_sent"
-    for tool, arguments in {**WRITES, **READS}.items():
-        assert fresh.call(tool, arguments).meta["connection"]["generation"] == 2
-    fresh.close()
-
-
-def test_sessions_do_not_pile_up(sessions: Any, adapter_command: Any, env: Any, plant: Any) -> None:
-    fresh = sessions(adapter_command("opcua"), env)
+def test_sessions_do_not_pile_up(rig: Any, plant: Any) -> None:
+    fresh = rig.start("piling")
     mark = plant.mark()
     assert fresh.call("read_opcua_node", node_id=TEMPERATURE).envelope["success"]
     for _ in range(5):
@@ -895,53 +720,3 @@ def test_sessions_do_not_pile_up(sessions: Any, adapter_command: Any, env: Any, 
         assert plant.since(mark, kind="CloseSession", direction="in", connection=connection)
     assert plant.since(mark, kind="DISCONNECTED", connection=current) == []
     fresh.close()
-
-
-def test_closing_stdin_ends_the_session_in_order(sessions: Any, adapter_command: Any, env: Any, plant: Any) -> None:
-    fresh = sessions(adapter_command("opcua"), env)
-    opening = plant.mark()
-    fresh.call("read_opcua_node", node_id=TEMPERATURE)
-    connection = plant.wait(opening, kind="CONNECTED")[0]["connection"]
-    mark = plant.mark()
-    code, _ = fresh.close()
-    assert code == 0
-    plant.wait(mark, kind="DISCONNECTED", connection=connection)
-    ending = [entry["kind"] for entry in plant.since(mark, direction="in", connection=connection)]
-    assert ending == ["CloseSession", "CloseSecureChannel", "DISCONNECTED"]
-    assert len(fresh.stderr.splitlines()) == 1
-
-
-def test_a_switch_that_is_not_understood_stays_off(sessions: Any, adapter_command: Any, env: Any) -> None:
-    subject = sessions(adapter_command("opcua"), {**env, "OPCUA_WRITES_ENABLED": "flase"})
-    assert subject.call("write_opcua_node", node_id=FAN, value=1).error["code"] == "writes_disabled"
-    subject.close()
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("OPCUA_URL", "http://127.0.0.1:4840"),
-        ("OPCUA_URL", "opc.tcp://"),
-        ("OPCUA_URL", "opc.tcp://127.0.0.1:many"),
-        ("OPCUA_TIMEOUT_S", "nan"),
-        ("OPCUA_DEADLINE_S", "-1"),
-    ],
-)
-def test_a_setting_that_cannot_be_used_is_named(monkeypatch: pytest.MonkeyPatch, name: str, value: str) -> None:
-    monkeypatch.setenv(name, value)
-    with pytest.raises(ConfigError, match=name):
-        build()
-
-
-def test_a_bad_setting_is_one_sentence_and_exit_code_2(adapter_command: Any) -> None:
-    done = subprocess.run(
-        adapter_command("opcua"),
-        env={**os.environ, "OPCUA_URL": "opc.tcp://127.0.0.1:many"},
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
-    assert (done.returncode, done.stdout) == (2, "")
-    assert len(done.stderr.splitlines()) == 1
-    assert "OPCUA_URL" in done.stderr

@@ -23,7 +23,9 @@ from pytest_otmcp.protocols.mqtt.entries import payload_of
 from pytest_otmcp.protocols.mqtt.sparkplug_decoder import DATA_TYPES, decode_payload, payload_class
 from pytest_otmcp.protocols.mqtt.sparkplug_oracle import sparkplug_sequence
 
-GROUP, NODE, CLIENT = "lab", "edge-tests", "sparkplug-tests"
+from .cases import MQTT
+
+GROUP, NODE = "lab", "edge-tests"
 TOPIC = f"spBv1.0/{GROUP}"
 REBIRTH = "Node Control/Rebirth"
 LEVEL = {"name": "level", "datatype": "Double", "value": 1.0}
@@ -32,8 +34,13 @@ Start = Callable[..., Any]
 
 
 @pytest.fixture(scope="module")
-def broker(mocks: Any) -> Any:
-    return mocks("mqtt")
+def rig(rigs: Any) -> Any:
+    return rigs(MQTT)
+
+
+@pytest.fixture(scope="module")
+def broker(rig: Any) -> Any:
+    return rig.device
 
 
 @pytest.fixture(autouse=True)
@@ -42,24 +49,12 @@ def clean(broker: Any) -> None:
 
 
 @pytest.fixture(scope="module")
-def start(sessions: Any, adapter_command: Any, broker: Any) -> Start:
+def start(rig: Any) -> Start:
     """Starts an edge node of its own: ``start(name)``."""
 
-    def edge_node(name: str, **env: str) -> Any:
-        return sessions(
-            adapter_command("mqtt"),
-            {
-                "MQTT_URL": f"mqtt://127.0.0.1:{broker.port}",
-                "MQTT_CLIENT_ID": name,
-                # Nothing here has to time out.
-                "MQTT_TIMEOUT_S": "7",
-                "MQTT_DEADLINE_S": "9",
-                "MQTT_WRITES_ENABLED": "true",
-                "SPARKPLUG_GROUP_ID": GROUP,
-                "SPARKPLUG_EDGE_NODE_ID": name,
-                **env,
-            },
-        )
+    def edge_node(name: str) -> Any:
+        identity = {"MQTT_CLIENT_ID": name, "SPARKPLUG_GROUP_ID": GROUP, "SPARKPLUG_EDGE_NODE_ID": name}
+        return rig.start(name, writes="true", **identity)
 
     return edge_node
 
@@ -376,9 +371,9 @@ def test_every_connection_counts_bdseq_and_is_born_with_the_wills(born: Any, bro
     assert sparkplug_sequence(entries) == []
 
 
-def test_a_failed_message_uses_up_no_number_and_no_birth_tells_its_value(born: Any, broker: Any) -> None:
+def test_a_failed_message_uses_up_no_number_and_no_birth_tells_its_value(born: Any, rig: Any, broker: Any) -> None:
     assert data(born, ("level", 7.0), ("count", 7)).data["seq"] == 2
-    with broker.outage():
+    with rig.outage():
         assert data(born, ("level", 8.0)).error["outcome"] == "not_sent"
     births = broker.wait(0, count=2, kind="PUBLISH", direction="in", client_id=NODE)
     assert [told(entry)["type"] for entry in births] == ["NBIRTH", "DBIRTH"]
@@ -390,8 +385,8 @@ def test_a_failed_message_uses_up_no_number_and_no_birth_tells_its_value(born: A
     assert [one["seq"] for one in sent(broker, 0)] == [0, 1, 2]
 
 
-def test_a_birth_that_failed_is_not_the_next_life(born: Any, broker: Any) -> None:
-    with broker.outage():
+def test_a_birth_that_failed_is_not_the_next_life(born: Any, rig: Any, broker: Any) -> None:
+    with rig.outage():
         assert born.call("publish_device_birth", device_id="late", metrics=[LEVEL]).error["code"] == "connect_failed"
         assert born.call("publish_node_death").error["code"] == "connect_failed"
     broker.wait(0, count=2, kind="PUBLISH", direction="in", client_id=NODE)
@@ -646,12 +641,12 @@ def test_gaps_deaths_and_strangers_are_told(host: Any, broker: Any) -> None:
     assert (node["status"], node["sequence_gap"], node["devices"]) == ("online", False, {})
 
 
-def test_after_an_outage_what_was_known_is_in_doubt(host: Any, broker: Any) -> None:
+def test_after_an_outage_what_was_known_is_in_doubt(host: Any, rig: Any, broker: Any) -> None:
     broker("reset")
     host.call("list_sparkplug_nodes")
     broker("reset")
     assert known(host, "edge-node-1")["status"] == "online"
-    with broker.outage():
+    with rig.outage():
         assert host.call("list_sparkplug_nodes").error["code"] == "connect_failed"
     # Or the next call might join an attempt that began before and has failed.
     broker.wait(0, kind="SUBACK", client_id="host")

@@ -192,7 +192,10 @@ CHANGES: dict[Callable[[Record], None], tuple[str, str]] = {
     come_back_too_late: ("R-mqtt", "R-mqtt repetition 1: the stored history shows phases"),
     lose_an_attempt: ("S11", "the history has no further call"),
     swap_concurrent_replies: ("S1", "S1 repetition 1: the stored history shows 'read_input_registers"),
-    write_in_the_read_only_session: ("M4", "'control: the device should have seen no write, it saw 1' (wrote)"),
+    write_in_the_read_only_session: (
+        "M4",
+        "'control: the device should have seen no state-changing request, it saw 1' (wrote)",
+    ),
 }
 
 

@@ -47,7 +47,7 @@ def test_a_command_that_comes_between_two_items_is_found(
     results = loop.run(two_items())
     assert results["S10"]["status"] == "PASS"
     (finding,) = results[following]["findings"]
-    sentence = "before this item, when nobody called the adapter: the device should have seen no write, it saw 1"
+    sentence = "before this item, when nobody called the adapter: the device should have seen no state-changing request, it saw 1"
     assert sentence in finding["message"]
     assert results[following]["samples"][0]["ok"]
 

@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from pytest_otmcp.core.envelope import check_result
 from pytest_otmcp.core.strict_json import parse_strict, same_json
+from pytest_otmcp.protocols.envelope import check_result
 
 Envelope = dict[str, Any]
 

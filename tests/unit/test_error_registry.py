@@ -10,7 +10,7 @@ import pytest
 from pytest_otmcp.core.error_registry import registry, wire_codes
 from pytest_otmcp.protocols.registry import protocols
 
-SCHEMA = json.loads((resources.files("pytest_otmcp.core") / "envelope.schema.json").read_text(encoding="utf-8"))
+SCHEMA = json.loads((resources.files("pytest_otmcp.protocols") / "envelope.schema.json").read_text(encoding="utf-8"))
 ERROR = SCHEMA["properties"]["error"]["oneOf"][1]["properties"]
 
 

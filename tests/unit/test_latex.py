@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.report.latex import escape, write_tables
 
 from .samples import item, run
@@ -57,6 +59,15 @@ def test_rows_equal_the_papers(tmp_path: Path) -> None:
     assert r"        & & (\%) & (\%) & (ms) & (ms) & (\%) \\" in lines(tmp_path, "tab_results")
     assert r"\newcommand{\totalRuns}{150}" in lines(tmp_path, "exact_counts")
     assert r"\newcommand{\modbusToolCount}{17}" in lines(tmp_path, "exact_counts")
+
+
+def test_a_macro_is_named_by_letters_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    s7 = replace(protocols()["modbus"], key="s7_plus", name="S7comm")
+    monkeypatch.setattr("pytest_otmcp.report.latex.protocols", lambda: {s7.key: s7})
+    record = run(ALL)
+    record["subject"]["adapters"] = {"s7_plus": {"tools": 20}}
+    write_tables(record, tmp_path)
+    assert r"\newcommand{\sSevenplusToolCount}{20}" in lines(tmp_path, "exact_counts")
 
 
 def test_families_are_separated_by_a_rule(tmp_path: Path) -> None:

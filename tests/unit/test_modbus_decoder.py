@@ -197,7 +197,7 @@ def words(findings: list[Any]) -> str:
 def test_an_exchange_needs_a_request_and_its_answer() -> None:
     assert oracle.some_exchange(journal(READ)) == []
     assert "it saw none" in words(oracle.some_exchange([]))
-    assert "requests that got no answer" in words(oracle.some_exchange(journal("03 0000 0001 -> ?")))
+    assert "it answered 0 of 1" in words(oracle.some_exchange(journal("03 0000 0001 -> ?")))
 
 
 def test_one_request_means_one() -> None:
@@ -234,7 +234,9 @@ def test_a_write_that_is_repeated_or_another_one_is_found() -> None:
 )  # fmt: skip
 def test_every_state_changing_function_is_a_write_also_without_an_answer(pdu: str) -> None:
     assert oracle.no_state_changing_request(journal(READ, MISSING)) == []
-    assert "should have seen no write, it saw 1" in words(oracle.no_state_changing_request(journal(f"{pdu} -> ?")))
+    assert "should have seen no state-changing request, it saw 1" in words(
+        oracle.no_state_changing_request(journal(f"{pdu} -> ?"))
+    )
 
 
 def test_an_exception_is_seen_by_its_code() -> None:
@@ -247,21 +249,23 @@ def image(**changes: int) -> dict[str, Any]:
     registers = [0] * 10
     for name, value in changes.items():
         registers[int(name.removeprefix("r"))] = value
-    return {"units": {"1": {"holding_registers": registers, "coils": [False, True]}}}
+    cells = points("holding_registers", 0, registers) | points("coils", 0, [False, True])
+    return {"points": cells}
 
 
 def test_images_are_compared_cell_by_cell() -> None:
-    assert oracle.only_changed(image(), image(r1=40), {("1", "holding_registers", 1): 40}) == []
+    assert oracle.only_changed(image(), image(r1=40), points("holding_registers", 1, [40])) == []
     assert oracle.only_changed(image(r3=7), image(r3=7), {}) == []
-    neighbour = oracle.only_changed(image(), image(r1=40, r2=40), {("1", "holding_registers", 1): 40})
-    assert "unit 1 holding_registers 2 should hold 0, the device holds 40 [WR-002]" in words(neighbour)
-    unwritten = oracle.only_changed(image(), image(), {("1", "holding_registers", 1): 40})
+    neighbour = oracle.only_changed(image(), image(r1=40, r2=40), points("holding_registers", 1, [40]))
+    assert "1/holding_registers/2 should hold 0, the device holds 40 [WR-002]" in words(neighbour)
+    unwritten = oracle.only_changed(image(), image(), points("holding_registers", 1, [40]))
     assert "should hold 40, the device holds 0 [WR-001]" in words(unwritten)
-    assert len(oracle.only_changed(image(), {"units": {"1": {"holding_registers": [1] * 10}}}, {})) == 5
+    assert len(oracle.only_changed(image(), {"points": points("holding_registers", 0, [1] * 10)}, {})) == 5
 
 
 def test_the_image_is_asked_for_values_of_the_right_type() -> None:
     assert oracle.image_holds(image(r1=40, r2=41), "holding_registers", 1, [40, 41]) == []
     assert oracle.image_holds(image(), "coils", 1, [True]) == []
-    assert "should hold [1], it holds [True]" in words(oracle.image_holds(image(), "coils", 1, [1]))
-    assert "it holds []" in words(oracle.image_holds(image(), "holding_registers", 1, [0], unit=9))
+    assert "1/coils/1 should hold 1, the device holds True" in words(oracle.image_holds(image(), "coils", 1, [1]))
+    nowhere = oracle.image_holds(image(), "holding_registers", 1, [0], unit=9)
+    assert "9/holding_registers/1 should hold 0, the device has no such point" in words(nowhere)

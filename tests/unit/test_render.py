@@ -9,9 +9,11 @@ from typing import Any
 import pytest
 
 from pytest_otmcp.core.matrix import repetitions
+from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.record.run_file import RunWriter, load
 from pytest_otmcp.report import command
 from pytest_otmcp.report.capabilities import Earned, Grade, earned
+from pytest_otmcp.report.families import css_class, families, style_sheet
 from pytest_otmcp.report.html import page
 from pytest_otmcp.report.markdown import summary
 from pytest_otmcp.report.render import NAMES, write_all
@@ -136,6 +138,27 @@ def test_the_failure_of_an_item_that_no_capability_knows_is_not_overlooked() -> 
     further = grades(modbus("M1"), modbus("WR-099", "FAIL"))["Further requirements"]
     assert further["Modbus"] == Earned(grade=Grade.NOT_EARNED, because=("WR-099",))
     assert "Further requirements" not in grades(modbus("M1"))
+
+
+def test_an_item_counts_for_what_it_says_itself() -> None:
+    own = {**modbus("WR-099", "FAIL"), "capabilities": ["writing"]}
+    assert grades(modbus("M3"), own)["Writing"]["Modbus"] == Earned(grade=Grade.NOT_EARNED, because=("WR-099",))
+    unheard = {**modbus("WR-099", "FAIL"), "capabilities": ["flying"]}
+    assert grades(unheard)["Further requirements"]["Modbus"].grade is Grade.NOT_EARNED
+
+
+def test_families_are_in_the_order_of_the_registry_and_unknown_ones_last() -> None:
+    names = ("PROFINET", "Cross-protocol", "OPC UA", "Modbus")
+    record = run([item(f"A{index}", "normal", name, "x", [1.0]) for index, name in enumerate(names)])
+    assert families(record) == ["Modbus", "OPC UA", "Cross-protocol", "PROFINET"]
+
+
+def test_every_protocol_has_its_colours_on_light_and_on_dark_pages() -> None:
+    for protocol in protocols().values():
+        shown = style_sheet()
+        assert f"--{protocol.key}: {protocol.colour.light};" in shown.splitlines()[0]
+        assert f"--{protocol.key}: {protocol.colour.dark};" in shown.splitlines()[1]
+        assert css_class(protocol.name) == protocol.key
 
 
 def test_every_task_of_the_benchmark_stands_behind_some_capability() -> None:

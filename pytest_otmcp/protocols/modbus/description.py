@@ -7,7 +7,7 @@ import re
 from ..protocol import Colour, Framing, OtProtocol
 from ..session_oracle import StateChanges
 from .decoder import ModbusConversation, mbap_length
-from .entries import describe
+from .entries import describe, title
 from .operations import OPERATIONS
 from .oracle import no_state_changing_request
 
@@ -23,11 +23,13 @@ PROTOCOL = OtProtocol(
     framing=Framing(frame_length=mbap_length, conversation=ModbusConversation),
     unsolicited=no_state_changing_request,
     describe=describe,
+    title=title,
     mock="modbus",
     clients="a Modbus TCP client with unit identifier 1",
     tasks="pytest_otmcp.conformance.tasks.modbus",
     onboarding="pytest_otmcp.onboarding.packs.modbus",
     recognise=re.compile(r"modbus", re.IGNORECASE),
+    envelope_names=("modbus-tcp", "modbus-tls"),
     packages=("pymodbus",),
     colour=Colour(light="#0072b2", dark="#56b4e9"),
     session_oracles=(StateChanges,),

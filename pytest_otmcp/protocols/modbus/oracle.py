@@ -41,7 +41,7 @@ def exactly_one_write(entries: Entries, table: str, *, address: int, values: lis
         right = write["function"] in functions and write.get("address") == address
         return None if right and same_json(write.get("values"), values) else ("WR-001", "it saw another write")
 
-    return _WITNESS.exactly_one_write(entries, f"a write of {values} to {table} {address}", problem)
+    return _WITNESS.exactly_one_write(entries, f"write of {values} to {table} {address}", problem)
 
 
 def exception_sent(entries: Entries, code: int) -> list[Finding]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from ..protocol import Choice, Colour, Composite, Framing, OtProtocol
+from ..protocol import Choice, Colour, Composite, Framing, OtProtocol, Simulator
 from .decoder import MqttConversation, packet_length
 from .entries import describe
 from .external import EXTERNAL
@@ -44,9 +44,16 @@ PROTOCOL = OtProtocol(
     describe=describe,
     mock="mqtt",
     clients="an MQTT client, version 3.1.1 or 5",
+    simulators={
+        "sparkplug": Simulator(
+            clients="an MQTT client at the broker",
+            options={"broker": ("URL", "mqtt://host:port that the edge node of sparkplug joins")},
+        ),
+    },
     tasks="pytest_otmcp.conformance.tasks.mqtt",
     onboarding="pytest_otmcp.onboarding.packs.mqtt",
     recognise=re.compile(r"mqtt|sparkplug", re.IGNORECASE),
+    envelope_names=("mqtt", "sparkplug-b"),
     packages=("paho-mqtt", "protobuf"),
     colour=Colour(light="#009e73", dark="#2fc79a"),
     external=EXTERNAL,

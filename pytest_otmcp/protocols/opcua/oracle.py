@@ -164,7 +164,7 @@ def exactly_one_write(entries: Entries, node: str, value: Any) -> list[Finding]:
             return "WR-001", f"the server refused it with {refused[0]}"
         return None
 
-    return _WITNESS.exactly_one_write(entries, f"a Write of {value!r} to {node}", problem)
+    return _WITNESS.exactly_one_write(entries, f"Write of {value!r} to {node}", problem)
 
 
 def accepted_writes(entries: Entries, count: int) -> list[Finding]:

@@ -1,7 +1,7 @@
 """A device with an endpoint of every kind: three latches, set over TCP, UDP and a pseudo terminal.
 
-A telegram is one byte. Zero asks for nothing but an answer; any other sets the latch of the endpoint on which it came. It is
-answered with the byte after it. The plant's own latch, ``clock``, counts seconds.
+A telegram is one byte. Zero asks for nothing but an answer; any other sets the latch of the endpoint on which it came.
+It is answered with the byte after it. The plant's own latch, ``clock``, counts seconds.
 """
 
 from __future__ import annotations

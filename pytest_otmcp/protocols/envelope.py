@@ -1,7 +1,7 @@
 """The response envelope ``{success, data, error, meta}``: the rules that every result must keep. Pure.
 
-The schema is data (``envelope.schema.json``); the rules that a schema cannot say are below, each a finding with the id
-of its requirement.
+The schema is data (``envelope.schema.json``), to which the names of the registered protocols are added; the rules that a
+schema cannot say are below, each a finding with the id of its requirement.
 """
 
 from __future__ import annotations
@@ -15,9 +15,10 @@ from functools import cache
 from importlib import resources
 from typing import Any
 
-from .error_registry import registry
-from .finding import Finding
-from .strict_json import parse_strict, same_json
+from ..core.error_registry import registry
+from ..core.finding import Finding
+from ..core.strict_json import parse_strict, same_json
+from .registry import envelope_names
 
 __all__ = ["check_result"]
 
@@ -38,6 +39,7 @@ def _validator() -> Any:
     from jsonschema import Draft202012Validator
 
     schema = json.loads((resources.files(__package__) / "envelope.schema.json").read_text(encoding="utf-8"))
+    schema["properties"]["meta"]["properties"]["protocol"] = {"enum": list(envelope_names())}
     return Draft202012Validator(schema)
 
 

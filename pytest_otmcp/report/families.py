@@ -1,0 +1,47 @@
+"""The families of items in the order of tables and figures, and their colours. Pure.
+
+A family is a protocol of the registry, by its name; the items about several protocols are a family, too. A record may hold
+families of protocols that are not installed here: they come last and have no colour of their own.
+"""
+
+from __future__ import annotations
+
+from ..core.matrix import CROSS_PROTOCOL
+from ..protocols.protocol import Colour
+from ..protocols.registry import protocols
+from . import Run
+
+__all__ = ["css_class", "families", "family_colour", "style_sheet"]
+
+_CROSS_COLOUR = Colour(light="#cc79a7", dark="#d98fb8")
+_CROSS_CLASS = "cross"
+
+
+def families(run: Run) -> list[str]:
+    """Return the families of a run's items, the known ones first."""
+    known = [*(protocol.name for protocol in protocols().values()), CROSS_PROTOCOL]
+    found = dict.fromkeys(item["family"] for item in run["items"])
+    return [name for name in known if name in found] + [name for name in found if name not in known]
+
+
+def family_colour(family: str) -> Colour | None:
+    """Return the colour of a family, or None for one that is not known here."""
+    return {CROSS_PROTOCOL: _CROSS_COLOUR, **{known.name: known.colour for known in protocols().values()}}.get(family)
+
+
+def css_class(family: str) -> str:
+    """Return the class that fills shapes with the colour of a family in the report."""
+    return next((known.key for known in protocols().values() if known.name == family), _CROSS_CLASS)
+
+
+def style_sheet() -> str:
+    """Return the style sheet with the families' colours and classes, on light and on dark pages."""
+    colours = {**{known.key: known.colour for known in protocols().values()}, _CROSS_CLASS: _CROSS_COLOUR}
+    light = " ".join(f"--{name}: {colour.light};" for name, colour in colours.items())
+    dark = " ".join(f"--{name}: {colour.dark};" for name, colour in colours.items())
+    lines = [
+        f":root {{ {light} }}",
+        f"@media (prefers-color-scheme: dark) {{ :root {{ {dark} }} }}",
+        *(f".{name} {{ fill: var(--{name}); }}" for name in colours),
+    ]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,355 @@
+"""What the contract suite needs to know of each protocol: one :class:`Case` for each reference adapter.
+
+A new reference adapter adds a case; ``test_contract`` is then its acceptance test.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+__all__ = ["CASES", "MODBUS", "MODBUS_TAGS", "MQTT", "OPCUA", "Case", "Unfit"]
+
+Tools = Mapping[str, Mapping[str, Any]]
+Fields = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Unfit:
+    """Arguments that must be refused before anything is sent.
+
+    Attributes:
+        in_tool: the tool itself finds the fault, after the write guard; else the argument model finds it, before the guard.
+    """
+
+    tool: str
+    arguments: Any
+    code: str
+    in_tool: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Case:
+    """One reference adapter.
+
+    Attributes:
+        protocol: name of the adapter and of the mock device.
+        settings: of the adapter, from the device's port, the adapter's name and a folder for files.
+        prefix: of the names of its time-out, deadline and write switch.
+        reads: tools that read, with arguments that succeed; ``silent`` of them do not ask the device.
+        writes: tools that write, with arguments that the device accepts, unless the tool is in ``stateful``.
+        stateful: writing tools that the adapter's own state refuses in a fresh session.
+        probe: a tool that the device answers, and its arguments.
+        write: the tool of the tests that need one write.
+        answered: writing tools of which the device answers every request.
+        requests: fields of a journal entry for the request of a tool.
+        background: recognises requests that the adapter makes without a call.
+        rules: members of the device's fault rule that select the request of a tool.
+        silence: the action of a fault rule by which the device does not answer.
+        image: members of the device's image that only a write changes.
+        unfit: arguments that are refused.
+        bad_settings: names and values that stop the start.
+        unknown_host: settings that lead to a host name that does not exist.
+        farewell: the last journal entries of a connection that the adapter closes.
+        concurrent: requests of several calls are on their way at the same time.
+        readmitted: of an adapter that makes a lost connection again without a call: fields of the journal entry which
+            shows that the device has let the adapter of this name in.
+    """
+
+    protocol: str
+    settings: Callable[[int, str, Path], dict[str, str]]
+    prefix: str
+    reads: Tools
+    silent: frozenset[str] = frozenset()
+    writes: Tools
+    stateful: frozenset[str] = frozenset()
+    probe: str
+    write: str
+    answered: Sequence[str]
+    requests: Callable[[str], Fields]
+    background: Callable[[Mapping[str, Any]], bool] = lambda entry: False
+    rules: Callable[[str], Fields] = lambda tool: {}
+    silence: Fields = field(default_factory=lambda: {"drop": True})
+    image: Sequence[str]
+    unfit: Sequence[Unfit]
+    bad_settings: Sequence[tuple[str, str]]
+    unknown_host: Fields
+    farewell: Sequence[str]
+    concurrent: bool = True
+    readmitted: Callable[[str], Fields] | None = None
+
+    @property
+    def tools(self) -> Tools:
+        """Every tool with its arguments."""
+        return {**self.reads, **self.writes}
+
+    def __str__(self) -> str:
+        return self.protocol
+
+
+# -- Modbus ------------------------------------------------------------------------------------------------------
+
+MODBUS_TAGS: dict[str, dict[str, Any]] = {
+    "valve": {"address": 30, "scale": 0.1, "unit": "%", "writable": True},
+    "negative": {"address": 31, "type": "int16", "scale": -0.5, "offset": 10, "writable": True},
+    "counter": {"address": 32, "type": "uint64", "writable": True},
+    "speed": {"address": 36, "type": "float32", "order": "CDAB", "writable": True},
+    "locked": {"address": 38},
+    "inlet": {"table": "input", "address": 40, "type": "int16", "scale": 0.1, "unit": "degC"},
+}
+
+
+def _modbus_settings(port: int, name: str, folder: Path) -> dict[str, str]:
+    tags = folder / "tags.json"
+    tags.write_text(json.dumps(MODBUS_TAGS))
+    return {"MODBUS_HOST": "127.0.0.1", "MODBUS_PORT": str(port), "MODBUS_TAG_MAP": str(tags)}
+
+
+MODBUS = Case(
+    protocol="modbus",
+    settings=_modbus_settings,
+    prefix="MODBUS",
+    reads={
+        "ping": {},
+        "read_register": {"address": 20},
+        "read_multiple_holding_registers": {"address": 20, "count": 2},
+        "read_input_registers": {"address": 20, "count": 2},
+        "read_coils": {"address": 20, "count": 9},
+        "read_discrete_inputs": {"address": 20, "count": 9},
+        "read_holding_typed": {"address": 20, "data_type": "float32"},
+        "read_input_typed": {"address": 20, "data_type": "int32"},
+        "read_device_information": {},
+        "list_tags": {},
+        "read_tag": {"tag": "valve"},
+    },
+    silent=frozenset({"list_tags"}),
+    writes={
+        "write_register": {"address": 20, "value": 7},
+        "write_registers": {"address": 20, "values": [7, 8]},
+        "write_coil": {"address": 20, "value": True},
+        "write_coils_bulk": {"address": 20, "values": [True, False, True]},
+        "mask_write_register": {"address": 20, "and_mask": 0xF2, "or_mask": 0x25},
+        "write_tag": {"tag": "valve", "value": 12.5},
+    },
+    probe="ping",
+    write="write_register",
+    answered=(
+        "write_register",
+        "write_registers",
+        "write_coil",
+        "write_coils_bulk",
+        "mask_write_register",
+        "write_tag",
+    ),
+    requests=lambda tool: {"kind": "request"},
+    image=("units",),
+    unfit=(
+        Unfit("write_register", {"address": 1, "value": 70000}, "range_overflow"),
+        Unfit("write_register", {"address": 1, "value": -1}, "range_overflow"),
+        Unfit("write_register", {"address": 1, "value": 40.7}, "invalid_input"),
+        Unfit("write_register", {"address": 1, "value": 1, "unit": 7}, "invalid_input"),
+        Unfit("write_register", {"address": 65536, "value": 1}, "invalid_input"),
+        Unfit("write_register", {"address": -1, "value": 1}, "invalid_input"),
+        Unfit("write_register", {"address": 1, "value": 1, "unit_id": 256}, "invalid_input"),
+        Unfit("write_register", {"address": 1, "value": 1, "unit_id": 248}, "invalid_input"),
+        Unfit("write_register", {"address": 1, "value": 1, "unit_id": None}, "invalid_input"),
+        Unfit("write_registers", {"address": 0, "values": [1] * 124}, "limit_exceeded"),
+        Unfit("write_registers", {"address": 0, "values": []}, "invalid_input"),
+        Unfit("write_registers", {"address": 0, "values": [1, 65536]}, "range_overflow"),
+        Unfit("write_registers", {"address": 65535, "values": [1, 2]}, "invalid_input"),
+        Unfit("write_coil", {"address": 0, "value": 1}, "invalid_input"),
+        Unfit("write_coils_bulk", {"address": 0, "values": [True] * 1969}, "limit_exceeded"),
+        Unfit("mask_write_register", {"address": 0, "and_mask": 65536, "or_mask": 0}, "range_overflow"),
+        Unfit("read_multiple_holding_registers", {"address": 0, "count": 126}, "limit_exceeded"),
+        Unfit("read_multiple_holding_registers", {"address": 0, "count": 0}, "invalid_input"),
+        Unfit("read_multiple_holding_registers", {"address": 0, "count": -1}, "invalid_input"),
+        Unfit("read_multiple_holding_registers", {"address": 65535, "count": 2}, "invalid_input"),
+        Unfit("read_coils", {"address": 0, "count": 2001}, "limit_exceeded"),
+        Unfit("read_holding_typed", {"address": 65535, "data_type": "float32"}, "invalid_input"),
+        Unfit("read_holding_typed", {"address": 0, "data_type": "float16"}, "invalid_input"),
+    ),
+    bad_settings=(
+        ("MODBUS_PORT", "many"),
+        ("MODBUS_PORT", "70000"),
+        ("MODBUS_UNIT_ID", "250"),
+        ("MODBUS_TIMEOUT_S", "nan"),
+        ("MODBUS_DEADLINE_S", "-1"),
+        ("MODBUS_TAG_MAP", "/does/not/exist.json"),
+    ),
+    unknown_host={"MODBUS_HOST": "no-such-host.invalid"},
+    farewell=("DISCONNECTED",),
+    concurrent=False,
+)
+
+# -- MQTT --------------------------------------------------------------------------------------------------------
+
+_METRIC = {"name": "level", "datatype": "Int32", "value": 1}
+_PACKETS = {"get_broker_info": "UNSUBSCRIBE", "publish_message": "PUBLISH"}
+
+
+def _mqtt_settings(port: int, name: str, folder: Path) -> dict[str, str]:
+    return {"MQTT_URL": f"mqtt://127.0.0.1:{port}", "MQTT_CLIENT_ID": f"mqtt-tests-{name}"}
+
+
+MQTT = Case(
+    protocol="mqtt",
+    settings=_mqtt_settings,
+    prefix="MQTT",
+    reads={
+        "get_broker_info": {},
+        "subscribe_topic": {"topic": "reads/#"},
+        "read_messages": {"topic": "reads/#"},
+        "list_subscriptions": {},
+        "unsubscribe_topic": {"topic": "reads/#"},
+        "list_sparkplug_nodes": {},
+        "decode_sparkplug_payload": {"payload": ""},
+    },
+    silent=frozenset({"read_messages", "list_subscriptions", "decode_sparkplug_payload"}),
+    writes={
+        "publish_message": {"topic": "plain/denied", "payload": "x", "qos": 1, "retain": True},
+        "publish_node_birth": {"metrics": [_METRIC]},
+        "publish_node_death": {},
+        "publish_device_birth": {"device_id": "d", "metrics": [_METRIC]},
+        "publish_device_death": {"device_id": "d"},
+        "publish_node_data": {"metrics": [{"name": "level", "value": 1}]},
+        "publish_device_data": {"device_id": "d", "metrics": [{"name": "level", "value": 1}]},
+        "publish_node_command": {"edge_node_id": "n", "metrics": [_METRIC]},
+        "publish_device_command": {"edge_node_id": "n", "device_id": "d", "metrics": [_METRIC]},
+    },
+    stateful=frozenset({"publish_node_death", "publish_device_death", "publish_node_data", "publish_device_data"}),
+    probe="get_broker_info",
+    write="publish_message",
+    answered=("publish_message",),
+    requests=lambda tool: {"kind": _PACKETS[tool], "direction": "in"},
+    rules=lambda tool: {"packet": _PACKETS[tool]},
+    background=lambda entry: entry["kind"] == "PINGREQ",
+    silence={"no_answer": True},
+    image=("retained", "edge_node"),
+    unfit=(
+        *(
+            Unfit("publish_message", {"payload": "x", **arguments}, code, in_tool=in_tool)
+            for arguments, code, in_tool in (
+                ({"topic": ""}, "invalid_input", True),
+                ({"topic": "a/+"}, "invalid_input", True),
+                ({"topic": "a/#"}, "invalid_input", True),
+                ({"topic": "a\0b"}, "invalid_input", True),
+                ({"topic": "$SYS/x"}, "invalid_input", True),
+                ({"topic": "ü" * 32_768}, "invalid_input", True),
+                ({"topic": "spBv1.0/factory/DDATA/edge-node-1/device-1"}, "invalid_input", True),
+                ({"topic": "a\ud800"}, "invalid_input", False),
+                ({"topic": "a", "payload": "\ud800"}, "invalid_input", False),
+                ({"topic": "a", "payload": "###", "encoding": "base64"}, "invalid_input", True),
+                ({"topic": "a", "encoding": "latin-1"}, "invalid_input", False),
+                ({"topic": "a", "payload": "x" * (1024 * 1024 + 1)}, "limit_exceeded", True),
+                ({"topic": "a", "payload": "x" * (2 * 1024 * 1024 + 1)}, "limit_exceeded", False),
+                ({"topic": "a", "qos": 3}, "invalid_input", False),
+                ({"topic": "a", "qos": -1}, "invalid_input", False),
+                ({"topic": "a", "qos": True}, "invalid_input", False),
+                ({"topic": "a", "qos": "1"}, "invalid_input", False),
+                ({"topic": "a", "retain": 1}, "invalid_input", False),
+                ({"topic": "a", "payload": 5}, "invalid_input", False),
+                ({"topic": "a", "payload": {"speed": 5}}, "invalid_input", False),
+                ({"topic": "a", "payload": None}, "invalid_input", False),
+                ({"topic": "a", "quality": 1}, "invalid_input", False),
+            )
+        ),
+        Unfit("publish_message", {"topic": "a"}, "invalid_input"),
+        Unfit("subscribe_topic", {"topic": "sensors/#", "qos": 5}, "invalid_input"),
+        *(
+            Unfit("subscribe_topic", {"topic": topic}, "invalid_input", in_tool=True)
+            for topic in ("", "a#", "a/#/b", "a/b+", "$share/g/a")
+        ),
+        Unfit("unsubscribe_topic", {"topic": "a#"}, "invalid_input", in_tool=True),
+        Unfit("read_messages", {"topic": "a#"}, "invalid_input", in_tool=True),
+        Unfit("read_messages", {"topic": "#", "limit": 0}, "invalid_input"),
+        Unfit("read_messages", {"topic": "#", "limit": 1001}, "invalid_input"),
+        Unfit("get_broker_info", {"verbose": True}, "invalid_input"),
+    ),
+    bad_settings=(
+        ("MQTT_URL", "tcp://127.0.0.1:1883"),
+        ("MQTT_URL", "mqtt://127.0.0.1:x"),
+        ("MQTT_URL", "mqtt://"),
+        ("MQTT_URL", "mqtt://user:canary@127.0.0.1"),
+        ("SPARKPLUG_GROUP_ID", "a/b"),
+        ("SPARKPLUG_EDGE_NODE_ID", ""),
+        ("MQTT_TIMEOUT_S", "0"),
+    ),
+    unknown_host={"MQTT_URL": "mqtt://no-such-host.invalid"},
+    farewell=("DISCONNECT", "DISCONNECTED"),
+    readmitted=lambda name: {"kind": "CONNACK", "client_id": f"mqtt-tests-{name}", "reason_codes": [0]},
+)
+
+# -- OPC UA ------------------------------------------------------------------------------------------------------
+
+_FAN, _TEMPERATURE = "ns=2;s=FanSpeed", "ns=2;s=Temperature"
+_METHOD = {"object_id": "ns=2;s=Methods", "method_id": "ns=2;s=SetProductionRate"}
+_SERVICES = {"call_opcua_method": "Call", "read_opcua_node": "Read"}
+
+
+def _opcua_settings(port: int, name: str, folder: Path) -> dict[str, str]:
+    return {"OPCUA_URL": f"opc.tcp://127.0.0.1:{port}"}
+
+
+def _is_watchdog(entry: Mapping[str, Any]) -> bool:
+    """Recognise the Read of ServerStatus.State, by which the library sees once a minute that the server is alive."""
+    return entry.get("nodes") == [{"node_id": "i=2259", "attribute": "Value"}]
+
+
+OPCUA = Case(
+    protocol="opcua",
+    settings=_opcua_settings,
+    prefix="OPCUA",
+    reads={
+        "read_opcua_node": {"node_id": _TEMPERATURE},
+        "read_multiple_opcua_nodes": {"node_ids": [_TEMPERATURE, "ns=2;s=Mode"]},
+        "browse_opcua_node_children": {"node_id": "ns=2;s=Actuators"},
+        "get_all_variables": {},
+    },
+    writes={
+        "write_opcua_node": {"node_id": _FAN, "value": 12.5},
+        "write_multiple_opcua_nodes": {
+            "items": [{"node_id": _FAN, "value": 12.5}, {"node_id": "ns=2;s=AlarmActive", "value": True}]
+        },
+        "call_opcua_method": {**_METHOD, "arguments": [120]},
+    },
+    probe="read_opcua_node",
+    write="write_opcua_node",
+    answered=("write_opcua_node", "write_multiple_opcua_nodes", "call_opcua_method"),
+    requests=lambda tool: {"kind": _SERVICES.get(tool, "Write"), "direction": "in"},
+    background=_is_watchdog,
+    rules=lambda tool: {"service": _SERVICES.get(tool, "Write")},
+    image=("variables", "folders", "methods"),
+    unfit=(
+        Unfit("read_opcua_node", {}, "invalid_input"),
+        Unfit("read_opcua_node", {"node_id": 5}, "invalid_input"),
+        Unfit("read_opcua_node", {"node_id": ""}, "invalid_input"),
+        Unfit("read_opcua_node", {"node_id": "garbage"}, "invalid_input", in_tool=True),
+        Unfit("read_opcua_node", {"node_id": "s=" + "x" * 5000}, "limit_exceeded"),
+        Unfit("read_opcua_node", {"node_id": _TEMPERATURE, "attribute": 4}, "invalid_input"),
+        Unfit("read_opcua_node", {"node_id": _TEMPERATURE, "url": "opc.tcp://127.0.0.1:1"}, "invalid_input"),
+        Unfit("read_multiple_opcua_nodes", {"node_ids": []}, "invalid_input"),
+        Unfit("read_multiple_opcua_nodes", {"node_ids": [_TEMPERATURE] * 1001}, "limit_exceeded"),
+        Unfit("read_multiple_opcua_nodes", {"node_ids": _TEMPERATURE}, "invalid_input"),
+        Unfit("get_all_variables", {"depth": 3}, "invalid_input"),
+        Unfit("write_opcua_node", {"node_id": _FAN}, "invalid_input"),
+        Unfit("write_opcua_node", {"node_id": _FAN, "value": 1, "type": "Double"}, "invalid_input"),
+        Unfit("write_opcua_node", {"node_id": "FanSpeed", "value": 1}, "invalid_input", in_tool=True),
+        Unfit("write_multiple_opcua_nodes", {"items": [{"node_id": _FAN, "value": 1}] * 1001}, "limit_exceeded"),
+        Unfit("call_opcua_method", {**_METHOD, "arguments": 1}, "invalid_input"),
+        Unfit("call_opcua_method", {**_METHOD, "arguments": [1] * 101}, "limit_exceeded"),
+    ),
+    bad_settings=(
+        ("OPCUA_URL", "opc.tcp://127.0.0.1:many"),
+        ("OPCUA_URL", "http://127.0.0.1:4840"),
+        ("OPCUA_URL", "opc.tcp://"),
+        ("OPCUA_TIMEOUT_S", "nan"),
+        ("OPCUA_DEADLINE_S", "-1"),
+    ),
+    unknown_host={"OPCUA_URL": "opc.tcp://no-such-host.invalid:4840"},
+    farewell=("CloseSession", "CloseSecureChannel", "DISCONNECTED"),
+)
+
+CASES = (MODBUS, MQTT, OPCUA)

@@ -1,0 +1,51 @@
+"""The descriptions that the entry points name: the same registers over TCP and over UDP."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+from otmcp_toy.wire import ToyConversation, line_length
+from pytest_otmcp.protocols.journal import JournalEntry
+from pytest_otmcp.protocols.oracle import Witness
+from pytest_otmcp.protocols.protocol import Colour, Framing, Operation, OtProtocol
+
+__all__ = ["TOY", "TOY_UDP", "WITNESS"]
+
+
+def describe(entry: JournalEntry) -> str:
+    """An entry in a few words."""
+    return f"{entry['kind']} {entry.get('address')}"
+
+
+WITNESS = Witness(noun="the toy", describe=describe)
+
+TOY = OtProtocol(
+    key="toy",
+    name="Toy",
+    package="otmcp_toy",
+    scheme="toy",
+    operations={
+        "read": Operation(meaning="read a register", inputs=("address",), outputs=("value",), needed=("value",)),
+        "write": Operation(meaning="write a register", inputs=("address", "value"), outputs=("value",), writes=True),
+    },
+    probes={"missing_address": 99},
+    framing=Framing(frame_length=line_length, conversation=ToyConversation),
+    unsolicited=WITNESS.nothing_changed,
+    describe=describe,
+    mock="otmcp_toy.mock_tcp",
+    clients="any client that sends lines",
+    tasks="otmcp_toy.tasks",
+    recognise=re.compile(r"\btoy\b"),
+    colour=Colour(light="#888888", dark="#aaaaaa"),
+)
+
+TOY_UDP = replace(
+    TOY,
+    key="toyudp",
+    name="Toy (UDP)",
+    scheme="toy+udp",
+    mock="otmcp_toy.mock_udp",
+    tasks="otmcp_toy.tasks_udp",
+    recognise=re.compile(r"\btoyudp\b"),
+)

@@ -1,0 +1,38 @@
+"""Lines of the toy protocol as journal entries; used by the device, and on its own by the tap."""
+
+from __future__ import annotations
+
+from typing import Any
+
+__all__ = ["ToyConversation", "line_length", "parsed"]
+
+_KINDS = {"R": "read", "W": "write", "V": "value", "K": "written", "E": "error"}
+
+
+def parsed(line: bytes) -> dict[str, Any]:
+    """The kind of a line, and the numbers that it names."""
+    letter, *numbers = line.decode("ascii", "replace").split() or [""]
+    names = zip(("address", "value"), map(int, numbers), strict=False)
+    kind = _KINDS.get(letter, "malformed")
+    return {"kind": kind, **dict(names), "request": kind in ("read", "write"), "state_changing": kind == "write"}
+
+
+def line_length(buffer: bytes | bytearray) -> int | None:
+    """Length of the line at the beginning of the buffer, None while its end has not come."""
+    return buffer.find(b"\n") + 1 or None
+
+
+class ToyConversation:
+    """One connection as the tap sees it: the device answers in the order in which it is asked."""
+
+    def __init__(self) -> None:
+        self._asked: list[dict[str, Any]] = []
+
+    def decode(self, direction: str, frame: bytes) -> list[dict[str, Any]]:
+        """See :class:`pytest_otmcp.protocols.framing.Conversation`."""
+        entry = {"direction": direction, **parsed(frame)}
+        if direction == "in":
+            self._asked.append(entry)
+        elif self._asked:
+            entry["answers"] = self._asked.pop(0)
+        return [entry]

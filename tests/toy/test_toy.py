@@ -1,0 +1,116 @@
+"""A protocol that the kit does not know goes through the whole kit: two toys, over TCP and over UDP, of a third party."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+SITE = Path(__file__).parent / "site"
+ADAPTER = """
+[adapter.{key}]
+command = ["{{python}}", "-m", "otmcp_toy.adapter", "{transport}", "{{host}}", "{{port}}", "{manner}"]
+env = {{ PYTHONPATH = "{{env:PYTHONPATH}}" }}
+rw = {{ args = ["writes"] }}
+answer = "structured"
+unclaimed = {{ recovery = "not looked at" }}
+deadline_s = 30
+errors = [
+    {{ text = "disabled", code = "writes_disabled" }},
+    {{ text = "no such register", code = "illegal_address" }},
+]
+
+[adapter.{key}.bind.read]
+tool = "get"
+arguments = {{ address = "$address" }}
+result = {{ value = "value" }}
+
+[adapter.{key}.bind.write]
+tool = "put"
+arguments = {{ address = "$address", value = "$value" }}
+result = {{ value = "value" }}
+"""
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Run:
+    """Runs a program of the kit where the toy is installed."""
+    environment = {**os.environ, "PYTHONPATH": str(SITE)}
+
+    def start(*command: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-m", *command],
+            cwd=tmp_path,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+
+    return start
+
+
+def subject(tmp_path: Path, *, manner: str = "honest") -> None:
+    text = '[subject]\nname = "toys"\nversion = "1"\n'
+    for key, transport in (("toy", "tcp"), ("toyudp", "udp")):
+        text += ADAPTER.format(key=key, transport=transport, manner=manner)
+    (tmp_path / "otmcp.toml").write_text(text, encoding="utf-8")
+
+
+def record(tmp_path: Path) -> Any:
+    return json.loads((tmp_path / "reports/latest/run.json").read_text(encoding="utf-8"))
+
+
+def test_toys_are_collected_run_witnessed_recorded_reported_and_judged_again(run: Run, tmp_path: Path) -> None:
+    subject(tmp_path)
+    done = run("pytest", "--otmcp-reps=3", "-p", "no:cacheprovider")
+    assert done.returncode == 0, done.stdout + done.stderr
+    statuses = {item["id"]: item["status"] for item in record(tmp_path)["items"]}
+    assert {name for name, status in statuses.items() if status == "PASS"} == {"T1", "T2", "U1", "U2"}
+    assert {status for name, status in statuses.items() if name[0] not in "TU"} == {"NOT_APPLICABLE"}
+    written = [item for item in record(tmp_path)["items"] if item["id"] == "U2"]
+    entries = [entry for sample in written[0]["samples"] for entry in sample["device"] if entry["state_changing"]]
+    assert [entry["value"] for entry in entries] == [40, 41, 42]
+    page = (tmp_path / "reports/latest/report.html").read_text(encoding="utf-8")
+    assert "Toy (UDP)" in page
+    again = run("pytest_otmcp.cli", "report", "reports/latest/run.json")
+    assert again.returncode == 0, again.stderr
+
+
+def test_a_toy_that_says_written_and_wrote_nothing_is_found_out_by_its_device(run: Run, tmp_path: Path) -> None:
+    subject(tmp_path, manner="lies")
+    done = run("pytest", "--otmcp-reps=1", "-p", "no:cacheprovider", "-k", "T2 or U2")
+    assert done.returncode == 1, done.stdout + done.stderr
+    for item in record(tmp_path)["items"]:
+        codes = {finding["code"] for sample in item["samples"] for finding in sample["findings"]}
+        assert codes == {"not_written_once", "device_differs"}, item["id"]
+
+
+def test_a_subject_without_toys_has_no_items_of_them(run: Run, tmp_path: Path) -> None:
+    done = run("pytest", "--collect-only", "-q", "--pyargs", "pytest_otmcp.conformance")
+    assert "test_normal[M1]" in done.stdout
+    assert "T1" not in done.stdout
+
+
+def test_a_certificate_names_the_protocols_of_third_parties(run: Run, tmp_path: Path) -> None:
+    subject(tmp_path)
+    done = run("pytest_otmcp.cli", "certify")
+    assert done.returncode == 0, done.stdout + done.stderr
+    verified = run("pytest_otmcp.cli", "verify", "reports/latest/certificate.json")
+    assert verified.returncode == 0, verified.stdout + verified.stderr
+    strangers = record(tmp_path)["kit"]["protocols"]
+    assert [(entry["key"], entry["distribution"], entry["version"]) for entry in strangers] == [
+        ("toy", "otmcp-toy", "1.0"),
+        ("toyudp", "otmcp-toy", "1.0"),
+    ]
+    assert all(entry["digest"].startswith("sha256:") for entry in strangers)
+    certificate = (tmp_path / "reports/latest/certificate.json").read_text(encoding="utf-8")
+    assert strangers[0]["digest"] in certificate
