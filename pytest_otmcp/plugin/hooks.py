@@ -109,6 +109,11 @@ def _is_worker(config: pytest.Config) -> bool:
     return hasattr(config, "workerinput")
 
 
+def _worker(config: pytest.Config) -> str | None:
+    """The name that pytest-xdist gave this process; None without it."""
+    return str(config.workerinput["workerid"]) if hasattr(config, "workerinput") else None
+
+
 def _load_subject(config: pytest.Config) -> Any:
     from ..subject import load_subject, reference_subject
 
@@ -226,7 +231,7 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     narrowing.final(config.stash.get(PLANNED, []), _identifiers(session.items))
     with quiet():
         narrowing.note(*changed_files())
-        run = config.stash[RUN] = Run(config.stash[SETTINGS], _load_subject(config), tasks, shared=_is_worker(config))
+        run = config.stash[RUN] = Run(config.stash[SETTINGS], _load_subject(config), tasks, worker=_worker(config))
         if not _is_worker(config):
             _begin_recording(config, run.subject, tasks, workers=0)
     live = config.stash.get(PROGRESS, None)
@@ -299,11 +304,12 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
     result, facts = json.loads(content), json.loads(getattr(report, _FACTS))
     worker = getattr(getattr(report, "node", None), "gateway", None)
     narrowing = config.stash[INTERFERENCE]
-    narrowing.reported(result["id"], result["status"], report.outcome)
+    item = result["item"]
+    narrowing.reported(item["id"], item["status"], report.outcome)
     if config.stash[RECORDER].add(result, worker.id if worker is not None else "main", facts):
-        config.stash[PROGRESS].finished(result)
+        config.stash[PROGRESS].finished(item, result["measured"])
     else:
-        narrowing.repeated(result["id"])
+        narrowing.repeated(item["id"])
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -364,9 +370,9 @@ def pytest_testnodedown(node: Any, error: object) -> None:
 
 def pytest_terminal_summary(terminalreporter: Any, exitstatus: int, config: pytest.Config) -> None:
     recorder = config.stash.get(RECORDER, None)
-    if recorder is None or (exitstatus == pytest.ExitCode.INTERRUPTED and not recorder.results):
+    if recorder is None or (exitstatus == pytest.ExitCode.INTERRUPTED and not recorder.statuses):
         return
-    if not recorder.results:
+    if not recorder.statuses:
         for sentence in config.stash[INTERFERENCE].sentences:
             terminalreporter.write_line(f"narrowed: {sentence}")
         terminalreporter.write_line(f"VERDICT: {recorder.verdict} (no item of the suite ran)", red=True, bold=True)

@@ -11,9 +11,9 @@ from datetime import datetime
 
 from ..core.matrix import SUITES
 from ..core.verdict import Status, Verdict, decide
-from .schema import ROLES, Call, Footer, Header, ItemHead, Role, Sample
+from .schema import ROLES, Call, Footer, Header, Item, ItemHead, Role, Sample
 
-__all__ = ["Contradiction", "RunChecker", "tool_calls"]
+__all__ = ["Contradiction", "RunChecker", "count_calls", "tool_calls"]
 
 
 class Contradiction(Exception):
@@ -26,6 +26,15 @@ def tool_calls(suite: str, calls: Iterable[Call]) -> Counter[Role]:
     The paper's count of tool calls leaves the recovery suite out, and so does the role ``task`` here.
     """
     return Counter("recovery" if suite == "recovery" and call["role"] == "task" else call["role"] for call in calls)
+
+
+def count_calls(items: Iterable[Item]) -> dict[Role, int]:
+    """Count the tool calls of these items by role."""
+    calls: Counter[Role] = Counter(dict.fromkeys(ROLES, 0))
+    for item in items:
+        for part in (*item["around"], *item["samples"]):
+            calls.update(tool_calls(item["suite"], part["calls"]))
+    return dict(calls)
 
 
 class RunChecker:

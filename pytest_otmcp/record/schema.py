@@ -9,7 +9,7 @@ not know is no fault: later versions of the kit, and protocols of third parties,
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, NotRequired, TypedDict, TypeVar
+from typing import Annotated, Any, Final, Literal, NotRequired, TypedDict, TypeVar
 
 import msgspec
 
@@ -36,10 +36,13 @@ __all__ = [
     "JournalEntry",
     "Kit",
     "Observation",
+    "Phases",
+    "Protocol",
     "Role",
     "Run",
     "Sample",
     "SessionRemark",
+    "SessionStart",
     "Settings",
     "ShapeError",
     "State",
@@ -48,7 +51,7 @@ __all__ = [
     "check",
 ]
 
-SCHEMA = "otmcp-run/2"
+SCHEMA: Final = "otmcp-run/2"
 
 # An end of text that Python's and ECMAScript's regular expressions agree upon: "$" of the former matches before a line feed.
 _END = r"(?![\s\S])"
@@ -225,13 +228,17 @@ class Endpoint(TypedDict):
 
 
 class Device(TypedDict):
-    """One device of the run: which adapter variant had it, in which process of pytest, and where it listened."""
+    """One device of the run: which adapter variant had it, in which process of pytest, and where it listened.
+
+    ``first``: sequence number at which its journal begins to be the run's; 0 for a device that the run itself has started.
+    """
 
     protocol: str
     variant: str
     worker: str
     transport: Literal["tcp", "udp"]
     endpoint: Endpoint
+    first: Count
 
 
 class Finding(TypedDict):
@@ -318,6 +325,10 @@ class Started(TypedDict):
     accepting_ns: Nanoseconds
 
 
+SessionStart = tuple[Count, Count]
+"""Number of a session among those of its adapter, and the sequence number of the device's journal at which it began."""
+
+
 class FreshSession(TypedDict):
     """A session that replaced another one.
 
@@ -340,7 +351,7 @@ class Observation(TypedDict):
 
     It has one further member, which says what was seen without repeating what the record has elsewhere:
 
-    ``session``: the adapter has a session since the entry of this sequence number. ``journal``: the slice, up to before the
+    ``session``: the adapter has another session. ``journal``: the slice, up to before the
     entry of this number. ``session_journal``: the entries from the first to before the second number. ``followed``: the session
     oracles have seen everything before this number. ``wait``: so many entries had matched when the waiting was over. ``image``:
     a device image; ``changes``: what differs in one from the last whole image of the device. ``stop``: the device was stopped,
@@ -351,7 +362,7 @@ class Observation(TypedDict):
     at: str
     asked_ns: Nanoseconds
     seen_ns: Nanoseconds
-    session: NotRequired[Count]
+    session: NotRequired[SessionStart]
     journal: NotRequired[Count]
     session_journal: NotRequired[tuple[Count, Count]]
     followed: NotRequired[Count]
@@ -405,8 +416,8 @@ class ItemDevice(TypedDict):
 
     ``device``: its name in the run's ``devices``. ``begin``: sequence number at which the item began, seen between ``asked_ns``
     and ``seen_ns``. ``starts``: how often the device had been started again before. ``before``: the entries from the end of the
-    last item that had the device to this one. ``quiet``: nobody called the adapter meanwhile. ``session``: the first sequence
-    number of its session, None when there was none.
+    last item that had the device to this one. ``quiet``: nobody called the adapter meanwhile. ``session``: its session, None when
+    there was none yet.
     """
 
     device: str
@@ -417,7 +428,7 @@ class ItemDevice(TypedDict):
     starts: Count
     before: list[JournalEntry]
     quiet: bool
-    session: Count | None
+    session: SessionStart | None
 
 
 class SessionRemark(TypedDict):

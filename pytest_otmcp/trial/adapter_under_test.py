@@ -9,16 +9,19 @@ import socket
 import sys
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict, cast
 
 from .. import __version__
 from ..core.errors import KitError, SubjectError, UsageError
 from ..core.strict_json import parse_strict
+from ..core.text import printable
 from ..plant.device import Device
 from ..protocols.envelope import check_result
 from ..protocols.registry import protocols
+from ..record.schema import AdapterFacts, StoredBinding
+from ..record.schema import Device as DeviceFacts
 from ..session.exchange import Exchange, joined
 from ..session.session import McpSession, SessionOptions
 from ..subject.answers import interpret, read_answer
@@ -27,6 +30,7 @@ from ..subject.model import (
     READ_WRITE,
     Adapter,
     Answering,
+    Binding,
     Function,
     OutputRule,
     replace_placeholders,
@@ -64,17 +68,29 @@ class BenchOptions:
     worker: str = MAIN
 
 
+class ServerFacts(TypedDict, total=False):
+    """How an adapter's server introduced itself; empty as long as no session was opened."""
+
+    server_name: str
+    server_version: str
+    protocol_version: str
+    tools: int
+
+
 class AdapterUnderTest:
     """One adapter variant, its session, and the device it talks to.
 
     Attributes:
         tools: what the adapter last listed, name to its entry; None as long as no session was opened.
+        first: sequence number at which the adapter took over the journal of its device.
         cursor: where the adapter is in the journal of its device.
         used: operations that were performed.
         unmet: requirements of the envelope that the adapter's own answers do not meet, where it does not claim to have one.
     """
 
-    def __init__(self, adapter: Adapter, variant: str, device: Device, options: BenchOptions) -> None:
+    def __init__(
+        self, adapter: Adapter, variant: str, device: Device, options: BenchOptions, *, first: int = 0
+    ) -> None:
         self.adapter = adapter
         self.variant = variant
         self.device = device
@@ -84,8 +100,10 @@ class AdapterUnderTest:
         self._options = options
         self._start_failure: SubjectError | None = None
         self._work: tempfile.TemporaryDirectory[str] | None = None
+        self._server: ServerFacts = {}
         self.used: dict[str, None] = {}
-        self.cursor = JournalCursor(adapter.protocol)
+        self.first = first
+        self.cursor = JournalCursor(adapter.protocol, first)
 
     @property
     def deadline_s(self) -> float:
@@ -106,6 +124,32 @@ class AdapterUnderTest:
             "host": device.host,
             "port": str(device.port),
             "url": f"{protocols()[self.adapter.protocol].scheme}://{device.host}:{device.port}",
+        }
+
+    def facts(self) -> AdapterFacts:
+        """What ``run.json`` says about the adapter."""
+        adapter = self.adapter
+        used = {name: adapter.operations.get(name) for name in self.used}
+        return {
+            **adapter.facts(),
+            **self._server,
+            "bindings": {
+                name: None if cases is None or isinstance(cases, Function) else [_stored(case) for case in cases]
+                for name, cases in used.items()
+            },
+            "unmet": sorted(self.unmet),
+        }
+
+    def device_facts(self) -> DeviceFacts:
+        """What ``run.json`` says about the device."""
+        host, port, url = (self.endpoint[name] for name in ("host", "port", "url"))
+        return {
+            "protocol": self.adapter.protocol,
+            "variant": self.variant,
+            "worker": self._options.worker,
+            "transport": "tcp",
+            "endpoint": {"host": host, "port": port, "url": url},
+            "first": self.first,
         }
 
     # -- life ---------------------------------------------------------------------------------------------
@@ -153,6 +197,12 @@ class AdapterUnderTest:
         try:
             await session.open()
             self.session, self.tools = session, session.tools
+            self._server = {
+                "server_name": printable(session.server_name),
+                "server_version": printable(session.server_version),
+                "protocol_version": printable(session.protocol_version),
+                "tools": len(session.tools),
+            }
             await self._connect()
         except SubjectError as failure:
             self._start_failure = failure
@@ -274,6 +324,10 @@ class AdapterUnderTest:
         expected = self._expectation(function.name, Answering(form="text"), {})
         reply = observe(joined(tools.exchanges, inputs), expected)
         return replace_outputs(reply, outputs, None if refusal is None else (refusal.code, str(refusal)))
+
+
+def _stored(binding: Binding) -> StoredBinding:
+    return cast(StoredBinding, asdict(binding))
 
 
 class _NoAnswerError(Exception):

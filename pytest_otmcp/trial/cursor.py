@@ -10,6 +10,7 @@ from typing import TypeVar
 
 from ..protocols.registry import protocols
 from ..protocols.session_oracle import SessionOracle
+from ..record.schema import SessionStart
 from .ledger import Entry
 
 __all__ = ["JournalCursor", "Oracle"]
@@ -22,23 +23,24 @@ class JournalCursor:
 
     Args:
         protocol: of the adapter; its description names the session oracles.
+        first: sequence number at which the journal begins for it.
 
     Attributes:
         next: sequence number at which the next slice begins.
         fed: sequence number before which the session's oracles have seen everything.
         starts: how often the device was started again.
-        session: sequence number at which the adapter's last session began; None when there was none.
         connected: that session is open.
         looked_through: everything before ``next`` has been looked at, and since then nobody has called the adapter.
     """
 
-    def __init__(self, protocol: str) -> None:
+    def __init__(self, protocol: str, first: int = 0) -> None:
         self._kinds = protocols()[protocol].session_oracles
         self._oracles: dict[type[SessionOracle], SessionOracle] = {}
-        self.next = 0
-        self.fed = 0
+        self.next = first
+        self.fed = first
         self.starts = 0
-        self.session: int | None = None
+        self._sessions = 0
+        self._began: int | None = None
         self.connected = False
         self.looked_through = False
 
@@ -47,9 +49,15 @@ class JournalCursor:
         """What comes from ``next`` on, comes by itself."""
         return self.connected and self.looked_through
 
-    def open_session(self, seq: int) -> None:
-        """Begin a session at this sequence number."""
-        self.session = seq
+    @property
+    def session(self) -> SessionStart | None:
+        """Number of the adapter's last session, and the sequence number at which it began; None when there was none."""
+        return None if self._began is None else (self._sessions, self._began)
+
+    def open_session(self, seq: int, number: int | None = None) -> None:
+        """Begin a session at this sequence number; by default it is the next one."""
+        self._sessions = self._sessions + 1 if number is None else number
+        self._began = seq
         self.connected = True
         self._oracles = {kind: kind() for kind in self._kinds}
 
@@ -61,14 +69,19 @@ class JournalCursor:
         """Begin a journal that counts from 0 again, as a device that was started has it."""
         self.starts += 1
         self.next = self.fed = 0
-        if self.session is not None:
-            self.session = 0
+        if self._began is not None:
+            self._began = 0
             self._oracles = {kind: kind() for kind in self._kinds}
+
+    @property
+    def began(self) -> int:
+        """Sequence number at which the adapter's session began in what is still to be taken."""
+        return max(self.next, self._began or 0)
 
     def feed(self, entries: Iterable[Entry], until: int) -> None:
         """Show the session's oracles the entries that they have not seen, which are all before ``until``."""
         for entry in entries:
-            if self.session is not None and entry["seq"] >= max(self.fed, self.session):
+            if self._began is not None and entry["seq"] >= max(self.fed, self._began):
                 for oracle in self._oracles.values():
                     oracle.feed(entry)
         self.fed = max(self.fed, until)

@@ -77,6 +77,11 @@ class Ledger:
         finally:
             self._together = False
 
+    @property
+    def together(self) -> bool:
+        """Calls are being made at the same time."""
+        return self._together
+
     def judge(self, reply: Reply, findings: Iterable[Finding]) -> bool:
         """Note what the task's expectation of a reply came to; return whether it was met."""
         found = list(findings)

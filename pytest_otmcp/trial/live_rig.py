@@ -12,8 +12,9 @@ from typing import Any, cast
 from ..core.finding import Finding
 from ..plant.mock_device import Journal
 from ..record.images import Images, keep_image
-from ..record.schema import ItemDevice, Observation
+from ..record.schema import ItemDevice, Observation, SessionStart
 from ..session.session import McpSession
+from ..subject.claims import Claims
 from .adapter_under_test import AdapterUnderTest
 from .bench import Bench
 from .ledger import Ledger
@@ -32,8 +33,9 @@ class LiveItemState:
 
     def __init__(self, station: AdapterUnderTest) -> None:
         self.station = station
+        self.claims = Claims.of_subject({station.adapter.protocol: station.adapter})
         self.images: Images = {}
-        self.told_session: int | None = None
+        self.told_session: SessionStart | None = None
         self._found: ItemDevice | None = None
 
     async def enter(self) -> None:
@@ -86,10 +88,10 @@ class LiveRig(Rig):
         session = self._cursor.session
         if session is not None and session != self._place.told_session:
             self._place.told_session = session
-            self._noted({"session": session}, time.monotonic_ns())
+            self._noted({"session": list(session)}, time.monotonic_ns())
 
     def claims(self, facet: str) -> bool:
-        return self.station.adapter.why_not_claimed(facet) is None
+        return self._place.claims.has(f"{self.protocol}.{facet}")
 
     def blocks(self, operation: str) -> bool:
         return operation in self.station.adapter.blocking
@@ -150,7 +152,7 @@ class LiveRig(Rig):
         return entries
 
     async def session_journal(self) -> list[Entry]:
-        begin = max(self._cursor.next, self._cursor.session or 0)
+        begin = self._cursor.began
         journal, asked_ns = await self._look(begin)
         self._noted({"session_journal": [begin, journal.next]}, asked_ns)
         return journal.entries
@@ -217,14 +219,13 @@ class LiveRig(Rig):
             report = await session.close() if session is not None else None
             await self.station.open()
         assert self.station.session is not None
-        assert self._cursor.session is not None
         fresh = FreshSession(
             spawned_ns=self.station.session.spawned_ns,
-            opened=self._cursor.session,
+            opened=self._cursor.began,
             ended=None if report is None else report.how,
             seconds=0.0 if report is None else report.seconds,
         )
-        self._place.told_session = fresh.opened
+        self._place.told_session = self._cursor.session
         self._noted({"fresh_session": asdict(fresh)}, begun)
         return fresh
 
