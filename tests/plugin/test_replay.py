@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pytest_otmcp.record.run_file import load
 
 from pytest_otmcp.plant.devices import Plant
-from pytest_otmcp.record.run_file import load
 from pytest_otmcp.replay.rejudge import rejudge
 from pytest_otmcp.session.loop import LoopThread
 from pytest_otmcp.subject import Subject, load_subject, reference_subject

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_otmcp.record.run_file import load
+
 from tests.warm_start import WarmStart
 
 __all__ = ["Outcome", "Repository"]

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pytest_otmcp.record.run_file import RunWriter, load
 
 from pytest_otmcp.core.matrix import repetitions
 from pytest_otmcp.protocols.registry import protocols
-from pytest_otmcp.record.run_file import RunWriter, load
 from pytest_otmcp.report import command
 from pytest_otmcp.report.capabilities import Earned, Grade, earned
 from pytest_otmcp.report.families import css_class, families, style_sheet
