@@ -1,4 +1,4 @@
-"""The badge of a certificate: the JSON that shields.io draws from, and a small picture that needs nobody. Pure.
+"""The badge of a certificate: the JSON that shields.io draws from, and a small picture of the kit's own. Pure.
 
 Schema of the JSON: https://shields.io/badges/endpoint-badge.
 """
@@ -21,7 +21,7 @@ _PADDING = 7
 
 
 def badge(certificate: Mapping[str, Any]) -> dict[str, Any]:
-    """What ``badge.json`` holds: the protocols, and how much of the suite that is when it is not all."""
+    """Return the content of ``badge.json``: the protocols, and how much of the suite that is when it is not all."""
     predicate = certificate["predicate"]
     message = "conformant: " + ", ".join(protocols()[protocol].name for protocol in predicate["otmcp"]["adapters"])
     passed, left_out = len(predicate["passedTests"]), len(predicate["otmcp"]["not_applicable"])
@@ -31,7 +31,7 @@ def badge(certificate: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def badge_svg(certificate: Mapping[str, Any]) -> str:
-    """The badge as a picture, with a title that a screen reader reads."""
+    """Draw the badge, with a title that a screen reader reads."""
     shown = badge(certificate)
     title = f"{shown['label']}: {shown['message']} ({certificate['subject'][0]['name']})"
     title = "".join(letter if letter.isprintable() else " " for letter in title)

@@ -1,7 +1,7 @@
 """The command ``otmcp``: one module for each subcommand, and the one place where errors become exit codes.
 
 A subcommand's module has ``add_parser(subparsers)`` and ``run(args) -> int``, and imports what is heavy inside ``run``.
-Exit codes are those of :class:`pytest_otmcp.core.verdict.ExitCode`. Whatever goes wrong ends in one sentence: no traceback.
+Exit codes are those of :class:`pytest_otmcp.core.verdict.ExitCode`. Every error ends in one sentence, without a traceback.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         code = _run(argv)
         sys.stdout.flush()
     except BrokenPipeError:
-        # Nobody reads any more; and the interpreter is not to say so once more when it flushes at its end.
+        # The reader of stdout is gone; the interpreter must not complain about that again when it flushes at its end.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return ExitCode.USAGE
     return code

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..core.errors import SubjectError, UsageError
 from ..protocols.registry import protocols
-from .init import environment, spoken
+from .init import parse_environment, recognise_protocol
 
 if TYPE_CHECKING:
     from ..subject.model import Adapter
@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         for adapter in _adapters(args):
             print(f"{protocols()[adapter.protocol].name}: {' '.join(adapter.variants['rw'].command)}")
-            # Where both are started alike there is nothing more to learn.
+            # Variants that are started alike behave alike.
             for variant in ("rw", "ro") if adapter.variants["ro"] != adapter.variants["rw"] else ("rw",):
                 healthy &= loop.run(_examine(adapter, variant))
     finally:
@@ -52,15 +52,15 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _adapters(args: argparse.Namespace) -> Iterator[Adapter]:
-    from ..onboarding.drafting import bare_adapter
+    from ..onboarding.drafting import describe_launch
     from ..subject import load_subject, reference_subject
 
     if args.command:
         if args.subject is not None:
             raise UsageError("give either --subject or a COMMAND")
-        env = environment(args.env)
-        protocol = args.protocol or spoken([*args.command, *env, *env.values()])
-        yield bare_adapter(protocol, args.command, env, url=args.url, deadline_s=15.0, start_timeout_s=30.0)
+        env = parse_environment(args.env)
+        protocol = args.protocol or recognise_protocol([*args.command, *env, *env.values()])
+        yield describe_launch(protocol, args.command, env, url=args.url, deadline_s=15.0, start_timeout_s=30.0)
         return
     default = Path("otmcp.toml")
     if args.subject is None and not default.is_file():
@@ -71,7 +71,8 @@ def _adapters(args: argparse.Namespace) -> Iterator[Adapter]:
 
 
 async def _examine(adapter: Adapter, variant: str) -> bool:
-    from ..onboarding.known_causes import advice
+    from ..onboarding.known_causes import find_advice
+    from ..onboarding.pack import load_pack
     from ..plant.mock_device import MockDevice
     from ..subject.binding_check import check_bindings
     from ..subject.model import READ_WRITE
@@ -79,12 +80,12 @@ async def _examine(adapter: Adapter, variant: str) -> bool:
 
     program = adapter.variants[variant].command[0]
     device = MockDevice(adapter.protocol)
-    station = None
+    under_test = None
     try:
         await device.launch()
-        station = AdapterUnderTest(adapter, variant, device, BenchOptions())
-        await station.open()
-        session = station.session
+        under_test = AdapterUnderTest(adapter, variant, device, BenchOptions())
+        await under_test.open()
+        session = under_test.session
         assert session is not None
         took = (session.ready_ns - session.spawned_ns) / 1e9
         print(
@@ -102,12 +103,14 @@ async def _examine(adapter: Adapter, variant: str) -> bool:
         return not faults
     except SubjectError as failure:
         print(f"  {variant}: {failure}")
-        for entry in advice(str(failure)):
-            print(f"  -> {entry.cause} {entry.remedy}")
+        known = protocols()[adapter.protocol].onboarding is not None
+        causes = load_pack(adapter.protocol).causes if known else ()
+        for advice in find_advice(str(failure), causes):
+            print(f"  -> {advice.cause} {advice.remedy}")
         if shutil.which(program) is not None:
             print(f"  ({program} is {shutil.which(program)})")
         return False
     finally:
-        if station is not None:
-            await station.close()
+        if under_test is not None:
+            await under_test.close()
         await device.close()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import re
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -13,7 +12,7 @@ from ..core.errors import SubjectError, UsageError
 from ..protocols.registry import protocols
 from . import Refusal
 
-__all__ = ["add_parser", "run"]
+__all__ = ["add_parser", "parse_environment", "recognise_protocol", "run"]
 
 
 def add_parser(subparsers: Any) -> None:
@@ -49,18 +48,20 @@ def run(args: argparse.Namespace) -> int:
     """
     if args.out.exists() and not args.force:
         raise UsageError(f"{args.out}: exists already; give another --out, or --force to replace it")
-    env = environment(args.env)
-    protocol = args.protocol or spoken([*args.command, *env, *env.values()])
+    env = parse_environment(args.env)
+    protocol = args.protocol or recognise_protocol([*args.command, *env, *env.values()])
     if not 0 < args.deadline <= 300:
         raise UsageError(f"--deadline: expected seconds above 0 and up to 300, found {args.deadline:g}")
 
     from ..onboarding.document import Draft, write_document
-    from ..onboarding.drafting import bare_adapter, draft
+    from ..onboarding.drafting import describe_launch, draft
+    from ..onboarding.pack import load_pack
     from ..plant.mock_device import MockDevice
     from ..session.loop import LoopThread
     from ..subject import load_subject
 
-    adapter = bare_adapter(
+    pack = load_pack(protocol)
+    adapter = describe_launch(
         protocol, args.command, env, url=args.url, deadline_s=args.deadline, start_timeout_s=max(30.0, args.deadline)
     )
 
@@ -68,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
         device = MockDevice(protocol)
         try:
             await device.launch()
-            return await draft(adapter, device, lambda line: print(line, flush=True))
+            return await draft(adapter, pack, device, lambda line: print(line, flush=True))
         finally:
             await device.close()
 
@@ -80,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
     finally:
         loop.close()
     args.out.write_text(write_document(drafted), encoding="utf-8")
-    # What cannot be loaded would be a fault of ours, and better found here than by whoever edits it.
+    # A file that cannot be loaded is a fault of ours, and better found here than by its reader.
     load_subject(args.out)
     print(f"\n{args.out} is written. What is left to fill in:")
     for line in drafted.left:
@@ -89,8 +90,8 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def environment(options: Sequence[str]) -> Mapping[str, str]:
-    """The options ``--env NAME=VALUE`` as a table.
+def parse_environment(options: Sequence[str]) -> Mapping[str, str]:
+    """Return the options ``--env NAME=VALUE`` as a table.
 
     Raises:
         UsageError: one of them is something else.
@@ -104,15 +105,14 @@ def environment(options: Sequence[str]) -> Mapping[str, str]:
     return table
 
 
-def spoken(words: Sequence[str]) -> str:
-    """The one protocol that is named in these words.
+def recognise_protocol(words: Sequence[str]) -> str:
+    """Return the one protocol that is named in these words.
 
     Raises:
         UsageError: none, or more than one.
     """
-    text = " ".join(words).lower()
-    patterns = {"modbus": r"modbus", "mqtt": r"mqtt|sparkplug", "opcua": r"opc[-_ ]?ua"}
-    named = [protocol for protocol, pattern in patterns.items() if re.search(pattern, text)]
+    text = " ".join(words)
+    named = [key for key, protocol in protocols().items() if protocol.recognise.search(text)]
     if len(named) != 1:
         what = "names no protocol" if not named else f"names {' and '.join(named)}"
         raise UsageError(f"the command {what}; say --protocol {', '.join(protocols())}, one at a time")

@@ -1,20 +1,23 @@
-"""``otmcp mock``: a mock device started by hand, for any client to be pointed at."""
+"""``otmcp mock``: a mock started by hand, for any client to be pointed at."""
 
 from __future__ import annotations
 
 import argparse
 import os
 import sys
+from collections.abc import Mapping
 from typing import Any, NoReturn
+
+from ..protocols.protocol import Simulator
+from ..protocols.registry import protocols
 
 __all__ = ["add_parser", "run"]
 
-_CLIENTS = {
-    "modbus": "a Modbus TCP client with unit identifier 1",
-    "mqtt": "an MQTT client, version 3.1.1 or 5",
-    "opcua": "an OPC UA client with security None",
-    "sparkplug": "an MQTT client at the broker",
+_OPTIONS: Mapping[str, tuple[str, str]] = {
+    "host": ("ADDRESS", "address to serve on (default: 127.0.0.1)"),
+    "port": ("N", "port to serve on (default: a free one)"),
 }
+"""Options of every mock, each with a metavariable and its help text."""
 
 
 def add_parser(subparsers: Any) -> None:
@@ -24,21 +27,35 @@ def add_parser(subparsers: Any) -> None:
         help="start a mock device by hand",
         description="Start a mock device. It prints one JSON line that says where it is, and serves until standard input closes.",
     )
-    parser.add_argument("protocol", choices=tuple(_CLIENTS))
-    parser.add_argument("--host", metavar="ADDRESS", help="address to serve on (default: 127.0.0.1)")
-    parser.add_argument("--port", metavar="N", help="port to serve on (default: a free one)")
-    parser.add_argument("--broker", metavar="URL", help="mqtt://host:port that the edge node of sparkplug joins")
+    parser.add_argument("protocol", choices=tuple(_mocks()))
+    for name, (metavar, text) in _options().items():
+        parser.add_argument(f"--{name}", metavar=metavar, help=text)
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> NoReturn:
     """Become the mock; it checks its options itself."""
-    options = [f"--{name}={value}" for name in ("host", "port", "broker") if (value := getattr(args, name)) is not None]
+    mock, clients = _mocks()[args.protocol]
+    options = [f"--{option}={value}" for option in _options() if (value := getattr(args, option)) is not None]
     print(
-        f"otmcp: the JSON line below says where the {args.protocol} mock serves; point {_CLIENTS[args.protocol]} at it. "
+        f"otmcp: the JSON line below says where the {args.protocol} mock serves; point {clients} at it. "
         "It ends with Ctrl-C, and when its standard input closes.",
         file=sys.stderr,
         flush=True,
     )
     # A module of the directory that this was called in must not stand in for one of the mock's.
-    os.execv(sys.executable, [sys.executable, "-P", "-m", "pytest_otmcp.mocks", args.protocol, *options])  # noqa: S606
+    os.execv(sys.executable, [sys.executable, "-P", "-m", "pytest_otmcp.mocks", mock, *options])  # noqa: S606
+
+
+def _mocks() -> dict[str, tuple[str, str]]:
+    """Return each mock's name in the room of mocks, and the clients that it is for."""
+    devices = {key: (protocol.mock, protocol.clients) for key, protocol in protocols().items()}
+    return devices | {name: (name, simulator.clients) for name, simulator in _simulators().items()}
+
+
+def _simulators() -> dict[str, Simulator]:
+    return {name: simulator for protocol in protocols().values() for name, simulator in protocol.simulators.items()}
+
+
+def _options() -> dict[str, tuple[str, str]]:
+    return {**_OPTIONS, **{name: text for one in _simulators().values() for name, text in one.options.items()}}

@@ -12,7 +12,7 @@ from typing import Any
 from ..protocols.registry import protocols
 from ..subject.answers import read_answer
 from .evidence import failure_rules, known_errors
-from .experiments import Proposal
+from .experimenter import Proposal
 
 __all__ = ["Draft", "write_document"]
 
@@ -28,6 +28,8 @@ class Draft:
         proposals: operation to what is proposed for it; an operation that is missing found no tool.
         connect: tool and arguments of a connect step.
         tools: names of all its tools.
+        errors: error code to patterns of the texts in which the protocol's libraries report it.
+        left: sentences on what is left to be filled in; :func:`write_document` adds to it.
     """
 
     protocol: str
@@ -40,11 +42,12 @@ class Draft:
     proposals: Mapping[str, Proposal]
     connect: tuple[str, Mapping[str, Any]] | None
     tools: Sequence[str]
+    errors: Mapping[str, Sequence[str]]
     left: list[str] = field(default_factory=list)
 
 
 def write_document(draft: Draft) -> str:
-    """The subject file; what is left to be filled in is added to ``draft.left``."""
+    """Return the subject file; what is left to be filled in is added to ``draft.left``."""
     form = _form(draft.proposals.values())
     lines = [
         "# Proposed by `otmcp init`: guessed from names, tried at a mock device. Read every line; docs/subject-file.md says",
@@ -77,7 +80,7 @@ def write_document(draft: Draft) -> str:
         ]
     if not draft.native:
         lines += _answer_rules(draft, form)
-    # There must be this table for the file to be understood, also before anything is in it.
+    # The file cannot be read without this table, even an empty one.
     lines += ["", f"[adapter.{draft.protocol}.bind]"]
     for operation in protocols()[draft.protocol].operations:
         lines += ["", *_binding(draft, operation, form)]
@@ -85,7 +88,7 @@ def write_document(draft: Draft) -> str:
 
 
 def _form(proposals: Iterable[Proposal]) -> str:
-    """The form that most answers have."""
+    """Return the form that most answers have."""
     found = list(proposals)
     forms = Counter(proposal.form for proposal in found if proposal.form is not None)
     if forms:
@@ -111,7 +114,7 @@ def _answer_rules(draft: Draft, form: str) -> list[str]:
                 f"outcome: nothing tells a failure of {proposal.guess.tool!r} from a success; see its answer"
             )
         text = json.dumps(proposal.bad, ensure_ascii=False)
-        found = known_errors(draft.protocol, proposal.bad_code or "", text)
+        found = known_errors(draft.errors, proposal.bad_code or "", text)
         errors += [rule for rule in found if rule not in errors]
         if not found:
             lines.append(
@@ -168,7 +171,7 @@ def _binding(draft: Draft, operation: str, form: str) -> list[str]:
             f"{operation} ({asked.meaning}): {guess.tool!r} was the likeliest tool, but the device saw no proof"
         )
         comments.append("# Only a guess; take the comment signs away when it is right.")
-    # A table that cannot be judged yet must not pretend to be one.
+    # A table that cannot be judged yet stays a comment.
     return [*comments, *(f"# {line}" for line in (head, *body))]
 
 
@@ -182,7 +185,7 @@ def _shortened(text: str, width: int = 200) -> str:
 
 
 def _value(value: Any) -> str:
-    """A value as TOML writes it, tables inline."""
+    """Write a value as TOML, tables inline."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):

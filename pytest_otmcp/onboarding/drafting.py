@@ -12,13 +12,14 @@ from ..protocols.registry import protocols
 from ..subject.model import READ_WRITE, Adapter, Answering, Connect, Variant
 from ..trial.adapter_under_test import AdapterUnderTest, BenchOptions
 from .document import Draft
-from .experiments import Proposal, Trier
-from .vocabulary import connect_guess, guesses
+from .experimenter import Experimenter, Proposal
+from .matching import guess_connect, guess_tools
+from .pack import Pack
 
-__all__ = ["bare_adapter", "draft"]
+__all__ = ["describe_launch", "draft"]
 
 
-def bare_adapter(
+def describe_launch(
     protocol: str,
     command: Sequence[str],
     env: Mapping[str, str],
@@ -28,7 +29,7 @@ def bare_adapter(
     start_timeout_s: float,
     connect: Connect | None = None,
 ) -> Adapter:
-    """An adapter of which nothing is known but how it is started."""
+    """Describe an adapter of which only the launch is known."""
     variant = Variant(command=tuple(command), env=dict(env), cwd=None, files={})
     return Adapter(
         protocol=protocol,
@@ -49,38 +50,40 @@ def bare_adapter(
     )
 
 
-async def draft(adapter: Adapter, device: MockDevice, say: Callable[[str], None]) -> Draft:
+async def draft(adapter: Adapter, pack: Pack, device: MockDevice, say: Callable[[str], None]) -> Draft:
     """Try every operation of the adapter's protocol.
 
     Args:
-        adapter: as :func:`bare_adapter` makes it.
+        adapter: as :func:`describe_launch` makes it.
+        pack: of its protocol.
         device: a running mock of its protocol.
-        say: called with a line for whoever waits.
+        say: called with each line on the progress.
 
     Raises:
         SubjectError: the adapter cannot be started.
     """
-    station = AdapterUnderTest(adapter, READ_WRITE, device, BenchOptions())
+    under_test = AdapterUnderTest(adapter, READ_WRITE, device, BenchOptions())
     try:
-        await station.open()
-        assert station.session is not None
-        tools = dict(station.session.tools)
-        name, version = station.session.server_name, station.session.server_version
+        await under_test.open()
+        assert under_test.session is not None
+        tools = dict(under_test.session.tools)
+        name, version = under_test.session.server_name, under_test.session.server_version
         say(f"{name or 'the adapter'} {version}: {len(tools)} tools: {', '.join(tools)}")
-        step = connect_guess(tools)
+        step = guess_connect(tools)
         if step is not None:
-            await station.close()
+            await under_test.close()
             connect = Connect(tool=step.tool, arguments=step.arguments, again=False)
-            station = AdapterUnderTest(_with_connect(adapter, connect), READ_WRITE, device, BenchOptions())
-        trier = Trier(station, device)
+            under_test = AdapterUnderTest(replace(adapter, connect=connect), READ_WRITE, device, BenchOptions())
+        experimenter = Experimenter(under_test, device, pack.late)
         proposals: dict[str, Proposal] = {}
         for operation in protocols()[adapter.protocol].operations:
-            proposal = await trier.best(guesses(adapter.protocol, operation, tools))
+            guesses = guess_tools(pack, operation, tools)
+            proposal = await experimenter.best(guesses, pack.operations[operation].experiment)
             if proposal is not None:
                 proposals[operation] = proposal
             say(_line(operation, proposal))
     finally:
-        await station.close()
+        await under_test.close()
     goods = [proposal.good for proposal in proposals.values() if proposal.proven and proposal.good is not None]
     results = [good["result"] for good in goods if isinstance(good.get("result"), dict)]
     native = bool(results) and not any(check_result(result) for result in results)
@@ -95,12 +98,8 @@ async def draft(adapter: Adapter, device: MockDevice, say: Callable[[str], None]
         proposals=proposals,
         connect=None if step is None else (step.tool, step.arguments),
         tools=tuple(tools),
+        errors=pack.errors,
     )
-
-
-def _with_connect(adapter: Adapter, connect: Connect) -> Adapter:
-
-    return replace(adapter, connect=connect)
 
 
 def _line(operation: str, proposal: Proposal | None) -> str:

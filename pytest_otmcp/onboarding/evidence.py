@@ -32,7 +32,7 @@ class Found:
 def find(
     message: Mapping[str, Any], expected: Any, forms: Sequence[str] = ("structured", "json", "text")
 ) -> Found | None:
-    """Where ``expected`` (a value, or a list of them) is; every proposal has been tried on the answer."""
+    """Find where ``expected`` (a value, or a list of them) is; the rule has been tried on the answer."""
     for form in forms:
         document = read_answer(message, form)[0]
         if document is None:
@@ -71,12 +71,10 @@ def _rules(document: Any, expected: Any) -> Iterator[dict[str, Any]]:
                 yield from ({"path": path, "as": "json", "then": place} for place, _ in _places(inner, "") if place)
             for rule in _in_text(value, expected):
                 yield {"path": path, **rule}
-        elif isinstance(value, list) and value and all(isinstance(entry, str) for entry in value):
-            yield from ({"path": path, "strip": prefix} for prefix in ("2:",))
 
 
 def _places(value: Any, path: str) -> Iterator[tuple[str, Any]]:
-    """JMESPath to every value, also through all elements of a list of objects."""
+    """Yield the JMESPath of every value, also through all elements of a list of objects."""
     if path:
         yield path, value
     if isinstance(value, Mapping):
@@ -122,14 +120,14 @@ def _kind(value: Any) -> str:
     return {int: "int", float: "float"}.get(type(value), "string")
 
 
-def lists_in(message: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any], list[Any]]]:
-    """Every list of texts in an answer, with its form and its rule; with and without a namespace prefix such as ``2:``."""
+def lists_in(message: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, dict[str, Any], list[Any]]]:
+    """Yield every list of texts in an answer with its form and its rule, as it is and without ``prefix``."""
     for form in ("structured", "json"):
         document = read_answer(message, form)[0]
         if document is None:
             continue
         for path, _ in _places(document, ""):
-            for rule in ({"path": path}, {"path": path, "strip": "2:"}):
+            for rule in ({"path": path}, {"path": path, "strip": prefix}):
                 output = OutputRule(path=path, strip=rule.get("strip"))
                 value = extract({"x": output}, document)["x"]
                 if isinstance(value, list) and value and all(isinstance(entry, str) for entry in value):
@@ -155,7 +153,7 @@ _FAILING_PATHS = (
 def failure_rules(
     failure: Mapping[str, Any], successes: Sequence[Mapping[str, Any]], form: str
 ) -> list[dict[str, Any]]:
-    """Outcome rules that tell this failed answer from the successful ones; none when ``isError`` already does."""
+    """Return outcome rules that tell this failed answer from the successful ones; none when ``isError`` already does."""
     document, text, is_error = read_answer(failure, form)
     if is_error:
         return []
@@ -174,24 +172,10 @@ def failure_rules(
     return []
 
 
-_KNOWN: Mapping[str, tuple[tuple[str, str], ...]] = {
-    "illegal_address": (
-        (r"0x0?2\b|exception[ _]code\W{0,4}2\b|[Ii]llegal.?[Dd]ata.?[Aa]ddress|ILLEGAL_DATA_ADDRESS", "modbus"),
-        (r"BadNodeIdUnknown|BadNodeIdInvalid|0x8034", "opcua"),
-    ),
-    "type_mismatch": ((r"BadTypeMismatch|[Tt]ype.?[Mm]ismatch|could not convert", "opcua"),),
-    "range_overflow": ((r"(?i)out of range|number <= 65535|less than or equal to 65535|overflow|must be between", "modbus"),),
-    "invalid_input": ((r"(?i)invalid|validation error|must not be empty|empty topic", "mqtt"),),
-    "connect_failed": ((r"(?i)refused|unreachable|not connected|no connection|connection.{0,20}(failed|lost|closed|reset)|offline", "*"),),
-    "writes_disabled": ((r"(?i)writes? (are|is) disabled|read.?only|not allowed to write", "*"),),
-    "timeout": ((r"(?i)timed? ?out", "*"),),
-}  # fmt: skip
+def known_errors(patterns: Mapping[str, Sequence[str]], code: str, text: str) -> list[dict[str, str]]:
+    """Return error rules that give this failure's text the code it should have.
 
-
-def known_errors(protocol: str, code: str, text: str) -> list[dict[str, str]]:
-    """Error rules that give this failure's text the code it should have."""
-    return [
-        {"text": pattern, "code": code}
-        for pattern, whose in _KNOWN.get(code, ())
-        if whose in (protocol, "*") and re.search(pattern, text)
-    ]
+    Args:
+        patterns: error code to patterns of the texts in which libraries report it.
+    """
+    return [{"text": pattern, "code": code} for pattern in patterns.get(code, ()) if re.search(pattern, text)]

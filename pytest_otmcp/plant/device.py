@@ -3,66 +3,120 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, Protocol
 
-from .mock_device import Entry, Journal
+from ..core.errors import KitError
+from ..protocols.journal import JournalEntry
+from .endpoint import Endpoint
 
-__all__ = ["Device"]
+__all__ = ["Device", "Journal", "check_kept"]
+
+
+def check_kept(since: int, first: int) -> None:
+    """Refuse to answer for entries that a journal no longer holds.
+
+    Args:
+        since: sequence number from which on entries are asked for.
+        first: that of the oldest entry that the journal holds.
+
+    Raises:
+        KitError: the oldest of the entries were released, or have given way to newer ones.
+    """
+    if since < first:
+        raise KitError(f"the journal no longer goes back to entry {since}: the oldest that it holds is {first}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Journal:
+    """A slice of a device's journal.
+
+    Attributes:
+        entries: in the order of their arrival.
+        next: sequence number that the next entry will get.
+    """
+
+    entries: list[JournalEntry]
+    next: int
 
 
 class Device(Protocol):
-    """A device that adapters connect to and that bears witness.
+    """A device that adapters connect to and that is the witness of what they do.
 
     Attributes:
-        host, port: where adapters connect.
-        running: it accepts connections.
-        accepting_ns: monotonic; since when it does.
+        running: it serves.
+        accepting_ns: monotonic; since when it serves. A TCP port accepts connections then. Of a UDP port or a pseudo terminal,
+            where nothing is accepted, it is the time at which the device said that it reads its telegrams.
     """
 
-    host: str
-    port: int
     running: bool
     accepting_ns: int
 
+    @property
+    def endpoints(self) -> Mapping[str, Endpoint]:
+        """Where adapters reach it, by name, the main endpoint first; empty before the launch."""
+        ...
+
+    @property
+    def host(self) -> str:
+        """Address of its first port; empty if it has none."""
+        ...
+
+    @property
+    def port(self) -> int:
+        """Number of its first port; 0 if it has none."""
+        ...
+
     async def launch(self) -> None:
-        """Start it and wait until it accepts connections.
+        """Start it and wait until it serves.
 
         Raises:
             KitError: it cannot be started.
         """
 
     async def stop(self) -> None:
-        """Let the endpoint vanish: connections die, new ones are refused."""
+        """Take its endpoints away: TCP connections die and new ones are refused; to datagrams and telegrams there is silence,
+        and none that is sent meanwhile is ever delivered."""
 
     async def start(self) -> None:
-        """Let the endpoint come back at the same address; ``accepting_ns`` says when."""
+        """Bring its endpoints back at the same addresses, with an empty journal; ``accepting_ns`` says when."""
 
     async def close(self) -> None:
         """End it for good."""
 
     async def image(self) -> dict[str, Any]:
-        """What the device really holds."""
+        """Return what the device really holds.
+
+        Raises:
+            KitError: it cannot be asked.
+        """
         ...
 
     async def mark(self) -> int:
-        """Sequence number that the next journal entry will get."""
+        """Return the sequence number that the next journal entry will get."""
         ...
 
     async def journal(self, since: int) -> Journal:
-        """The entries from ``since`` on.
+        """Return the entries from ``since`` on.
 
         Raises:
-            KitError: the oldest of them have given way to newer ones.
+            KitError: the oldest of them were released, or have given way to newer ones.
+        """
+        ...
+
+    async def wait(
+        self, since: int, match: Mapping[str, Any], *, timeout_s: float, count: int = 1
+    ) -> list[JournalEntry]:
+        """Return the entries from ``since`` on that have all fields of ``match``: as soon as there are ``count`` of them, or
+        those that there are when the time is over.
+
+        Raises:
+            KitError: the oldest entries from ``since`` on were released, or have given way to newer ones.
         """
         ...
 
     async def forget(self, before: int) -> None:
         """Release the entries before ``before`` for good: they have been read."""
-
-    async def wait(self, since: int, match: Mapping[str, Any], *, timeout_s: float, count: int = 1) -> list[Entry]:
-        """The entries from ``since`` on whose fields equal ``match``, as soon as there are ``count`` of them, or
-        those there are when the time is over."""
-        ...
 
     async def poke(self, **params: Any) -> None:
         """Set a value out of band."""

@@ -39,7 +39,7 @@ class Plant:
     def _new(self, key: str) -> Device:
         protocol = protocols()[key]
         if key not in self._external or protocol.external is None:
-            return MockDevice(protocol.mock)
+            return MockDevice(protocol.mock, key)
         module, _, name = protocol.external.implementation.partition(":")
         device: Device = getattr(import_module(module), name)(self._external[key])
         return device

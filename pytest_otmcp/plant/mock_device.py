@@ -1,6 +1,6 @@
-"""The plant: mock devices as processes of their own, and the channel on which they bear witness.
+"""Mock devices as processes of their own, and the channel on which they tell what they saw.
 
-The kit never imports a mock. It starts `python -m pytest_otmcp.mocks NAME`, speaks one-word commands to its launcher
+The kit never imports a mock. It starts ``python -m pytest_otmcp.mocks NAME``, speaks one-word commands to its launcher
 (``stop``, ``start``) and JSON lines to its control socket (image, journal, poke, fault, …). A mock that dies or does
 not answer is a :class:`~pytest_otmcp.errors.KitError`: never the adapter's fault.
 """
@@ -14,49 +14,23 @@ import json
 import sys
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from ..core.errors import KitError
 from ..protocols.journal import JournalEntry
 from ..session.process import subject_environment
+from .device import Journal, check_kept
+from .endpoint import Endpoint, first_port
 
-__all__ = ["Entry", "Journal", "MockDevice"]
-
-Entry = JournalEntry
-"""One journal entry; see the mocks' documentation for the fields of each protocol."""
+__all__ = ["MockDevice"]
 
 _LAUNCH_TIMEOUT_S = 60.0
 _ANSWER_TIMEOUT_S = 20.0
 _LINE_LIMIT = 64 * 1024 * 1024
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Journal:
-    """A slice of a device's journal.
-
-    Attributes:
-        entries: in the order of their arrival.
-        next: sequence number that the next entry will get.
-    """
-
-    entries: list[Entry]
-    next: int
-
-    def whole(self, since: int) -> Journal:
-        """This slice, which was asked for from ``since`` on.
-
-        Raises:
-            KitError: its oldest entries were released, or have given way to newer ones.
-        """
-        first = self.next - len(self.entries)
-        if since < first:
-            raise KitError(f"the journal no longer goes back to entry {since}: the oldest that it holds is {first}")
-        return self
-
-
 class _Control:
-    """Client of a device's control socket: pipelined requests, answers matched by id."""
+    """The client of a device's control socket: pipelined requests, answers matched by id."""
 
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, name: str) -> None:
         self._reader = reader
@@ -106,31 +80,46 @@ class _Control:
 
 
 class MockDevice:
-    """One mock device: its life and its witness.
+    """One mock device: its life, and what it witnessed. See :class:`~pytest_otmcp.plant.device.Device`.
+
+    Args:
+        mock: name of the mock as ``python -m pytest_otmcp.mocks`` takes it: a built-in one, or the dotted name of a package.
+        protocol: key of its protocol, for sentences; the name of a built-in mock is the key of its protocol.
 
     Attributes:
-        host, port: where adapters connect.
-        running: it accepts connections.
-        accepting_ns: monotonic; since when it does.
+        endpoints: see :class:`~pytest_otmcp.plant.device.Device`.
+        running: it serves.
+        accepting_ns: monotonic; since when it serves: when its launcher said so.
     """
 
-    def __init__(self, name: str, *, arguments: tuple[str, ...] = ()) -> None:
-        self.name = name
-        self._arguments = arguments
+    def __init__(self, mock: str, protocol: str | None = None) -> None:
+        self._mock = mock
+        self._name = protocol or mock
         self._launcher: asyncio.subprocess.Process | None = None
         self._control: _Control | None = None
         self._stderr: asyncio.Task[bytes] | None = None
-        self.host = "127.0.0.1"
-        self.port = 0
+        self.endpoints: Mapping[str, Endpoint] = {}
         self.running = False
         self.accepting_ns = 0
+
+    @property
+    def host(self) -> str:
+        """Address of its first port; empty if it has none."""
+        port = first_port(self.endpoints)
+        return "" if port is None else port.host
+
+    @property
+    def port(self) -> int:
+        """Number of its first port; 0 if it has none."""
+        port = first_port(self.endpoints)
+        return 0 if port is None else port.port
 
     # -- life ---------------------------------------------------------------------------------------------
 
     async def launch(self) -> None:
-        """Start the mock program and wait until its device accepts connections, with its simulation paused."""
+        """Start the mock program and wait until its device serves, with its simulation paused."""
         # A module of the working directory must not stand in for one that the mock imports.
-        command = [sys.executable, "-P", "-m", "pytest_otmcp.mocks", self.name, *self._arguments]
+        command = [sys.executable, "-P", "-m", "pytest_otmcp.mocks", self._mock]
         self._launcher = await asyncio.create_subprocess_exec(
             *command,
             stdin=asyncio.subprocess.PIPE,
@@ -140,7 +129,7 @@ class MockDevice:
             start_new_session=True,
         )
         assert self._launcher.stderr is not None
-        self._stderr = asyncio.create_task(self._launcher.stderr.read(), name=f"otmcp-stderr-{self.name}")
+        self._stderr = asyncio.create_task(self._launcher.stderr.read(), name=f"otmcp-stderr-{self._name}")
         await self._ready()
 
     async def _event(self, expected: str) -> dict[str, Any]:
@@ -149,26 +138,26 @@ class MockDevice:
         try:
             line = await asyncio.wait_for(self._launcher.stdout.readline(), _LAUNCH_TIMEOUT_S)
         except TimeoutError:
-            raise KitError(f"the {self.name} mock said nothing for {_LAUNCH_TIMEOUT_S:g} s") from None
+            raise KitError(f"the {self._name} mock said nothing for {_LAUNCH_TIMEOUT_S:g} s") from None
         if not line:
             stderr = (await self._stderr).decode("utf-8", "replace").strip() if self._stderr else ""
-            raise KitError(f"the {self.name} mock ended unexpectedly: {stderr[-800:] or 'nothing on stderr'}")
+            raise KitError(f"the {self._name} mock ended unexpectedly: {stderr[-800:] or 'nothing on stderr'}")
         event: dict[str, Any] = json.loads(line)
         if event.get("event") != expected:
-            raise KitError(f"the {self.name} mock said {event} where {expected!r} was expected")
+            raise KitError(f"the {self._name} mock said {event} where {expected!r} was expected")
         return event
 
     async def _ready(self) -> None:
         ready = await self._event("ready")
         self.accepting_ns = time.monotonic_ns()
-        self.host, self.port = ready["host"], ready["port"]
+        self.endpoints = {name: Endpoint(name=name, **address) for name, address in ready["endpoints"].items()}
         reader, writer = await asyncio.open_unix_connection(ready["control"], limit=_LINE_LIMIT)
-        self._control = _Control(reader, writer, self.name)
+        self._control = _Control(reader, writer, self._name)
         self.running = True
         await self.ask("pause")
 
     async def stop(self) -> None:
-        """Kill the device process: its connections die, its port refuses."""
+        """Kill the device process: its connections die, its TCP ports refuse, its other endpoints are silent."""
         await self._command("stop")
         await self._event("stopped")
         self.running = False
@@ -177,7 +166,7 @@ class MockDevice:
             self._control = None
 
     async def start(self) -> None:
-        """Start a new device process on the same port and wait until it accepts; ``accepting_ns`` says when."""
+        """Start a new device process at the same addresses and wait until it serves; ``accepting_ns`` says when."""
         await self._command("start")
         await self._ready()
 
@@ -188,7 +177,7 @@ class MockDevice:
         try:
             await self._launcher.stdin.drain()
         except ConnectionError:
-            raise KitError(f"the {self.name} mock is gone; it cannot be told to {word}") from None
+            raise KitError(f"the {self._name} mock is gone; it cannot be told to {word}") from None
 
     async def close(self) -> None:
         """End launcher and device."""
@@ -212,39 +201,46 @@ class MockDevice:
     # -- witness ------------------------------------------------------------------------------------------
 
     async def ask(self, op: str, *, answer_within_s: float = _ANSWER_TIMEOUT_S, **fields: Any) -> dict[str, Any]:
-        """One request on the control channel.
+        """Send one request on the control channel and return its answer.
 
         Raises:
             KitError: the device is not running, refused or did not answer.
         """
         if self._control is None:
-            raise KitError(f"the {self.name} mock is not running (asked for {op!r})")
+            raise KitError(f"the {self._name} mock is not running (asked for {op!r})")
         return await self._control.ask(op, answer_within_s=answer_within_s, **fields)
 
     async def image(self) -> dict[str, Any]:
-        """What the device really holds."""
+        """Return what the device really holds."""
         return await self.ask("image")
 
     async def mark(self) -> int:
-        """Sequence number that the next journal entry will get."""
+        """Return the sequence number that the next journal entry will get."""
         return int((await self.ask("journal", since=sys.maxsize))["next"])
 
     async def journal(self, since: int) -> Journal:
-        """The entries from ``since`` on.
+        """Return the entries from ``since`` on.
 
         Raises:
             KitError: the oldest of them were released, or have given way to newer ones.
         """
         answer = await self.ask("journal", since=since)
-        return Journal(entries=answer["entries"], next=answer["next"]).whole(since)
+        check_kept(since, answer["first"])
+        return Journal(entries=answer["entries"], next=answer["next"])
 
     async def forget(self, before: int) -> None:
         """Release the entries before ``before`` for good: they have been read."""
         await self.ask("forget", before=before)
 
-    async def wait(self, since: int, match: Mapping[str, Any], *, timeout_s: float, count: int = 1) -> list[Entry]:
-        """The entries from ``since`` on whose fields equal ``match``, as soon as there are ``count`` of them, or
-        those there are when the time is over."""
+    async def wait(
+        self, since: int, match: Mapping[str, Any], *, timeout_s: float, count: int = 1
+    ) -> list[JournalEntry]:
+        """Return the entries from ``since`` on that have all fields of ``match``: as soon as there are ``count`` of them, or
+        those that there are when the time is over.
+
+        Raises:
+            KitError: the oldest entries from ``since`` on were released, or have given way to newer ones.
+        """
         answer = await self.ask(
             "wait",
             answer_within_s=timeout_s + _ANSWER_TIMEOUT_S,
@@ -253,7 +249,8 @@ class MockDevice:
             count=count,
             timeout_s=timeout_s,
         )
-        entries: list[Entry] = answer["entries"]
+        check_kept(since, answer["first"])
+        entries: list[JournalEntry] = answer["entries"]
         return entries
 
     async def poke(self, **params: Any) -> None:
@@ -265,7 +262,7 @@ class MockDevice:
         await self.ask("fault", rules=[dict(rule) for rule in rules])
 
     async def reset(self) -> None:
-        """Start-up values, no faults, simulation paused; connections and journal stay."""
+        """Bring back start-up values without faults, with the simulation paused; connections and journal stay."""
         await self.ask("reset")
         await self.ask("pause")
 

@@ -1,18 +1,18 @@
 """Cuts recorded byte streams into frames, whatever segments they arrived in. Pure.
 
-Each protocol says how long a frame is (:data:`FrameLength`), from as many of its first bytes as are there. A stream in
-which no frame can begin is :class:`MalformedError`: from then on nothing in that direction can be trusted.
+Each protocol that runs over streams says how long a frame is (:data:`FrameLength`), from as many of its first bytes as are
+there. Where no frame can begin, the stream is malformed: from then on nothing in that direction can be trusted. A datagram is
+a frame as it is.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol
 
-__all__ = ["Conversation", "FrameLength", "Framer", "MalformedError"]
+__all__ = ["FrameLength", "Framer", "MalformedError"]
 
 FrameLength = Callable[[bytes | bytearray], int | None]
-"""Length of the frame that the buffer begins with, None while too little of it is there.
+"""Returns the length of the frame that the buffer begins with, None while too little of it is there.
 
 Raises :class:`MalformedError` when no frame begins like that."""
 
@@ -22,7 +22,7 @@ class MalformedError(ValueError):
 
 
 class Framer:
-    """One direction of one connection.
+    """Cuts one direction of one connection.
 
     Attributes:
         malformed: why no further frame can be cut, once that is so; :attr:`pending` holds what was not cut.
@@ -39,7 +39,7 @@ class Framer:
         return bytes(self._buffer)
 
     def feed(self, data: bytes) -> list[bytes]:
-        """Add bytes, get the frames they complete; none any more once the stream is malformed."""
+        """Add bytes; return the frames that they complete, none any more once the stream is malformed."""
         self._buffer += data
         frames: list[bytes] = []
         while self._buffer and self.malformed is None:
@@ -53,17 +53,3 @@ class Framer:
             frames.append(bytes(self._buffer[:length]))
             del self._buffer[:length]
         return frames
-
-
-class Conversation(Protocol):
-    """Both directions of one connection, decoded frame by frame into journal entries."""
-
-    def decode(self, direction: str, frame: bytes) -> list[dict[str, Any]]:
-        """The entries of one frame: ``direction``, ``kind`` and the protocol's fields.
-
-        Args:
-            direction: ``in`` for what the device received, ``out`` for what it sent.
-
-        A frame that cannot be decoded becomes an entry of kind ``malformed`` with ``bytes`` (hex) and ``reason``.
-        """
-        ...

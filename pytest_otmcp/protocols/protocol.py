@@ -12,8 +12,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ..core.finding import Finding
+from .conversation import Conversation
 from .external import ExternalDevice
-from .framing import Conversation, FrameLength
+from .framing import FrameLength
 from .journal import Entries, JournalEntry
 from .session_oracle import SessionOracle
 
@@ -98,12 +99,12 @@ class Framing:
     """How recorded bytes become journal entries, so that the tap can be the witness.
 
     Attributes:
-        frame_length: cuts a stream into frames.
         conversation: makes the decoder of one connection.
+        frame_length: cuts a stream into frames; None for a protocol that has no streams, whose frames are datagrams.
     """
 
-    frame_length: FrameLength
     conversation: Callable[[], Conversation]
+    frame_length: FrameLength | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,6 +1,6 @@
-"""Everything that is made from a run record: terminal summary, LaTeX tables, figures. Nothing here judges.
+"""Everything that is made from a run record: terminal summary, pages, LaTeX tables, figures. Nothing here judges.
 
-What the reports have to count alike is counted here, so that no two of them disagree.
+Figures that several reports print are counted here, so that no two reports disagree.
 """
 
 from __future__ import annotations
@@ -32,34 +32,34 @@ __all__ = [
 
 
 def applies(item: Item) -> bool:
-    """Whether the subject claims what the item is about."""
+    """Tell whether the subject claims what the item is about."""
     return bool(item["status"] != "NOT_APPLICABLE")
 
 
 def tally(items: Iterable[Item]) -> tuple[int, int]:
-    """Repetitions that passed, of those planned of the items that apply: what did not run did not pass."""
+    """Count repetitions that passed, and those planned, of the items that apply: what did not run did not pass."""
     counted = [item for item in items if applies(item)]
     good = sum(sample["ok"] for item in counted for sample in item["samples"])
     return good, sum(item["planned"] for item in counted)
 
 
 def least(item: Item) -> float | None:
-    """With 95 % confidence, the least rate at which the item passes; None when it says nothing about the subject."""
+    """Return the least rate at which the item passes, with 95 % confidence; None when it says nothing about the subject."""
     return lower_bound(*tally([item])) if item["samples"] else None
 
 
 def timing_valid(run: Run) -> bool:
-    """Whether the run's latencies say something about the subject: those of a parallel run measure the neighbours."""
+    """Tell whether the run's latencies are the subject's: those of a parallel run measure the neighbours, too."""
     return run["footer"].get("timing_valid", True)
 
 
 def durations(run: Run, items: Iterable[Item]) -> list[float]:
-    """Milliseconds of every repetition of the items; none when the run's latencies are withheld."""
+    """Return the milliseconds of every repetition of the items; none when the run's latencies are withheld."""
     return [sample["duration_ms"] for item in items for sample in item["samples"]] if timing_valid(run) else []
 
 
 def phases(run: Run, item: Item, name: str) -> list[float]:
-    """Milliseconds of a phase of recovery, where it happened; none when the run's latencies are withheld."""
+    """Return the milliseconds of a phase of recovery, where it happened; none when the run's latencies are withheld."""
     if not timing_valid(run):
         return []
     found = [cast(dict[str, float | None], sample["phases"])[name] for sample in item["samples"] if sample["phases"]]
@@ -67,7 +67,7 @@ def phases(run: Run, item: Item, name: str) -> list[float]:
 
 
 def recovered(items: Iterable[Item], way: str) -> tuple[int, int]:
-    """Outages after which ``way`` (``same_session`` or ``fresh_session``) succeeded, of those planned."""
+    """Count outages after which ``way`` (``same_session`` or ``fresh_session``) succeeded, and those planned."""
     counted = [item for item in items if applies(item)]
     samples = [sample for item in counted for sample in item["samples"]]
     good = sum(bool(sample["phases"] and cast(dict[str, bool], sample["phases"])[f"{way}_ok"]) for sample in samples)
@@ -80,12 +80,12 @@ def adapters(run: Run) -> dict[str, AdapterFacts]:
 
 
 def task_calls(items: Iterable[Item]) -> list[Call]:
-    """The calls that the tasks of these items are about; neither set-up nor what came before a recovery."""
+    """Return the calls that the tasks of these items are about; neither set-up nor what came before a recovery."""
     return [call for item in items for sample in item["samples"] for call in sample["calls"] if call["role"] == "task"]
 
 
 def command(run: Run, item: Item | None = None, repetition: int = 0) -> str:
-    """The shell command that makes a run like this one, or only one item of it up to one of its repetitions.
+    """Return the shell command that makes a run like this one, or only one item of it up to one of its repetitions.
 
     It works from any directory. Values depend on seed and repetition alone, so they are the same again.
     """

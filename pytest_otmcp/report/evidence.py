@@ -57,7 +57,7 @@ class Evidence:
 
     @property
     def letters(self) -> int:
-        """About as many as its HTML has."""
+        """Estimate how many letters its HTML has."""
         texts = [str(value) for finding in self.findings for value in finding.values()]
         for event in self.events:
             if isinstance(event, Event):
@@ -75,7 +75,7 @@ class Failure:
 
 
 def failures(run: Run) -> list[Failure]:
-    """Every item that applies and did not pass."""
+    """Return every item that applies and did not pass, with its evidence."""
     found: list[Failure] = []
     letters = 0
     for item in run["items"]:
@@ -87,7 +87,7 @@ def failures(run: Run) -> list[Failure]:
 
 
 def findings_of(item: Item) -> list[Mapping[str, Any]]:
-    """All findings of an item: its repetitions' and its own."""
+    """Return all findings of an item: its repetitions' and its own."""
     return [*(finding for sample in item["samples"] for finding in sample["findings"]), *item["findings"]]
 
 

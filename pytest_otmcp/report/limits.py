@@ -1,4 +1,4 @@
-"""What narrowed a run, in sentences for whoever has to decide upon it. Pure."""
+"""What narrowed a run, in sentences for the engineer who has to decide upon it. Pure."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _FULL = 30
 
 
 def narrowed(run: Run) -> list[str]:
-    """Every reason why a run says less than a full one of its kind; empty when there is none."""
+    """Return every reason why a run says less than a full one of its kind; empty when there is none."""
     settings, footer = run["settings"], run["footer"]
     reasons = []
     if not footer["complete"]:

@@ -84,7 +84,7 @@ class Adapter:
 
 
 def tasks(run: Run, suite: str) -> list[Row]:
-    """The items of a suite."""
+    """Return the rows of a suite's items."""
     rows = []
     for item in run["items"]:
         if item["suite"] == suite:
@@ -104,7 +104,7 @@ def tasks(run: Run, suite: str) -> list[Row]:
 
 
 def requirements(run: Run) -> list[tuple[str, dict[str, Cell]]]:
-    """Each requirement with what every family's items say of it.
+    """Return each requirement with what every family's items say of it.
 
     ``violated``: a finding names it. ``not shown``: an item about it failed for another reason, or did not end.
     """
@@ -130,7 +130,7 @@ def _cell(items: Mapping[str, str]) -> Cell:
 
 
 def recovery_rows(run: Run) -> list[tuple[str, ...]]:
-    """Id, family, median detection; rate and median of the same session, and of a fresh one."""
+    """Return id, family, median detection, and rate and median of the same session and of a fresh one, by item."""
     rows: list[tuple[str, ...]] = []
     for item in run["items"]:
         if item["suite"] == "recovery":
@@ -145,7 +145,7 @@ def recovery_rows(run: Run) -> list[tuple[str, ...]]:
 
 
 def statistics(run: Run) -> list[tuple[str, ...]]:
-    """Id, n, mean, its deviation and interval, median and its interval, 95th percentile, outliers."""
+    """Return id, n, mean, its deviation and interval, median and its interval, 95th percentile, outliers, by item."""
     rows: list[tuple[str, ...]] = []
     for item in run["items"]:
         if times := durations(run, [item]):
@@ -174,7 +174,7 @@ _STATES = {
 
 
 def deviations(run: Run) -> list[Deviation]:
-    """The known deviations."""
+    """Return the known deviations."""
     found = run["footer"].get("deviations", {})
     states = {item: _STATES[kind] for kind in _STATES for item in found.get(kind, ())}
     return [
@@ -189,7 +189,7 @@ def deviations(run: Run) -> list[Deviation]:
 
 
 def adapters(run: Run) -> list[Adapter]:
-    """The subject's adapters."""
+    """Return the subject's adapters."""
     return [_adapter(protocol, facts) for protocol, facts in having_sessions(run).items()]
 
 
@@ -213,7 +213,7 @@ def _adapter(protocol: str, facts: Mapping[str, Any]) -> Adapter:
 
 
 def facts(run: Run) -> list[tuple[str, str]]:
-    """What is known of kit, machine and settings; what a record does not have is left out."""
+    """Return what the record says of kit, machine and settings."""
     kit, environment, settings, footer = run["kit"], run["environment"], run["settings"], run["footer"]
     spent = footer.get("breakdown_s", {})
     packages = environment.get("packages", {})

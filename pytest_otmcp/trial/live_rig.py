@@ -10,7 +10,7 @@ from dataclasses import asdict
 from typing import Any, cast
 
 from ..core.finding import Finding
-from ..plant.mock_device import Journal
+from ..plant.device import Journal
 from ..record.images import Images, keep_image
 from ..record.schema import ItemDevice, Observation, SessionStart
 from ..session.session import McpSession

@@ -115,7 +115,7 @@ class ForkServer:
 
 
 class Forked:
-    """A forked adapter; what :class:`subprocess.Popen` offers of a started one."""
+    """A forked adapter, with the part of the interface of :class:`subprocess.Popen` that :class:`Client` uses."""
 
     def __init__(self, server: ForkServer, pid: int, stdin: int, stdout: int, stderr: int) -> None:
         self._server = server
@@ -446,11 +446,11 @@ def adapter_command() -> Callable[[str], list[str]]:
 
 
 TIMEOUT_S, DEADLINE_S = 20.0, 30.0
-"""Of the adapters of a rig. In real time no call comes near them; their clocks pass them when a test says so."""
+"""Settings of the adapters of a rig. No call lasts so long in real time; :meth:`Client.pass_time` makes them elapse."""
 
 
 class Rig:
-    """A mock device of one protocol, and the reference adapter before it with and without permission to write."""
+    """A mock device of one protocol, and two reference adapters for it: one may write, one may not."""
 
     def __init__(self, case: Case, device: Mock, start: Callable[..., Client], folder: Path) -> None:
         self.case = case
@@ -463,7 +463,7 @@ class Rig:
         self.ask(self.guarded)
 
     def settings(self, name: str, *, writes: str | None = None, **more: str) -> dict[str, str]:
-        """The settings of an adapter before this device."""
+        """Return the settings of an adapter for this device."""
         prefix = self.case.prefix
         return {
             **self.case.settings(self.device.port, name, self._folder),
@@ -474,7 +474,7 @@ class Rig:
         }
 
     def start(self, name: str, *, writes: str | None = None, forked: bool = True, **more: str) -> Client:
-        """Start another adapter before this device."""
+        """Start another adapter for this device."""
         command = [sys.executable, "-m", "pytest_otmcp.reference_adapters", self.case.protocol]
         return self._start(command, self.settings(name, writes=writes, **more), forked=forked)
 
@@ -489,7 +489,7 @@ class Rig:
         self.device.fault({**self.case.rules(tool), "action": action, **more})
 
     def requests(self, mark: int, tool: str) -> list[dict[str, Any]]:
-        """The requests of a tool that reached the device."""
+        """Return the requests of a tool that reached the device since."""
         entries = self.device.since(mark, **self.case.requests(tool))
         return [entry for entry in entries if not self.case.background(entry)]
 
@@ -507,7 +507,7 @@ class Rig:
             self.ask(client)
 
     def reconnected(self, mark: int, name: str = "rw") -> None:
-        """Wait for an adapter that makes a lost connection again by itself, lest a call join an attempt that fails."""
+        """Wait until an adapter that reconnects by itself is connected; a call before could join an attempt that fails."""
         if self.case.readmitted is not None:
             self.device.wait(mark, **self.case.readmitted(name))
 

@@ -50,7 +50,7 @@ def image(rig: Rig) -> dict[str, Any]:
 
 
 def reading(rig: Rig, client: Client | None = None) -> int:
-    """Start the probe; its request."""
+    """Start the probe and return the id of its request."""
     return (client or rig.adapter).start(rig.case.probe, rig.case.reads[rig.case.probe])
 
 
@@ -63,7 +63,7 @@ def write(rig: Rig, tool: str, client: Client | None = None) -> Reply:
 
 
 def learnt(rig: Rig, tool: str, client: Client | None = None) -> None:
-    """Make a write for which the adapter asks whatever it has to know; the next write is one request."""
+    """Make a write, so that the adapter has read what it must know of the target; the next write is one request."""
     assert write(rig, tool, client).envelope["success"]
 
 
@@ -71,8 +71,13 @@ def refused(reply: Reply) -> tuple[str, str, bool]:
     return reply.error["code"], reply.error["outcome"], reply.error["retryable"]
 
 
+def written(rig: Rig, mark: int, tool: str) -> list[dict[str, Any]]:
+    """Return the requests of a writing tool, without those of reading tools, that reached the device since."""
+    return [entry for entry in rig.requests(mark, tool) if entry.get("state_changing", True)]
+
+
 def nothing_sent(rig: Rig, mark: int, *clients: Client) -> bool:
-    """Whether the device was asked nothing since, not even to let somebody connect; proven by a last question."""
+    """Ask the device once for each client, and return whether nothing else reached it since, not even a connection."""
     for client in clients:
         rig.ask(client)
     entries = [entry for entry in rig.device.since(mark, direction="in") if not rig.case.background(entry)]
@@ -99,8 +104,7 @@ def test_reads_change_nothing(rig: Rig) -> None:
         assert (reply.meta["attempts"] == 0) is (tool in rig.case.silent), tool
     rig.ask()
     assert image(rig) == before
-    if rig.case.requests(rig.case.write) != rig.case.requests(rig.case.probe):
-        assert rig.requests(mark, rig.case.write) == []
+    assert written(rig, mark, rig.case.write) == []
     assert rig.device.since(mark, state_changing=True) == []
 
 
@@ -175,11 +179,6 @@ def test_a_write_over_a_connection_that_breaks_is_sent_once(rig: Rig, tool: str,
     rig.reconnected(mark)
     rig.ask()
     assert len(written(rig, mark, tool)) == 1
-
-
-def written(rig: Rig, mark: int, tool: str) -> list[dict[str, Any]]:
-    """The requests of a writing tool, without those of reading tools."""
-    return [entry for entry in rig.requests(mark, tool) if entry.get("state_changing", True)]
 
 
 @every_answered_write

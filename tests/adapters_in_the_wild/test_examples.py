@@ -83,6 +83,7 @@ def plant(loop: LoopThread) -> Iterator[Plant]:
     loop.run(shared.close())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", VERIFIED)
 def test_an_adapter_of_the_wild_gets_the_verified_verdicts(
     name: str, installed: Install, loop: LoopThread, plant: Plant

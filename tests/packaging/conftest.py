@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.once import once
+
 CHECKOUT = Path(__file__).parents[2]
 FOLDERS = {
     "pytest_otmcp": "pytest_otmcp",
@@ -36,38 +38,31 @@ def _quietly(*command: str | Path, cwd: Path, env: dict[str, str] | None = None)
     return done.stdout
 
 
-@pytest.fixture(scope="session")
-def setuptools(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """An environment in which the setuptools that ``pyproject.toml`` asks for can be imported."""
-    target = tmp_path_factory.mktemp("setuptools")
-    _quietly(sys.executable, "-m", "pip", "install", "--quiet", "--target", target, "setuptools>=77", cwd=target)
-    return {**os.environ, "PYTHONPATH": str(target)}
-
-
-@pytest.fixture(scope="session")
-def sdist(tmp_path_factory: pytest.TempPathFactory, setuptools: dict[str, str]) -> Path:
-    """The source distribution."""
-    source = tmp_path_factory.mktemp("source")
+def _build(directory: Path) -> str:
+    """Build a wheel from a source distribution: what that lacks is missing in the wheel as well."""
+    # What pyproject.toml asks for.
+    tools = directory / "setuptools"
+    _quietly(sys.executable, "-m", "pip", "install", "--quiet", "--target", tools, "setuptools>=77", cwd=directory)
+    env = {**os.environ, "PYTHONPATH": str(tools)}
+    source = directory / "source"
     clutter = shutil.ignore_patterns("__pycache__", "*.pyc", "*.egg-info")
     for folder in FOLDERS:
         shutil.copytree(CHECKOUT / folder, source / folder, ignore=clutter)
     for file in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(CHECKOUT / file, source)
-    out = tmp_path_factory.mktemp("sdist")
-    said = _quietly(sys.executable, "-c", _BUILD, "build_sdist", out, cwd=source, env=setuptools)
-    return out / said.splitlines()[-1]
+    told = _quietly(sys.executable, "-c", _BUILD, "build_sdist", directory, cwd=source, env=env)
+    unpacked = directory / "unpacked"
+    with tarfile.open(directory / told.splitlines()[-1]) as archive:
+        archive.extractall(unpacked, filter="data")
+    [source] = unpacked.iterdir()
+    told = _quietly(sys.executable, "-c", _BUILD, "build_wheel", directory, cwd=source, env=env)
+    return str(directory / told.splitlines()[-1])
 
 
 @pytest.fixture(scope="session")
-def wheel(tmp_path_factory: pytest.TempPathFactory, sdist: Path, setuptools: dict[str, str]) -> Path:
-    """The wheel, built from the source distribution: what that lacks is missing here as well."""
-    unpacked = tmp_path_factory.mktemp("unpacked")
-    with tarfile.open(sdist) as archive:
-        archive.extractall(unpacked, filter="data")
-    [source] = unpacked.iterdir()
-    out = tmp_path_factory.mktemp("wheel")
-    said = _quietly(sys.executable, "-c", _BUILD, "build_wheel", out, cwd=source, env=setuptools)
-    return out / said.splitlines()[-1]
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel."""
+    return Path(once(tmp_path_factory, "wheel", _build))
 
 
 @pytest.fixture(scope="session")

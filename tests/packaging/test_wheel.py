@@ -10,10 +10,11 @@ import zipfile
 from pathlib import Path
 
 import pytest
-
 from pytest_otmcp.record.run_file import load
 
 from .conftest import CHECKOUT, FOLDERS
+
+pytestmark = pytest.mark.long
 
 SUBJECT = """
 [subject]

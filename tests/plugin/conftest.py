@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import socket
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pytest
 
 from tests.warm_start import WarmStart
 
-from .vendor import Repository
+from .vendor import PATIENCE_S, Repository
 
 
 @pytest.fixture
@@ -28,3 +29,11 @@ def interruptible() -> Iterator[None]:
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
+
+
+@pytest.fixture
+def waiting() -> Iterator[socket.socket]:
+    """A listening socket; an adapter that connects to it waits until the connection is closed."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        listener.settimeout(PATIENCE_S)
+        yield listener

@@ -2,36 +2,28 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import re
-import shutil
 import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import psutil
 import pytest
+from pytest_otmcp.record.run_file import load
 
 from pytest_otmcp import cli
-from pytest_otmcp.certificate.eligibility import objections
-from pytest_otmcp.certificate.statement import certificate
-from pytest_otmcp.cli.verify import verify
 from pytest_otmcp.errors import KitError, UsageError
-from pytest_otmcp.record.run_file import digest, load
-from pytest_otmcp.suite.catalogue import tasks_by_id
 from tests.unit.certified import conformant_run, resealed
 
-OTMCP = [sys.executable, "-P", "-m", "pytest_otmcp.cli"]
-SAMPLE = Path(__file__).parents[2] / "reports" / "sample" / "run.json"
+from .command import OTMCP, otmcp, sentence
+from .vendor import PATIENCE_S, WAITING, Repository, port_of
 
-Done = subprocess.CompletedProcess[str]
+SAMPLE = Path(__file__).parents[2] / "reports" / "sample" / "run.json"
 
 SILENT = """
 [subject]
@@ -41,26 +33,6 @@ version = "1"
 [adapter.modbus]
 command = ["{python}", "-c", "raise SystemExit(3)"]
 """
-
-
-def otmcp(*arguments: str, cwd: Path, environment: dict[str, str] | None = None) -> Done:
-    return subprocess.run(
-        [*OTMCP, *arguments],
-        cwd=cwd,
-        env=os.environ | (environment or {}),
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-    )
-
-
-def sentence(done: Done) -> str:
-    """The one sentence on standard error."""
-    lines = [line for line in done.stderr.splitlines() if line.startswith("otmcp: ")]
-    assert len(lines) == 1, done.stderr
-    assert "Traceback" not in done.stderr
-    return lines[0]
 
 
 # -- the command line -------------------------------------------------------------------------------------------
@@ -185,11 +157,16 @@ def test_reports_are_made_again_without_measuring(tmp_path: Path) -> None:
     assert {"tables/tab_results.tex", "figures/latency_boxplot.pdf", "report.html", "summary.md"} <= made
 
 
-def test_a_report_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+def test_a_report_that_cannot_be_made_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("pytest_otmcp.report.figures.write_figures", lambda run, directory: None)
     (tmp_path / "out" / "summary.md" / "in the way").mkdir(parents=True)
-    done = otmcp("report", str(SAMPLE), "--out", "out", cwd=tmp_path)
-    assert done.returncode == 3
-    assert "summary.md was not written: " in sentence(done)
+    assert cli.main(["report", str(SAMPLE), "--out", str(tmp_path / "out")]) == 3
+    told = capsys.readouterr().err
+    assert told.startswith("otmcp: ")
+    assert "summary.md was not written: " in told
+    assert told.count("\n") == 1
     assert (tmp_path / "out" / "report.html").is_file()
 
 
@@ -243,28 +220,31 @@ def test_what_fails_gets_no_certificate_and_keeps_no_older_one(tmp_path: Path) -
     assert not left & {"certificate.json", "badge.json", "badge.svg"}
 
 
+@pytest.mark.usefixtures("interruptible")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_certification_leaves_a_record_and_nothing_running(
-    tmp_path: Path, number: signal.Signals
+    empty_repository: Repository, waiting: socket.socket, number: signal.Signals
 ) -> None:
+    # After the one of the warm-up.
+    empty_repository.subject("read_input_registers", "2", port_of(waiting), program=WAITING)
     process = subprocess.Popen(
-        [*OTMCP, "certify"], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [*OTMCP, "certify"], cwd=empty_repository.root, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
-    assert process.stdout is not None
-    assert process.stderr is not None
-    for line in process.stdout:
-        if re.match(r"  M1 +30/30", line):
-            break
-    started = psutil.Process(process.pid).children(recursive=True)
-    assert started
-    process.send_signal(number)
-    rest = process.stdout.read() + process.stderr.read()
-    process.stdout.close()
-    process.stderr.close()
-    assert process.wait(60) == 2, rest
-    assert rest.endswith("otmcp: interrupted\n")
-    assert not any(child.is_running() for child in psutil.wait_procs(started, timeout=10)[1])
-    out = tmp_path / "reports" / "certificate"
+    with process:
+        try:
+            connection, _ = waiting.accept()
+            with connection:
+                started = psutil.Process(process.pid).children(recursive=True)
+                assert started
+                process.send_signal(number)
+                told, complaints = process.communicate(timeout=PATIENCE_S)
+        finally:
+            process.kill()
+    assert process.returncode == 2, told + complaints
+    assert re.search(r"^  M1 +30/30", told, re.MULTILINE)
+    assert complaints.endswith("otmcp: interrupted\n")
+    assert psutil.wait_procs(started, timeout=PATIENCE_S)[1] == []
+    out = empty_repository.root / "reports" / "certificate"
     assert load(out / "run.json", allow_incomplete=True)["footer"]["complete"] is False
     assert not (out / "certificate.json").exists()
 
@@ -330,169 +310,3 @@ def test_what_is_not_claimed_is_printed_with_its_reason(
     assert "modbus: not claimed: ping (it has no such tool)" in told
     assert "mqtt" not in told
     assert {"certificate.json", "badge.json", "badge.svg"} <= set(os.listdir(tmp_path))
-
-
-# -- certify and verify, over the whole suite -------------------------------------------------------------------
-#
-# Slow: the one full run of thirty repetitions (about a minute) that everything below shares.
-
-HOSTILE_CONFTEST = """
-import pytest
-
-@pytest.fixture
-def otmcp_trial():
-    return lambda task: None
-
-def pytest_collection_modifyitems(items):
-    del items[1:]
-"""
-
-
-@pytest.fixture(scope="module")
-def certified(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Done]:
-    """The reference adapters, certified from a directory whose configuration would bend an ordinary run."""
-    here = tmp_path_factory.mktemp("vendor")
-    (here / "conftest.py").write_text(HOSTILE_CONFTEST)
-    (here / "pytest.ini").write_text("[pytest]\naddopts = -k M1\nfilterwarnings = error\nasyncio_mode = auto\n")
-    (here / "bending.py").write_text("raise SystemExit('a plugin of the vendor was loaded')")
-    environment = {
-        "PYTEST_ADDOPTS": "-k M2",
-        "PYTEST_PLUGINS": "bending",
-        "PYTHONOPTIMIZE": "2",
-        "PYTHONWARNINGS": "error",
-    }
-    return here / "reports" / "certificate", otmcp("certify", cwd=here, environment=environment)
-
-
-def test_a_certificate_is_written_whatever_the_directory_holds(certified: tuple[Path, Done]) -> None:
-    out, done = certified
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "VERDICT: CONFORMANT (870/870 runs passed in 38 items)" in done.stdout
-    assert "modbus: earned guard, recovery, ping, " in done.stdout
-    assert "no level is awarded" in done.stdout
-    record, told = load(out / "run.json"), json.loads((out / "certificate.json").read_text())
-    assert record["settings"]["narrowed"] == []
-    assert sorted(told["predicate"]["passedTests"]) == sorted(tasks_by_id())
-    assert told["predicate"]["otmcp"]["counts"]["total"] == {"items": 38, "passed": 870, "planned": 870}
-    assert set(told["predicate"]["otmcp"]["adapters"]) == {"modbus", "mqtt", "opcua"}
-
-
-def test_progress_is_shown_while_it_runs(certified: tuple[Path, Done]) -> None:
-    assert re.search(r"^  M1 +30/30 +PASS", certified[1].stdout, re.MULTILINE)
-
-
-def test_the_values_of_two_certifications_differ(certified: tuple[Path, Done]) -> None:
-    # The seed is drawn: an adapter that knows the values of seed 0 by heart gains nothing.
-    assert load(certified[0] / "run.json")["settings"]["seed"] > 1000
-
-
-def test_the_badge_says_what_was_certified(certified: tuple[Path, Done]) -> None:
-    out, _ = certified
-    assert json.loads((out / "badge.json").read_text())["message"] == "conformant: Modbus, MQTT, OPC UA"
-    assert ElementTree.parse(out / "badge.svg").getroot().tag.endswith("svg")
-
-
-def test_the_certificate_is_verified_by_judging_its_history_again(certified: tuple[Path, Done], tmp_path: Path) -> None:
-    out, _ = certified
-    done = otmcp("verify", str(out / "certificate.json"), str(out / "run.json"), cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert (
-        "is CONFORMANT; 870 of 870 repetitions passed in 38 items, and judging them again found the same" in done.stdout
-    )
-    assert "not signed" in done.stdout
-
-
-@pytest.fixture
-def pair(certified: tuple[Path, Done], tmp_path: Path) -> tuple[Path, Path]:
-    """A copy of certificate and record to spoil."""
-    names = ("certificate.json", "run.json")
-    for name in names:
-        shutil.copy(certified[0] / name, tmp_path / name)
-    return tmp_path / names[0], tmp_path / names[1]
-
-
-def refused(pair: tuple[Path, Path]) -> str:
-    done = otmcp("verify", str(pair[0]), str(pair[1]), cwd=pair[0].parent)
-    assert done.returncode == 1, done.stdout + done.stderr
-    assert done.stdout == ""
-    return sentence(done)
-
-
-def test_a_record_that_was_cut_off_is_refused(pair: tuple[Path, Path]) -> None:
-    content = pair[1].read_bytes()
-    pair[1].write_bytes(content[: len(content) // 2])
-    assert "not strict JSON" in refused(pair)
-
-
-def test_a_record_that_was_edited_is_refused(pair: tuple[Path, Path]) -> None:
-    pair[1].write_text(pair[1].read_text().replace('"duration_ms": ', '"duration_ms": 1', 1))
-    assert "the digest does not match: the file has been changed" in refused(pair)
-
-
-def test_a_certificate_that_was_edited_is_refused(pair: tuple[Path, Path]) -> None:
-    pair[0].write_text(pair[0].read_text().replace('"awarded": null', '"awarded": "Gold"'))
-    assert "predicate.otmcp.level.awarded is 'Gold', from the run follows None" in refused(pair)
-
-
-Change = Callable[[dict[str, Any]], object]
-
-
-def item(run: dict[str, Any], identifier: str) -> dict[str, Any]:
-    return next(entry for entry in run["items"] if entry["id"] == identifier)
-
-
-def first_call(run: dict[str, Any], identifier: str) -> dict[str, Any]:
-    call: dict[str, Any] = item(run, identifier)["samples"][0]["calls"][0]
-    return call
-
-
-def request(run: dict[str, Any], identifier: str) -> dict[str, Any]:
-    """What the first request of an item was, as the device noted it."""
-    entries = item(run, identifier)["samples"][0]["device"]
-    found: dict[str, Any] = next(entry for entry in entries if entry.get("kind") == "request")
-    return found
-
-
-FORGERIES: list[tuple[str, Change]] = [
-    (
-        "a value that the adapter reported",
-        lambda run: first_call(run, "M2")["envelope"]["data"].update(values=[1, 2, 3, 4]),
-    ),
-    ("what the adapter was asked for", lambda run: first_call(run, "M2")["arguments"].update(address=1)),
-    ("whether a call was right", lambda run: first_call(run, "M2").update(ok=False)),
-    ("a refusal made a success", lambda run: first_call(run, "FM1")["envelope"].update(success=True, error=None)),
-    ("the code of an error", lambda run: first_call(run, "FM1").update(error_code="timeout")),
-    ("which register the device was asked for", lambda run: request(run, "M2").update(address=7, pdu="0400070004")),
-    ("a request that reached the device", lambda run: item(run, "M2")["samples"][0]["device"].clear()),
-    ("a write at the read-only device", lambda run: item(run, "M4")["samples"][0]["device"].append(request(run, "M3"))),
-    ("how long a repetition took", lambda run: item(run, "M2")["samples"][0].update(duration_ms=0.001)),
-    ("what an item is about", lambda run: item(run, "M2").update(title="Read whatever there is.")),
-    ("an item that is said not to apply", lambda run: item(run, "M2").update(status="NOT_APPLICABLE")),
-    ("the seed of the values", lambda run: run["settings"].update(seed=0)),
-    ("the count of tool calls", lambda run: run["footer"]["tool_calls"].update(task=1)),
-    ("whether the suite was narrowed", lambda run: run["settings"].update(narrowed=["-k M1"])),
-    ("the kit that judged", lambda run: run["kit"].update(version="9.9.9")),
-]
-
-
-@pytest.mark.parametrize("change", [change for _, change in FORGERIES], ids=[name for name, _ in FORGERIES])
-def test_a_record_that_was_changed_sealed_and_certified_again_is_refused(
-    pair: tuple[Path, Path], change: Change
-) -> None:
-    run = load(pair[1])
-    change(run)
-    run["footer"]["digest"] = digest(run)
-    pair[1].write_text(json.dumps(run))
-    with pytest.raises(cli.Refusal, match=r"is about another run|the footer counts"):
-        verify(*pair)
-    # A forger who knows this kit makes the certificate as well: now only the run can contradict itself.
-    sha256 = hashlib.sha256(pair[1].read_bytes()).hexdigest()
-    statement = json.loads(pair[0].read_text())
-    if objections(run, tasks_by_id()):
-        statement["predicate"]["configuration"][2]["digest"]["sha256"] = sha256
-    else:
-        statement = certificate(run, sha256, tasks_by_id())
-    pair[0].write_text(json.dumps(statement))
-    with pytest.raises(cli.Refusal, match="refused: ") as refusal:
-        verify(*pair)
-    assert "is about another run.json" not in str(refusal.value)

@@ -11,6 +11,7 @@ import pytest
 
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.subject import load_subject
+from tests.warm_start import WarmStart
 
 OTMCP = [sys.executable, "-m", "pytest_otmcp.cli"]
 
@@ -59,7 +60,9 @@ def otmcp(tmp_path: Path) -> Otmcp:
     return run
 
 
-def test_a_prose_adapter_is_described_by_what_the_device_saw(otmcp: Otmcp, tmp_path: Path) -> None:
+def test_a_prose_adapter_is_described_by_what_the_device_saw(
+    otmcp: Otmcp, tmp_path: Path, warm_start: WarmStart
+) -> None:
     (tmp_path / "prose.py").write_text(PROSE, encoding="utf-8")
     launch = (
         "--protocol",
@@ -69,7 +72,7 @@ def test_a_prose_adapter_is_described_by_what_the_device_saw(otmcp: Otmcp, tmp_p
         "--env",
         "PLC_PORT={port}",
         "--",
-        sys.executable,
+        *warm_start.python,
         "prose.py",
     )
     done = otmcp("init", *launch)
@@ -86,7 +89,9 @@ def test_a_prose_adapter_is_described_by_what_the_device_saw(otmcp: Otmcp, tmp_p
 
 
 @pytest.mark.parametrize("protocol", ["modbus", "mqtt", "opcua"])
-def test_every_tool_of_a_reference_adapter_is_found_and_proven(otmcp: Otmcp, tmp_path: Path, protocol: str) -> None:
+def test_every_tool_of_a_reference_adapter_is_found_and_proven(
+    otmcp: Otmcp, tmp_path: Path, warm_start: WarmStart, protocol: str
+) -> None:
     endpoint = {
         "modbus": ("MODBUS_HOST={host}", "MODBUS_PORT={port}"),
         "mqtt": ("MQTT_URL={url}",),
@@ -94,7 +99,7 @@ def test_every_tool_of_a_reference_adapter_is_found_and_proven(otmcp: Otmcp, tmp
     }[protocol]
     settings = ("WRITES_ENABLED=true", "TIMEOUT_S=20", "DEADLINE_S=25")
     variables = (*endpoint, *(f"{protocol.upper()}_{setting}" for setting in settings))
-    adapter = ("--", sys.executable, "-m", "pytest_otmcp.reference_adapters", protocol)
+    adapter = ("--", *warm_start.python, "-m", "pytest_otmcp.reference_adapters", protocol)
     done = otmcp("init", *(part for one in variables for part in ("--env", one)), *adapter)
     assert done.returncode == 0, done.stderr
     assert "not proven" not in done.stdout

@@ -22,6 +22,7 @@ from pytest_otmcp.trial.adapter_under_test import BenchOptions
 from pytest_otmcp.trial.bench import Bench
 from pytest_otmcp.trial.live_driver import LiveDriver
 from pytest_otmcp.trial.trial import Trial
+from tests.once import once
 from tests.warm_start import WarmStart
 
 from .vendor import Repository
@@ -83,11 +84,15 @@ rogue.main()
 @pytest.fixture(scope="module")
 def record(tmp_path_factory: pytest.TempPathFactory, warm_start: WarmStart) -> Record:
     """Everything, twice, with the reference adapters, in a pytest of its own."""
-    repository = Repository(tmp_path_factory.mktemp("reference"), warm_start)
-    repository.reference_subject()
-    outcome = repository.pytest("--otmcp-reps=2", "--otmcp-seed=7")
-    assert "VERDICT" in outcome.output, outcome.output
-    return load(outcome.report / "run.json")
+
+    def run(directory: Path) -> str:
+        repository = Repository(directory, warm_start)
+        repository.reference_subject()
+        outcome = repository.pytest("--otmcp-reps=2", "--otmcp-seed=7")
+        assert "VERDICT" in outcome.output, outcome.output
+        return str(outcome.report / "run.json")
+
+    return load(Path(once(tmp_path_factory, "reference-run", run)))
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,6 @@ import termios
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import psutil
 import pytest
@@ -25,12 +24,9 @@ from pytest_otmcp.errors import UsageError
 from pytest_otmcp.plugin.options import read_settings
 from tests.warm_start import WarmStart
 
-from .vendor import Outcome, Repository
+from .vendor import PATIENCE_S, WAITING, Outcome, Repository, port_of
 
 SUITE = ("--pyargs", "pytest_otmcp.conformance")
-WAITING = Path(__file__).with_name("waiting.py")
-PATIENCE_S = 120.0
-"""How long something is waited for that must come."""
 
 SILENT = """
 import socket, sys
@@ -109,19 +105,6 @@ def started(repository: Repository, *options: str) -> Iterator[subprocess.Popen[
             process.kill()
 
 
-@pytest.fixture
-def waiting() -> Iterator[socket.socket]:
-    """A listening socket; an adapter that connects to it waits until the connection is closed."""
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        listener.settimeout(PATIENCE_S)
-        yield listener
-
-
-def port(listener: socket.socket) -> str:
-    """Return the port as an argument of a program."""
-    return str(listener.getsockname()[1])
-
-
 def descendants(process: subprocess.Popen[str]) -> list[psutil.Process]:
     """Return what a run has started; it can be looked at when the run is over and it has another parent."""
     found = psutil.Process(process.pid).children(recursive=True)
@@ -137,7 +120,7 @@ def all_end(processes: list[psutil.Process]) -> bool:
 @pytest.mark.usefixtures("interruptible")
 def test_an_interrupted_run_keeps_what_it_measured(repository: Repository, waiting: socket.socket) -> None:
     # After the one of the warm-up and that of the first repetition.
-    repository.subject("write_register", "3", port(waiting), program=WAITING)
+    repository.subject("write_register", "3", port_of(waiting), program=WAITING)
     with started(repository, "--otmcp-reps=3", "-k", "normal and (M1 or M2 or M3)") as process:
         connection, _ = waiting.accept()
         with connection:
@@ -162,7 +145,7 @@ def test_a_run_that_is_interrupted_while_an_adapter_starts_leaves_nothing_runnin
     repository.write(
         silent_py=SILENT,
         otmcp_toml='[subject]\nname = "silent"\nversion = "1"\n[adapter.modbus]\n'
-        f'command = ["{{python}}", "{{dir}}/silent.py", "{port(waiting)}"]\nunclaimed = {{ guard = "says nothing" }}\n',
+        f'command = ["{{python}}", "{{dir}}/silent.py", "{port_of(waiting)}"]\nunclaimed = {{ guard = "says nothing" }}\n',
     )
     with started(repository, "--otmcp-reps=1") as process:
         connection, _ = waiting.accept()
@@ -176,7 +159,7 @@ def test_a_run_that_is_interrupted_while_an_adapter_starts_leaves_nothing_runnin
 
 
 def test_a_mock_that_dies_is_the_kits_fault(repository: Repository, waiting: socket.socket) -> None:
-    repository.subject("read_input_registers", "2", port(waiting), program=WAITING)
+    repository.subject("read_input_registers", "2", port_of(waiting), program=WAITING)
     with started(repository, "--otmcp-reps=3", "-k", "normal and (M1 or M2)") as process:
         connection, _ = waiting.accept()
         with connection:

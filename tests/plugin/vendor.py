@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import socket
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -15,7 +16,13 @@ from pytest_otmcp.record.run_file import load
 
 from tests.warm_start import WarmStart
 
-__all__ = ["Outcome", "Repository"]
+__all__ = ["PATIENCE_S", "WAITING", "Outcome", "Repository", "port_of"]
+
+PATIENCE_S = 120.0
+"""How long something is waited for that must come."""
+
+WAITING = Path(__file__).with_name("waiting.py")
+"""A Modbus adapter that waits in the middle of a call."""
 
 _DEFECTIVE = Path(__file__).parents[1] / "soundness" / "defective.py"
 _UNDRAWN = Path(__file__).parent / "undrawn"
@@ -30,6 +37,11 @@ env = {{ MODBUS_HOST = "{{host}}", MODBUS_PORT = "{{port}}", MODBUS_TIMEOUT_S = 
 rw = {{ env = {{ MODBUS_WRITES_ENABLED = "true" }} }}
 deadline_s = 30
 """
+
+
+def port_of(listener: socket.socket) -> str:
+    """Return the port of a listening socket as an argument of a program."""
+    return str(listener.getsockname()[1])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -100,6 +100,7 @@ def test_a_subject_without_toys_has_no_items_of_them(run: Run, tmp_path: Path) -
     assert "T1" not in done.stdout
 
 
+@pytest.mark.long
 def test_a_certificate_names_the_protocols_of_third_parties(run: Run, tmp_path: Path) -> None:
     subject(tmp_path)
     done = run("pytest_otmcp.cli", "certify")
@@ -114,3 +115,72 @@ def test_a_certificate_names_the_protocols_of_third_parties(run: Run, tmp_path: 
     assert all(entry["digest"].startswith("sha256:") for entry in strangers)
     certificate = (tmp_path / "reports/latest/certificate.json").read_text(encoding="utf-8")
     assert strangers[0]["digest"] in certificate
+
+
+TAPPED = """
+import asyncio, json, sys
+from pytest_otmcp.plant.mock_device import MockDevice
+from pytest_otmcp.plant.tap.faults import Action, FaultRule
+from pytest_otmcp.plant.tap.tap import new_tap
+from pytest_otmcp.protocols.registry import protocols
+from pytest_otmcp.protocols.oracle import requests, state_changing
+
+class Lines(asyncio.DatagramProtocol):
+    def __init__(self):
+        self.lines = asyncio.Queue()
+    def datagram_received(self, data, addr):
+        self.lines.put_nowait(data)
+
+async def ask(kind, port, *lines):
+    if kind == "tcp":
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        answers = []
+        for line in lines:
+            writer.write(line)
+            answers.append(await reader.readline())
+        writer.close()
+        return answers
+    transport, replies = await asyncio.get_running_loop().create_datagram_endpoint(Lines, remote_addr=("127.0.0.1", port))
+    answers = []
+    for line in lines:
+        transport.sendto(line)
+        answers.append(await replies.lines.get())
+    transport.close()
+    return answers
+
+async def main(key):
+    protocol = protocols()[key]
+    device = MockDevice(protocol.mock)
+    await device.launch()
+    endpoint = next(iter(device.endpoints.values()))
+    tap = new_tap(endpoint, protocol.framing)
+    await tap.start()
+    try:
+        answers = await ask(endpoint.kind, tap.port, b"R 3\\n", b"W 1 7\\n")
+        seen, told = (await device.journal(0)).entries, tap.journal.since(0)
+        common = ("kind", "direction", "request", "state_changing", "address", "value")
+        print(json.dumps({
+            "answers": [answer.decode() for answer in answers],
+            "device": [[entry.get(name) for name in common] for entry in seen if entry["kind"].islower()],
+            "tap": [[entry.get(name) for name in common] for entry in told if entry["kind"].islower()],
+            "links": [entry["answers"] is not None for entry in told if entry["direction"] == "out"],
+            "writes": len(state_changing(told)),
+        }))
+    finally:
+        await tap.aclose()
+        await device.close()
+
+asyncio.run(asyncio.wait_for(main(sys.argv[1]), 60))
+"""
+
+
+@pytest.mark.parametrize("key", ["toy", "toyudp"])
+def test_the_tap_sees_of_a_toy_what_its_device_sees(run: Run, tmp_path: Path, key: str) -> None:
+    (tmp_path / "tapped.py").write_text(TAPPED.replace("\\\\n", "\\n"), encoding="utf-8")
+    done = run("tapped", key)
+    assert done.returncode == 0, done.stderr
+    seen = json.loads(done.stdout)
+    assert [answer.strip() for answer in seen["answers"]] == ["V 3 0", "K 1 7"]
+    assert seen["tap"] == seen["device"]
+    assert [kind for kind, *_ in seen["tap"]] == ["read", "value", "write", "written"]
+    assert (seen["links"], seen["writes"]) == ([True, True], 1)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from pytest_otmcp.report.figures import write_figures
 
 from .samples import item, run
@@ -12,24 +14,32 @@ from .test_latex import ALL, M1
 NAMES = ("latency_boxplot", "error_classes", "recovery_modes", "recovery_phases", "protocol_map")
 
 
-def test_every_figure_comes_as_pdf_and_png(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The figures of a run that has something for each of them."""
+    directory = tmp_path_factory.mktemp("figures")
+    write_figures(run(ALL), directory)
+    return directory
+
+
+def test_every_figure_comes_as_pdf_and_png(drawn: Path) -> None:
+    for name in NAMES:
+        assert (drawn / f"{name}.pdf").read_bytes().startswith(b"%PDF")
+        assert (drawn / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_same_record_gives_the_same_bytes_and_replaces_what_was_there(drawn: Path, tmp_path: Path) -> None:
+    for name in NAMES:
+        (tmp_path / f"{name}.png").write_bytes(b"stale")
     write_figures(run(ALL), tmp_path)
     for name in NAMES:
-        assert (tmp_path / f"{name}.pdf").read_bytes().startswith(b"%PDF")
-        assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_the_same_record_gives_the_same_bytes(tmp_path: Path) -> None:
-    for directory in ("one", "two"):
-        write_figures(run(ALL), tmp_path / directory)
-    for name in NAMES:
         for suffix in (".png", ".pdf"):
-            one, two = ((tmp_path / directory / f"{name}{suffix}").read_bytes() for directory in ("one", "two"))
-            assert one == two
+            assert (tmp_path / f"{name}{suffix}").read_bytes() == (drawn / f"{name}{suffix}").read_bytes()
 
 
 def test_a_stale_figure_does_not_survive_a_run_without_its_data(tmp_path: Path) -> None:
-    write_figures(run(ALL), tmp_path)
+    for name in NAMES:
+        (tmp_path / f"{name}.png").write_bytes(b"stale")
     write_figures(run([M1]), tmp_path)
     assert not (tmp_path / "recovery_modes.png").exists()
     assert (tmp_path / "latency_boxplot.png").exists()

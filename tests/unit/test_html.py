@@ -405,6 +405,7 @@ def browse(tmp_path: Path) -> Callable[[Path], tuple[str, list[str]]]:
     return start
 
 
+@pytest.mark.long
 @pytest.mark.skipif(chromium() is None, reason="no Chromium is installed")
 def test_a_browser_shows_the_page_runs_nothing_and_complains_about_nothing(tmp_path: Path, browse: Any) -> None:
     path = tmp_path / "report.html"

@@ -111,6 +111,7 @@ def test_a_subjects_name_cannot_leave_its_comment(tmp_path: Path) -> None:
 HOSTILE = item("FM1", "fault", "Modbus", "\x1b\\ ^^M & \U0001f600", [1.0], error_code="\n\\end{tabularx}%")
 
 
+@pytest.mark.long
 @pytest.mark.skipif(shutil.which("pdflatex") is None, reason="pdflatex is not installed")
 @pytest.mark.parametrize("items", [ALL, [M1], [], [HOSTILE]], ids=["complete", "one item", "empty", "hostile"])
 def test_latex_compiles_the_tables(tmp_path: Path, items: list[dict[str, object]]) -> None:

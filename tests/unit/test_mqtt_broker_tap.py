@@ -95,6 +95,7 @@ async def test_the_mock_serves_as_a_broker_of_somebody_elses() -> None:
         await exercise(url)
 
 
+@pytest.mark.long
 @pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
 async def test_mosquitto_serves_as_a_broker_of_somebody_elses(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:

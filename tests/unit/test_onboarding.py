@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
+from pytest_otmcp.core.errors import UsageError
 from pytest_otmcp.onboarding.evidence import failure_rules, find
-from pytest_otmcp.onboarding.known_causes import advice
-from pytest_otmcp.onboarding.vocabulary import connect_guess, guesses
+from pytest_otmcp.onboarding.guess import Guess
+from pytest_otmcp.onboarding.known_causes import find_advice
+from pytest_otmcp.onboarding.matching import guess_connect, guess_tools
+from pytest_otmcp.onboarding.pack import load_pack
+from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.subject.answers import extract, read_answer
 from pytest_otmcp.subject.model import OutputRule
 
@@ -17,6 +22,10 @@ from pytest_otmcp.subject.model import OutputRule
 def tool(required: str = "", optional: str = "", **schemas: Any) -> dict[str, Any]:
     properties: dict[str, Any] = {name: {"type": "integer"} for name in (required + " " + optional).split()}
     return {"inputSchema": {"type": "object", "properties": properties | schemas, "required": required.split()}}
+
+
+def guesses(protocol: str, operation: str, tools: Mapping[str, Mapping[str, Any]]) -> list[Guess]:
+    return guess_tools(load_pack(protocol), operation, tools)
 
 
 PROSE_MODBUS = {
@@ -82,7 +91,7 @@ def test_a_connect_step_is_recognised() -> None:
         "mqtt_disconnect": tool(),
         "mqtt_connect": tool(broker_host={"type": "string"}, broker_port={"type": "integer"}),
     }
-    step = connect_guess(tools)
+    step = guess_connect(tools)
     assert step is not None
     assert (step.tool, step.arguments) == ("mqtt_connect", {"broker_host": "{host}", "broker_port": "{port:int}"})
 
@@ -162,10 +171,29 @@ def test_a_rule_tells_the_failure_from_the_success(
     ],
 )
 def test_a_known_cause_is_recognised_and_has_a_remedy(words: str, cause: str, remedy: str) -> None:
-    (first, *_) = advice(words)
+    (first, *_) = find_advice(words, load_pack("modbus").causes)
     assert cause in first.cause
     assert remedy in first.remedy
 
 
 def test_an_unknown_cause_is_not_guessed_at() -> None:
-    assert advice("the spindle is out of oil") == []
+    assert find_advice("the spindle is out of oil", load_pack("modbus").causes) == []
+
+
+@pytest.mark.parametrize("protocol", [key for key, known in protocols().items() if known.onboarding is not None])
+def test_a_pack_has_hints_for_every_operation_and_names_for_what_is_put_in(protocol: str) -> None:
+    pack, operations = load_pack(protocol), protocols()[protocol].operations
+    assert pack.protocol == protocol
+    assert set(pack.operations) == set(operations)
+    waits = {operation.waits for operation in operations.values()}
+    assert {name for operation in operations.values() for name in operation.inputs} - waits <= {
+        *pack.arguments,
+        "value",
+    }
+
+
+def test_a_protocol_without_a_pack_is_refused_in_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    bare = replace(protocols()["modbus"], name="S7comm", onboarding=None)
+    monkeypatch.setattr("pytest_otmcp.onboarding.pack.protocols", lambda: {"s7": bare})
+    with pytest.raises(UsageError, match="otmcp init cannot propose bindings for S7comm yet"):
+        load_pack("s7")

@@ -1,4 +1,4 @@
-"""The OPC UA witness: messages written by the library as independent peer, bytes by hand, and the oracle."""
+"""The OPC UA witness: messages written by the library as independent peer, bytes by hand."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ import pytest
 from asyncua import ua as untyped_ua
 from asyncua.ua.ua_binary import struct_to_binary, to_binary
 
+from pytest_otmcp.protocols.conversation import Direction
 from pytest_otmcp.protocols.framing import Framer, MalformedError
-from pytest_otmcp.protocols.opcua import oracle as oracle
 from pytest_otmcp.protocols.opcua.binary import BinaryReader, symbol
 from pytest_otmcp.protocols.opcua.decoder import OpcUaConversation, chunk_length
 
-Entry = dict[str, Any]
+from .journals import Entry, decoded, entry
+
 ua: Any = untyped_ua
 TEMPERATURE = ua.NodeId("Temperature", 2)
 
@@ -37,9 +38,8 @@ def message(value: Any, *, request: int = 1) -> bytes:
     return chunk("MSG", struct_to_binary(value), request=request)
 
 
-def decode(*messages: tuple[str, bytes], conversation: OpcUaConversation | None = None) -> list[Entry]:
-    conversation = conversation or OpcUaConversation()
-    return [entry for direction, data in messages for entry in conversation.decode(direction, data)]
+def decode(*messages: tuple[Direction, bytes]) -> list[Entry]:
+    return decoded(OpcUaConversation(), *messages)
 
 
 def read_request(*nodes: ua.NodeId) -> ua.ReadRequest:
@@ -61,13 +61,14 @@ def test_a_read_and_its_answer_are_described() -> None:
         ("out", message(answer, request=5)),
     )
     assert asked == {
-        **{"direction": "in", "kind": "Read", "request_id": 5, "request_handle": 77, "state_changing": False},
+        **entry("Read", request=True, t_ns=asked["t_ns"], request_id=5, request_handle=77),
         "nodes": [
             {"node_id": "ns=2;s=Temperature", "attribute": "Value"},
             {"node_id": "ns=2;i=99999", "attribute": "Value"},
         ],
     }
     assert (answered["kind"], answered["direction"], answered["service_result"]) == ("Read", "out", "Good")
+    assert (answered["request"], answered["state_changing"], answered["answers"]) == (False, False, asked["seq"])
     assert answered["results"] == [
         {"status": "Good", "value": 21.5},
         {"status": "BadNodeIdUnknown", "value": None},
@@ -142,8 +143,8 @@ def test_every_service_of_the_library_has_its_name_or_its_type_id() -> None:
             continue
         request = getattr(ua, name)()
         if "RequestHeader" in getattr(ua, name).__dataclass_fields__:
-            (entry,) = decode(("in", message(request)))
-            named[name.removesuffix("Request")] = entry["kind"]
+            (found,) = decode(("in", message(request)))
+            named[name.removesuffix("Request")] = found["kind"]
     assert named["TranslateBrowsePathsToNodeIds"] == "TranslateBrowsePaths"
     common = {"Read", "Write", "Browse", "BrowseNext", "Call", "CreateSession", "ActivateSession", "CloseSession"}
     common |= {"GetEndpoints", "FindServers", "CreateSubscription", "Publish", "AddNodes", "HistoryUpdate"}
@@ -161,7 +162,7 @@ def test_hello_acknowledge_error_and_an_opened_channel_are_entries() -> None:
         ("in", chunk("OPN", struct_to_binary(ua.OpenSecureChannelRequest()))),
         ("out", b"ERRF" + struct.pack("<I", 8 + len(error)) + error),
     )
-    assert [entry["kind"] for entry in entries] == ["Hello", "Acknowledge", "OpenSecureChannel", "Error"]
+    assert [one["kind"] for one in entries] == ["Hello", "Acknowledge", "OpenSecureChannel", "Error"]
     assert entries[0]["endpoint_url"] == url.decode()
     assert (entries[3]["status"], entries[3]["reason"]) == ("0x80820000", "bad")
 
@@ -170,10 +171,10 @@ def test_a_message_in_several_chunks_is_one_entry_and_an_aborted_one_is_none() -
     body = struct_to_binary(read_request(*[TEMPERATURE] * 50))
     pieces = [body[at : at + 100] for at in range(0, len(body), 100)]
     chunks = [chunk("MSG", piece, final="C") for piece in pieces[:-1]] + [chunk("MSG", pieces[-1])]
-    (entry,) = decode(*(("in", piece) for piece in chunks))
-    assert len(entry["nodes"]) == 50
+    (found,) = decode(*(("in", piece) for piece in chunks))
+    assert len(found["nodes"]) == 50
     aborted = [chunk("MSG", pieces[0], final="C"), chunk("MSG", b"", final="A"), message(read_request(TEMPERATURE))]
-    assert [entry["kind"] for entry in decode(*(("in", piece) for piece in aborted))] == ["Abort", "Read"]
+    assert [one["kind"] for one in decode(*(("in", piece) for piece in aborted))] == ["Abort", "Read"]
 
 
 def test_a_signed_channel_is_said_to_be_sealed() -> None:
@@ -181,7 +182,9 @@ def test_a_signed_channel_is_said_to_be_sealed() -> None:
     body = struct.pack("<Ii", 1, len(policy)) + policy + bytes(64)
     opened = b"OPNF" + struct.pack("<I", 8 + len(body)) + body
     entries = decode(("in", opened), ("in", message(read_request(TEMPERATURE))))
-    assert [entry["kind"] for entry in entries] == ["Sealed", "Sealed"]
+    assert [one["kind"] for one in entries] == ["Sealed", "Sealed"]
+    # What it asks for cannot be known, so it may be anything.
+    assert [(one["request"], one["state_changing"]) for one in entries] == [(False, False), (True, True)]
 
 
 @pytest.mark.parametrize(
@@ -246,6 +249,7 @@ def test_a_stream_that_cannot_be_cut_says_why(data: bytes, reason: str) -> None:
 
 def test_mutated_messages_never_make_the_decoder_fail() -> None:
     rng = random.Random(23)
+    directions: tuple[Direction, Direction] = ("in", "out")
     request = ua.WriteRequest()
     request.Parameters.NodesToWrite = [
         ua.WriteValue(TEMPERATURE, ua.AttributeIds.Value, Value=ua.DataValue(ua.Variant([1.5, 2.5])))
@@ -256,7 +260,7 @@ def test_mutated_messages_never_make_the_decoder_fail() -> None:
         for _ in range(rng.randrange(4)):
             if mutated:
                 mutated[rng.randrange(len(mutated))] = rng.randrange(256)
-        for direction in ("in", "out"):
+        for direction in directions:
             entries = decode((direction, chunk("MSG", bytes(mutated))))
             assert len(entries) == 1
 
@@ -267,173 +271,3 @@ def test_a_lie_about_a_length_costs_no_memory() -> None:
     nested = bytes([24]) * 1000
     with pytest.raises(MalformedError, match="nested too deeply"):
         BinaryReader(nested).variant()
-
-
-# -- the oracle -------------------------------------------------------------------------------------------
-
-VALVE = "ns=2;s=ValvePosition"
-SERVER_STATE = "i=2259"
-
-
-def asked(kind: str, *nodes: Any, **fields: Any) -> Entry:
-    changing = kind in ("Write", "Call")
-    return {
-        "direction": "in",
-        "kind": kind,
-        "connection": 1,
-        "nodes": list(nodes),
-        "state_changing": changing,
-        **fields,
-    }
-
-
-def read(*nodes: str) -> Entry:
-    return asked("Read", *({"node_id": node, "attribute": "Value"} for node in nodes))
-
-
-def write(value: Any = 25.0, node: str = VALVE, **fields: Any) -> Entry:
-    return asked("Write", {"node_id": node, "attribute": "Value", "value": value, **fields})
-
-
-def answer(kind: str, *results: Any, **fields: Any) -> Entry:
-    return {"direction": "out", "kind": kind, "connection": 1, "results": list(results), **fields}
-
-
-def words(findings: list[Any]) -> str:
-    (finding,) = findings
-    return f"{finding.message} [{finding.requirement}] {finding.evidence or ''}"
-
-
-def test_reading_the_plant_is_not_watching_the_server() -> None:
-    journal = [asked("CreateSession"), read(SERVER_STATE), read(VALVE, "ns=2;s=Temperature")]
-    assert oracle.read_from_device(journal, VALVE) == []
-    assert oracle.read_from_device(journal, None, at_least=2) == []
-    assert "should have seen 3 read(s) of a value, there were 2 [RD-004]" in words(
-        oracle.read_from_device(journal, None, at_least=3)
-    )
-    assert "1 read(s) of ns=2;s=X, there were 0" in words(oracle.read_from_device(journal, "ns=2;s=X"))
-    assert "Read i=2259" in words(oracle.read_from_device(journal, "ns=2;s=X"))
-
-
-def test_keeping_a_session_is_no_service_to_the_plant() -> None:
-    keeping = [asked("CreateSession"), asked("ActivateSession"), asked("CONNECTED")]
-    assert "should have seen a service request [RD-004] no service request" in words(oracle.some_service(keeping))
-    assert oracle.some_service([*keeping, read(VALVE)]) == []
-    assert oracle.service_count([*keeping, read(VALVE), read(VALVE), asked("Browse", "i=85")]) == {
-        "Read": 2,
-        "Browse": 1,
-    }
-    assert oracle.no_service([*keeping, read(VALVE)], "Browse", "Call") == []
-    assert "no Browse and no Read, it saw 1" in words(oracle.no_service([read(VALVE)], "Browse", "Read"))
-
-
-def test_one_service_means_one() -> None:
-    assert oracle.exactly_one_service([read(VALVE), read("ns=2;s=Other")], "Read", node=VALVE) == []
-    assert "one Read of ns=2;s=ValvePosition, it saw 2" in words(
-        oracle.exactly_one_service([read(VALVE)] * 2, "Read", node=VALVE)
-    )
-    assert oracle.browsed([asked("Browse", "ns=2;i=5")], "ns=2;i=5") == []
-    assert "a Browse of ns=2;i=6" in words(oracle.browsed([asked("Browse", "ns=2;i=5")], "ns=2;i=6"))
-
-
-def test_a_status_is_found_in_items_and_in_faults() -> None:
-    items = [answer("Read", {"status": "BadNodeIdUnknown", "value": None})]
-    assert oracle.result_status(items, "Read", "BadNodeIdUnknown") == []
-    assert oracle.result_status([answer("Write", "BadTypeMismatch")], "Write", "BadTypeMismatch") == []
-    assert (
-        oracle.result_status([answer("Read", service_result="BadSessionIdInvalid")], "Read", "BadSessionIdInvalid")
-        == []
-    )
-    assert "with BadNotWritable, its answers were ['BadNodeIdUnknown']" in words(
-        oracle.result_status(items, "Read", "BadNotWritable")
-    )
-    assert "its answers were none" in words(oracle.result_status([], "Read", "Good"))
-
-
-def test_a_write_counts_once_with_its_value_and_nothing_else() -> None:
-    assert oracle.exactly_one_write([read(VALVE), write(), answer("Write", {"status": "Good"})], VALVE, 25.0) == []
-    assert oracle.exactly_one_write([write(25)], VALVE, 25.0) == []
-    for journal, problem in (
-        ([write(), write()], "it saw 2 state-changing request(s) [WR-003]"),
-        ([read(VALVE)], "it saw 0 state-changing request(s) [WR-001]"),
-        ([asked("Call", "ns=2;i=1")], "it saw 1 state-changing request(s)"),
-        ([write(26.0)], "it saw [['ns=2;s=ValvePosition', 'Value', 26.0]]"),
-        ([write(True)], "it saw [['ns=2;s=ValvePosition', 'Value', True]]"),
-        ([write(has_timestamp=True)], "a timestamp was written with it [OUA-005]"),
-        ([write(), answer("Write", "BadTypeMismatch")], "the server refused it with BadTypeMismatch"),
-    ):
-        assert problem in words(oracle.exactly_one_write(journal, VALVE, 25.0))
-    assert "it saw" in words(oracle.exactly_one_write([write(1)], VALVE, True))
-
-
-def test_nothing_that_changes_the_plant_may_arrive() -> None:
-    assert oracle.no_state_changing_service([read(VALVE), asked("Browse", "i=85")]) == []
-    assert "no state-changing request, it saw 1 [WR-004] Write" in words(oracle.no_state_changing_service([write()]))
-
-
-def image(**values: Any) -> dict[str, Any]:
-    held = {"ValvePosition": 10.0, "PumpEnabled": False, "Ratio": 0.5, **values}
-    variables = {
-        f"ns=2;s={name}": {
-            "browse_name": name,
-            "parent": "ns=2;s=Actuators",
-            "value": value,
-            "data_type": "Float" if name == "Ratio" else "Double",
-        }
-        for name, value in held.items()
-        if value is not ...
-    }
-    return {"variables": variables, "folders": {"Actuators": "ns=2;s=Actuators", "Sensors": "ns=2;s=Sensors"}}
-
-
-def test_images_are_compared_node_by_node_with_their_types() -> None:
-    assert oracle.only_changed(image(), image(ValvePosition=25.0), {VALVE: 25.0}) == []
-    assert (
-        oracle.only_changed(image(), image(Ratio=struct.unpack("f", struct.pack("f", 0.1))[0]), {"ns=2;s=Ratio": 0.1})
-        == []
-    )
-    neighbour = oracle.only_changed(image(), image(ValvePosition=25.0, PumpEnabled=True), {VALVE: 25.0})
-    assert "ns=2;s=PumpEnabled should hold False, the server holds True [WR-002]" in words(neighbour)
-    assert "should hold False, the server holds 0" in words(oracle.only_changed(image(), image(PumpEnabled=0), {}))
-    assert "ns=2;s=PumpEnabled should hold False, the server has no such point" in words(
-        oracle.only_changed(image(), image(PumpEnabled=...), {})
-    )
-    unwritten = oracle.only_changed(image(), image(), {VALVE: 25.0})
-    assert "should hold 25.0, the server holds 10.0 [WR-001]" in words(unwritten)
-
-
-def test_an_image_is_asked_for_one_value() -> None:
-    assert oracle.image_holds(image(), VALVE, 10) == []
-    assert oracle.image_holds(image(PumpEnabled=True), "ns=2;s=PumpEnabled", True) == []
-    assert "should hold 1, the server holds True" in words(
-        oracle.image_holds(image(PumpEnabled=True), "ns=2;s=PumpEnabled", 1)
-    )
-    assert "the server has no such point" in words(oracle.image_holds(image(), "ns=2;s=X", 1))
-
-
-def test_browsing_has_to_give_every_name_with_its_own_id() -> None:
-    children = oracle.children_of(image(), "Actuators")
-    assert children == {name: f"ns=2;s={name}" for name in ("ValvePosition", "PumpEnabled", "Ratio")}
-    assert oracle.children_of(image(), "Sensors") == {}
-    ids, names = list(children.values()), [f"2:{name}" for name in children]
-    assert oracle.names_and_ids_agree(ids, names, children) == []
-    assert oracle.names_and_ids_agree([*ids, "ns=2;s=More"], [*names, "More"], children) == []
-    crossed = oracle.names_and_ids_agree(ids[::-1], names, children)
-    assert (
-        "2 of 3 nodes are missing or wrong; ValvePosition should be ns=2;s=ValvePosition, it is ns=2;s=Ratio"
-        in words(crossed)
-    )
-    for wrong_ids, wrong_names in ((None, None), (ids, names[:2]), ([], [])):
-        assert "3 of 3 nodes are missing or wrong" in words(
-            oracle.names_and_ids_agree(wrong_ids, wrong_names, children)
-        )
-
-
-def test_an_enumeration_is_complete_and_without_repeats() -> None:
-    nodes = list(image()["variables"])
-    assert oracle.complete_enumeration([*nodes, "i=2259"], image()) == []
-    assert "all 3 variables should be listed once: 1 missing, for instance ns=2;s=Ratio" in words(
-        oracle.complete_enumeration(nodes[:2], image())
-    )
-    assert "ns=2;s=Ratio is listed twice" in words(oracle.complete_enumeration([*nodes, "ns=2;s=Ratio"], image()))
-    assert "3 missing" in words(oracle.complete_enumeration("text", image()))

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from pytest_otmcp.plant.mock_device import MockDevice
+from pytest_otmcp.protocols.modbus.entries import points
 from pytest_otmcp.record.images import Images, restored_images
 from pytest_otmcp.replay.rejudge import rejudge
 from pytest_otmcp.subject import reference_subject
@@ -72,7 +73,9 @@ def call(operation: str, tool: str, inputs: dict[str, Any], data: dict[str, Any]
 def entry(seq: int, kind: str, function: int, **fields: Any) -> dict[str, Any]:
     direction = "in" if kind == "request" else "out"
     common = {"seq": seq, "t_ns": BEGIN_NS + seq, "connection": 1, "direction": direction, "kind": kind}
-    return {"protocol": "modbus", **common, "unit": 1, "transaction_id": seq, "function": function, **fields}
+    asks = {"origin": "client", "request": kind == "request", "state_changing": False}
+    asks["answers"] = None if kind == "request" else seq - 1
+    return {"protocol": "modbus", **common, **asks, "unit": 1, "transaction_id": seq, "function": function, **fields}
 
 
 def station() -> dict[str, Any]:
@@ -88,8 +91,8 @@ def item() -> Item:
     """M3 as a run without fault would have it; its first repetition writes 40 to register 1."""
     task = tasks_by_id()["M3"]
     cells = [0, 7, 0]
-    before = {"units": {"1": {"holding_registers": cells}}}
-    after = {"units": {"1": {"holding_registers": [0, 40, 0]}}}
+    before = {"points": points("holding_registers", 0, cells)}
+    after = {"points": points("holding_registers", 0, [0, 40, 0])}
     images = Images()
     calls = [
         call("write_holding", WRITE, {"address": 1, "value": 40}, {"address": 1, "value": 40}, group=1),
@@ -207,11 +210,11 @@ def change_an_image(changed: Item) -> None:
 
 
 def touch_another_cell(changed: Item) -> None:
-    changed["history"]["images"][1]["changes"].append([["units", "1", "holding_registers", 2], 1])
+    changed["history"]["images"][1]["changes"].append([["points", "1/holding_registers/2"], 1])
 
 
 def break_an_image(changed: Item) -> None:
-    changed["history"]["images"][1]["changes"][0][0] = ["units", "9", "holding_registers", 1]
+    changed["history"]["images"][1]["changes"][0][0] = ["points", "9/holding_registers/1", "x"]
 
 
 def change_a_value_that_was_read(changed: Item) -> None:
@@ -315,7 +318,7 @@ SENTENCES = {
     remove_a_pair_and_number_again: "one write of [40] to holding_registers 1, it saw 0' (not_written_once), the record",
     change_an_image: "M3 repetition 1: the stored history shows '1/holding_registers/1 should hold 40, the device",
     touch_another_cell: "'1/holding_registers/2 should hold 0, the device holds 1' (device_differs), the record says",
-    break_an_image: "M3: the images of the devices cannot be restored (KeyError('9'))",
+    break_an_image: "M3: the images of the devices cannot be restored (KeyError('9/holding_registers/1'))",
     change_a_value_that_was_read: "values should be [40], the reply says [39]' (wrong_value), the record says nothing",
     change_an_output: f"M3 repetition 1, call 2 ({READ}): the stored history shows outputs",
     lose_a_member_of_the_envelope: "meta: 'endpoint' is a required property\" (envelope_schema), the record says nothing",

@@ -11,8 +11,7 @@ import pytest
 from pytest_otmcp.protocols.mqtt import oracle as oracle
 from pytest_otmcp.protocols.mqtt.sparkplug_decoder import DATA_TYPES, decode_message, decode_payload, parse_topic
 
-Entry = dict[str, Any]
-
+from .journals import Entry, entry, numbered
 
 # -- protobuf by hand: https://protobuf.dev/programming-guides/encoding/ ------------------------------------
 
@@ -173,14 +172,14 @@ TEMPERATURE = metric("temperature", double(13, 20.0), datatype="Double", alias=1
 def connect(connection: int = 1, *, bd_seq: int = 4, will: Any = ..., clean: bool = True) -> Entry:
     death = payload(metric("bdSeq", number(11, bd_seq), datatype="Int64"), timestamp=None)
     default = {"topic": "spBv1.0/g/NDEATH/e", "qos": 1, "retain": False, "payload": base64.b64encode(death).decode()}
-    fields = {"kind": "CONNECT", "direction": "in", "clean_start": clean, "client_id": "adapter"}
-    return {**fields, "connection": connection, "will": default if will is ... else will}
+    session = {"connection": connection, "clean_start": clean, "client_id": "adapter"}
+    return entry("CONNECT", **session, will=default if will is ... else will)
 
 
 def says(kind: str, data: bytes, *, device: str = "d", connection: int = 1, **fields: Any) -> Entry:
     topic = f"spBv1.0/g/{kind}/e" + (f"/{device}" if kind.startswith("D") else "")
-    defaults = {"kind": "PUBLISH", "direction": "in", "client_id": "adapter", "qos": 0, "retain": False}
-    return {**defaults, "connection": connection, "topic": topic, "payload": base64.b64encode(data).decode(), **fields}
+    message = {"client_id": "adapter", "qos": 0, "retain": False, "topic": topic, "connection": connection}
+    return {**entry("PUBLISH"), **message, "payload": base64.b64encode(data).decode(), **fields}
 
 
 def nbirth(seq: int = 0, *metrics: bytes, **fields: Any) -> Entry:
@@ -196,8 +195,7 @@ def ddata(seq: int = 2, value: float = 21.0, **fields: Any) -> Entry:
 
 
 def broken(*entries: Entry) -> list[tuple[str | None, str]]:
-    numbered = [{"seq": seq, **entry} for seq, entry in enumerate(entries)]
-    return [(finding.requirement, finding.message) for finding in oracle.sparkplug_sequence(numbered)]
+    return [(finding.requirement, finding.message) for finding in oracle.sparkplug_sequence(numbered(*entries))]
 
 
 def test_a_proper_session_has_no_findings() -> None:
@@ -285,7 +283,7 @@ def test_a_will_that_says_more_than_the_death_is_found() -> None:
 
 
 def test_the_simulator_and_the_will_that_a_broker_sends_are_not_the_adapters_doing() -> None:
-    simulator = {"client_id": "otmcp-mock-edge-node-1", "connection": 7}
+    simulator = {"client_id": "otmcp-mock-edge-node-1", "connection": 7, "origin": "plant"}
     assert broken(connect(), nbirth(), dbirth(), {**ddata(9), **simulator}) == []
     assert broken(connect(), nbirth(), says("NDEATH", payload(BD_SEQ), qos=1, will_sent=True)) == []
 
@@ -298,7 +296,7 @@ def test_who_publishes_as_a_node_it_is_not_is_found() -> None:
 
 
 def test_only_the_chosen_edge_node_is_judged() -> None:
-    entries = [{"seq": 0, **connect()}, {"seq": 1, **ddata()}]
+    entries = numbered(connect(), ddata())
     assert oracle.sparkplug_sequence(entries, "g", "e") != []
     assert oracle.sparkplug_sequence(entries, "g", "another") == []
 

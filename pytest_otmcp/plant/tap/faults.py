@@ -1,4 +1,4 @@
-"""What the tap can do to traffic, as data: the n-th frame gets one action. No randomness, no sockets."""
+"""The faults that a tap can inject, as data: the n-th frame gets one action. No randomness, no sockets."""
 
 from __future__ import annotations
 
@@ -7,19 +7,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-__all__ = ["Action", "FaultPlan", "FaultRule"]
+__all__ = ["STREAM_ACTIONS", "Action", "FaultPlan", "FaultRule"]
 
 
 class Action(StrEnum):
-    """What happens to a frame, or to a connection."""
+    """A fault: what happens to a frame, or to a connection."""
 
     REFUSE = "refuse"
     """The connection is reset before a byte has passed; the rule counts connections. For a port that refuses, see
-    :meth:`pytest_otmcp.plant.tap.proxy.Tap.down`."""
+    :meth:`pytest_otmcp.plant.tap.tap.Tap.down`."""
     RESET = "reset"
     """Both sides get a TCP reset instead of the frame."""
     BLACK_HOLE = "black_hole"
     """This frame and everything after it, in both directions of the connection, is swallowed; it stays open."""
+    DROP = "drop"
+    """The frame is swallowed; those after it pass."""
     DELAY = "delay"
     """The frame, and what comes after it, is ``seconds`` late."""
     DRIP = "drip"
@@ -32,6 +34,10 @@ class Action(StrEnum):
     """The frame passes twice."""
     REORDER = "reorder"
     """The frame passes after the next one of its direction."""
+
+
+STREAM_ACTIONS = frozenset({Action.REFUSE, Action.RESET, Action.DRIP})
+"""Actions that exist only where there are connections of bytes: datagrams know no connection, and are whole or not at all."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,15 +77,15 @@ class FaultPlan:
 
     @property
     def empty(self) -> bool:
-        """Nothing to do."""
+        """There is nothing to do."""
         return not self._rules
 
     def for_connection(self, connection: int) -> FaultRule | None:
-        """The rule that refuses a new connection, or None."""
+        """Return the rule that refuses a new connection, or None."""
         return self._hit(connection, None)
 
     def for_frame(self, connection: int, direction: str) -> FaultRule | None:
-        """The rule that hits the next frame of this direction, or None."""
+        """Return the rule that hits the next frame of this direction, or None."""
         return self._hit(connection, direction)
 
     def _hit(self, connection: int, direction: str | None) -> FaultRule | None:

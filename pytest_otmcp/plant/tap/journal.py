@@ -1,8 +1,8 @@
-"""The tap's journal: what passed, decoded when somebody asks.
+"""The journal of a tap: messages that passed, decoded when they are asked for.
 
-It answers the same questions as a mock's journal, in entries of the same shape, so that a device without a journal of
-its own (a broker of somebody else's) can be judged by the same predicates. Decoding waits until entries are wanted:
-while a call is being timed the tap only stores frames.
+Its entries and its behaviour are those of a mock's journal, so that a device without a journal of its own (a broker of the
+user's) is judged by the same oracles. Decoding waits until entries are wanted: while a call is being timed the tap only stores
+frames.
 """
 
 from __future__ import annotations
@@ -13,60 +13,65 @@ import itertools
 import time
 from collections import deque
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal, cast
+from weakref import WeakKeyDictionary
 
-from ...protocols.framing import Conversation
+from ...protocols.conversation import Conversation, Direction, Message
+from ...protocols.journal import JournalEntry
+from ...protocols.oracle import has
 
-__all__ = ["Entry", "TapJournal"]
-
-Entry = dict[str, Any]
+__all__ = ["TapJournal"]
 
 _CAPACITY = 200_000
+"""A bound against floods, that of the mocks. Entries that were read are to be released with :meth:`TapJournal.forget`."""
 
 
 class TapJournal:
-    """An append-only record. Sequence numbers begin at 0 and are never reused.
+    """An append-only record. Sequence numbers begin at 0 and are never reused; the oldest entries give way when the
+    capacity is reached, and are counted.
 
     Attributes:
-        dropped: entries that gave way when the capacity was reached.
+        dropped: how many entries gave way at the capacity before anybody released them.
     """
 
     def __init__(self, capacity: int = _CAPACITY) -> None:
-        self._entries: deque[Entry] = deque(maxlen=capacity)
-        self._frames: deque[tuple[int, int, str, bytes, str | None, Conversation]] = deque()
+        self._entries: deque[JournalEntry] = deque(maxlen=capacity)
+        self._frames: deque[tuple[int, int, Direction, bytes, str | None, Conversation]] = deque()
+        # Sequence numbers of the messages that a conversation still remembers, for their answers.
+        self._seq_of: WeakKeyDictionary[Message, int] = WeakKeyDictionary()
         self._next = 0
         self.dropped = 0
         self._waiters: list[_Waiter] = []
 
     @property
-    def next_seq(self) -> int:
+    def next(self) -> int:
         """Sequence number that the next entry will get."""
         self._catch_up()
         return self._next
 
-    def entries(self, since: int = 0) -> list[Entry]:
-        """The entries with this sequence number or a later one."""
+    @property
+    def first(self) -> int:
+        """Sequence number of the oldest entry that is kept; that of the next entry while there is none."""
+        return self.next - len(self._entries)
+
+    def since(self, seq: int) -> list[JournalEntry]:
+        """Return the kept entries with this sequence number or a later one; the cost is that of these entries alone."""
         self._catch_up()
-        newest = list(itertools.islice(reversed(self._entries), max(0, self._next - since)))
+        # A deque is slow to index in its middle, but not to walk from its end.
+        newest = list(itertools.islice(reversed(self._entries), max(0, self._next - seq)))
         newest.reverse()
         return newest
 
-    def reset(self) -> None:
-        """Forget the entries; sequence numbers go on."""
-        self._catch_up()
-        self._entries.clear()
-
     def forget(self, before: int) -> None:
         """Release the entries with a smaller sequence number for good; sequence numbers go on."""
-        self._catch_up()
-        while self._entries and self._entries[0]["seq"] < before:
+        for _ in range(min(before, self.next) - self.first):
             self._entries.popleft()
 
-    async def wait(self, since: int, match: Mapping[str, Any], count: int = 1, timeout_s: float = 2.0) -> list[Entry]:
-        """The entries from ``since`` on whose fields equal ``match``: as soon as there are ``count`` of them, or
-        whatever there is after ``timeout_s`` seconds."""
+    async def wait(self, seq: int, match: Mapping[str, Any], count: int, timeout_s: float) -> list[JournalEntry]:
+        """Return the entries from ``seq`` on whose fields equal ``match``: as soon as there are ``count`` of them, or
+        those that there are after ``timeout_s`` seconds."""
         waiter = _Waiter(match, count)
-        for entry in self.entries(since):
+        for entry in self.since(seq):
             waiter.offer(entry)
         self._waiters.append(waiter)
         try:
@@ -77,45 +82,71 @@ class TapJournal:
         return waiter.found
 
     def frame(
-        self, connection: int, direction: str, frame: bytes, fault: str | None, conversation: Conversation
+        self, connection: int, direction: Direction, frame: bytes, fault: str | None, conversation: Conversation
     ) -> None:
         """Record one frame that passes now; ``fault`` is what the tap does to it."""
         self._frames.append((time.monotonic_ns(), connection, direction, frame, fault, conversation))
         if self._waiters:
             self._catch_up()
 
-    def event(self, connection: int, direction: str, kind: str, **fields: Any) -> None:
+    def event(
+        self,
+        connection: int,
+        direction: Direction,
+        kind: str,
+        *,
+        origin: Literal["client", "kit"] = "client",
+        **fields: Any,
+    ) -> None:
         """Record something that is no frame."""
         self._catch_up()
-        self._append(time.monotonic_ns(), connection, {"direction": direction, "kind": kind, **fields})
+        message = Message(direction=direction, kind=kind, fields=fields)
+        self._append(time.monotonic_ns(), connection, message, None, origin)
 
     def _catch_up(self) -> None:
         while self._frames:
             t_ns, connection, direction, frame, fault, conversation = self._frames.popleft()
-            for fields in conversation.decode(direction, frame):
-                self._append(t_ns, connection, fields if fault is None else {**fields, "fault": fault})
+            for message in conversation.decode(direction, frame):
+                self._append(t_ns, connection, message, fault, "client")
 
-    def _append(self, t_ns: int, connection: int, fields: Mapping[str, Any]) -> None:
-        entry = {"seq": self._next, "t_ns": t_ns, "connection": connection, **fields}
-        self._next += 1
+    def _append(
+        self, t_ns: int, connection: int, message: Message, fault: str | None, origin: Literal["client", "kit"]
+    ) -> None:
+        contract: JournalEntry = {
+            "seq": self._next,
+            "t_ns": t_ns,
+            "connection": connection,
+            "direction": message.direction,
+            "kind": message.kind,
+            "request": message.request,
+            "state_changing": message.state_changing,
+            "answers": None if message.answers is None else self._seq_of.get(message.answers),
+            "origin": origin,
+        }
+        entry = cast(JournalEntry, {**contract, **message.fields, **({} if fault is None else {"fault": fault})})
+        self._seq_of[message] = self._next
         if len(self._entries) == self._entries.maxlen:
             self.dropped += 1
         self._entries.append(entry)
+        self._next += 1
         for waiter in self._waiters:
             waiter.offer(entry)
 
 
 class _Waiter:
+    """Collects the entries that one ``wait`` asks for."""
+
     def __init__(self, match: Mapping[str, Any], count: int) -> None:
         self._match = dict(match)
         self._count = count
-        self.found: list[Entry] = []
+        self.found: list[JournalEntry] = []
         self.satisfied = asyncio.Event()
         if count <= 0:
             self.satisfied.set()
 
-    def offer(self, entry: Entry) -> None:
-        if all(entry.get(name) == value for name, value in self._match.items()):
+    def offer(self, entry: JournalEntry) -> None:
+        """Take the entry if it matches. A field that the entry lacks equals nothing, not even None."""
+        if has(entry, **self._match):
             self.found.append(entry)
             if len(self.found) >= self._count:
                 self.satisfied.set()

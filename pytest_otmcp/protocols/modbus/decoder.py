@@ -2,15 +2,17 @@
 
 MODBUS Messaging on TCP/IP Implementation Guide V1.0b, section 3.1 (MBAP header); MODBUS Application Protocol V1.1b3,
 section 6 (functions) and 7 (exceptions). Requests are described as far as their bytes go, also wrong ones: what
-arrived is evidence, whatever the device thinks of it.
+arrived is evidence, whatever the device thinks of it. Every request counts as one; those of :data:`STATE_CHANGING` may change
+the plant.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
+from ..conversation import Direction, Message, Outstanding
 from ..framing import MalformedError
 
 __all__ = ["STATE_CHANGING", "ModbusConversation", "mbap_length"]
@@ -23,12 +25,10 @@ STATE_CHANGING = frozenset({WRITE_COIL, WRITE_REGISTER, WRITE_COILS, WRITE_REGIS
 
 _HEADER = struct.Struct(">HHHB")
 _LONGEST_PDU = 253
-_REMEMBERED = 1024
-"""Requests without an answer that are kept for matching; a device with more outstanding answers does not exist."""
 
 
 def mbap_length(buffer: bytes | bytearray) -> int | None:
-    """Length of the application data unit at the beginning of the buffer.
+    """Return the length of the application data unit at the beginning of the buffer.
 
     Raises:
         MalformedError: the protocol identifier is not 0, or the length is impossible.
@@ -47,29 +47,32 @@ class ModbusConversation:
     """One connection; requests are remembered so that the answers can be read (bits are padded to whole bytes)."""
 
     def __init__(self) -> None:
-        self._outstanding: dict[tuple[int, int, int], dict[str, Any]] = {}
+        self._outstanding = Outstanding()
 
-    def decode(self, direction: str, frame: bytes) -> list[dict[str, Any]]:
-        """See :class:`~pytest_otmcp.protocols.framing.Conversation`; kinds are ``request`` and ``response``."""
+    def decode(self, direction: Direction, frame: bytes) -> list[Message]:
+        """See :class:`~pytest_otmcp.protocols.conversation.Conversation`; kinds are ``request`` and ``response``."""
         transaction, _, _, unit = _HEADER.unpack_from(frame)
         pdu = frame[7:]
-        entry: dict[str, Any] = {"direction": direction, "unit": unit, "transaction_id": transaction}
         key = (transaction, unit, pdu[0] & 0x7F)
+        fields: dict[str, Any] = {"unit": unit, "transaction_id": transaction}
         if direction == "in":
-            entry |= {"kind": "request", **_request(pdu), "pdu": pdu.hex()}
-            self._outstanding.pop(key, None)
-            self._outstanding[key] = entry
-            if len(self._outstanding) > _REMEMBERED:
-                del self._outstanding[next(iter(self._outstanding))]
-        else:
-            request = self._outstanding.pop(key, None)
-            entry |= {"kind": "response", **_response(pdu, request), "pdu": pdu.hex()}
-        return [entry]
+            message = Message(
+                direction="in",
+                kind="request",
+                fields={**fields, **_request(pdu), "pdu": pdu.hex()},
+                request=True,
+                state_changing=pdu[0] in STATE_CHANGING,
+            )
+            self._outstanding.add(key, message)
+            return [message]
+        asked = self._outstanding.take(key)
+        fields |= {**_response(pdu, {} if asked is None else asked.fields), "pdu": pdu.hex()}
+        return [Message(direction="out", kind="response", fields=fields, answers=asked)]
 
 
 def _request(pdu: bytes) -> dict[str, Any]:
     function = pdu[0]
-    fields: dict[str, Any] = {"function": function, "state_changing": function in STATE_CHANGING}
+    fields: dict[str, Any] = {"function": function}
     words = struct.unpack_from(f">{min(len(pdu) - 1, 8) // 2}H", pdu, 1)
     if function in READ_BITS | READ_REGISTERS | {WRITE_COILS, WRITE_REGISTERS} and len(words) >= 2:
         fields["address"], fields["quantity"] = words[:2]
@@ -92,7 +95,7 @@ def _request(pdu: bytes) -> dict[str, Any]:
     return fields
 
 
-def _response(pdu: bytes, request: dict[str, Any] | None) -> dict[str, Any]:
+def _response(pdu: bytes, request: Mapping[str, Any]) -> dict[str, Any]:
     function = pdu[0] & 0x7F
     if pdu[0] & 0x80:
         return {"function": function, "exception": pdu[1] if len(pdu) > 1 else None}

@@ -1,8 +1,11 @@
 """Decodes MQTT 3.1.1 and 5 from recorded bytes, by the specifications alone.
 
 OASIS MQTT 3.1.1 and MQTT 5.0, chapters 1.5 (data representation), 2 (control packet format) and 3 (packets). One
-journal entry a packet; payloads as base64, never a password. The reader is strict where a reserved bit or a length
-decides what the rest means, and a packet it cannot read is an entry of its own.
+message a packet; payloads as base64, never a password. The reader is strict where a reserved bit or a length
+decides what the rest means, and a packet that it cannot read is a malformed message.
+
+Requests are the packets of a client to which the broker has to give an answer of its own (CONNECT, SUBSCRIBE, UNSUBSCRIBE,
+PINGREQ, PUBREL), and PUBLISH of any QoS. A PUBLISH of a client may change the plant: anything may subscribe to it.
 """
 
 from __future__ import annotations
@@ -10,6 +13,7 @@ from __future__ import annotations
 import base64
 from typing import Any
 
+from ..conversation import Direction, Message, Outstanding
 from ..framing import MalformedError
 from .sparkplug_decoder import decode_message
 
@@ -20,6 +24,17 @@ KINDS = (
     *("UNSUBSCRIBE", "UNSUBACK", "PINGREQ", "PINGRESP", "DISCONNECT", "AUTH"),
 )
 _ACKNOWLEDGEMENTS = frozenset({"PUBACK", "PUBREC", "PUBREL", "PUBCOMP"})
+_ANSWERS = {
+    "CONNACK": "CONNECT",
+    "PUBACK": "PUBLISH",
+    "PUBREC": "PUBLISH",
+    "PUBCOMP": "PUBREL",
+    "SUBACK": "SUBSCRIBE",
+    "UNSUBACK": "UNSUBSCRIBE",
+    "PINGRESP": "PINGREQ",
+}
+"""The packet of a broker that answers one of a client; which one, the packet identifier says where there is one."""
+_REQUESTS = frozenset(_ANSWERS.values())
 _FLAGS_2 = frozenset({"PUBREL", "SUBSCRIBE", "UNSUBSCRIBE"})
 MQTT_5 = 5
 
@@ -58,7 +73,7 @@ _REPEATABLE = frozenset({"user_property", "subscription_identifier"})
 
 
 def packet_length(buffer: bytes | bytearray) -> int | None:
-    """Length of the control packet at the beginning of the buffer (section 2.2.3: Remaining Length).
+    """Return the length of the control packet at the beginning of the buffer (section 2.2.3: Remaining Length).
 
     Raises:
         MalformedError: packet type 0, or a Remaining Length of more than four bytes.
@@ -156,9 +171,10 @@ class MqttConversation:
         self.client_id: str | None = None
         self._level = 4
         self._aliases: dict[tuple[str, int], str] = {}
+        self._outstanding = Outstanding()
 
-    def decode(self, direction: str, frame: bytes) -> list[dict[str, Any]]:
-        """See :class:`~pytest_otmcp.protocols.framing.Conversation`; the kind is the packet's name."""
+    def decode(self, direction: Direction, frame: bytes) -> list[Message]:
+        """See :class:`~pytest_otmcp.protocols.conversation.Conversation`; the kind is the packet's name."""
         kind = KINDS[frame[0] >> 4]
         header = next(index for index, byte in enumerate(frame[1:], start=2) if not byte & 0x80)
         reader = _Reader(frame[header:])
@@ -167,13 +183,31 @@ class MqttConversation:
             if reader.more():
                 raise MalformedError(f"{kind} is longer than its fields")
         except MalformedError as error:
-            fields = {"packet": kind, "reason": str(error), "bytes": frame.hex()}
-            kind = "malformed"
+            # A CONNECT or AUTH may hold a credential.
+            shown = frame[:1] if kind in ("CONNECT", "AUTH") else frame
+            malformed = {"client_id": self.client_id, "packet": kind, "reason": str(error), "bytes": shown.hex()}
+            return [Message(direction=direction, kind="malformed", fields=malformed)]
         # An assigned identifier (MQTT 5, section 3.2.2.3.7) is known from CONNACK on.
         self.client_id = fields.get("properties", {}).get("assigned_client_identifier") or self.client_id
-        return [{"direction": direction, "kind": kind, "client_id": self.client_id, **fields}]
+        return [self._message(direction, kind, {"client_id": self.client_id, **fields})]
 
-    def _packet(self, kind: str, flags: int, direction: str, reader: _Reader) -> dict[str, Any]:
+    def _message(self, direction: Direction, kind: str, fields: dict[str, Any]) -> Message:
+        packet_id = fields.get("packet_id")
+        if direction == "out":
+            asked = self._outstanding.take((_ANSWERS[kind], packet_id)) if kind in _ANSWERS else None
+            return Message(direction="out", kind=kind, fields=fields, answers=asked)
+        message = Message(
+            direction="in",
+            kind=kind,
+            fields=fields,
+            request=kind in _REQUESTS,
+            state_changing=kind == "PUBLISH",
+        )
+        if kind in _REQUESTS and fields.get("qos") != 0:
+            self._outstanding.add((kind, packet_id), message)
+        return message
+
+    def _packet(self, kind: str, flags: int, direction: Direction, reader: _Reader) -> dict[str, Any]:
         if kind == "PUBLISH":
             return self._publish(flags, direction, reader)
         if flags != (2 if kind in _FLAGS_2 else 0):
@@ -237,7 +271,7 @@ class MqttConversation:
             reader.binary()
         return fields
 
-    def _publish(self, flags: int, direction: str, reader: _Reader) -> dict[str, Any]:
+    def _publish(self, flags: int, direction: Direction, reader: _Reader) -> dict[str, Any]:
         qos = flags >> 1 & 3
         if qos == 3:
             raise MalformedError("PUBLISH with QoS 3")

@@ -1,7 +1,8 @@
 """Decodes OPC UA over TCP from recorded bytes, security policy None, by the specification alone.
 
-OPC 10000-6, section 7.1 (OPC UA Connection Protocol) and 6.7 (chunks); OPC 10000-4 for the services. Signed channels are
-framed but not read: their messages are entries of kind ``Sealed``.
+OPC 10000-6, section 7.1 (OPC UA Connection Protocol) and 6.7 (chunks); OPC 10000-4 for the services. Every service is a
+request, but those of :data:`SESSION_KEEPING`; those of :data:`STATE_CHANGING` may change the plant. Signed channels are framed
+but not read: their messages are of kind ``Sealed``, and one of a client may ask for anything.
 """
 
 from __future__ import annotations
@@ -9,12 +10,14 @@ from __future__ import annotations
 import struct
 from typing import Any
 
+from ..conversation import Direction, Message, Outstanding
 from ..framing import MalformedError
 from .binary import BinaryReader, symbol
 
-__all__ = ["STATE_CHANGING", "OpcUaConversation", "chunk_length"]
+__all__ = ["SESSION_KEEPING", "STATE_CHANGING", "OpcUaConversation", "chunk_length"]
 
 _MESSAGES = frozenset({b"HEL", b"ACK", b"ERR", b"RHE", b"OPN", b"MSG", b"CLO"})
+_CONNECTION_PROTOCOL = {"HEL": "Hello", "ACK": "Acknowledge", "ERR": "Error", "RHE": "ReverseHello"}
 _LARGEST_CHUNK = 64 * 1024 * 1024
 _POLICY_NONE = "http://opcfoundation.org/UA/SecurityPolicy#None"
 
@@ -60,6 +63,11 @@ STATE_CHANGING = frozenset(
     {"Write", "Call", "HistoryUpdate", "AddNodes", "AddReferences", "DeleteNodes", "DeleteReferences"}
 )
 """Services whose request can change the plant or its address space."""
+SESSION_KEEPING = frozenset(
+    {"OpenSecureChannel", "CloseSecureChannel", "FindServers", "GetEndpoints"}
+    | {"CreateSession", "ActivateSession", "CloseSession", "CreateSubscription", "Publish", "DeleteSubscriptions"}
+)
+"""Services that open, keep and close sessions and subscriptions: they ask nothing of the plant."""
 
 _ATTRIBUTES = (
     *("", "NodeId", "NodeClass", "BrowseName", "DisplayName", "Description", "WriteMask", "UserWriteMask"),
@@ -71,7 +79,7 @@ _ATTRIBUTES = (
 
 
 def chunk_length(buffer: bytes | bytearray) -> int | None:
-    """Length of the message chunk at the beginning of the buffer (section 7.1.2.2).
+    """Return the length of the message chunk at the beginning of the buffer (section 7.1.2.2).
 
     Raises:
         MalformedError: unknown message or chunk type, or an impossible size.
@@ -87,30 +95,26 @@ def chunk_length(buffer: bytes | bytearray) -> int | None:
 
 
 class OpcUaConversation:
-    """One connection: puts chunks together and answers with their requests."""
+    """One connection: puts chunks together, and answers and their requests."""
 
     def __init__(self) -> None:
-        self._chunks: dict[tuple[str, int], bytes] = {}
-        self._asked: dict[int, str] = {}
+        self._chunks: dict[tuple[Direction, int], bytes] = {}
+        self._outstanding = Outstanding()
         self._sealed = False
 
-    def decode(self, direction: str, frame: bytes) -> list[dict[str, Any]]:
-        """See :class:`~pytest_otmcp.protocols.framing.Conversation`; the kind is the service's name."""
+    def decode(self, direction: Direction, frame: bytes) -> list[Message]:
+        """See :class:`~pytest_otmcp.protocols.conversation.Conversation`; the kind is the service's name."""
         kind = frame[:3].decode()
         try:
-            return [{"direction": direction, **entry} for entry in self._entries(kind, direction, frame)]
+            return self._messages(kind, direction, frame)
         except MalformedError as error:
-            return [{"direction": direction, "kind": "malformed", "reason": str(error), "bytes": frame[:256].hex()}]
+            malformed = {"reason": str(error), "bytes": frame[:256].hex()}
+            return [Message(direction=direction, kind="malformed", fields=malformed)]
 
-    def _entries(self, kind: str, direction: str, frame: bytes) -> list[dict[str, Any]]:
+    def _messages(self, kind: str, direction: Direction, frame: bytes) -> list[Message]:
         reader = BinaryReader(frame[8:])
-        if kind in ("HEL", "ACK"):
-            reader.take(20)
-            return [{"kind": "Hello", "endpoint_url": reader.string()} if kind == "HEL" else {"kind": "Acknowledge"}]
-        if kind == "ERR":
-            return [{"kind": "Error", "status": symbol(reader.unpack("I")), "reason": reader.string()}]
-        if kind == "RHE":
-            return [{"kind": "ReverseHello"}]
+        if kind in _CONNECTION_PROTOCOL:
+            return [_connection_message(kind, direction, reader)]
         reader.unpack("I")
         if kind == "OPN":
             self._sealed = reader.string() != _POLICY_NONE
@@ -119,17 +123,19 @@ class OpcUaConversation:
         else:
             reader.unpack("I")
         if self._sealed:
-            return [{"kind": "Sealed", "message": kind, "bytes_count": len(frame)}]
+            asks = direction == "in" and kind == "MSG"
+            sealed = {"message": kind, "bytes_count": len(frame)}
+            return [Message(direction=direction, kind="Sealed", fields=sealed, request=asks, state_changing=asks)]
         reader.unpack("I")
         request_id = reader.unpack("I")
         body = frame[len(frame) - reader.left :]
-        return self._message(direction, request_id, chr(frame[3]), body)
+        return self._service(direction, request_id, chr(frame[3]), body)
 
-    def _message(self, direction: str, request_id: int, final: str, body: bytes) -> list[dict[str, Any]]:
+    def _service(self, direction: Direction, request_id: int, final: str, body: bytes) -> list[Message]:
         key = (direction, request_id)
         if final == "A":
             self._chunks.pop(key, None)
-            return [{"kind": "Abort", "request_id": request_id}]
+            return [Message(direction=direction, kind="Abort", fields={"request_id": request_id})]
         body = self._chunks.pop(key, b"") + body
         if final == "C":
             if len(body) > _LARGEST_CHUNK:
@@ -140,31 +146,55 @@ class OpcUaConversation:
         type_id = reader.node_id()
         number = int(type_id.removeprefix("i=")) if type_id.startswith("i=") else -1
         if direction == "in":
-            name = _SERVICES.get(number, type_id)
-            self._asked[request_id] = name
-            reader.node_id()
-            reader.take(8)
-            handle = reader.unpack("I")
-            reader.take(4)
-            reader.string()
-            reader.take(4)
-            reader.extension_object()
-            fields = {"request_handle": handle, "state_changing": name in STATE_CHANGING, **_asked(name, reader)}
-        else:
-            name = self._asked.pop(request_id, _SERVICES.get(number - 3, type_id))
-            reader.take(8)
-            handle, result = reader.unpack("I"), reader.unpack("I")
-            reader.diagnostic_info()
-            reader.array(reader.string)
-            reader.extension_object()
-            fields = {"request_handle": handle, "service_result": symbol(result)}
-            if number != _SERVICE_FAULT:
-                fields |= _answered(name, reader)
-        return [{"kind": name, "request_id": request_id, **fields}]
+            return [self._request(request_id, _SERVICES.get(number, type_id), reader)]
+        return [self._response(request_id, number, type_id, reader)]
+
+    def _request(self, request_id: int, name: str, reader: BinaryReader) -> Message:
+        reader.node_id()
+        reader.take(8)
+        handle = reader.unpack("I")
+        reader.take(4)
+        reader.string()
+        reader.take(4)
+        reader.extension_object()
+        message = Message(
+            direction="in",
+            kind=name,
+            fields={"request_id": request_id, "request_handle": handle, **_asked(name, reader)},
+            request=name not in SESSION_KEEPING,
+            state_changing=name in STATE_CHANGING,
+        )
+        self._outstanding.add(request_id, message)
+        return message
+
+    def _response(self, request_id: int, number: int, type_id: str, reader: BinaryReader) -> Message:
+        asked = self._outstanding.take(request_id)
+        name = _SERVICES.get(number - 3, type_id) if asked is None else asked.kind
+        reader.take(8)
+        handle, result = reader.unpack("I"), reader.unpack("I")
+        reader.diagnostic_info()
+        reader.array(reader.string)
+        reader.extension_object()
+        fields = {"request_id": request_id, "request_handle": handle, "service_result": symbol(result)}
+        if number != _SERVICE_FAULT:
+            fields |= _answered(name, reader)
+        return Message(direction="out", kind=name, fields=fields, answers=asked)
+
+
+def _connection_message(kind: str, direction: Direction, reader: BinaryReader) -> Message:
+    """Read a message of the OPC UA Connection Protocol (OPC 10000-6, section 7.1.2)."""
+    fields: dict[str, Any] = {}
+    if kind in ("HEL", "ACK"):
+        reader.take(20)
+    if kind == "HEL":
+        fields = {"endpoint_url": reader.string()}
+    elif kind == "ERR":
+        fields = {"status": symbol(reader.unpack("I")), "reason": reader.string()}
+    return Message(direction=direction, kind=_CONNECTION_PROTOCOL[kind], fields=fields)
 
 
 def _asked(name: str, reader: BinaryReader) -> dict[str, Any]:
-    """The parameters of a request, for the services that say which nodes they are about."""
+    """Return the parameters of a request, for the services that say which nodes they are about."""
     if name == "Read":
         reader.take(12)
         return {"nodes": reader.array(lambda: _read_value_id(reader)) or []}
@@ -218,7 +248,7 @@ def _method_call(reader: BinaryReader) -> dict[str, Any]:
 
 
 def _answered(name: str, reader: BinaryReader) -> dict[str, Any]:
-    """The results of an answer."""
+    """Return the results of an answer."""
     if name == "Read":
         values = reader.array(reader.data_value) or []
         return {"results": [{"status": value["status"], "value": value["value"]} for value in values]}

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from pytest_otmcp.protocols.conversation import Direction, Message
+
 __all__ = ["ToyConversation", "line_length", "parsed"]
 
 _KINDS = {"R": "read", "W": "write", "V": "value", "K": "written", "E": "error"}
@@ -26,13 +28,14 @@ class ToyConversation:
     """One connection as the tap sees it: the device answers in the order in which it is asked."""
 
     def __init__(self) -> None:
-        self._asked: list[dict[str, Any]] = []
+        self._asked: list[Message] = []
 
-    def decode(self, direction: str, frame: bytes) -> list[dict[str, Any]]:
-        """See :class:`pytest_otmcp.protocols.framing.Conversation`."""
-        entry = {"direction": direction, **parsed(frame)}
+    def decode(self, direction: Direction, frame: bytes) -> list[Message]:
+        """See :class:`pytest_otmcp.protocols.conversation.Conversation`."""
+        fields = parsed(frame)
+        contract = {name: fields.pop(name) for name in ("kind", "request", "state_changing")}
+        answers = self._asked.pop(0) if direction == "out" and self._asked else None
+        message = Message(direction=direction, answers=answers, fields=fields, **contract)
         if direction == "in":
-            self._asked.append(entry)
-        elif self._asked:
-            entry["answers"] = self._asked.pop(0)
-        return [entry]
+            self._asked.append(message)
+        return [message]

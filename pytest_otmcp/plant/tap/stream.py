@@ -1,40 +1,49 @@
-"""The tap: a TCP proxy between an adapter and its device that records, and on demand disturbs, what passes.
+"""A proxy of TCP connections that records, and on demand disturbs, what passes.
 
 Without rules bytes are handed on as they come, before anything else is done with them. With rules they are handed on
-frame by frame (see ``tap_faults``). ``down`` and ``up`` make the endpoint vanish and come back on the same port.
+frame by frame (see ``faults``). ``down`` and ``up`` take the endpoint away and bring it back on the same port.
 """
 
 from __future__ import annotations
 
 import asyncio
 import socket
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable
 
+from ...core.errors import KitError
+from ...protocols.conversation import Direction
 from ...protocols.framing import Framer
 from ...protocols.protocol import Framing
 from .faults import Action, FaultPlan, FaultRule
 from .journal import TapJournal
-from .lane import Chunk, Lane, Medium, reset_connection
+from .lane import Lane, reset_connection
+from .medium import Medium
 
-__all__ = ["Tap"]
+__all__ = ["StreamTap"]
 
 _CONNECT_TIMEOUT_S = 5.0
+_DIRECTIONS: tuple[Direction, Direction] = ("in", "out")
 
 
-class Tap:
-    """Proxy in front of ``target_host:target_port``; to be used on one event loop.
+class StreamTap:
+    """A proxy in front of ``target_host:target_port``; see :class:`~pytest_otmcp.plant.tap.tap.Tap`.
 
     Args:
         target_host, target_port: the device.
         framing: how to cut and decode what passes. Without it the journal holds connections only, and the rules of
             :meth:`inject` count pieces as they arrive instead of frames.
+
+    Raises:
+        KitError: the framing cuts no streams.
     """
 
     def __init__(self, target_host: str, target_port: int, *, framing: Framing | None = None) -> None:
+        if framing is not None and framing.frame_length is None:
+            raise KitError("a TCP connection cannot be recorded: the frames of its protocol are datagrams")
         self.host = "127.0.0.1"
-        self.target = (target_host, target_port)
-        self.medium = Medium()
+        self._target = (target_host, target_port)
+        self._medium = Medium()
         self._framing = framing
         self._reserved: socket.socket | None = None
         self._server: asyncio.Server | None = None
@@ -51,17 +60,12 @@ class Tap:
     @property
     def journal(self) -> TapJournal:
         """What passed, decoded."""
-        return self.medium.journal
-
-    @property
-    def chunks(self) -> deque[Chunk]:
-        """What passed, as bytes: the newest 200 000 pieces."""
-        return self.medium.chunks
+        return self._medium.journal
 
     @property
     def injected(self) -> Counter[Action]:
         """How often each fault of the plan in effect was really injected."""
-        return self.medium.plan.injected
+        return self._medium.plan.injected
 
     @property
     def open_connections(self) -> int:
@@ -70,7 +74,7 @@ class Tap:
 
     async def start(self) -> None:
         """Take a free port and accept connections."""
-        # Bound, never listening: nobody else gets the port while the tap is down, and connecting to it is refused.
+        # Bound, never listening: no other process gets the port while the tap is down, and connecting to it is refused.
         self._reserved = self._bound(0)
         await self.up()
 
@@ -81,13 +85,13 @@ class Tap:
             self._reserved.close()
 
     async def up(self) -> None:
-        """The endpoint accepts connections, on the same port as ever."""
+        """Accept connections, on the same port as ever."""
         if self._server is None:
             loop = asyncio.get_running_loop()
             self._server = await loop.create_server(self._accept, sock=self._bound(self.port))
 
     async def down(self) -> None:
-        """The endpoint vanishes: connections are reset, new ones refused."""
+        """Reset the connections and refuse new ones."""
         if self._server is not None:
             self._server.close()
             self._server = None
@@ -97,9 +101,13 @@ class Tap:
         for link in links:
             await link.ended.wait()
 
+    def begin_journal(self) -> None:
+        """Begin an empty journal that counts from 0 again."""
+        self._medium.journal = TapJournal()
+
     def inject(self, *rules: FaultRule) -> None:
         """Replace the fault plan, counting from now; without rules bytes pass untouched again."""
-        self.medium.plan = FaultPlan(rules)
+        self._medium.plan = FaultPlan(rules)
 
     def _bound(self, port: int) -> socket.socket:
         sock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
@@ -114,7 +122,7 @@ class Tap:
 
     def _accept(self) -> _Side:
         self._accepted += 1
-        link = _Link(self._accepted, self.medium, self.target, self._framing, self._links.discard)
+        link = _Link(self._accepted, self._medium, self._target, self._framing, self._links.discard)
         self._links.add(link)
         return link.client
 
@@ -137,25 +145,26 @@ class _Link:
         self._forget = forget
         self._connecting: asyncio.Task[None] | None = None
         self._condemned = False
-        conversation = framing.conversation() if framing else None
+        conversation = None if framing is None else framing.conversation()
+        frame_length = None if framing is None else framing.frame_length
         self._lanes = [
             Lane(
                 medium,
                 number,
                 direction,
-                Framer(framing.frame_length) if framing else None,
+                None if frame_length is None else Framer(frame_length),
                 conversation,
                 reset=self.reset,
                 swallow=self._swallow,
                 finished=self._finished,
             )
-            for direction in ("in", "out")
+            for direction in _DIRECTIONS
         ]
         self.client = _Side(self, *self._lanes)
         self._device = _Side(self, *reversed(self._lanes))
 
     def connected(self, side: _Side) -> None:
-        """A side has its transport."""
+        """Go on with a side that has its transport now."""
         if self.ended.is_set() or self._condemned:
             self.reset()
         elif side is self.client:
@@ -175,7 +184,7 @@ class _Link:
             self.reset()
 
     def lost(self, side: _Side, failure: Exception | None) -> None:
-        """One side is gone for good; the other one follows, in the same manner."""
+        """Let the other side follow one that is gone for good, in the same manner."""
         other = self._device if side is self.client else self.client
         if self._connecting is not None:
             self._connecting.cancel()
@@ -192,7 +201,7 @@ class _Link:
             self.ended.set()
 
     def reset(self) -> None:
-        """Both sides get a TCP reset, also one that has been accepted and has no transport yet."""
+        """Reset both sides, also one that has been accepted and has no transport yet."""
         self._condemned = True
         for side in (self.client, self._device):
             if side.transport is not None:

@@ -1,0 +1,186 @@
+"""Tries guesses at a mock device: what the device saw, and where its values turn up in the answer, is the proof."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from ..core.strict_json import parse_strict
+from ..plant.mock_device import MockDevice
+from ..protocols.journal import JournalEntry
+from ..subject.answers import read_answer
+from ..subject.model import Answering, Binding
+from ..trial.adapter_under_test import AdapterUnderTest
+from .evidence import find
+from .guess import Guess
+
+__all__ = ["Experiment", "Experimenter", "Proposal", "Shown", "reach"]
+
+_TRIES = 4
+"""Likeliest tools that are tried for an operation."""
+
+_LATE_S = 0.2
+"""Seconds for which a late journal entry is waited for."""
+
+
+@dataclass(slots=True, kw_only=True)
+class Proposal:
+    """A binding, and what speaks for it.
+
+    Attributes:
+        proven: the device has seen what it should have seen.
+        evidence: sentences for the file's comments.
+        offset: input to what has to be added to it.
+        form: where the answer's document is: ``structured``, ``json`` or ``text``.
+        outputs: output to its rule.
+        good, bad: answers to a call that succeeded and to one that had to fail.
+        bad_code: the error code that the latter should have.
+    """
+
+    guess: Guess
+    proven: bool
+    evidence: list[str]
+    offset: dict[str, int] = field(default_factory=dict)
+    form: str | None = None
+    outputs: dict[str, Mapping[str, Any]] = field(default_factory=dict)
+    good: Mapping[str, Any] | None = None
+    bad: Mapping[str, Any] | None = None
+    bad_code: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shown:
+    """What a call showed.
+
+    Attributes:
+        message: the answer; None when there is none.
+        entries: what reached the device.
+        words: the answer, or why there is none, in a few words.
+    """
+
+    message: Mapping[str, Any] | None
+    entries: Sequence[JournalEntry]
+    words: str
+
+
+class Experimenter:
+    """Calls tools of one adapter at one mock device, and draws proposals from what that showed.
+
+    Attributes:
+        device: the mock device.
+        random: source of values that no adapter can know.
+    """
+
+    def __init__(
+        self, adapter: AdapterUnderTest, device: MockDevice, late: Mapping[str, Any] | None = None, seed: int = 0
+    ) -> None:
+        """Take an adapter that is pointed at the device.
+
+        Args:
+            late: a journal entry that may follow the answer to a call; see :class:`~pytest_otmcp.onboarding.pack.Pack`.
+        """
+        self.device = device
+        self.random = random.Random(f"proposal/{seed}")
+        self._adapter = adapter
+        self._late = late
+
+    async def best(self, guesses: list[Guess], experiment: Experiment) -> Proposal | None:
+        """Return the first guess that the device confirms, else the likeliest one with what was seen."""
+        tried: list[Proposal] = []
+        for variation in (variation for guess in guesses[:_TRIES] for variation in guess.variations()):
+            proposal = await self._try(variation, experiment)
+            if proposal.proven:
+                return proposal
+            tried.append(proposal)
+        return tried[0] if tried else None
+
+    async def _try(self, guess: Guess, experiment: Experiment) -> Proposal:
+        if guess.missing:
+            lacking = ", ".join(guess.missing)
+            return Proposal(guess=guess, proven=False, evidence=[f"not tried: no idea what to give for {lacking}"])
+        return await experiment(self, guess)
+
+    async def call(self, guess: Guess, offset: Mapping[str, int], **inputs: Any) -> Shown:
+        """Call the guessed tool and read what reached the device."""
+        adapter = self._adapter
+        binding = Binding(
+            tool=guess.tool,
+            arguments=guess.arguments,
+            outputs={},
+            answering=Answering(form="text"),
+            when={},
+            offset=offset,
+            names={},
+            convert=guess.convert,
+        )
+        await adapter.open()
+        assert adapter.session is not None
+        since = await self.device.mark()
+        arguments = binding.fill(inputs, adapter.endpoint)
+        exchange = await adapter.session.call(guess.tool, arguments, timeout_s=1.2 * adapter.deadline_s)
+        if self._late is not None:
+            await self.device.wait(since, dict(self._late), timeout_s=_LATE_S)
+        entries = (await self.device.journal(since)).entries
+        if exchange.response is None:
+            return Shown(message=None, entries=entries, words=f"no answer ({exchange.failure})")
+        try:
+            message = parse_strict(exchange.response)
+        except ValueError as error:
+            return Shown(message=None, entries=entries, words=f"an answer that is no strict JSON ({error})")
+        return Shown(message=message, entries=entries, words=_words(message))
+
+    def propose(
+        self, guess: Guess, shown: Shown, *, proven: bool, seen: str, offset: Mapping[str, int] | None = None
+    ) -> Proposal:
+        """Make a proposal of a guess and what its call showed.
+
+        Args:
+            seen: what the device saw, in words; empty for nothing.
+        """
+        evidence = [f"the device saw {seen}" if proven else f"the device saw {seen or 'nothing of it'}; {shown.words}"]
+        return Proposal(guess=guess, proven=proven, evidence=evidence, offset=dict(offset or {}), good=shown.message)
+
+    async def provoke(self, proposal: Proposal, code: str, **inputs: Any) -> None:
+        """Call the tool so that it has to fail, for the rules that tell failures.
+
+        Args:
+            code: the error code that this failure should have.
+        """
+        failing = await self.call(proposal.guess, proposal.offset, **inputs)
+        proposal.bad, proposal.bad_code = failing.message, code
+
+    def locate(self, proposal: Proposal, output: str, expected: Any) -> None:
+        """Look in the answer for a value that the device is known to have given."""
+        found = None if proposal.good is None else find(proposal.good, expected)
+        if found is None:
+            proposal.evidence.append(f"the value {str(expected)[:60]} was not found in the answer: fill in 'result'")
+            return
+        proposal.form = found.form
+        proposal.outputs[output] = found.rule
+        proposal.evidence.append(f"the value {str(expected)[:60]} of the device was found there")
+
+    def locate_echo(self, proposal: Proposal, output: str, expected: Any) -> None:
+        """Look for a value that an answer may repeat: only where a structure says that it is one, not in a sentence."""
+        found = None if proposal.good is None else find(proposal.good, expected, ("structured", "json"))
+        if found is not None and set(found.rule) == {"path"} and found.form == (proposal.form or found.form):
+            proposal.form = found.form
+            proposal.outputs[output] = found.rule
+
+
+Experiment = Callable[[Experimenter, Guess], Awaitable[Proposal]]
+"""Tries a guess for one operation."""
+
+
+async def reach(experimenter: Experimenter, guess: Guess) -> Proposal:
+    """Try a tool that only has to reach the device."""
+    shown = await experimenter.call(guess, {})
+    exchanged = any(entry["direction"] == "in" for entry in shown.entries)
+    evidence = ["the device saw an exchange" if exchanged else f"the device saw nothing; the answer: {shown.words}"]
+    return Proposal(guess=guess, proven=exchanged, evidence=evidence, good=shown.message)
+
+
+def _words(message: Mapping[str, Any]) -> str:
+    _, text, is_error = read_answer(message, "text")
+    return f"it {'failed' if is_error else 'answered'}: {' '.join(text.split())[:160]!r}"

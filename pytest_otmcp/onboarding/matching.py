@@ -1,0 +1,211 @@
+"""Which tool may perform which operation, and with which arguments: guessed from names, descriptions and schemas. Pure."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from ..protocols.registry import protocols
+from ..subject.model import placeholders
+from .guess import Guess
+from .pack import Hints, Pack
+
+__all__ = ["guess_connect", "guess_tools"]
+
+_ARGUMENTS: Mapping[str, str] = {"value": "value data val new_value values data_value"}
+"""An input of operations of any protocol to the names that tools have for it; packs add those of their own."""
+
+_ENDPOINT: tuple[tuple[str, str], ...] = (
+    (r"^(host|ip|hostname|broker_host|server_host|address_host)$", "{host}"),
+    (r"^(port|broker_port|server_port|tcp_port)$", "{port:int}"),
+    (r"^(url|uri|endpoint|server_url|endpoint_url|broker_url|broker)$", "{url}"),
+)
+_PROTOCOL = r"^(protocol|proto)$"
+_CONNECTION = r"^(conn|connection|connection_string|device|target|resource|endpoint|server)$"
+_CONNECTIONS = ("tcp:{host}:{port}", "{host}:{port}", "tcp://{host}:{port}", "{url}")
+"""How required arguments of these names may want to be told where the device is."""
+
+
+def guess_tools(pack: Pack, operation: str, tools: Mapping[str, Mapping[str, Any]]) -> list[Guess]:
+    """Guess the tools that may perform the operation, likeliest first."""
+    found = [guess for name, tool in tools.items() if (guess := _guess(pack, operation, name, tool)) is not None]
+    return sorted(found, key=lambda guess: (-guess.score, guess.tool))
+
+
+def guess_connect(tools: Mapping[str, Mapping[str, Any]]) -> Guess | None:
+    """Guess the tool that has to be called before all others, by its name and its arguments."""
+    for name, tool in tools.items():
+        words = _words(name)
+        if "connect" in words and not words & {"disconnect", "status", "info", "list"}:
+            properties = _properties(tool)
+            arguments = {key: value for key in properties if (value := _endpoint(key, properties[key])) is not None}
+            if arguments:
+                return Guess(
+                    operation="connect", tool=name, score=1.0, arguments=arguments, convert={}, missing=(), trials={}
+                )
+    return None
+
+
+def _words(name: str) -> set[str]:
+    parts = re.sub(r"([a-z])([A-Z])", r"\1_\2", name).lower()
+    return set(re.split(r"[^a-z0-9]+", parts))
+
+
+def _properties(tool: Mapping[str, Any]) -> Mapping[str, Any]:
+    schema = tool.get("inputSchema") or {}
+    properties = _resolved(schema.get("properties") or {}, schema.get("$defs") or {}, 0)
+    return properties if isinstance(properties, dict) else {}
+
+
+def _resolved(value: Any, definitions: Mapping[str, Any], depth: int) -> Any:
+    """Replace the local references of a schema, as deep as arguments of tools are nested."""
+    if depth > 8:
+        return value
+    if isinstance(value, Mapping):
+        reference = value.get("$ref")
+        if isinstance(reference, str) and reference.startswith("#/$defs/"):
+            return _resolved(definitions.get(reference.removeprefix("#/$defs/"), {}), definitions, depth + 1)
+        return {name: _resolved(member, definitions, depth + 1) for name, member in value.items()}
+    if isinstance(value, list):
+        return [_resolved(element, definitions, depth + 1) for element in value]
+    return value
+
+
+def _guess(pack: Pack, operation: str, name: str, tool: Mapping[str, Any]) -> Guess | None:
+    asked, hints = protocols()[pack.protocol].operations[operation], pack.operations[operation]
+    words, likely = _words(name), set(hints.likely.split())
+    if hints.needed and not words & set(hints.needed.split()):
+        return None
+    score = 2.0 * len(words & likely) - 3.0 * len(words & set(hints.unlikely.split()))
+    score += 0.25 * len(_words(str(tool.get("description") or "")[:400]) & likely)
+    # A call that waits is not proposed: only the adapter's author can say how long it may wait.
+    names = {**_ARGUMENTS, **pack.arguments}
+    inputs = {name: tuple(names[name].split()) for name in asked.inputs if name in names}
+    arguments, convert = _arguments(pack, hints, inputs, tool)
+    placed = placeholders(arguments)
+    score += 2.0 * len(placed & set(inputs)) - 2.0 * len(set(inputs) - placed - set(asked.optional))
+    required = (tool.get("inputSchema") or {}).get("required") or []
+    trials = {
+        str(argument): values
+        for argument in required
+        if argument not in arguments and (values := _trials(pack, hints, str(argument)))
+    }
+    missing = tuple(str(argument) for argument in required if argument not in arguments and argument not in trials)
+    score -= 2.0 * len(missing) + 0.5 * len(trials)
+    if not inputs:
+        score -= 1.0 * len(required)
+    if score <= 0:
+        return None
+    return Guess(
+        operation=operation,
+        tool=name,
+        score=score,
+        arguments=arguments,
+        convert=convert,
+        missing=missing,
+        trials=trials,
+    )
+
+
+def _trials(pack: Pack, hints: Hints, argument: str) -> tuple[str, ...]:
+    known = ((_PROTOCOL, pack.names), (_CONNECTION, _CONNECTIONS), *hints.trials.items())
+    return next((values for pattern, values in known if values and re.match(pattern, argument, re.IGNORECASE)), ())
+
+
+Inputs = Mapping[str, tuple[str, ...]]
+"""An input of an operation to the names that tools have for it."""
+
+
+def _arguments(
+    pack: Pack, hints: Hints, inputs: Inputs, tool: Mapping[str, Any]
+) -> tuple[dict[str, Any], dict[str, str]]:
+    properties = _properties(tool)
+    arguments: dict[str, Any] = {}
+    convert: dict[str, str] = {}
+    for name in inputs:
+        actual = _named(inputs[name], properties, arguments)
+        if actual is not None:
+            arguments[actual] = _template(pack, name, inputs, properties[actual], convert)
+    if not arguments:
+        arguments |= _batch(pack, inputs, properties, convert)
+    required = (tool.get("inputSchema") or {}).get("required") or []
+    for key, schema in properties.items():
+        if key in arguments:
+            continue
+        if (choice := _choice(hints, schema)) is not None:
+            arguments[key] = choice
+        elif (constant := _constant(pack, key)) is not None:
+            arguments[key] = constant
+        elif (endpoint := _endpoint(key, schema)) is not None and (key in required or schema.get("default") is None):
+            arguments[key] = endpoint
+    return arguments, convert
+
+
+def _named(names: tuple[str, ...], properties: Mapping[str, Any], taken: Mapping[str, Any]) -> str | None:
+    """Find the property that has the first of these names that any has."""
+    free = [key for key in properties if key not in taken]
+    return next((key for name in names for key in free if key.lower() == name), None)
+
+
+def _batch(pack: Pack, inputs: Inputs, properties: Mapping[str, Any], convert: dict[str, str]) -> dict[str, Any]:
+    """Find an argument that takes a list of objects, each with places for the inputs."""
+    for key, schema in properties.items():
+        if "array" in _kinds(schema):
+            template = _template(pack, next(iter(inputs), ""), inputs, schema, convert)
+            if isinstance(template, list) and isinstance(template[0], dict) and len(template[0]) > 1:
+                return {key: template}
+    return {}
+
+
+def _template(pack: Pack, name: str, inputs: Inputs, schema: Mapping[str, Any], convert: dict[str, str]) -> Any:
+    kinds = _kinds(schema)
+    if "array" in kinds and name not in pack.lists and not kinds & {"string", "integer", "number"}:
+        items = schema.get("items") or {}
+        members = items.get("properties") if isinstance(items, dict) else None
+        if isinstance(members, dict) and members:
+            element: dict[str, str] = {}
+            for other, names in inputs.items():
+                key = _named(names, members, element)
+                if key is not None:
+                    element[key] = f"${other}"
+            return [element or f"${name}"]
+        return [f"${name}"]
+    if kinds == {"string"} and name == "value":
+        convert[name] = "string"
+    return f"${name}"
+
+
+def _kinds(schema: Mapping[str, Any]) -> set[str]:
+    kind = schema.get("type")
+    if isinstance(kind, str):
+        return {kind}
+    if isinstance(kind, list):
+        return {entry for entry in kind if entry != "null"}
+    kinds: set[str] = set()
+    for alternative in schema.get("anyOf") or schema.get("oneOf") or []:
+        if isinstance(alternative, dict):
+            kinds |= _kinds(alternative) - {"null"}
+    return kinds
+
+
+def _choice(hints: Hints, schema: Mapping[str, Any]) -> str | None:
+    """Find the value of an enumerated argument that names what the operation is about."""
+    values: list[Any] = schema.get("enum") or next(
+        (entry["enum"] for entry in schema.get("anyOf") or [] if isinstance(entry, dict) and "enum" in entry), []
+    )
+    return next(
+        (value for value in values if isinstance(value, str) and hints.choice and hints.choice.search(value)), None
+    )
+
+
+def _constant(pack: Pack, key: str) -> Any:
+    return next((value for pattern, value in pack.constants.items() if re.match(pattern, key, re.IGNORECASE)), None)
+
+
+def _endpoint(key: str, schema: Mapping[str, Any]) -> str | None:
+    kinds = _kinds(schema)
+    for pattern, placeholder in _ENDPOINT:
+        if re.match(pattern, key, re.IGNORECASE):
+            return "{port}" if placeholder == "{port:int}" and kinds == {"string"} else placeholder
+    return None

@@ -1,0 +1,79 @@
+"""What ``otmcp init`` has to know of one protocol: the words of its tools, experiments, and failures of its libraries."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib import import_module
+from typing import Any
+
+from ..core.errors import UsageError
+from ..protocols.registry import protocols
+from .experimenter import Experiment
+from .known_causes import KnownCause
+
+__all__ = ["Hints", "Pack", "load_pack"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Hints:
+    """What tells the tool for an operation from others, and how it is tried. Words are separated by blanks.
+
+    Attributes:
+        likely: words of a tool's name or description that speak for the operation.
+        unlikely: words of a tool's name that speak against it.
+        needed: words of which a tool's name must have one; empty when it may have any.
+        experiment: tries a guess at the mock device.
+        choice: matches the value of an enumerated argument that names what the operation is about, such as a table.
+        trials: pattern of a required argument's name, to the values that are tried when its schema does not say any.
+    """
+
+    likely: str
+    unlikely: str
+    experiment: Experiment
+    needed: str = ""
+    choice: re.Pattern[str] | None = None
+    trials: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pack:
+    """What a protocol offers for the proposal of bindings.
+
+    Attributes:
+        protocol: its key.
+        operations: every abstract operation of the protocol, by name.
+        arguments: an input of operations to the names that tools have for it, separated by blanks.
+        lists: inputs that are lists by themselves.
+        constants: pattern of an argument's name, to the value that the mock device wants there.
+        names: how an argument may want the protocol to be called.
+        late: a journal entry that may follow the answer to a call, as members and values; None when none does.
+        errors: error code to patterns of the texts in which libraries report it.
+        causes: why an adapter does not start, as far as it is about this protocol's libraries.
+    """
+
+    protocol: str
+    operations: Mapping[str, Hints]
+    arguments: Mapping[str, str]
+    lists: frozenset[str] = frozenset()
+    constants: Mapping[str, Any] = field(default_factory=dict)
+    names: tuple[str, ...] = ()
+    late: Mapping[str, Any] | None = None
+    errors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    causes: tuple[KnownCause, ...] = ()
+
+
+def load_pack(protocol: str) -> Pack:
+    """Load the pack of a protocol.
+
+    Raises:
+        UsageError: the protocol has none.
+    """
+    described = protocols()[protocol]
+    if described.onboarding is None:
+        raise UsageError(
+            f"otmcp init cannot propose bindings for {described.name} yet; docs/subject-file.md says how to write them"
+        )
+    pack: Pack = import_module(described.onboarding).PACK
+    return pack

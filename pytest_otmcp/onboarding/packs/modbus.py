@@ -1,0 +1,159 @@
+"""Words and experiments for tools that speak Modbus."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from ...protocols.journal import Entries
+from ...protocols.modbus.entries import ModbusEntry, as_modbus
+from ..experimenter import Experimenter, Proposal, Shown, reach
+from ..guess import Guess
+from ..known_causes import KnownCause
+from ..pack import Hints, Pack
+
+__all__ = ["PACK"]
+
+_READ_HOLDING, _READ_INPUT, _WRITE_SINGLE, _WRITE_MULTIPLE = 3, 4, 6, 16
+_VALUES = range(2000, 0x10000)
+"""Values that are not taken for an address, a count or a default."""
+
+_TABLE = r"^(kind|table|type|register_type|area|source)$"
+
+Find = Callable[[Entries], ModbusEntry | None]
+"""Finds the request that a call has to make in what reached the device."""
+
+
+async def _read_input(experimenter: Experimenter, guess: Guess) -> Proposal:
+    return await _read(experimenter, guess, "input_registers", _READ_INPUT, (30001, 30000, 1))
+
+
+async def _read_holding(experimenter: Experimenter, guess: Guess) -> Proposal:
+    return await _read(experimenter, guess, "holding_registers", _READ_HOLDING, (40001, 40000, 1))
+
+
+async def _read(
+    experimenter: Experimenter, guess: Guess, table: str, function: int, offsets: tuple[int, ...]
+) -> Proposal:
+    values = [experimenter.random.choice(_VALUES) for _ in range(3)]
+    await experimenter.device.poke(unit=1, table=table, address=10, values=values)
+    shown, asked, offset = await _call_at(experimenter, guess, _requests(function), offsets, address=10, count=3)
+    proven = asked is not None and asked["address"] == 10 and asked["quantity"] == 3
+    seen = "" if asked is None else f"function {function} for address {asked['address']}, quantity {asked['quantity']}"
+    proposal = experimenter.propose(guess, shown, proven=proven, seen=seen, offset=offset)
+    experimenter.locate(proposal, "values", values)
+    if proven:
+        await experimenter.provoke(proposal, "illegal_address", address=9999, count=1)
+    return proposal
+
+
+async def _write_holding(experimenter: Experimenter, guess: Guess) -> Proposal:
+    value = experimenter.random.choice(_VALUES)
+    find = _requests(_WRITE_SINGLE, _WRITE_MULTIPLE)
+    shown, written, offset = await _call_at(experimenter, guess, find, (40001, 40000, 1), address=12, value=value)
+    proven = written is not None and written["address"] == 12 and written["values"] == [value]
+    seen = (
+        ""
+        if written is None
+        else f"function {written['function']} for address {written['address']}, {written['values']}"
+    )
+    proposal = experimenter.propose(guess, shown, proven=proven, seen=seen, offset=offset)
+    if proven:
+        experimenter.locate_echo(proposal, "value", value)
+        await experimenter.provoke(proposal, "range_overflow", address=12, value=70000)
+    return proposal
+
+
+async def _call_at(
+    experimenter: Experimenter, guess: Guess, find: Find, offsets: Sequence[int], **inputs: Any
+) -> tuple[Shown, ModbusEntry | None, dict[str, int]]:
+    """Call the tool, with what it counts addresses from found out.
+
+    Tools count registers from 0, from 1, or as 40001: the offset is the difference that the first call showed, or one of
+    ``offsets``.
+
+    Returns:
+        What a call showed, its request, and the offset with which the request was for the address that was asked for;
+        when there is no such offset, what the first call showed.
+    """
+    address = inputs["address"]
+    shown = await experimenter.call(guess, {}, **inputs)
+    request = find(shown.entries)
+    if request is not None and request["address"] == address:
+        return shown, request, {}
+    difference = 0 if request is None else address - request["address"]
+    for offset in dict.fromkeys((difference, *offsets)):
+        if offset:
+            again = await experimenter.call(guess, {"address": offset}, **inputs)
+            found = find(again.entries)
+            if found is not None and found["address"] == address:
+                return again, found, {"address": offset}
+    return shown, request, {}
+
+
+def _requests(*functions: int) -> Find:
+    def find(entries: Entries) -> ModbusEntry | None:
+        asked = (as_modbus(entry) for entry in entries if entry["kind"] == "request")
+        return next((request for request in asked if request["function"] in functions), None)
+
+    return find
+
+
+PACK = Pack(
+    protocol="modbus",
+    operations={
+        "ping": Hints(
+            likely="ping status health connection probe info",
+            unlikely="read write mask scan list job template proxy listener frame log connect disconnect reconnect command",
+            experiment=reach,
+        ),
+        "read_input": Hints(
+            likely="read get input register value",
+            unlikely="write set coil coils discrete mask file fifo exception information history holding",
+            needed="read get",
+            experiment=_read_input,
+            choice=re.compile(r"^(?!.*discrete).*input", re.IGNORECASE),
+            trials={_TABLE: ("input", "ir", "input_register", "input_registers")},
+        ),
+        "read_holding": Hints(
+            likely="read get holding register value",
+            unlikely="write set coil coils discrete mask file fifo exception information history input",
+            needed="read get",
+            experiment=_read_holding,
+            choice=re.compile(r"^(?!.*discrete).*holding", re.IGNORECASE),
+            trials={_TABLE: ("holding", "hr", "holding_register", "holding_registers")},
+        ),
+        "write_holding": Hints(
+            likely="write set holding register value",
+            unlikely="read coil coils mask file",
+            needed="write set",
+            experiment=_write_holding,
+            choice=re.compile(r"^(?!.*discrete).*holding", re.IGNORECASE),
+            trials={_TABLE: ("holding", "hr", "holding_register", "holding_registers")},
+        ),
+    },
+    arguments={
+        "address": "address addr start start_address starting_address register register_address offset index",
+        "count": "count quantity num number length size qty num_registers register_count n",
+    },
+    # The mock device's unit identifier.
+    constants={r"^(unit|unit_id|unitid|slave|slave_id|slaveid)$": 1},
+    names=("modbus", "modbus-tcp", "modbus_tcp", "tcp"),
+    errors={
+        "illegal_address": (
+            r"0x0?2\b|exception[ _]code\W{0,4}2\b|[Ii]llegal.?[Dd]ata.?[Aa]ddress|ILLEGAL_DATA_ADDRESS",
+        ),
+        "range_overflow": (
+            r"(?i)out of range|number <= 65535|less than or equal to 65535|overflow|must be between",
+        ),
+    },
+    causes=(
+        KnownCause(
+            group="library",
+            pattern=r"unexpected keyword argument '(slave|unit)'",
+            cause="It was written for an earlier version of pymodbus, whose argument of that name is gone.",
+            remedy="Install it with 'pymodbus<3.10'.",
+        ),
+    ),
+)  # fmt: skip

@@ -1,0 +1,85 @@
+"""What every tap offers, and the choice of the tap for an endpoint.
+
+A tap is a proxy between an adapter and its device. It records, and on demand disturbs, what passes. Without rules bytes are
+handed on as they come, before anything else is done with them.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Protocol
+
+from ...core.errors import KitError
+from ...protocols.protocol import Framing
+from ..endpoint import Endpoint
+from .datagram import DatagramTap
+from .faults import Action, FaultRule
+from .journal import TapJournal
+from .stream import StreamTap
+
+__all__ = ["Tap", "new_tap"]
+
+
+class Tap(Protocol):
+    """A proxy in front of one endpoint; to be used on one event loop."""
+
+    @property
+    def host(self) -> str:
+        """Address where clients reach it."""
+        ...
+
+    @property
+    def port(self) -> int:
+        """Port where clients reach it; stays the same over :meth:`down` and :meth:`up`."""
+        ...
+
+    @property
+    def journal(self) -> TapJournal:
+        """What passed, decoded."""
+        ...
+
+    @property
+    def injected(self) -> Counter[Action]:
+        """How often each fault of the plan in effect was really injected."""
+        ...
+
+    async def start(self) -> None:
+        """Take a free port and hand on what comes."""
+
+    async def aclose(self) -> None:
+        """End everything; no task and no socket is left."""
+
+    async def up(self) -> None:
+        """Bring the endpoint back, on the same port."""
+
+    async def down(self) -> None:
+        """Take the endpoint away, as if the device were gone; nothing that is on its way is delivered later."""
+
+    def begin_journal(self) -> None:
+        """Begin an empty journal that counts from 0 again."""
+
+    def inject(self, *rules: FaultRule) -> None:
+        """Replace the fault plan, counting from now; without rules everything passes untouched again.
+
+        Raises:
+            ValueError: an action does not exist on this transport.
+        """
+
+
+def new_tap(target: Endpoint, framing: Framing | None) -> Tap:
+    """Return a tap in front of an endpoint; it has to be started.
+
+    Args:
+        target: the device's endpoint.
+        framing: how to cut and decode what passes; None for a journal without messages.
+
+    Raises:
+        KitError: the kit cannot record what passes there.
+    """
+    match target.kind:
+        case "tcp":
+            return StreamTap(target.host, target.port, framing=framing)
+        case "udp":
+            return DatagramTap(target.host, target.port, framing=framing)
+        case "pty":
+            raise KitError(f"the endpoint {target.name!r} is a pseudo terminal, and the kit has no tap for those")

@@ -1,0 +1,156 @@
+"""A device of the user's own behind a tap: the tap is its witness.
+
+The kit never starts or stops such a device. It takes the tap's endpoint away and brings it back, which looks the same to an
+adapter.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from ..core.errors import KitError
+from ..protocols.journal import JournalEntry
+from ..protocols.protocol import Framing
+from .device import Journal, check_kept
+from .endpoint import Endpoint
+from .tap.tap import Tap, new_tap
+
+__all__ = ["TappedDevice"]
+
+
+class TappedDevice:
+    """A device that is reached through a tap. See :class:`~pytest_otmcp.plant.device.Device`.
+
+    A protocol adds in a sub-class what it takes to find out that the device is there, and to change it past the tap.
+
+    Args:
+        noun: what the device is called in sentences, with its address, such as ``broker mqtt://10.0.0.1``.
+        target: its endpoint.
+        framing: how to cut and decode what passes.
+
+    Attributes:
+        tap: the tap, for fault rules.
+        endpoints: the tap, under the name of the target.
+        running: the tap hands on what comes.
+        accepting_ns: monotonic; since when it does.
+    """
+
+    def __init__(self, noun: str, target: Endpoint, framing: Framing) -> None:
+        self.noun = noun
+        self.tap: Tap = new_tap(target, framing)
+        self._target = target
+        self.endpoints: Mapping[str, Endpoint] = {}
+        self.running = False
+        self.accepting_ns = 0
+
+    @property
+    def host(self) -> str:
+        """Address of the tap."""
+        return self.tap.host
+
+    @property
+    def port(self) -> int:
+        """Port of the tap."""
+        return self.tap.port
+
+    # -- life ---------------------------------------------------------------------------------------------
+
+    async def check(self) -> None:
+        """Make sure that the device is there, as far as its protocol allows to find out.
+
+        Raises:
+            KitError: it is not.
+        """
+
+    async def launch(self) -> None:
+        """Make sure that the device is there, and start the tap.
+
+        Raises:
+            KitError: the device is not there.
+        """
+        await self.check()
+        await self.tap.start()
+        target = self._target
+        self.endpoints = {
+            target.name: Endpoint(name=target.name, kind=target.kind, host=self.tap.host, port=self.tap.port)
+        }
+        self._serves()
+
+    def _serves(self) -> None:
+        self.accepting_ns = time.monotonic_ns()
+        self.running = True
+
+    async def stop(self) -> None:
+        """Take the tap's endpoint away."""
+        await self.tap.down()
+        self.running = False
+
+    async def start(self) -> None:
+        """Bring the tap's endpoint back on the same port, with an empty journal that counts from 0 again."""
+        self.tap.begin_journal()
+        await self.tap.up()
+        self._serves()
+
+    async def close(self) -> None:
+        """End the tap; the device is left as it is."""
+        self.running = False
+        await self.tap.aclose()
+
+    # -- witness ------------------------------------------------------------------------------------------
+
+    async def image(self) -> dict[str, Any]:
+        """Refuse: only a mock can be asked what it holds.
+
+        Raises:
+            KitError: always.
+        """
+        raise KitError(f"the {self.noun} cannot be asked what it holds")
+
+    async def mark(self) -> int:
+        """Return the sequence number that the next journal entry will get."""
+        return self.tap.journal.next
+
+    async def journal(self, since: int) -> Journal:
+        """Return the entries from ``since`` on.
+
+        Raises:
+            KitError: the oldest of them were released, or have given way to newer ones.
+        """
+        journal = self.tap.journal
+        check_kept(since, journal.first)
+        return Journal(entries=journal.since(since), next=journal.next)
+
+    async def forget(self, before: int) -> None:
+        """Release the entries before ``before`` for good: they have been read."""
+        self.tap.journal.forget(before)
+
+    async def wait(
+        self, since: int, match: Mapping[str, Any], *, timeout_s: float, count: int = 1
+    ) -> list[JournalEntry]:
+        """Return the entries from ``since`` on that have all fields of ``match``: as soon as there are ``count`` of them, or
+        those that there are when the time is over.
+
+        Raises:
+            KitError: the oldest entries from ``since`` on were released, or have given way to newer ones.
+        """
+        journal = self.tap.journal
+        entries = await journal.wait(since, match, count, timeout_s)
+        check_kept(since, journal.first)
+        return entries
+
+    async def poke(self, **params: Any) -> None:
+        """Refuse: how to change a device past the tap is a matter of its protocol.
+
+        Raises:
+            KitError: always.
+        """
+        raise KitError(f"the {self.noun} cannot be changed past the tap")
+
+    async def reset(self) -> None:
+        """End the faults; what the device holds is left as it is."""
+        self.tap.inject()
+
+    async def tick(self, steps: int = 1) -> None:
+        """Do nothing: the kit does not simulate what is behind a device of the user's own."""

@@ -1,0 +1,69 @@
+"""What a decoder makes of recorded frames: messages that say what they ask and what they answer. Pure.
+
+A decoder knows the wire and nothing else. Sequence numbers and times are added where the journal is kept; until then an
+answer refers to the message that it answers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, Protocol
+
+__all__ = ["Conversation", "Direction", "Message", "Outstanding"]
+
+Direction = Literal["in", "out"]
+
+_MOST_OUTSTANDING = 65_536
+"""More than a client of any protocol can tell apart by the identifiers of two bytes that most of them have."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, weakref_slot=True)
+class Message:
+    """One message of a client or of its device, decoded. Two messages are equal only if they are the same one.
+
+    Attributes:
+        direction: ``in`` for what the device received, ``out`` for what it sent.
+        kind: what it is, in the protocol's words; ``malformed`` for bytes that cannot be read.
+        fields: further members of the journal entry, JSON-safe; of a malformed message ``bytes`` (hexadecimal digits) and
+            ``reason``.
+        request, state_changing: see :class:`~pytest_otmcp.protocols.journal.JournalEntry`.
+        answers: the message of the other direction that this one answers.
+    """
+
+    direction: Direction
+    kind: str
+    fields: Mapping[str, Any] = field(default_factory=dict)
+    request: bool = False
+    state_changing: bool = False
+    answers: Message | None = None
+
+
+class Conversation(Protocol):
+    """Both directions of one connection, decoded frame by frame."""
+
+    def decode(self, direction: Direction, frame: bytes) -> list[Message]:
+        """Decode one frame; several frames may be needed for a message. Never raises, whatever the frame holds."""
+        ...
+
+
+class Outstanding:
+    """The messages of one connection that have not been answered, by what their answers repeat of them.
+
+    A client that uses an identifier again has given up waiting: the answer belongs to the newest message. Of messages that
+    nobody answers the oldest are forgotten in the end.
+    """
+
+    def __init__(self) -> None:
+        self._messages: dict[Hashable, Message] = {}
+
+    def add(self, key: Hashable, message: Message) -> None:
+        """Remember a message that is to be answered."""
+        self._messages.pop(key, None)
+        self._messages[key] = message
+        if len(self._messages) > _MOST_OUTSTANDING:
+            del self._messages[next(iter(self._messages))]
+
+    def take(self, key: Hashable) -> Message | None:
+        """Return the message that an answer with this key is for, and forget it; None if there is none."""
+        return self._messages.pop(key, None)

@@ -1,0 +1,202 @@
+"""``otmcp certify`` and ``otmcp verify`` over the whole suite: one run of thirty repetitions, a minute, for all tests."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import pytest
+from pytest_otmcp.record.run_file import digest, load
+
+from pytest_otmcp import cli
+from pytest_otmcp.certificate.eligibility import objections
+from pytest_otmcp.certificate.statement import certificate
+from pytest_otmcp.cli.verify import verify
+from pytest_otmcp.suite.catalogue import tasks_by_id
+from tests.once import once
+
+from .command import otmcp, sentence
+
+pytestmark = pytest.mark.long
+
+HOSTILE_CONFTEST = """
+import pytest
+
+@pytest.fixture
+def otmcp_trial():
+    return lambda task: None
+
+def pytest_collection_modifyitems(items):
+    del items[1:]
+"""
+
+
+def certify(here: Path) -> str:
+    """Certify the reference adapters from a directory whose configuration would bend an ordinary run."""
+    (here / "conftest.py").write_text(HOSTILE_CONFTEST)
+    (here / "pytest.ini").write_text("[pytest]\naddopts = -k M1\nfilterwarnings = error\nasyncio_mode = auto\n")
+    (here / "bending.py").write_text("raise SystemExit('a plugin of the vendor was loaded')")
+    environment = {
+        "PYTEST_ADDOPTS": "-k M2",
+        "PYTEST_PLUGINS": "bending",
+        "PYTHONOPTIMIZE": "2",
+        "PYTHONWARNINGS": "error",
+    }
+    done = otmcp("certify", cwd=here, environment=environment)
+    assert done.returncode == 0, done.stdout + done.stderr
+    (here / "told").write_text(done.stdout)
+    return str(here)
+
+
+@pytest.fixture(scope="module")
+def certified(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The directory from which the reference adapters were certified."""
+    return Path(once(tmp_path_factory, "certified", certify))
+
+
+@pytest.fixture
+def out(certified: Path) -> Path:
+    """The directory with the certificate."""
+    return certified / "reports" / "certificate"
+
+
+@pytest.fixture
+def told(certified: Path) -> str:
+    """What ``otmcp certify`` printed."""
+    return (certified / "told").read_text()
+
+
+def test_a_certificate_is_written_whatever_the_directory_holds(out: Path, told: str) -> None:
+    assert "VERDICT: CONFORMANT (870/870 runs passed in 38 items)" in told
+    assert "modbus: earned guard, recovery, ping, " in told
+    assert "no level is awarded" in told
+    record, predicate = load(out / "run.json"), json.loads((out / "certificate.json").read_text())["predicate"]
+    assert record["settings"]["narrowed"] == []
+    assert sorted(predicate["passedTests"]) == sorted(tasks_by_id())
+    assert predicate["otmcp"]["counts"]["total"] == {"items": 38, "passed": 870, "planned": 870}
+    assert set(predicate["otmcp"]["adapters"]) == {"modbus", "mqtt", "opcua"}
+
+
+def test_progress_is_shown_while_it_runs(told: str) -> None:
+    assert re.search(r"^  M1 +30/30 +PASS", told, re.MULTILINE)
+
+
+def test_the_values_of_two_certifications_differ(out: Path) -> None:
+    # The seed is drawn: an adapter that knows the values of seed 0 by heart gains nothing.
+    assert load(out / "run.json")["settings"]["seed"] > 1000
+
+
+def test_the_badge_says_what_was_certified(out: Path) -> None:
+    assert json.loads((out / "badge.json").read_text())["message"] == "conformant: Modbus, MQTT, OPC UA"
+    assert ElementTree.parse(out / "badge.svg").getroot().tag.endswith("svg")
+
+
+def test_the_certificate_is_verified_by_judging_its_history_again(out: Path, tmp_path: Path) -> None:
+    done = otmcp("verify", str(out / "certificate.json"), str(out / "run.json"), cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert (
+        "is CONFORMANT; 870 of 870 repetitions passed in 38 items, and judging them again found the same" in done.stdout
+    )
+    assert "not signed" in done.stdout
+
+
+@pytest.fixture
+def pair(out: Path, tmp_path: Path) -> tuple[Path, Path]:
+    """A copy of certificate and record to spoil."""
+    names = ("certificate.json", "run.json")
+    for name in names:
+        shutil.copy(out / name, tmp_path / name)
+    return tmp_path / names[0], tmp_path / names[1]
+
+
+def refused(pair: tuple[Path, Path]) -> str:
+    done = otmcp("verify", str(pair[0]), str(pair[1]), cwd=pair[0].parent)
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert done.stdout == ""
+    return sentence(done)
+
+
+def test_a_record_that_was_cut_off_is_refused(pair: tuple[Path, Path]) -> None:
+    content = pair[1].read_bytes()
+    pair[1].write_bytes(content[: len(content) // 2])
+    assert "not strict JSON" in refused(pair)
+
+
+def test_a_record_that_was_edited_is_refused(pair: tuple[Path, Path]) -> None:
+    pair[1].write_text(pair[1].read_text().replace('"duration_ms": ', '"duration_ms": 1', 1))
+    assert "the digest does not match: the file has been changed" in refused(pair)
+
+
+def test_a_certificate_that_was_edited_is_refused(pair: tuple[Path, Path]) -> None:
+    pair[0].write_text(pair[0].read_text().replace('"awarded": null', '"awarded": "Gold"'))
+    assert "predicate.otmcp.level.awarded is 'Gold', from the run follows None" in refused(pair)
+
+
+Change = Callable[[dict[str, Any]], object]
+
+
+def item(run: dict[str, Any], identifier: str) -> dict[str, Any]:
+    return next(entry for entry in run["items"] if entry["id"] == identifier)
+
+
+def first_call(run: dict[str, Any], identifier: str) -> dict[str, Any]:
+    call: dict[str, Any] = item(run, identifier)["samples"][0]["calls"][0]
+    return call
+
+
+def request(run: dict[str, Any], identifier: str) -> dict[str, Any]:
+    """What the first request of an item was, as the device noted it."""
+    entries = item(run, identifier)["samples"][0]["device"]
+    found: dict[str, Any] = next(entry for entry in entries if entry.get("kind") == "request")
+    return found
+
+
+FORGERIES: list[tuple[str, Change]] = [
+    (
+        "a value that the adapter reported",
+        lambda run: first_call(run, "M2")["envelope"]["data"].update(values=[1, 2, 3, 4]),
+    ),
+    ("what the adapter was asked for", lambda run: first_call(run, "M2")["arguments"].update(address=1)),
+    ("whether a call was right", lambda run: first_call(run, "M2").update(ok=False)),
+    ("a refusal made a success", lambda run: first_call(run, "FM1")["envelope"].update(success=True, error=None)),
+    ("the code of an error", lambda run: first_call(run, "FM1").update(error_code="timeout")),
+    ("which register the device was asked for", lambda run: request(run, "M2").update(address=7, pdu="0400070004")),
+    ("a request that reached the device", lambda run: item(run, "M2")["samples"][0]["device"].clear()),
+    ("a write at the read-only device", lambda run: item(run, "M4")["samples"][0]["device"].append(request(run, "M3"))),
+    ("how long a repetition took", lambda run: item(run, "M2")["samples"][0].update(duration_ms=0.001)),
+    ("what an item is about", lambda run: item(run, "M2").update(title="Read whatever there is.")),
+    ("an item that is said not to apply", lambda run: item(run, "M2").update(status="NOT_APPLICABLE")),
+    ("the seed of the values", lambda run: run["settings"].update(seed=0)),
+    ("the count of tool calls", lambda run: run["footer"]["tool_calls"].update(task=1)),
+    ("whether the suite was narrowed", lambda run: run["settings"].update(narrowed=["-k M1"])),
+    ("the kit that judged", lambda run: run["kit"].update(version="9.9.9")),
+]
+
+
+@pytest.mark.parametrize("change", [change for _, change in FORGERIES], ids=[name for name, _ in FORGERIES])
+def test_a_record_that_was_changed_sealed_and_certified_again_is_refused(
+    pair: tuple[Path, Path], change: Change
+) -> None:
+    run = load(pair[1])
+    change(run)
+    run["footer"]["digest"] = digest(run)
+    pair[1].write_text(json.dumps(run))
+    with pytest.raises(cli.Refusal, match=r"is about another run|the footer counts"):
+        verify(*pair)
+    # A forger who knows this kit makes the certificate as well: now only the run can contradict itself.
+    sha256 = hashlib.sha256(pair[1].read_bytes()).hexdigest()
+    statement = json.loads(pair[0].read_text())
+    if objections(run, tasks_by_id()):
+        statement["predicate"]["configuration"][2]["digest"]["sha256"] = sha256
+    else:
+        statement = certificate(run, sha256, tasks_by_id())
+    pair[0].write_text(json.dumps(statement))
+    with pytest.raises(cli.Refusal, match="refused: ") as refusal:
+        verify(*pair)
+    assert "is about another run.json" not in str(refusal.value)

@@ -1,0 +1,36 @@
+"""Journal entries for the tests of decoders and oracles: decoded from frames as the tap does it, or written by hand."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pytest_otmcp.plant.tap.journal import TapJournal
+from pytest_otmcp.protocols.conversation import Conversation, Direction
+
+Entry = Any
+"""An entry of any protocol; a type of its own would make every test say which."""
+
+
+def decoded(conversation: Conversation, *frames: tuple[Direction, bytes], connection: int = 1) -> list[Entry]:
+    """Return the journal of a connection on which these frames passed."""
+    journal = TapJournal()
+    for direction, frame in frames:
+        journal.frame(connection, direction, frame, None, conversation)
+    return journal.since(0)
+
+
+def entry(kind: str, direction: Direction = "in", **fields: Any) -> Entry:
+    """Return an entry of connection 1 that is no request, but for what ``fields`` say."""
+    contract = {"seq": 0, "t_ns": 0, "connection": 1, "request": False, "state_changing": False, "answers": None}
+    return {**contract, "direction": direction, "kind": kind, "origin": "client", **fields}
+
+
+def numbered(*entries: Entry) -> list[Entry]:
+    """Return the entries as one journal."""
+    return [{**one, "seq": seq} for seq, one in enumerate(entries)]
+
+
+def journal(*entries: Entry, **common: Any) -> list[Entry]:
+    """Return partial entries as one journal: each gets the contract's fields that it does not have."""
+    contract = entry("", **common)
+    return [{**contract, "t_ns": seq, **one, "seq": seq} for seq, one in enumerate(entries)]

@@ -1,0 +1,118 @@
+"""The oracles of Modbus: exchanges of the specification as the tap records them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from pytest_otmcp.protocols.conversation import Direction
+from pytest_otmcp.protocols.modbus import oracle
+from pytest_otmcp.protocols.modbus.decoder import ModbusConversation
+from pytest_otmcp.protocols.modbus.entries import points
+
+from .journals import Entry, decoded
+
+
+def journal(*exchanges: str) -> list[Entry]:
+    """Entries of "request -> response" exchanges, PDUs in hex; "-> ?" for no answer."""
+    frames: list[tuple[Direction, bytes]] = []
+    for number, exchange in enumerate(exchanges, start=1):
+        request, _, response = exchange.partition(" -> ")
+        frames.append(("in", frame(request, transaction=number)))
+        if response != "?":
+            frames.append(("out", frame(response, transaction=number)))
+    return decoded(ModbusConversation(), *frames)
+
+
+def frame(pdu: str, *, transaction: int) -> bytes:
+    body = bytes.fromhex(pdu)
+    return transaction.to_bytes(2) + b"\0\0" + (len(body) + 1).to_bytes(2) + b"\1" + body
+
+
+READ = "04 0000 0002 -> 04 04 00010002"
+WRITE = "06 0001 0028 -> 06 0001 0028"
+WRITE_MANY = "10 0001 0001 02 0028 -> 10 0001 0001"
+MISSING = "03 270F 0001 -> 83 02"
+
+
+def words(findings: list[Any]) -> str:
+    (finding,) = findings
+    return f"{finding.message} [{finding.requirement}] {finding.evidence or ''}"
+
+
+def test_an_exchange_needs_a_request_and_its_answer() -> None:
+    assert oracle.some_exchange(journal(READ)) == []
+    assert "it saw none" in words(oracle.some_exchange([]))
+    assert "it answered 0 of 1" in words(oracle.some_exchange(journal("03 0000 0001 -> ?")))
+
+
+def test_one_request_means_one() -> None:
+    assert oracle.exactly_one_request(journal(READ, MISSING), function=4, address=0, quantity=2) == []
+    twice = words(oracle.exactly_one_request(journal(READ, READ), function=4, address=0, quantity=2))
+    assert "should have seen 1 request(s) with function 4, address 0, quantity 2, it saw 2" in twice
+    assert "FC 04 address 0 quantity 2; FC 04 address 0 quantity 2" in twice
+    assert "it saw 0" in words(oracle.exactly_one_request(journal(READ), function=4, address=1))
+    assert oracle.request_count(journal(READ, READ), function=4, count=2) == []
+
+
+@pytest.mark.parametrize("exchange", [WRITE, WRITE_MANY])
+def test_a_write_counts_whichever_function_it_uses(exchange: str) -> None:
+    assert oracle.exactly_one_write(journal(READ, exchange), "holding_registers", address=1, values=[40]) == []
+
+
+def test_a_write_that_is_repeated_or_another_one_is_found() -> None:
+    twice = words(oracle.exactly_one_write(journal(WRITE, WRITE), "holding_registers", address=1, values=[40]))
+    assert "one write of [40] to holding_registers 1, it saw 2" in twice
+    assert "[WR-003]" in twice
+    for address, values, table in ((2, [40], "holding_registers"), (1, [41], "holding_registers")):
+        assert "it saw another write" in words(
+            oracle.exactly_one_write(journal(WRITE), table, address=address, values=values)
+        )
+    assert "it saw 0" in words(oracle.exactly_one_write(journal(READ), "holding_registers", address=1, values=[40]))
+    coil = journal("05 0001 FF00 -> 05 0001 FF00")
+    assert oracle.exactly_one_write(coil, "coils", address=1, values=[True]) == []
+    assert oracle.exactly_one_write(coil, "coils", address=1, values=[1]) != []
+
+
+@pytest.mark.parametrize(
+    "pdu", ["05 0001 FF00", "06 0001 0028", "0F 0000 0001 01 01", "10 0001 0001 02 0028", "16 0001 0000 FFFF",
+            "17 0000 0001 0001 0001 02 0028"]
+)  # fmt: skip
+def test_every_state_changing_function_is_a_write_also_without_an_answer(pdu: str) -> None:
+    assert oracle.no_state_changing_request(journal(READ, MISSING)) == []
+    assert "should have seen no state-changing request, it saw 1" in words(
+        oracle.no_state_changing_request(journal(f"{pdu} -> ?"))
+    )
+
+
+def test_an_exception_is_seen_by_its_code() -> None:
+    assert oracle.exception_sent(journal(MISSING), 2) == []
+    assert "exception 03, its answers were [2]" in words(oracle.exception_sent(journal(MISSING), 3))
+    assert "exception 02, its answers were none" in words(oracle.exception_sent([], 2))
+
+
+def image(**changes: int) -> dict[str, Any]:
+    registers = [0] * 10
+    for name, value in changes.items():
+        registers[int(name.removeprefix("r"))] = value
+    cells = points("holding_registers", 0, registers) | points("coils", 0, [False, True])
+    return {"points": cells}
+
+
+def test_images_are_compared_cell_by_cell() -> None:
+    assert oracle.only_changed(image(), image(r1=40), points("holding_registers", 1, [40])) == []
+    assert oracle.only_changed(image(r3=7), image(r3=7), {}) == []
+    neighbour = oracle.only_changed(image(), image(r1=40, r2=40), points("holding_registers", 1, [40]))
+    assert "1/holding_registers/2 should hold 0, the device holds 40 [WR-002]" in words(neighbour)
+    unwritten = oracle.only_changed(image(), image(), points("holding_registers", 1, [40]))
+    assert "should hold 40, the device holds 0 [WR-001]" in words(unwritten)
+    assert len(oracle.only_changed(image(), {"points": points("holding_registers", 0, [1] * 10)}, {})) == 5
+
+
+def test_the_image_is_asked_for_values_of_the_right_type() -> None:
+    assert oracle.image_holds(image(r1=40, r2=41), "holding_registers", 1, [40, 41]) == []
+    assert oracle.image_holds(image(), "coils", 1, [True]) == []
+    assert "1/coils/1 should hold 1, the device holds True" in words(oracle.image_holds(image(), "coils", 1, [1]))
+    nowhere = oracle.image_holds(image(), "holding_registers", 1, [0], unit=9)
+    assert "9/holding_registers/1 should hold 0, the device has no such point" in words(nowhere)

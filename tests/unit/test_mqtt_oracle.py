@@ -1,0 +1,161 @@
+"""The oracles of MQTT, on entries by hand."""
+
+from __future__ import annotations
+
+import base64
+from typing import Any
+
+from pytest_otmcp.protocols.mqtt import oracle
+
+from .journals import Entry
+from .journals import journal as contract
+
+
+def b64(data: bytes) -> str:
+    return base64.b64encode(data).decode()
+
+
+# Answers to what they answer.
+ANSWERS = {"PINGRESP": "PINGREQ", "SUBACK": "SUBSCRIBE"}
+
+
+def journal(*packets: Entry) -> list[Entry]:
+    """A broker's journal: who asks for what, and which packet answers which."""
+    entries = contract(*packets, client_id="adapter")
+    asked: dict[Any, int] = {}
+    for entry in entries:
+        key = (entry["connection"], ANSWERS.get(entry["kind"], entry["kind"]), entry.get("packet_id"))
+        if entry["direction"] == "in":
+            entry["request"] = entry["origin"] == "client" and entry["kind"] in ("PINGREQ", "SUBSCRIBE", "PUBLISH")
+            entry["state_changing"] = entry["request"] and entry["kind"] == "PUBLISH"
+            asked[key] = entry["seq"]
+        elif entry["kind"] in ANSWERS:
+            entry["answers"] = asked.pop(key, None)
+    return entries
+
+
+def publish(payload: bytes = b"50", **fields: Any) -> Entry:
+    defaults = {"direction": "in", "kind": "PUBLISH", "topic": "control/pump", "qos": 0, "retain": False, "dup": False}
+    return {**defaults, "packet_id": None, "payload": b64(payload), **fields}
+
+
+def sent(kind: str, **fields: Any) -> Entry:
+    return {"direction": "in", "kind": kind, **fields}
+
+
+def answered(kind: str, **fields: Any) -> Entry:
+    return {"direction": "out", "kind": kind, **fields}
+
+
+MOCK: Entry = {"origin": "plant", "client_id": "otmcp-mock-edge-node-1", "connection": 9}
+KIT: Entry = {"origin": "kit", "client_id": "otmcp-kit", "connection": 0}
+SUBSCRIBED = (
+    sent("SUBSCRIBE", packet_id=3, filters=[{"filter": "x", "qos": 0}, {"filter": "sensors/#", "qos": 1}]),
+    answered("SUBACK", packet_id=3, reason_codes=[0x80, 1]),
+)
+
+
+def words(findings: list[Any]) -> str:
+    (finding,) = findings
+    return f"{finding.message} [{finding.requirement}] {finding.evidence or ''}"
+
+
+def test_an_exchange_is_a_request_of_the_adapter_and_its_answer() -> None:
+    ping = (sent("PINGREQ"), answered("PINGRESP"))
+    assert oracle.exchange(journal(*ping)) == []
+    assert oracle.exchange(journal(*SUBSCRIBED, *ping), at_least=2) == []
+    for entries in (
+        journal(sent("PINGREQ")),
+        journal(answered("PINGRESP")),
+        journal(sent("SUBSCRIBE", packet_id=1, filters=[]), answered("SUBACK", packet_id=2, reason_codes=[0])),
+        journal(*({**entry, **MOCK} for entry in ping)),
+    ):
+        found = words(oracle.exchange(entries))
+        assert "the broker should have answered at least 1 request(s) during the call(s), it " in found
+        assert "[RD-004]" in found
+
+
+def test_a_subscription_counts_when_the_broker_grants_it_as_asked() -> None:
+    assert oracle.subscribed(journal(*SUBSCRIBED), filter="sensors/#", qos=1) == []
+    assert "it answered with reason code 0x80" in words(oracle.subscribed(journal(*SUBSCRIBED), filter="x", qos=0))
+    assert "reason code 0x01" in words(oracle.subscribed(journal(*SUBSCRIBED), filter="sensors/#", qos=2))
+    assert "it saw no SUBSCRIBE" in words(oracle.subscribed(journal(), filter="x", qos=0))
+    unanswered = words(oracle.subscribed(journal(SUBSCRIBED[0]), filter="x", qos=0))
+    assert "it saw SUBSCRIBE for [['x', 'sensors/#']]" in unanswered
+    assert "[MQT-002]" in unanswered
+
+
+def test_a_message_counts_as_delivered_to_the_adapter_only() -> None:
+    delivery = publish(b"nonce", direction="out", topic="sensors/t")
+    assert oracle.delivered(journal(delivery), topic="sensors/t", payload=b"nonce") == []
+    nobody = oracle.delivered(journal({**delivery, **MOCK}), topic="sensors/t", payload=b"nonce")
+    assert "the broker had nobody to send it to [MQT-004]" in words(nobody)
+    assert "the broker sent it ['sensors/t']" in words(
+        oracle.delivered(journal(delivery), topic="sensors/t", payload=b"x")
+    )
+
+
+def test_a_publication_counts_once_and_as_it_was_asked_for() -> None:
+    wanted: dict[str, Any] = {"topic": "control/pump", "payload": b"50"}
+    others = (publish(b"noise", **KIT), publish(b"noise", **MOCK), publish(b"noise", direction="out"))
+    assert oracle.published_once(journal(publish(), *others), **wanted) == []
+    assert oracle.published_once(journal(publish(qos=1, packet_id=4)), qos=1, **wanted) == []
+    never = words(oracle.published_once(journal(*others), **wanted))
+    assert "b'50' on 'control/pump' once and nothing else, it received 0 message(s) [MQT-001]" in never
+    twice = words(oracle.published_once(journal(publish(), publish(dup=True)), **wanted))
+    assert "it received 2 message(s) [WR-003]" in twice
+    assert "< PUBLISH 'control/pump' QoS 0 b'50'; < PUBLISH" in twice
+    for wrong in (publish(b"51"), publish(topic="control/pump2")):
+        assert "it received 1 message(s) [MQT-001]" in words(oracle.published_once(journal(wrong), **wanted))
+    retained = words(oracle.published_once(journal(publish(retain=True)), **wanted))
+    assert "with QoS 0 and not retained, it came with QoS 0 and retained [MQT-003]" in retained
+
+
+def test_a_packet_that_must_not_come_is_found_also_when_it_is_malformed() -> None:
+    assert oracle.no_packet(journal(*SUBSCRIBED, publish(**KIT)), "PUBLISH", direction="in") == []
+    assert "no PUBLISH from the adapter, it saw 1 [ERR-006]" in words(oracle.no_packet(journal(publish()), "PUBLISH"))
+    malformed = sent("malformed", packet="SUBSCRIBE", reason="SUBSCRIBE 't' with the options 0x05")
+    assert "the options 0x05" in words(oracle.no_packet(journal(malformed), "SUBSCRIBE"))
+    assert oracle.no_packet(journal(malformed), "PUBLISH") == []
+    assert oracle.no_packet(journal(publish(direction="out")), "PUBLISH", direction="out") != []
+
+
+def test_a_session_that_ends_is_found() -> None:
+    assert oracle.session_stays_up(journal(*SUBSCRIBED, sent("DISCONNECTED", **MOCK))) == []
+    ended = words(oracle.session_stays_up(journal(sent("DISCONNECT"), sent("DISCONNECTED"))))
+    assert "should have stayed up, it ended with DISCONNECT and DISCONNECTED [ADR-006]" in ended
+
+
+def test_a_connection_made_for_one_call_may_end_in_an_orderly_way() -> None:
+    call = (sent("CONNECT"), sent("DISCONNECT"), sent("DISCONNECTED"))
+    assert oracle.session_stays_up(journal(*call)) == []
+    dropped = (sent("CONNECT"), sent("malformed", packet="PUBLISH", reason="empty topic"), sent("DISCONNECTED"))
+    assert oracle.session_stays_up(journal(*dropped)) != []
+    assert oracle.session_stays_up(journal(sent("CONNECT"), sent("DISCONNECTED"))) != []
+
+
+def test_a_subscription_lasts_until_it_is_ended_or_its_connection_is() -> None:
+    any_qos: dict[str, Any] = {"filter": "sensors/#", "qos": None}
+    assert oracle.subscribed(journal(*SUBSCRIBED, publish()), **any_qos) == []
+    ended = sent("UNSUBSCRIBE", packet_id=4, filters=[{"filter": "sensors/#"}])
+    assert oracle.subscribed(journal(*SUBSCRIBED, ended), **any_qos) != []
+    assert oracle.subscribed(journal(*SUBSCRIBED, sent("DISCONNECTED")), **any_qos) != []
+    lowered = (
+        sent("SUBSCRIBE", packet_id=5, filters=[{"filter": "sensors/#", "qos": 0}]),
+        answered("SUBACK", packet_id=5, reason_codes=[0]),
+    )
+    assert oracle.subscribed(journal(*SUBSCRIBED, *lowered), filter="sensors/#", qos=1) != []
+    assert oracle.subscribed(journal(*SUBSCRIBED), filter="x", qos=None) != []
+
+
+def test_a_message_that_was_reported_as_failed_must_never_come() -> None:
+    assert oracle.never_published(journal(publish(b"other"), publish(b"50", **KIT)), b"50") == []
+    late = words(oracle.never_published(journal(publish(b"50", topic="somewhere", dup=True)), b"50"))
+    assert "should never have been published, the broker received it 1 time(s) [WR-010]" in late
+
+
+def test_a_quality_of_service_that_cannot_be_asked_for_may_be_any() -> None:
+    wanted: dict[str, Any] = {"topic": "control/pump", "payload": b"50", "qos": None}
+    assert oracle.published_once(journal(publish(qos=1, packet_id=4)), **wanted) == []
+    retained = words(oracle.published_once(journal(publish(retain=True)), **wanted))
+    assert "b'50' on 'control/pump' retained" not in retained

@@ -1,0 +1,171 @@
+"""The oracles of OPC UA, on entries by hand."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+from pytest_otmcp.protocols.opcua import oracle
+
+from .journals import Entry, journal
+
+VALVE = "ns=2;s=ValvePosition"
+SERVER_STATE = "i=2259"
+
+
+def asked(kind: str, *nodes: Any, **fields: Any) -> Entry:
+    request = kind not in ("CreateSession", "ActivateSession", "CONNECTED")
+    changing = kind in ("Write", "Call")
+    fixed = {"direction": "in", "kind": kind, "request": request, "state_changing": changing}
+    return journal({**fixed, "nodes": list(nodes), **fields})[0]
+
+
+def read(*nodes: str) -> Entry:
+    return asked("Read", *({"node_id": node, "attribute": "Value"} for node in nodes))
+
+
+def write(value: Any = 25.0, node: str = VALVE, **fields: Any) -> Entry:
+    return asked("Write", {"node_id": node, "attribute": "Value", "value": value, **fields})
+
+
+def answer(kind: str, *results: Any, **fields: Any) -> Entry:
+    return journal({"direction": "out", "kind": kind, "results": list(results), **fields})[0]
+
+
+def words(findings: list[Any]) -> str:
+    (finding,) = findings
+    return f"{finding.message} [{finding.requirement}] {finding.evidence or ''}"
+
+
+def test_reading_the_plant_is_not_watching_the_server() -> None:
+    journal = [asked("CreateSession"), read(SERVER_STATE), read(VALVE, "ns=2;s=Temperature")]
+    assert oracle.read_from_device(journal, VALVE) == []
+    assert oracle.read_from_device(journal, None, at_least=2) == []
+    assert "should have seen 3 read(s) of a value, there were 2 [RD-004]" in words(
+        oracle.read_from_device(journal, None, at_least=3)
+    )
+    assert "1 read(s) of ns=2;s=X, there were 0" in words(oracle.read_from_device(journal, "ns=2;s=X"))
+    assert "Read i=2259" in words(oracle.read_from_device(journal, "ns=2;s=X"))
+
+
+def test_keeping_a_session_is_no_service_to_the_plant() -> None:
+    keeping = [asked("CreateSession"), asked("ActivateSession"), asked("CONNECTED")]
+    assert "should have seen a service request [RD-004] no request" in words(oracle.some_service(keeping))
+    assert oracle.some_service([*keeping, read(VALVE)]) == []
+
+
+def test_one_service_means_one() -> None:
+    assert oracle.exactly_one_service([read(VALVE), read("ns=2;s=Other")], "Read", node=VALVE) == []
+    assert "one Read of ns=2;s=ValvePosition, it saw 2" in words(
+        oracle.exactly_one_service([read(VALVE)] * 2, "Read", node=VALVE)
+    )
+    assert oracle.browsed([asked("Browse", "ns=2;i=5")], "ns=2;i=5") == []
+    assert "a Browse of ns=2;i=6" in words(oracle.browsed([asked("Browse", "ns=2;i=5")], "ns=2;i=6"))
+
+
+def test_a_status_is_found_in_items_and_in_faults() -> None:
+    items = [answer("Read", {"status": "BadNodeIdUnknown", "value": None})]
+    assert oracle.result_status(items, "Read", "BadNodeIdUnknown") == []
+    assert oracle.result_status([answer("Write", "BadTypeMismatch")], "Write", "BadTypeMismatch") == []
+    assert (
+        oracle.result_status([answer("Read", service_result="BadSessionIdInvalid")], "Read", "BadSessionIdInvalid")
+        == []
+    )
+    assert "with BadNotWritable, its answers were ['BadNodeIdUnknown']" in words(
+        oracle.result_status(items, "Read", "BadNotWritable")
+    )
+    assert "its answers were none" in words(oracle.result_status([], "Read", "Good"))
+
+
+def test_a_write_counts_once_with_its_value_and_nothing_else() -> None:
+    assert oracle.exactly_one_write([read(VALVE), write(), answer("Write", {"status": "Good"})], VALVE, 25.0) == []
+    assert oracle.exactly_one_write([write(25)], VALVE, 25.0) == []
+    for entries, problem in (
+        ([write(), write()], "it saw 2 [WR-003]"),
+        ([read(VALVE)], "it saw 0 [WR-001]"),
+        ([asked("Call")], "it saw Call []"),
+        ([write(26.0)], "it saw Write [['ns=2;s=ValvePosition', 'Value', 26.0]]"),
+        ([write(True)], "it saw Write [['ns=2;s=ValvePosition', 'Value', True]]"),
+        ([write(has_timestamp=True)], "a timestamp was written with it [OUA-005]"),
+        ([write(), answer("Write", "BadTypeMismatch")], "the server refused it with BadTypeMismatch"),
+    ):
+        assert problem in words(oracle.exactly_one_write(entries, VALVE, 25.0))
+    assert "it saw" in words(oracle.exactly_one_write([write(1)], VALVE, True))
+
+
+def test_nothing_that_changes_the_plant_may_arrive() -> None:
+    assert oracle.no_state_changing_service([read(VALVE), asked("Browse", "i=85")]) == []
+    assert "no state-changing request, it saw 1 [WR-004] Write" in words(oracle.no_state_changing_service([write()]))
+
+
+def image(**values: Any) -> dict[str, Any]:
+    held = {"ValvePosition": 10.0, "PumpEnabled": False, "Ratio": 0.5, **values}
+    variables = {
+        f"ns=2;s={name}": {
+            "browse_name": name,
+            "parent": "ns=2;s=Actuators",
+            "value": value,
+            "data_type": "Float" if name == "Ratio" else "Double",
+        }
+        for name, value in held.items()
+        if value is not ...
+    }
+    points = {node: variable["value"] for node, variable in variables.items()}
+    return {
+        "points": points,
+        "variables": variables,
+        "folders": {"Actuators": "ns=2;s=Actuators", "Sensors": "ns=2;s=Sensors"},
+    }
+
+
+def test_images_are_compared_node_by_node_with_their_types() -> None:
+    assert oracle.only_changed(image(), image(ValvePosition=25.0), {VALVE: 25.0}) == []
+    assert (
+        oracle.only_changed(image(), image(Ratio=struct.unpack("f", struct.pack("f", 0.1))[0]), {"ns=2;s=Ratio": 0.1})
+        == []
+    )
+    neighbour = oracle.only_changed(image(), image(ValvePosition=25.0, PumpEnabled=True), {VALVE: 25.0})
+    assert "ns=2;s=PumpEnabled should hold False, the server holds True [WR-002]" in words(neighbour)
+    assert "should hold False, the server holds 0" in words(oracle.only_changed(image(), image(PumpEnabled=0), {}))
+    assert "ns=2;s=PumpEnabled should hold False, the server has no such point" in words(
+        oracle.only_changed(image(), image(PumpEnabled=...), {})
+    )
+    unwritten = oracle.only_changed(image(), image(), {VALVE: 25.0})
+    assert "should hold 25.0, the server holds 10.0 [WR-001]" in words(unwritten)
+
+
+def test_an_image_is_asked_for_one_value() -> None:
+    assert oracle.image_holds(image(), VALVE, 10) == []
+    assert oracle.image_holds(image(PumpEnabled=True), "ns=2;s=PumpEnabled", True) == []
+    assert "should hold 1, the server holds True" in words(
+        oracle.image_holds(image(PumpEnabled=True), "ns=2;s=PumpEnabled", 1)
+    )
+    assert "the server has no such point" in words(oracle.image_holds(image(), "ns=2;s=X", 1))
+
+
+def test_browsing_has_to_give_every_name_with_its_own_id() -> None:
+    children = oracle.children_of(image(), "Actuators")
+    assert children == {name: f"ns=2;s={name}" for name in ("ValvePosition", "PumpEnabled", "Ratio")}
+    assert oracle.children_of(image(), "Sensors") == {}
+    ids, names = list(children.values()), [f"2:{name}" for name in children]
+    assert oracle.names_and_ids_agree(ids, names, children) == []
+    assert oracle.names_and_ids_agree([*ids, "ns=2;s=More"], [*names, "More"], children) == []
+    crossed = oracle.names_and_ids_agree(ids[::-1], names, children)
+    assert (
+        "2 of 3 nodes are missing or wrong; ValvePosition should be ns=2;s=ValvePosition, it is ns=2;s=Ratio"
+        in words(crossed)
+    )
+    for wrong_ids, wrong_names in ((None, None), (ids, names[:2]), ([], [])):
+        assert "3 of 3 nodes are missing or wrong" in words(
+            oracle.names_and_ids_agree(wrong_ids, wrong_names, children)
+        )
+
+
+def test_an_enumeration_is_complete_and_without_repeats() -> None:
+    nodes = list(image()["variables"])
+    assert oracle.complete_enumeration([*nodes, "i=2259"], image()) == []
+    assert "all 3 variables should be listed once: 1 missing, for instance ns=2;s=Ratio" in words(
+        oracle.complete_enumeration(nodes[:2], image())
+    )
+    assert "ns=2;s=Ratio is listed twice" in words(oracle.complete_enumeration([*nodes, "ns=2;s=Ratio"], image()))
+    assert "3 missing" in words(oracle.complete_enumeration("text", image()))
