@@ -248,6 +248,8 @@ class _Scanner:
         text = line.removeprefix(b' "footer": ')
         if text.endswith(b",\n"):
             last = self._file.readline()
+            if not last.endswith(b"}}\n"):
+                raise ValueError("the file ends in the midst of a line")
             self.footer = check(
                 parse_strict(text[:-2] + b"," + last.rstrip(b"\n").removesuffix(b"}")), Footer, "the footer"
             )

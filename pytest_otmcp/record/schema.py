@@ -220,24 +220,27 @@ class Settings(TypedDict):
 
 
 class Endpoint(TypedDict):
-    """Where adapters connected."""
+    """Where adapters reached a device: a port of a host, or the path of a pseudo terminal."""
 
+    name: str
+    kind: Literal["tcp", "udp", "pty"]
     host: str
-    port: str
-    url: str
+    port: Count
+    path: str
 
 
 class Device(TypedDict):
     """One device of the run: which adapter variant had it, in which process of pytest, and where it listened.
 
+    ``endpoints``: the main one first. ``placeholders``: what ``{host}``, ``{port}`` and ``{url}`` of the subject file stood for.
     ``first``: sequence number at which its journal begins to be the run's; 0 for a device that the run itself has started.
     """
 
     protocol: str
     variant: str
     worker: str
-    transport: Literal["tcp", "udp"]
-    endpoint: Endpoint
+    endpoints: list[Endpoint]
+    placeholders: dict[str, str]
     first: Count
 
 
@@ -347,7 +350,7 @@ Change = tuple[list[str | int], Any]
 
 
 class Observation(TypedDict):
-    """One look at a device, between ``asked_ns`` and ``seen_ns``; ``at`` names the adapter, such as ``modbus@ro``.
+    """One look at a device, between ``asked_ns`` and ``seen_ns``; ``at`` names the adapter: its protocol, with ``@ro`` for the one with writes disabled.
 
     It has one further member, which says what was seen without repeating what the record has elsewhere:
 

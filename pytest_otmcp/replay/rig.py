@@ -224,7 +224,7 @@ class ReplayRig(Rig):
         return recorded_reply(
             call,
             cases=self._place.adapter.bindings.get(operation),
-            endpoint=cast(Mapping[str, str], self._place.history.facts["endpoint"]),
+            endpoint=self._place.history.facts["placeholders"],
             deadline_s=self._place.adapter.deadline_s,
         )
 

@@ -124,7 +124,7 @@ def _wanted(run: Run) -> tuple[dict[str, _Ids], _Ids]:
 
 
 def _capabilities(item: Item) -> Collection[str]:
-    if "capabilities" in item:
+    if item["capabilities"]:
         return [str(name) for name in item["capabilities"]]
     # A record of an earlier kit does not say; the task of that id does.
     task = all_tasks().get(item["id"])

@@ -323,13 +323,6 @@ class Adapter:
     deadline_s: float
     start_timeout_s: float
 
-    def why_not_claimed(self, facet: str) -> str | None:
-        """Return the reason why the subject does not claim a facet; None when it does."""
-        if facet in self.unclaimed:
-            return self.unclaimed[facet]
-        operation = facet.partition(".")[0]
-        return self.unclaimed.get(operation)
-
     def why_not_testable(self, facet: str) -> str | None:
         """Return what is missing for a claimed facet to be exercised; None when nothing is."""
         operation, _, optional = facet.partition(".")

@@ -142,13 +142,21 @@ class AdapterUnderTest:
 
     def device_facts(self) -> DeviceFacts:
         """What ``run.json`` says about the device."""
-        host, port, url = (self.endpoint[name] for name in ("host", "port", "url"))
         return {
             "protocol": self.adapter.protocol,
             "variant": self.variant,
             "worker": self._options.worker,
-            "transport": "tcp",
-            "endpoint": {"host": host, "port": port, "url": url},
+            "endpoints": [
+                {
+                    "name": endpoint.name,
+                    "kind": endpoint.kind,
+                    "host": endpoint.host,
+                    "port": endpoint.port,
+                    "path": endpoint.path,
+                }
+                for endpoint in self.device.endpoints.values()
+            ],
+            "placeholders": self.endpoint,
             "first": self.first,
         }
 

@@ -28,6 +28,7 @@ class JournalCursor:
     Attributes:
         next: sequence number at which the next slice begins.
         fed: sequence number before which the session's oracles have seen everything.
+        released: sequence number before which the device has forgotten everything.
         starts: how often the device was started again.
         connected: that session is open.
         looked_through: everything before ``next`` has been looked at, and since then nobody has called the adapter.
@@ -38,6 +39,7 @@ class JournalCursor:
         self._oracles: dict[type[SessionOracle], SessionOracle] = {}
         self.next = first
         self.fed = first
+        self.released = first
         self.starts = 0
         self._sessions = 0
         self._began: int | None = None
@@ -68,7 +70,7 @@ class JournalCursor:
     def restart(self) -> None:
         """Begin a journal that counts from 0 again, as a device that was started has it."""
         self.starts += 1
-        self.next = self.fed = 0
+        self.next = self.fed = self.released = 0
         if self._began is not None:
             self._began = 0
             self._oracles = {kind: kind() for kind in self._kinds}

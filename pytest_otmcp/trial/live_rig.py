@@ -24,6 +24,10 @@ from .rig import Entry, FreshSession, Rig
 __all__ = ["LiveItemState", "LiveRig"]
 
 
+_RELEASED_AT_ONCE = 1000
+"""Entries of a journal: to let the device forget takes a question of its own, which most repetitions shall not have to wait for."""
+
+
 class LiveItemState:
     """An adapter under test and its device during one item.
 
@@ -57,7 +61,14 @@ class LiveItemState:
         }
         self.told_session = cursor.session
         cursor.take(journal.entries, journal.next)
-        await device.forget(journal.next)
+        await self.release()
+
+    async def release(self) -> None:
+        """Let the device forget what has been taken, now and then: it need not keep what the record has."""
+        cursor = self.station.cursor
+        if cursor.next - cursor.released >= _RELEASED_AT_ONCE:
+            await self.station.device.forget(cursor.next)
+            cursor.released = cursor.next
 
     @property
     def entered(self) -> bool:
@@ -238,6 +249,5 @@ class LiveRig(Rig):
         journal = await self.device.journal(self._cursor.next)
         self._cursor.take(journal.entries, journal.next)
         self._noted({"end": journal.next}, asked_ns)
-        # The device need not keep what the record has.
-        await self.device.forget(journal.next)
+        await self._place.release()
         return journal.entries

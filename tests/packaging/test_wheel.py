@@ -10,7 +10,8 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from pytest_otmcp.record.run_file import load
+
+from pytest_otmcp.record import load
 
 from .conftest import CHECKOUT, FOLDERS
 

@@ -88,7 +88,7 @@ def item(
         "suite": suite,
         "family": family,
         "title": title,
-        "capabilities": [],
+        "capabilities": list(all_tasks()[identifier].capabilities) if identifier in all_tasks() else [],
         "requirements": [],
         "status": "FAIL" if failing else "PASS",
         "reason": None,

@@ -9,6 +9,7 @@ from typing import Any
 
 from pytest_otmcp.session.exchange import Exchange
 from pytest_otmcp.subject.model import Answering
+from pytest_otmcp.trial.cursor import JournalCursor
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Expectation, Reply, observe
 from pytest_otmcp.trial.rig import Rig
@@ -22,7 +23,7 @@ class Scripted(Rig):
     accepting_ns = 0
 
     def __init__(self, *answers: tuple[bool, float, float]) -> None:
-        super().__init__("modbus", "rw")
+        super().__init__("modbus", "rw", JournalCursor("modbus"))
         self._answers: Iterator[tuple[bool, float, float]] = iter(answers)
 
     async def _perform(self, operation: str, inputs: Any) -> Reply:

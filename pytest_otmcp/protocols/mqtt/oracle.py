@@ -65,6 +65,7 @@ class Subscriptions(SessionOracle):
             elif packet["kind"] == "DISCONNECTED":
                 for connections in self._granted.values():
                     connections.pop(connection, None)
+                self._waiting = {key: wanted for key, wanted in self._waiting.items() if key[0] != connection}
 
     def granted(self, filter: str, *, qos: int | None) -> list[Finding]:
         """The adapter is subscribed to this filter, granted with this QoS (None is any), on a connection that still lives."""
