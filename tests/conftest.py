@@ -1,52 +1,26 @@
-"""Leaves the long tests out of a test run that does not ask for them, and says how many there are; starts adapters warm.
-
-Long are tests marked ``long``: they need LaTeX, a browser, a foreign broker, packages from an index, a built wheel, or
-30 repetitions of the suite. ``pytest tests -m long`` runs them; ``.ci/run`` runs the others first and then these.
-"""
+"""What all tests have in common: the long ones are left out unless they are asked for, and adapters can be started warm."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import pytest
 
+from .long_tests import (
+    pytest_collection_modifyitems,
+    pytest_sessionfinish,
+    pytest_terminal_summary,
+    pytest_testnodedown,
+)
 from .warm_start import WarmStart
 
-LEFT_OUT = pytest.StashKey[int]()
-"""Number of long tests that were left out of this run."""
-
-_OF_WORKER = "long_tests_left_out"
-
-
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Deselect the long tests, unless ``-m`` decides."""
-    if config.option.markexpr:
-        return
-    long = [item for item in items if item.get_closest_marker("long") is not None]
-    if long:
-        items[:] = [item for item in items if item not in long]
-        config.hook.pytest_deselected(items=long)
-    config.stash[LEFT_OUT] = len(long)
-
-
-def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Hand a worker's number to the controller, which collects nothing itself."""
-    if hasattr(session.config, "workeroutput"):
-        session.config.workeroutput[_OF_WORKER] = session.config.stash.get(LEFT_OUT, 0)
-
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_testnodedown(node: Any) -> None:
-    """Take the number from a worker; every worker collects all tests."""
-    node.config.stash[LEFT_OUT] = getattr(node, "workeroutput", {}).get(_OF_WORKER, 0)
-
-
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
-    """Say how many long tests were left out, and how to run them."""
-    number = config.stash.get(LEFT_OUT, 0)
-    if number:
-        terminalreporter.write_line(f"{number} long tests were left out; pytest -m long runs them")
+__all__ = [
+    "pytest_collection_modifyitems",
+    "pytest_sessionfinish",
+    "pytest_terminal_summary",
+    "pytest_testnodedown",
+    "warm_start",
+]
 
 
 @pytest.fixture(scope="session")

@@ -79,7 +79,7 @@ async def _examine(adapter: Adapter, variant: str) -> bool:
     from ..trial.adapter_under_test import AdapterUnderTest, BenchOptions
 
     program = adapter.variants[variant].command[0]
-    device = MockDevice(adapter.protocol)
+    device = MockDevice(protocols()[adapter.protocol].mock, adapter.protocol)
     under_test = None
     try:
         await device.launch()

@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
     )
 
     async def work() -> Draft:
-        device = MockDevice(protocol)
+        device = MockDevice(protocols()[protocol].mock, protocol)
         try:
             await device.launch()
             return await draft(adapter, pack, device, lambda line: print(line, flush=True))

@@ -1,1 +1,1 @@
-"""Words that every room uses: errors, findings, statuses, the envelope, the error registry, statistics. Pure."""
+"""Definitions that every room uses: errors, findings, statuses, the envelope, the error registry, statistics. Pure."""

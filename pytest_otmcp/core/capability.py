@@ -1,4 +1,4 @@
-"""What a plant may ask of an adapter: each task says which of these it is about. Pure."""
+"""The capabilities of an adapter that a plant may rely on; each task names the one that it tests. Pure."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ __all__ = ["Capability"]
 
 
 class Capability(StrEnum):
-    """Something that an adapter may be trusted with when everything about it has passed."""
+    """A capability of an adapter; a plant may rely on it when every item about it has passed."""
 
     READING = "reading"
     WRITING = "writing"

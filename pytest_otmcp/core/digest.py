@@ -1,4 +1,4 @@
-"""Digests of packages: which code and data a run was judged by. Pure but for reading the files."""
+"""Digests of packages, which identify the code and data that judged a run. Pure but for reading the files."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ __all__ = ["files_digest"]
 _KINDS = (".py", ".json", ".toml")
 
 
-def files_digest(*packages: str, apart: Collection[str] = ()) -> str:
-    """``sha256:…`` over the code and data files of packages, the same from a wheel and from a checkout.
+def files_digest(*packages: str, excluded: Collection[str] = ()) -> str:
+    """Return ``sha256:…`` over the code and data files of packages, the same from a wheel and from a checkout.
 
     Args:
-        apart: dotted names of sub-packages that are left out.
+        excluded: dotted names of sub-packages that do not count.
     """
     digest = hashlib.sha256()
     for package in packages:
-        for name, file in sorted(_files(package, resources.files(package), apart)):
+        for name, file in sorted(_files(package, resources.files(package), excluded)):
             digest.update(name.encode() + b"\0" + file.read_bytes() + b"\0")
     return "sha256:" + digest.hexdigest()
 
 
-def _files(name: str, folder: Traversable, apart: Collection[str]) -> Iterator[tuple[str, Traversable]]:
+def _files(name: str, folder: Traversable, excluded: Collection[str]) -> Iterator[tuple[str, Traversable]]:
     for entry in folder.iterdir():
         if entry.name.endswith(_KINDS):
             yield f"{name}/{entry.name}", entry
-        elif entry.is_dir() and f"{name}/{entry.name}".replace("/", ".") not in apart:
-            yield from _files(f"{name}/{entry.name}", entry, apart)
+        elif entry.is_dir() and f"{name}/{entry.name}".replace("/", ".") not in excluded:
+            yield from _files(f"{name}/{entry.name}", entry, excluded)

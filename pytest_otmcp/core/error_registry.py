@@ -1,4 +1,4 @@
-"""The error registry (``errors.toml``) as frozen data: the codes, and what the protocols' own codes become. Pure."""
+"""The error registry (``errors.toml``) as frozen data, and the mapping of a protocol's own codes to it. Pure."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class ErrorCode:
         meaning: one phrase.
         outcomes: acceptable values of ``error.outcome`` for a call that changes state.
         retry_read, retry_write: ``yes``, ``no``, ``verify``, or None where the code cannot occur.
-        label: what the paper's tables call it, or None.
+        label: name in the paper's tables, or None.
     """
 
     code: str
@@ -33,25 +33,29 @@ class ErrorCode:
     label: str | None
 
     def allows_retryable(self, value: bool) -> bool:
-        """``error.retryable`` may have this value: it says that the same request may simply be repeated, so it must
-        not be true where no kind of request may be, nor false where every kind may."""
+        """Tell whether ``error.retryable`` may have this value.
+
+        ``retryable`` says that the same request may simply be repeated. It must not be true where no kind of request may
+        be repeated, nor false where every kind may.
+        """
         rules = {rule for rule in (self.retry_read, self.retry_write) if rule is not None}
         return "yes" in rules if value else rules != {"yes"}
 
     def allows_outcome(self, value: str) -> bool:
-        """``error.outcome`` may have this value; a call that changes nothing may always say ``not_applicable``."""
+        """Tell whether ``error.outcome`` may have this value; ``not_applicable`` is right for every call that changes
+        nothing."""
         return value == "not_applicable" or value in self.outcomes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WireCode:
-    """What a code of a protocol becomes in the envelope.
+    """One code of a protocol and its meaning in the envelope.
 
     Attributes:
         key: as in the data file: a number in decimal, a symbol of the specification, or a socket condition.
         name: the specification's own name.
         value: the number on the wire, None for socket conditions.
-        codes: acceptable error codes; empty for what is a success.
+        codes: acceptable error codes; empty for a code of success.
         outcome: of a write, or None where it cannot occur.
         retry: of a write: ``yes``, ``no``, ``verify`` or None.
     """
@@ -71,7 +75,7 @@ def _document() -> Mapping[str, Any]:
 
 @cache
 def registry() -> Mapping[str, ErrorCode]:
-    """Code to entry."""
+    """Return the error registry, code to entry."""
     return {
         code: ErrorCode(
             code=code,
@@ -88,12 +92,13 @@ def registry() -> Mapping[str, ErrorCode]:
 
 @cache
 def wire_codes(package: str, file: str = "codes.toml", table: str = "codes") -> Mapping[str, WireCode]:
-    """Read what a protocol's own codes become in the envelope, key to entry.
+    """Read a protocol's own codes and their meaning in the envelope, key to entry.
 
     Args:
-        package: that holds the file, such as the package of a protocol; ``pytest_otmcp.core`` with ``errors.toml`` and the
-            table ``socket`` for conditions of sockets.
-        table: of the file.
+        package: the package that holds the file, such as that of a protocol; ``pytest_otmcp.core`` with ``errors.toml``
+            and the table ``socket`` for conditions of sockets.
+        file: name of the file.
+        table: name of the table in the file.
 
     Raises:
         KeyError: there is no such table.

@@ -1,4 +1,4 @@
-"""The kit's own exceptions: whose fault something is decides which type it is.
+"""The kit's own exceptions; the type says whose fault it is.
 
 ::
 
@@ -16,7 +16,7 @@ __all__ = ["KitError", "SubjectError", "UsageError"]
 
 
 class UsageError(Exception):
-    """What the user asked for cannot be done; the message says what, where and what to do."""
+    """A request of the user cannot be carried out; the message says what, where and what to do."""
 
 
 class KitError(Exception):

@@ -1,4 +1,4 @@
-"""The suites, how often each of their items is repeated, and how families of items are called. Pure."""
+"""The suites, the repetitions of their items, and the name of the family that spans protocols. Pure."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ SUITES = ("normal", "fault", "stress", "recovery")
 """The suites in the order in which they run."""
 
 WARMED_UP = ("normal", "fault")
-"""Suites whose items run once unmeasured first, so that no first-time cost is counted as the adapter's."""
+"""Suites whose items begin with one unmeasured repetition, so that no first-time cost is counted as the adapter's."""
 
 CROSS_PROTOCOL = "Cross-protocol"
 """The family of items that need adapters for several protocols; every other item's family is the name of its protocol."""
 
 
 def repetitions(reps: int) -> dict[str, int]:
-    """Repetitions per suite from the one number N: N, N, ceil(N/3), ceil(2N/3) (N = 30 gives the paper's matrix).
+    """Return the repetitions per suite for one number N: N, N, ceil(N/3), ceil(2N/3) (N = 30 gives the paper's matrix).
 
     Raises:
         ValueError: N is below 1.

@@ -1,12 +1,12 @@
 """Figures over samples. Pure; scipy is imported only when an interval is asked for.
 
-No sample is ever left out, and what cannot be said of so few samples is None, never NaN. Sources:
+No sample is ever left out. A figure for which there are too few samples is None, never NaN. Sources:
 
 - percentiles: type 7 of Hyndman and Fan, "Sample Quantiles in Statistical Packages", The American Statistician 50 (1996):
   linear interpolation between order statistics, the default of NumPy;
 - interval of a mean: Student's t with n - 1 degrees of freedom;
 - interval of a proportion: the exact one of Clopper and Pearson, Biometrika 26 (1934);
-- interval of a median: order statistics, whatever the distribution is (David and Nagaraja, Order Statistics, section 7.1);
+- interval of a median: order statistics, for any distribution (David and Nagaraja, Order Statistics, section 7.1);
 - outliers: Tukey's fences, 1.5 times the interquartile range beyond the quartiles.
 """
 
@@ -29,7 +29,7 @@ __all__ = [
 
 
 def percentile(samples: Sequence[float], percent: float) -> float | None:
-    """The percentile, 0 to 100; None without samples."""
+    """Return the percentile, 0 to 100; None without samples."""
     if not samples:
         return None
     ordered = sorted(samples)
@@ -40,12 +40,12 @@ def percentile(samples: Sequence[float], percent: float) -> float | None:
 
 
 def mean(samples: Sequence[float]) -> float | None:
-    """The arithmetic mean; None without samples."""
+    """Return the arithmetic mean; None without samples."""
     return math.fsum(samples) / len(samples) if samples else None
 
 
 def standard_deviation(samples: Sequence[float]) -> float | None:
-    """The sample standard deviation (n - 1); None for fewer than two samples."""
+    """Return the sample standard deviation (n - 1); None for fewer than two samples."""
     centre = mean(samples)
     if centre is None or len(samples) < 2:
         return None
@@ -53,7 +53,7 @@ def standard_deviation(samples: Sequence[float]) -> float | None:
 
 
 def mean_interval(samples: Sequence[float], confidence: float = 0.95) -> tuple[float, float] | None:
-    """The t interval of the mean; None for fewer than two samples."""
+    """Return the t interval of the mean; None for fewer than two samples."""
     deviation = standard_deviation(samples)
     centre = mean(samples)
     if deviation is None or centre is None:
@@ -66,10 +66,10 @@ def mean_interval(samples: Sequence[float], confidence: float = 0.95) -> tuple[f
 
 
 def median_interval(samples: Sequence[float], confidence: float = 0.95) -> tuple[float, float] | None:
-    """The narrowest pair of symmetric order statistics that covers the median with at least ``confidence``.
+    """Return the narrowest pair of symmetric order statistics that covers the median with at least ``confidence``.
 
-    Thirty samples give the 10th and the 21st of them, which cover it with 95.7 %. None where even smallest and largest
-    do not suffice: for fewer than six samples at 95 %.
+    Of thirty samples these are the 10th and the 21st, which cover it with 95.7 %. The result is None where even smallest
+    and largest do not suffice: for fewer than six samples at 95 %.
     """
     count = len(samples)
     if count == 0:
@@ -86,7 +86,7 @@ def median_interval(samples: Sequence[float], confidence: float = 0.95) -> tuple
 
 
 def outliers(samples: Sequence[float]) -> int | None:
-    """How many samples lie outside Tukey's fences; None for fewer than two samples."""
+    """Count the samples outside Tukey's fences; None for fewer than two samples."""
     low, high = percentile(samples, 25), percentile(samples, 75)
     if low is None or high is None or len(samples) < 2:
         return None
@@ -95,7 +95,7 @@ def outliers(samples: Sequence[float]) -> int | None:
 
 
 def proportion_interval(good: int, total: int, confidence: float = 0.95) -> tuple[float, float] | None:
-    """The two-sided Clopper-Pearson interval of ``good`` out of ``total``; None for a total of 0."""
+    """Return the two-sided Clopper-Pearson interval of ``good`` out of ``total``; None for a total of 0."""
     if total == 0:
         return None
     tail = (1 - confidence) / 2
@@ -103,7 +103,8 @@ def proportion_interval(good: int, total: int, confidence: float = 0.95) -> tupl
 
 
 def lower_bound(good: int, total: int, confidence: float = 0.95) -> float | None:
-    """The one-sided Clopper-Pearson lower bound: 30 of 30 is at least 0.905 with 95 % confidence; None of 0."""
+    """Return the one-sided Clopper-Pearson lower bound: 30 of 30 is at least 0.905 with 95 % confidence; None for a total
+    of 0."""
     return None if total == 0 else _clopper_pearson_low(good, total, 1 - confidence)
 
 
@@ -111,7 +112,7 @@ def _clopper_pearson_low(good: int, total: int, tail: float) -> float:
     if good == 0:
         return 0.0
     if good == total:
-        # The beta quantile in closed form: what passes every time needs no scipy.
+        # The beta quantile in closed form: an item that passes every time needs no scipy.
         return float(tail ** (1 / total))
     from scipy.special import betaincinv
 

@@ -1,4 +1,5 @@
-"""JSON read strictly (RFC 8259, RFC 7493) and compared as JSON: nothing that two readers could read differently. Pure."""
+"""Strict reading of JSON (RFC 8259, RFC 7493), which refuses every text that two readers could read differently, and
+comparison of JSON values. Pure."""
 
 from __future__ import annotations
 
@@ -11,7 +12,7 @@ __all__ = ["parse_strict", "same_json"]
 
 
 def parse_strict(text: bytes | str) -> Any:
-    """Read one JSON text as RFC 8259 and RFC 7493 have it.
+    """Read one JSON text by the rules of RFC 8259 and RFC 7493.
 
     Raises:
         ValueError: with one reason: not UTF-8, not JSON, NaN or Infinity, a number beyond doubles, a duplicate
@@ -64,7 +65,7 @@ def _refuse_surrogates(value: Any) -> None:
 
 
 def same_json(one: Any, other: Any) -> bool:
-    """Equality as JSON has it: ``1`` equals ``1.0``, but ``true`` is not ``1``."""
+    """Tell whether two values are equal as JSON: ``1`` equals ``1.0``, but ``true`` is not ``1``."""
     if isinstance(one, bool) or isinstance(other, bool):
         return one is other
     if isinstance(one, Mapping) and isinstance(other, Mapping):

@@ -1,13 +1,13 @@
-"""The verdict over a run: pure functions of what every item came to.
+"""The verdict over a run: pure functions of the statuses of its items.
 
 The rules of this file:
 
 1. Nothing turns green by not having been tested. An item that did not run makes a run incomplete, a claimed operation
-   that cannot be exercised fails, and where nothing at all passed there is no evidence of anything.
-2. A fault of the kit says nothing about the adapter: the verdict is indeterminate, whatever else was found.
-3. A known deviation is a debt. It can turn the exit code green, never the verdict, and only until its day; one that is
-   not needed any more fails, so that no list of excuses outlives its reasons.
-4. What is worse for one item is never better for the run, and the order of the items does not matter.
+   that cannot be exercised fails, and a run in which no item passed is no evidence of anything.
+2. A fault of the kit says nothing about the adapter: the verdict is indeterminate, also where the adapter failed.
+3. A known deviation is a debt. It can turn the exit code green, never the verdict, and only until it expires; one that
+   is not needed any more fails, so that no list of excuses outlives its reasons.
+4. A worse status of one item never gives a better verdict, and the order of the items does not matter.
 
 The verdicts, best first: ``CONFORMANT``, ``INCOMPLETE``, ``NOT CONFORMANT``, ``INDETERMINATE``.
 """
@@ -36,43 +36,43 @@ __all__ = [
 
 
 class Status(StrEnum):
-    """What one item came to."""
+    """The result of one item."""
 
     PASS = "PASS"  # noqa: S105  (no password)
     FAIL = "FAIL"
     NOT_APPLICABLE = "NOT_APPLICABLE"
-    """The subject does not claim what the item needs: the only legitimate skip."""
+    """The subject does not claim an operation or facet that the item needs: the only legitimate skip."""
     NOT_TESTABLE = "NOT_TESTABLE"
-    """Claimed, but cannot be exercised: counts as a failure."""
+    """The subject claims the operation, but the kit cannot exercise it: counts as a failure."""
     KIT_ERROR = "KIT_ERROR"
-    """A fault of the kit; nothing is said about the adapter."""
+    """The kit failed; this says nothing about the adapter."""
     INTERRUPTED = "INTERRUPTED"
     """The run ended while the item was running."""
 
 
 class Verdict(StrEnum):
-    """What a run says about its subject."""
+    """The verdict on the subject of a run."""
 
     CONFORMANT = "CONFORMANT"
     """Every item of the set that applies passed, and at least one applies."""
     NOT_CONFORMANT = "NOT CONFORMANT"
-    """Something failed: true of the subject however much of the set is missing."""
+    """At least one item failed; further items could not change that, so the set need not be complete."""
     INDETERMINATE = "INDETERMINATE"
-    """The kit failed, or nothing applied: nothing is said about the subject."""
+    """The kit failed, or no item applied; this says nothing about the subject."""
     INCOMPLETE = "INCOMPLETE"
-    """What ran passed, but that was not the whole set."""
+    """Every item that ran passed, but some of the set did not run."""
 
 
 class ExitCode(IntEnum):
-    """What a run, and the command ``otmcp``, tell a shell."""
+    """The exit code of a run, and of the command ``otmcp``."""
 
     CONFORMANT = 0
     NOT_CONFORMANT = 1
     """Also for a set that is not complete, and for deviations that are stale or expired."""
     USAGE = 2
-    """What was asked for cannot be done, or the user interrupted it."""
+    """A request of the user cannot be carried out, or the user interrupted the run."""
     INDETERMINATE = 3
-    """A fault of the kit, or nothing that applies."""
+    """The kit failed, or no item applied."""
 
 
 _EXIT_CODES = {
@@ -85,7 +85,7 @@ _FAILURES = (Status.FAIL, Status.NOT_TESTABLE)
 
 
 def decide(statuses: Mapping[str, Status], required: Collection[str]) -> Verdict:
-    """The verdict.
+    """Return the verdict on a run.
 
     Args:
         statuses: item id to status, for every item that ran.
@@ -99,13 +99,13 @@ def decide(statuses: Mapping[str, Status], required: Collection[str]) -> Verdict
     if Status.INTERRUPTED in found or not set(required) <= statuses.keys():
         return Verdict.INCOMPLETE
     if Status.PASS not in found:
-        # Nothing applied: that is no evidence of anything.
+        # No item applied: that is no evidence of anything.
         return Verdict.INDETERMINATE
     return Verdict.CONFORMANT
 
 
 class KnownDeviation(Protocol):
-    """A failure that the vendor knows of and wants to be excused for a while."""
+    """A known failure that the vendor wants to be excused until a certain day."""
 
     @property
     def item(self) -> str:
@@ -118,27 +118,27 @@ class KnownDeviation(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DeviationReport:
-    """What became of the known deviations, as the footer of ``run.json`` has it.
+    """The known deviations of a subject after a run, sorted as in the footer of ``run.json``.
 
     Attributes:
         used: items whose failure is excused.
-        stale: items that have nothing to excuse: they passed, or do not apply.
-        expired: items whose excuse has run out, and that did not turn out well since.
-        left: the verdict if the excused items were not claimed.
+        stale: items without a failure to excuse: they passed, or do not apply.
+        expired: items whose excuse has expired, and that still do not pass.
+        verdict_without_excused: the verdict if the excused items were not claimed.
     """
 
     used: tuple[str, ...]
     stale: tuple[str, ...]
     expired: tuple[str, ...]
-    left: Verdict
+    verdict_without_excused: Verdict
 
     @property
     def sound(self) -> bool:
-        """Every deviation is one that may still be there."""
+        """True when no deviation is stale or expired."""
         return not self.stale and not self.expired
 
     def as_record(self) -> dict[str, list[str]]:
-        """The three lists."""
+        """Return the three lists as the footer of ``run.json`` has them."""
         return {"used": list(self.used), "stale": list(self.stale), "expired": list(self.expired)}
 
 
@@ -148,12 +148,12 @@ def judge_deviations(
     required: Collection[str],
     today: datetime.date,
 ) -> DeviationReport:
-    """What became of the known deviations.
+    """Sort the known deviations into used, stale and expired ones.
 
     A deviation whose item did not run, or ended in a fault of the kit, is neither used nor stale.
 
     Args:
-        deviations: of the subject.
+        deviations: the known deviations of the subject.
         statuses, required: as for :func:`decide`.
         today: a deviation holds until the end of the day on which it expires.
 
@@ -175,27 +175,27 @@ def judge_deviations(
         elif status in _FAILURES:
             used.add(item)
     used -= expired
-    # An excuse takes an item out, it does not make it a pass: what excuses everything leaves no evidence either.
-    left = {item: Status.NOT_APPLICABLE if item in used else status for item, status in statuses.items()}
+    # An excuse takes an item out and does not make it a pass: a list that excuses every item leaves no evidence.
+    remaining = {item: Status.NOT_APPLICABLE if item in used else status for item, status in statuses.items()}
     return DeviationReport(
         used=tuple(sorted(used)),
         stale=tuple(sorted(stale)),
         expired=tuple(sorted(expired)),
-        left=decide(left, required),
+        verdict_without_excused=decide(remaining, required),
     )
 
 
 def exit_code(verdict: Verdict, deviations: DeviationReport | None = None) -> ExitCode:
-    """The exit code of a run.
+    """Return the exit code of a run.
 
     Known deviations turn a failure green when nothing else is wrong; one that is stale or expired turns success red.
 
     Args:
-        verdict: of the whole run, deviations not considered.
-        deviations: what became of them, or None for a subject without any.
+        verdict: verdict on the whole run, deviations not considered.
+        deviations: the sorted deviations, or None for a subject without any.
     """
     if deviations is None or _EXIT_CODES[verdict] == ExitCode.INDETERMINATE:
         return _EXIT_CODES[verdict]
     if not deviations.sound:
         return ExitCode.NOT_CONFORMANT
-    return ExitCode.CONFORMANT if deviations.left is Verdict.CONFORMANT else _EXIT_CODES[verdict]
+    return ExitCode.CONFORMANT if deviations.verdict_without_excused is Verdict.CONFORMANT else _EXIT_CODES[verdict]

@@ -1,4 +1,4 @@
-"""The plant: every device of a run, each started once, whoever asks for it first."""
+"""The devices of a run; each is started once, when it is asked for first."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Plant:
         self._launches: dict[str, asyncio.Task[None]] = {}
 
     async def launch(self, names: Iterable[str]) -> None:
-        """Begin to start these devices, without waiting for any."""
+        """Begin to start these devices, without waiting for any of them."""
         for name in names:
             self._launch(name)
 
@@ -45,13 +45,13 @@ class Plant:
         return device
 
     async def device(self, name: str) -> Device:
-        """The device ``protocol`` or ``protocol@instance``, running.
+        """Return the device ``protocol`` or ``protocol@instance``, running.
 
         Raises:
-            KitError: it could not be started; said again at once to whoever asks next.
+            KitError: it could not be started; raised again at once when it is asked for again.
         """
         self._launch(name)
-        # Everybody who asks waits for the one launch; nobody who gives up waiting cancels it for the others.
+        # All who ask wait for the one launch; one who gives up waiting does not cancel it for the others.
         await asyncio.shield(self._launches[name])
         return self._devices[name]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import base64
+import secrets
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from typing import Any
@@ -19,7 +20,7 @@ from .tapped_device import TappedDevice
 
 __all__ = ["TappedBroker"]
 
-KIT_CLIENT = "otmcp-kit"
+_KIT_CLIENT = "otmcp-kit"
 _ANSWER_TIMEOUT_S = 5.0
 _FRAMING = Framing(frame_length=packet_length, conversation=MqttConversation)
 
@@ -59,7 +60,7 @@ class TappedBroker(TappedDevice):
         identifier = b"\0\1" if qos else b""
         content = len(text).to_bytes(2) + text + identifier + payload
         fields = {"topic": topic, "payload": publish["payload"], "qos": qos, "retain": retain, "dup": False}
-        self.tap.journal.event(0, "in", "PUBLISH", origin="kit", client_id=KIT_CLIENT, **fields)
+        self.tap.journal.event(0, "in", "PUBLISH", origin="kit", client_id=_KIT_CLIENT, **fields)
         async with self._connection() as writer:
             writer.write(_packet(0x30 | qos << 1 | retain, content))
 
@@ -71,7 +72,9 @@ class TappedBroker(TappedDevice):
             async with asyncio.timeout(_ANSWER_TIMEOUT_S):
                 reader, writer = await asyncio.open_connection(*self._address)
                 try:
-                    name = KIT_CLIENT.encode()
+                    # A broker ends a connection when another client connects with the same name ([MQTT-3.1.4-2]), and the kit
+                    # may have several connections to one broker at a time.
+                    name = f"{_KIT_CLIENT}-{secrets.token_hex(4)}".encode()
                     connect = b"\0\4MQTT\4\2\0\0" + len(name).to_bytes(2) + name
                     writer.write(_packet(0x10, connect))
                     if (answer := await _answer(reader, framer, 0x20))[-1] != 0:

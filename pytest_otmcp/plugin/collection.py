@@ -1,7 +1,8 @@
-"""Where the shipped suite is, and how it is collected: whole, whatever the ini of the repository it runs in says.
+"""Place and collection of the shipped suite: always whole, the ini of the repository that it runs in does not apply.
 
-Two things belong to the user and not to the ini: which of its items run (``-k``, ``--otmcp-suite`` …) and whether it
-runs at all. File name patterns, name prefixes and directories not to be recursed into are about the user's own tests.
+The user decides on the command line, not in the ini, which items of the suite run (``-k``, ``--otmcp-suite`` …) and
+whether it runs at all. File name patterns, name prefixes and directories not to be recursed into in an ini are about the
+user's own tests.
 """
 
 from __future__ import annotations
@@ -25,11 +26,11 @@ if TYPE_CHECKING:
 __all__ = [
     "SUITE",
     "ShippedModule",
+    "asks_for_suite",
+    "default_to_suite",
+    "ignore_warnings",
     "is_shipped",
-    "names_shipped",
-    "names_suite",
-    "quiet",
-    "suite_by_default",
+    "is_shipped_id",
     "suite_root",
     "task_of",
 ]
@@ -40,7 +41,7 @@ SUITE = f"{_PACKAGE}.conformance"
 
 @cache
 def suite_root() -> Path:
-    """The directory of the shipped suite."""
+    """Return the directory of the shipped suite."""
     spec = find_spec(SUITE)
     assert spec is not None
     assert spec.submodule_search_locations is not None
@@ -53,23 +54,23 @@ def _is_root(directory: Path) -> bool:
 
 
 def is_shipped(path: Path) -> bool:
-    """``path`` is a module of the shipped suite with tests, or its directory."""
+    """Tell whether ``path`` is a module with tests of the shipped suite, or the suite's directory."""
     if path.suffix == ".py":
         return path.name.startswith("test_") and _is_root(path.parent)
     return _is_root(path)
 
 
 def task_of(item: pytest.Item) -> Task | None:
-    """The task of an item that is, or says that it is, a conformance item."""
+    """Return the task of an item that is a conformance item, or claims to be one; None for any other item."""
     callspec = getattr(item, "callspec", None)
     task = callspec.params.get("task") if callspec is not None else None
-    # The module is loaded by whatever has a task; in a run without conformance items it need not be.
+    # An item with a task has loaded this module; a run without conformance items need not load it.
     declaring = sys.modules.get(f"{_PACKAGE}.trial.task")
     return task if declaring is not None and isinstance(task, declaring.Task) else None
 
 
 class ShippedModule(pytest.Module):
-    """A module of the shipped suite: ``python_functions`` and ``python_classes`` do not apply to it."""
+    """Module of the shipped suite; ``python_functions`` and ``python_classes`` do not apply to it."""
 
     def funcnamefilter(self, name: str) -> bool:
         return name.startswith("test_")
@@ -80,7 +81,7 @@ class ShippedModule(pytest.Module):
     def collect(self) -> Iterable[pytest.Item | pytest.Collector]:
         from ..protocols.registry import protocols
 
-        with quiet():
+        with ignore_warnings():
             try:
                 protocols()
             except UsageError as error:
@@ -89,37 +90,38 @@ class ShippedModule(pytest.Module):
 
 
 @contextmanager
-def quiet() -> Iterator[None]:
-    """Warnings of the kit and of its libraries are not judged by the ``filterwarnings`` of the repository it runs in."""
+def ignore_warnings() -> Iterator[None]:
+    """Ignore warnings of the kit and of its libraries: the ``filterwarnings`` of the repository it runs in are not for
+    them."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         yield
 
 
-def names_suite(config: pytest.Config) -> bool:
-    """The shipped suite is among what pytest was asked for, by name, by path or by default."""
+def asks_for_suite(config: pytest.Config) -> bool:
+    """Tell whether pytest was asked for the shipped suite, by name, by path or by default."""
     return any(
         argument == SUITE or argument.startswith((f"{SUITE}.", f"{SUITE}::")) or _is_root(_path(config, argument))
         for argument in map(str, config.args)
     )
 
 
-def names_shipped(config: pytest.Config, identifier: str) -> bool:
-    """The item of this node id is of the shipped suite.
+def is_shipped_id(config: pytest.Config, identifier: str) -> bool:
+    """Tell whether the item with this node id is of the shipped suite.
 
-    pytest writes the file relative to the root directory or, for a file outside of it, relative to what it was asked for.
+    pytest writes the file relative to the root directory or, for a file outside of it, relative to one of its arguments.
     """
     file = identifier.partition("::")[0]
     places = [config.rootpath, *(_path(config, argument) for argument in map(str, config.args))]
     return any(is_shipped(place / file) for place in places)
 
 
-def suite_by_default(config: pytest.Config) -> None:
-    """Bare ``pytest --otmcp-…`` means the shipped suite.
+def default_to_suite(config: pytest.Config) -> None:
+    """Run the shipped suite for a bare ``pytest --otmcp-…``.
 
-    Somebody's own tests run when no option of the kit is on the command line, or when they are named.
+    The user's own tests run when no option of the kit is on the command line, or when they are named.
     """
-    if config.args_source is pytest.Config.ArgsSource.ARGS or names_suite(config):
+    if config.args_source is pytest.Config.ArgsSource.ARGS or asks_for_suite(config):
         return
     if any(argument.startswith("--otmcp-") for argument in map(str, config.invocation_params.args)):
         config.args = [SUITE]

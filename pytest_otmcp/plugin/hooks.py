@@ -1,6 +1,6 @@
-"""pytest hooks only: options, markers, order of items, progress, record, summary, exit code, pytest-xdist.
+"""The hooks of the plugin: options, markers, order of items, progress, record, summary, exit code, pytest-xdist.
 
-Without conformance items in a run the plugin does nothing and imports nothing heavy.
+In a run without conformance items the plugin does nothing and imports nothing heavy.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from ..protocols.registry import protocol_keys
 from .collection import (
     SUITE,
     ShippedModule,
+    asks_for_suite,
+    default_to_suite,
+    ignore_warnings,
     is_shipped,
-    names_shipped,
-    names_suite,
-    quiet,
-    suite_by_default,
+    is_shipped_id,
     task_of,
 )
 from .fixtures.definitions import (
@@ -57,18 +57,16 @@ __all__ = [
     "pytest_pycollect_makemodule",
     "pytest_report_header",
     "pytest_report_teststatus",
-    "pytest_runtest_logreport",
     "pytest_runtest_makereport",
     "pytest_sessionfinish",
     "pytest_sessionstart",
     "pytest_terminal_summary",
     "pytest_testnodedown",
-    "pytest_unconfigure",
     "pytest_xdist_node_collection_finished",
 ]
 
 pytest_plugins = [f"{__package__}.fixtures.{protocol}" for protocol in OWN]
-"""The fixtures of the kit's own protocols; a package that registers a protocol has a pytest plugin of its own."""
+"""Modules with the fixtures of the kit's own protocols; a package that registers a protocol has its own pytest plugin."""
 
 _FACTS = "otmcp_facts"
 _RESULT = "otmcp_result"
@@ -91,17 +89,17 @@ def pytest_configure(config: pytest.Config) -> None:
         config.addinivalue_line("markers", f"otmcp_{protocol}: an item on this protocol alone")
     config.addinivalue_line("markers", "otmcp_cross: an item on several protocols")
     if config.option.help or config.option.version:
-        # What is wrong with an ini must not keep anybody from reading how to correct it.
+        # A mistake in an ini must not keep the user from reading how to correct it.
         return
     try:
         config.stash[SETTINGS] = read_settings(config)
     except UsageError as error:
         _refuse(error)
-    suite_by_default(config)
+    default_to_suite(config)
 
 
 def _refuse(error: UsageError) -> NoReturn:
-    """End the run: one sentence, exit code 2."""
+    """End the run with one sentence and exit code 2."""
     pytest.exit(str(error), returncode=2)
 
 
@@ -127,14 +125,10 @@ def _load_subject(config: pytest.Config) -> Any:
 def pytest_sessionstart(session: pytest.Session) -> None:
     config = session.config
     if not _is_worker(config):
-        _CONTROLLER["config"] = config
-        if config.getoption("dist", "no") != "no" and names_suite(config):
-            # Said once and before there are workers, instead of by each of them.
+        config.pluginmanager.register(_ResultReceiver(config))
+        if config.getoption("dist", "no") != "no" and asks_for_suite(config):
+            # An error in the subject file is reported once here, instead of by each of the workers that start later.
             _load_subject(config)
-
-
-_CONTROLLER: dict[str, pytest.Config] = {}
-"""pytest_runtest_logreport is not told the config; this is the one of the controller of this process."""
 
 
 def pytest_report_header(config: pytest.Config) -> str | None:
@@ -170,38 +164,57 @@ def pytest_collect_file(
 def pytest_collection_modifyitems(
     session: pytest.Session, config: pytest.Config, items: list[pytest.Item]
 ) -> Generator[None, None, None]:
-    tasks = _shipped_tasks(items)
-    if not tasks and not names_suite(config):
+    if not _shipped_tasks(items) and not asks_for_suite(config):
         return (yield)
     from .interference import Interference
 
-    with quiet():
-        shipped = list(_required_tasks(config))
-    # Tasks on a protocol that neither the kit nor the subject brings along are no part of this run.
-    tasks = {item: task for item, task in tasks.items() if task.id in shipped}
+    with ignore_warnings():
+        required = list(_required_tasks(config))
+    tasks = _drop_unrequired_items(items, required)
+    interference = config.stash[INTERFERENCE] = Interference(config)
+    interference.note_collected(items)
+    _mark_items(tasks)
+    yield
+    settings = config.stash[SETTINGS]
+    with ignore_warnings():
+        interference.check_selection(items, required, settings)
+    selected = {item: task for item, task in _shipped_tasks(items).items() if task.suite in settings.suites}
+    _deselect(config, items, [item for item in items if item in tasks and item not in selected])
+    _sort_in_suite_order(items, selected, required)
+    config.stash[PLANNED] = _task_ids(items)
+
+
+def _drop_unrequired_items(items: list[pytest.Item], required: list[str]) -> dict[pytest.Item, Task]:
+    """Remove items on a protocol that neither the kit nor the subject brings along; return the tasks of the others."""
+    tasks = {item: task for item, task in _shipped_tasks(items).items() if task.id in required}
     items[:] = [item for item in items if item in tasks or not is_shipped(item.path) or task_of(item) is None]
-    narrowing = config.stash[INTERFERENCE] = Interference(config)
-    narrowing.before(items)
+    return tasks
+
+
+def _mark_items(tasks: dict[pytest.Item, Task]) -> None:
+    """Add the markers by which ``-m`` selects items."""
     for item, task in tasks.items():
         item.add_marker("otmcp")
         item.add_marker(f"otmcp_{task.suite}")
         item.add_marker(f"otmcp_{task.protocols[0]}" if len(task.protocols) == 1 else "otmcp_cross")
-    yield
-    settings = config.stash[SETTINGS]
-    with quiet():
-        narrowing.after(items, shipped, settings)
-    left = {item: task for item, task in _shipped_tasks(items).items() if task.suite in settings.suites}
-    deselected = [item for item in items if item in tasks and item not in left]
+
+
+def _deselect(config: pytest.Config, items: list[pytest.Item], deselected: list[pytest.Item]) -> None:
+    """Remove items of suites that the user did not ask for, and report them to pytest."""
     if deselected:
         config.hook.pytest_deselected(items=deselected)
-    # Items run in the suite's order, whoever sorts; other tests stay where they are. An item may be there twice.
-    ordered = iter(sorted((item for item in items if item in left), key=lambda item: shipped.index(left[item].id)))
-    items[:] = [next(ordered) if item in left else item for item in items if item not in deselected]
-    config.stash[PLANNED] = _identifiers(items)
+    items[:] = [item for item in items if item not in deselected]
+
+
+def _sort_in_suite_order(items: list[pytest.Item], tasks: dict[pytest.Item, Task], required: list[str]) -> None:
+    """Sort the items that have a task in the suite's order, also where a plugin has sorted them before; other tests stay
+    where they are. An item may be in the list twice."""
+    ordered = iter(sorted((item for item in items if item in tasks), key=lambda item: required.index(tasks[item].id)))
+    items[:] = [next(ordered) if item in tasks else item for item in items]
 
 
 def _required_tasks(config: pytest.Config) -> dict[str, Task]:
-    """The tasks that a run with this subject has to have, by id."""
+    """Return the tasks that a run with this subject must have, by id."""
     from ..protocols.registry import protocols
     from ..suite.catalogue import tasks_by_id
 
@@ -210,48 +223,51 @@ def _required_tasks(config: pytest.Config) -> dict[str, Task]:
     return tasks_by_id(_load_subject(config).adapters)
 
 
-def _identifiers(items: list[pytest.Item]) -> list[str]:
+def _task_ids(items: list[pytest.Item]) -> list[str]:
+    """Return the ids of the tasks of all items of the suite; one that is there twice counts twice."""
     return [task.id for item in items if (task := task_of(item)) is not None and is_shipped(item.path)]
 
 
 def _shipped_tasks(items: list[pytest.Item]) -> dict[pytest.Item, Task]:
+    """Return the items of the suite, each with its task."""
     return {item: task for item in items if (task := task_of(item)) is not None and is_shipped(item.path)}
 
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_finish(session: pytest.Session) -> None:
     config = session.config
-    narrowing = config.stash.get(INTERFERENCE, None)
-    if narrowing is None or config.option.collectonly:
+    interference = config.stash.get(INTERFERENCE, None)
+    if interference is None or config.option.collectonly:
         return
     from .integrity import changed_files
     from .worker import Run
 
     tasks = list(_shipped_tasks(session.items).values())
-    narrowing.final(config.stash.get(PLANNED, []), _identifiers(session.items))
-    with quiet():
-        narrowing.note(*changed_files())
+    interference.check_execution_plan(config.stash.get(PLANNED, []), _task_ids(session.items))
+    with ignore_warnings():
+        interference.note(*changed_files())
         run = config.stash[RUN] = Run(config.stash[SETTINGS], _load_subject(config), tasks, worker=_worker(config))
         if not _is_worker(config):
             _begin_recording(config, run.subject, tasks, workers=0)
-    live = config.stash.get(PROGRESS, None)
-    if live is not None:
-        run.progress = live.repetition
+    progress = config.stash.get(PROGRESS, None)
+    if progress is not None:
+        run.progress = progress.show_repetition
 
 
 def _begin_recording(config: pytest.Config, subject: Any, tasks: list[Task], *, workers: int) -> None:
+    """Create the recorder and the progress of this run; only the controller has them."""
     from .controller import RunRecorder
     from .interference import Interference
     from .progress import Progress
 
     settings = config.stash[SETTINGS]
-    narrowing = config.stash.setdefault(INTERFERENCE, Interference(config))
+    interference = config.stash.setdefault(INTERFERENCE, Interference(config))
     try:
         config.stash[RECORDER] = RunRecorder(
             settings,
             subject,
             required=list(_required_tasks(config)),
-            narrowed=narrowing.sentences,
+            narrowed=interference.sentences,
             workers=workers,
             begun=config.stash[STARTED],
         )
@@ -262,18 +278,20 @@ def _begin_recording(config: pytest.Config, subject: Any, tasks: list[Task], *, 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_node_collection_finished(node: Any, ids: list[str]) -> None:
-    """The controller collects nothing itself; it learns of conformance items from its first worker."""
+    """Begin the record on the controller, which collects no items itself and learns of them from its first worker."""
     config = node.config
     if RECORDER in config.stash:
         return
-    shipped = [identifier for identifier in ids if names_shipped(config, identifier)]
-    if not (shipped or names_suite(config)):
+    shipped = [identifier for identifier in ids if is_shipped_id(config, identifier)]
+    if not (shipped or asks_for_suite(config)):
         return
-    with quiet():
+    with ignore_warnings():
         known = _required_tasks(config)
-        wanted = [known[name] for identifier in shipped if (name := identifier.rpartition("[")[2].rstrip("]")) in known]
+        planned = [
+            known[name] for identifier in shipped if (name := identifier.rpartition("[")[2].rstrip("]")) in known
+        ]
         workers = config.getoption("numprocesses") or 1
-        _begin_recording(config, _load_subject(config), wanted, workers=workers)
+        _begin_recording(config, _load_subject(config), planned, workers=workers)
 
 
 # -- execution ----------------------------------------------------------------------------------------------------
@@ -286,36 +304,45 @@ def pytest_runtest_makereport(
     report = yield
     result = item.stash.get(RESULT, None)
     if result is not None and report.when == "call":
-        # Attributes that are text survive the way from an xdist worker to the controller, whatever an adapter answered.
+        # An attribute that is text survives the way from an xdist worker to the controller, for every answer of an adapter.
         setattr(report, _RESULT, json.dumps(result))
         setattr(report, _FACTS, json.dumps(item.config.stash[RUN].facts()))
         del item.stash[RESULT]
     elif report.when == "call" and INTERFERENCE in item.config.stash and is_shipped(item.path):
-        item.config.stash[INTERFERENCE].not_executed(item)
+        item.config.stash[INTERFERENCE].add_unexecuted(item)
     return report
 
 
-@pytest.hookimpl(trylast=True)
-def pytest_runtest_logreport(report: pytest.TestReport) -> None:
-    content = getattr(report, _RESULT, None)
-    config = _CONTROLLER.get("config")
-    if content is None or config is None or RECORDER not in config.stash:
-        return
-    result, facts = json.loads(content), json.loads(getattr(report, _FACTS))
-    worker = getattr(getattr(report, "node", None), "gateway", None)
-    narrowing = config.stash[INTERFERENCE]
-    item = result["item"]
-    narrowing.reported(item["id"], item["status"], report.outcome)
-    if config.stash[RECORDER].add(result, worker.id if worker is not None else "main", facts):
-        config.stash[PROGRESS].finished(item, result["measured"])
-    else:
-        narrowing.repeated(item["id"])
+class _ResultReceiver:
+    """Plugin of the controller that takes the results from the reports of items.
+
+    It is an object with the config, because pytest does not hand the config to ``pytest_runtest_logreport``.
+    """
+
+    def __init__(self, config: pytest.Config) -> None:
+        self._config = config
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        content = getattr(report, _RESULT, None)
+        config = self._config
+        if content is None or RECORDER not in config.stash:
+            return
+        result, facts = json.loads(content), json.loads(getattr(report, _FACTS))
+        worker = getattr(getattr(report, "node", None), "gateway", None)
+        interference = config.stash[INTERFERENCE]
+        item = result["item"]
+        interference.check_outcome(item["id"], item["status"], report.outcome)
+        if config.stash[RECORDER].add(result, worker.id if worker is not None else "main", facts):
+            config.stash[PROGRESS].show_finished(item, result["measured"])
+        else:
+            interference.add_repeated(item["id"])
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_report_teststatus(report: pytest.TestReport, config: pytest.Config) -> tuple[str, str, str] | None:
     if getattr(report, _RESULT, None) is not None:
-        # The line of the item says it; no letter beside it. Without a word pytest would not count it as progress.
+        # Progress writes a line for the item, so pytest writes no letter; without the word it would not count the item.
         return report.outcome, "", report.outcome.upper()
     return None
 
@@ -328,28 +355,28 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
     config = session.config
     run = config.stash.get(RUN, None)
     recorder = config.stash.get(RECORDER, None)
-    narrowing = config.stash.get(INTERFERENCE, None)
-    with quiet():
+    interference = config.stash.get(INTERFERENCE, None)
+    with ignore_warnings():
         if run is not None:
             if recorder is not None and run.unfinished is not None:
                 recorder.add(run.unfinished, "main", run.facts())
             run.facts()
             run.close()
-        if narrowing is None:
+        if interference is None:
             return
-        narrowing.finish()
+        interference.finish()
         if recorder is None:
-            getattr(config, "workeroutput", {})[_NARROWED] = narrowing.sentences
+            getattr(config, "workeroutput", {})[_NARROWED] = interference.sentences
             return
         limit = config.getoption("maxfail", 0)
         if limit and session.testsfailed >= limit and recorder.missing:
-            narrowing.note(f"the run ended at failure number {limit} (-x or --maxfail)")
+            interference.note(f"the run ended at failure number {limit} (-x or --maxfail)")
         recorder.finish(interrupted=exitstatus == pytest.ExitCode.INTERRUPTED)
     session.exitstatus = _exit_status(exitstatus, recorder, session.testsfailed)
 
 
 def _exit_status(exitstatus: int, recorder: Any, failures: int) -> int:
-    """The verdict's exit code, unless pytest has something else to say: interrupted, nothing to run, a broken run, or
+    """Return the verdict's exit code, or pytest's own for an interrupted or broken run, one without tests, or one with
     failures beside those that the verdict is about."""
     if exitstatus not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
         return exitstatus
@@ -361,11 +388,11 @@ def _exit_status(exitstatus: int, recorder: Any, failures: int) -> int:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_testnodedown(node: Any, error: object) -> None:
-    said = getattr(node, "workeroutput", {})
+    output = getattr(node, "workeroutput", {})
     if INTERFERENCE in node.config.stash:
-        node.config.stash[INTERFERENCE].note(*said.get(_NARROWED, ()))
-    if REFUSED in said:
-        _refuse(UsageError(said[REFUSED]))
+        node.config.stash[INTERFERENCE].note(*output.get(_NARROWED, ()))
+    if REFUSED in output:
+        _refuse(UsageError(output[REFUSED]))
 
 
 def pytest_terminal_summary(terminalreporter: Any, exitstatus: int, config: pytest.Config) -> None:
@@ -379,10 +406,5 @@ def pytest_terminal_summary(terminalreporter: Any, exitstatus: int, config: pyte
         return
     from ..report.render import render
 
-    with quiet():
+    with ignore_warnings():
         render(recorder.path, terminalreporter, config.rootpath)
-
-
-def pytest_unconfigure(config: pytest.Config) -> None:
-    if _CONTROLLER.get("config") is config:
-        _CONTROLLER.clear()

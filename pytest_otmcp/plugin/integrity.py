@@ -1,6 +1,6 @@
-"""Whether the kit that runs is the kit that was installed: its files, and its functions in memory.
+"""Checks that the kit that runs is the kit that was installed: its files, its functions in memory, the tasks.
 
-Nothing here can keep a determined person from bending a run; it makes a bent run say so.
+The checks cannot prevent a determined person from manipulating a run; they make the record of such a run say so.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ __all__ = ["altered_task", "changed_files", "replaced_functions"]
 _KIT = Path(__file__).resolve().parents[1]
 _LIBRARY = Path(hashlib.__file__).resolve().parent
 _PACKAGE = __package__.partition(".")[0]
-_SHOWING = tuple(f"{_PACKAGE}.{room}" for room in ("cli", "onboarding", "report"))
-"""Rooms of the kit that show results or help with a subject file; every other one decides what a run comes to."""
+_ROOMS_WITHOUT_JUDGEMENT = tuple(f"{_PACKAGE}.{room}" for room in ("cli", "onboarding", "report"))
+"""Rooms of the kit that show results or help with a subject file; every other room takes part in a judgement."""
 
 
 def changed_files() -> list[str]:
-    """A sentence about files of the installed kit that are not those of its wheel; of a source checkout nothing."""
+    """Return one sentence if files of the installed kit differ from those of its wheel; none for a source checkout."""
     try:
         distribution = metadata.distribution("pytest-otmcp")
     except metadata.PackageNotFoundError:
@@ -41,13 +41,13 @@ def changed_files() -> list[str]:
     installed = Path(str(distribution.locate_file(_KIT.name))).resolve()
     if installed != _KIT:
         return [f"the kit was imported from {_KIT}, it is installed in {installed}"]
-    changed = [str(file) for file in recorded if not _as_recorded(Path(str(file.locate())), file.hash)]
+    changed = [str(file) for file in recorded if not _has_digest(Path(str(file.locate())), file.hash)]
     if not changed:
         return []
     return [f"files of the installed kit were changed: {', '.join(changed[:5])}{' …' if changed[5:] else ''}"]
 
 
-def _as_recorded(path: Path, recorded: metadata.FileHash | None) -> bool:
+def _has_digest(path: Path, recorded: metadata.FileHash | None) -> bool:
     if recorded is None:
         return True
     try:
@@ -58,34 +58,34 @@ def _as_recorded(path: Path, recorded: metadata.FileHash | None) -> bool:
 
 
 def replaced_functions() -> list[str]:
-    """One sentence for each function of the kit that was replaced (monkeypatched) by something from elsewhere."""
+    """Return one sentence for each function of the kit that was replaced (monkeypatched) by code from elsewhere."""
     return [
         f"{module.__name__}.{what} was replaced by something from {where}"
-        for module in _judging_modules()
-        for what, where in _foreign(module)
+        for module in _find_judging_modules()
+        for what, where in _find_replaced(module)
     ]
 
 
-def _judging_modules() -> list[ModuleType]:
-    """Every loaded module of the kit that takes part in a judgement."""
+def _find_judging_modules() -> list[ModuleType]:
+    """Return every loaded module of the kit that takes part in a judgement."""
     return [
         module
         for name, module in sorted(sys.modules.items())
         if name.startswith(f"{_PACKAGE}.")
-        and not name.startswith(_SHOWING)
+        and not name.startswith(_ROOMS_WITHOUT_JUDGEMENT)
         and getattr(module, "__file__", None) is not None
         and Path(str(module.__file__)).is_relative_to(_KIT)
     ]
 
 
 def altered_task(task: Task) -> list[str]:
-    """One sentence for everything about a task of the suite that is not as its module declares it."""
-    declared, files = _declared()[task.id]
+    """Return one sentence for each attribute of a task of the suite that differs from the declaration in its module."""
+    declared, files = _load_declared_tasks()[task.id]
     found = []
     for attribute in (field.name for field in fields(task)):
         value, genuine = getattr(task, attribute), getattr(declared, attribute)
         if callable(genuine):
-            # The code itself differs where pytest has rewritten its asserts; where it is from does not.
+            # pytest rewrites asserts, so the code may differ; the file that it comes from may not.
             file = getattr(getattr(value, "__code__", None), "co_filename", "elsewhere")
             if not Path(file).resolve().is_relative_to(files):
                 found.append(f"{attribute} of the task {task.id} were replaced by something from {file}")
@@ -95,8 +95,9 @@ def altered_task(task: Task) -> list[str]:
 
 
 @cache
-def _declared() -> dict[str, tuple[Task, Path]]:
-    """Load all tasks a second time, into private modules that are in nobody's reach; each with the folder of its module."""
+def _load_declared_tasks() -> dict[str, tuple[Task, Path]]:
+    """Load all tasks a second time, into private modules that no other code can reach; return each with the folder of its
+    module, by id."""
     tasks: dict[str, tuple[Task, Path]] = {}
     for name in task_modules():
         found = find_spec(name)
@@ -112,39 +113,40 @@ def _declared() -> dict[str, tuple[Task, Path]]:
 
 
 @cache
-def _names(file: str) -> tuple[str, ...]:
-    """Names of the functions and classes that a module defines at its top level."""
+def _top_level_names(file: str) -> tuple[str, ...]:
+    """Return the names of the functions and classes that a module defines at its top level."""
     body = ast.parse(Path(file).read_text(encoding="utf-8")).body
     return tuple(node.name for node in body if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef))
 
 
-def _foreign(module: ModuleType) -> Iterator[tuple[str, str]]:
-    for name in _names(str(module.__file__)):
+def _find_replaced(module: ModuleType) -> Iterator[tuple[str, str]]:
+    for name in _top_level_names(str(module.__file__)):
         value = vars(module).get(name)
         if isinstance(value, type) and value.__module__ == module.__name__:
             for member, held in vars(value).items():
                 function = getattr(held, "__func__", getattr(held, "fget", held))
-                if isinstance(function, FunctionType) and not _ours(function):
+                if isinstance(function, FunctionType) and not _is_of_kit(function):
                     yield f"{name}.{member}", function.__code__.co_filename
         elif isinstance(value, FunctionType):
-            if not _ours(value):
+            if not _is_of_kit(value):
                 yield name, value.__code__.co_filename
-        elif not _defined_here(value, module):
+        elif not _is_defined_in(value, module):
             yield name, repr(type(value))
 
 
-def _ours(function: FunctionType) -> bool:
-    return _own_file(function.__code__.co_filename)
+def _is_of_kit(function: FunctionType) -> bool:
+    return _is_trusted_file(function.__code__.co_filename)
 
 
 @cache
-def _own_file(file: str) -> bool:
-    # What dataclasses and enums generate has no file; what decorators add is the standard library's.
+def _is_trusted_file(file: str) -> bool:
+    # Functions that dataclasses and enums generate have no file; functions that decorators add are the standard library's.
     path = Path(file).resolve()
     return file.startswith("<") or path.is_relative_to(_KIT) or path.parent == _LIBRARY
 
 
-def _defined_here(value: object, module: ModuleType) -> bool:
-    # Fixtures are objects of pytest; whatever else stands under the name of a function is none of the kit's.
+def _is_defined_in(value: object, module: ModuleType) -> bool:
+    # A fixture is an object of pytest around a function of the module; any other object under the name of a function is
+    # foreign.
     wrapped = getattr(value, "__wrapped__", value)
     return getattr(wrapped, "__module__", None) == module.__name__

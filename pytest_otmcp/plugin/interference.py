@@ -1,8 +1,29 @@
-"""What narrowed or shadowed the suite in this process, a sentence each.
+"""Interference with the suite in this process: everything that narrowed or shadowed it, a sentence each.
 
-The rule: a filter is mentioned when it took something away; whatever runs around the items, or stands in the place of
-something of the kit's, is mentioned for being there. Nothing here changes a result; results are the kit's own, whatever
-pytest or a plugin makes of them.
+=================================================  ============================================  =======================
+case                                               evidence                                      method
+=================================================  ============================================  =======================
+an item claims to be a conformance item            its file is not of the shipped suite          ``check_selection``
+only some suites, other deadlines, another device  options of the kit                            ``check_selection``
+an item would run twice                            two items with the id of one task             ``check_selection``
+items were not collected                           required items without a collected one        ``check_selection``
+items were taken out by a filter or plugin         collected items that are not selected         ``check_selection``
+items are skipped, xfailed or use other fixtures   markers of the items                          ``check_selection``
+a fixture shadows the kit's                        a fixture ``otmcp…`` from outside the kit     ``check_selection``
+a fixture runs around items                        its file is of the repository                 ``check_selection``
+a hook runs around items                           the file of its plugin is of the repository   ``check_selection``
+items were removed or sorted after the kit's hook  planned items differ from those to be run     ``check_execution_plan``
+the task of an item was not run                    the item ended without a result               ``add_unexecuted``
+the outcome of an item was changed                 it does not fit the status                    ``check_outcome``
+an item ran twice                                  a second result                               ``add_repeated``
+=================================================  ============================================  =======================
+
+``note`` takes sentences of other modules: changed files and functions of the kit (``integrity``), ``--maxfail``
+(``hooks``), sentences of xdist workers.
+
+A filter is mentioned when it took items away. Code that runs around the items, or replaces code of the kit, is mentioned
+because it is there. Nothing here changes a result: results are the kit's own, also where pytest or a plugin reports
+another outcome.
 """
 
 from __future__ import annotations
@@ -22,12 +43,12 @@ from .options import RunSettings
 if TYPE_CHECKING:
     from ..trial.task import Task
 
-__all__ = ["Interference", "named", "outcome_for"]
+__all__ = ["Interference", "expected_outcome", "join_ids"]
 
 _KIT = Path(__file__).parents[1]
 _PACKAGE = __package__.partition(".")[0]
 
-_AROUND = (
+_ITEM_HOOKS = (
     "pytest_runtest_protocol",
     "pytest_runtest_setup",
     "pytest_runtest_call",
@@ -35,9 +56,9 @@ _AROUND = (
     "pytest_pyfunc_call",
     "pytest_fixture_setup",
 )
-"""Hooks by which a conftest can change what an item does, or what becomes of it."""
+"""Hooks by which a conftest can change what an item does, or what pytest reports of it."""
 
-_MARKS = ("skip", "skipif", "xfail", "usefixtures")
+_ITEM_MARKS = ("skip", "skipif", "xfail", "usefixtures")
 
 _FILTERS = {
     "keyword": ("-k",),
@@ -54,19 +75,23 @@ _REPEATED = "items ran more than once, the first time counts"
 _OUTCOMES = {"PASS": "passed", "NOT_APPLICABLE": "skipped"}
 
 
-def outcome_for(status: str) -> str:
-    """What pytest reports of an item of the suite when nobody interferes."""
+def expected_outcome(status: str) -> str:
+    """Return the outcome that pytest reports of an item of the suite without interference."""
     return _OUTCOMES.get(status, "failed")
 
 
-def named(identifiers: Collection[str], most: int = 6) -> str:
-    """Some ids for a sentence."""
+def join_ids(identifiers: Collection[str], most: int = 6) -> str:
+    """Join the first ids for a sentence."""
     shown = list(identifiers)
     return ", ".join(shown[:most]) + (f" and {len(shown) - most} more" if len(shown) > most else "")
 
 
 class Interference:
-    """Collects the sentences of one process."""
+    """Collector of the sentences of one process.
+
+    Attributes:
+        sentences: in the order in which they were noted, each once.
+    """
 
     def __init__(self, config: pytest.Config) -> None:
         self._config = config
@@ -80,12 +105,17 @@ class Interference:
 
     # -- collection ---------------------------------------------------------------------------------------
 
-    def before(self, items: Iterable[pytest.Item]) -> None:
-        """Note what was collected, before anything filters or sorts it."""
+    def note_collected(self, items: Iterable[pytest.Item]) -> None:
+        """Remember the collected items, before any filter or plugin changes them."""
         self._collected = Counter(task.id for item in items if (task := task_of(item)) and is_shipped(item.path))
 
-    def after(self, items: Iterable[pytest.Item], shipped: Collection[str], settings: RunSettings) -> None:
-        """Compare what is left with what was collected, and with the shipped suite."""
+    def check_selection(self, items: Iterable[pytest.Item], shipped: Collection[str], settings: RunSettings) -> None:
+        """Compare the selected items with the collected ones and with the shipped suite, and look for code around them.
+
+        Args:
+            items: all items that are still selected.
+            shipped: ids of all items that the run must have.
+        """
         ours: list[tuple[Task, pytest.Item]] = []
         for item in items:
             if (task := task_of(item)) is None:
@@ -94,51 +124,52 @@ class Interference:
                 ours.append((task, item))
             else:
                 self.note(f"{item.nodeid} is not of the shipped suite and is not counted")
-        self.note(*_wishes(settings))
-        left = Counter(task.id for task, _ in ours)
-        if several := [identifier for identifier, count in left.items() if count > 1]:
-            self.note(f"{named(several)} would run more than once; the first time counts")
+        self.note(*_describe_settings(settings))
+        selected = Counter(task.id for task, _ in ours)
+        if several := [identifier for identifier, count in selected.items() if count > 1]:
+            self.note(f"{join_ids(several)} would run more than once; the first time counts")
         if missing := [identifier for identifier in shipped if identifier not in self._collected]:
-            self.note(f"{len(missing)} of {len(shipped)} items were not collected{self._why_not_collected()}")
+            self.note(f"{len(missing)} of {len(shipped)} items were not collected{self._explain_missing()}")
         if removed := [
-            identifier for identifier in shipped if identifier in self._collected and identifier not in left
+            identifier for identifier in shipped if identifier in self._collected and identifier not in selected
         ]:
-            self.note(f"{len(removed)} of {len(shipped)} items were taken out{self._why_removed(removed)}")
+            self.note(f"{len(removed)} of {len(shipped)} items were taken out{self._explain_removed(removed)}")
         for _, item in ours:
-            self._look_at(item)
+            self._check_item(item)
 
-    def final(self, planned: list[str], executed: list[str]) -> None:
-        """Compare what will run with what the kit has left to run: nobody else may have had the last word."""
+    def check_execution_plan(self, planned: list[str], executed: list[str]) -> None:
+        """Compare the ids of the items that will run with those that the kit has planned: no other plugin may have changed
+        them since."""
         if gone := [identifier for identifier in planned if identifier not in executed]:
-            self.note(f"items were taken out behind the kit's back: {named(gone)}")
+            self.note(f"items were taken out behind the kit's back: {join_ids(gone)}")
         elif planned != executed:
             self.note("the order of the items was changed behind the kit's back")
 
-    def _why_not_collected(self) -> str:
+    def _explain_missing(self) -> str:
         if self._config.args_source is pytest.Config.ArgsSource.ARGS:
             return f": pytest was asked for {' '.join(map(str, self._config.args))}"
         return ""
 
-    def _why_removed(self, removed: list[str]) -> str:
-        reasons = [f"by {words}" for words in self._filters()]
+    def _explain_removed(self, removed: list[str]) -> str:
+        reasons = [f"by {words}" for words in self._describe_filters()]
         if not reasons:
-            suspects = sorted(_own_plugins(self._config, self._config.hook.pytest_collection_modifyitems))
+            suspects = sorted(_find_own_plugins(self._config, self._config.hook.pytest_collection_modifyitems))
             reasons = ["by a plugin" if not suspects else f"by {' or '.join(suspects)}"]
-        return f" {', '.join(reasons)}: {named(removed)}"
+        return f" {', '.join(reasons)}: {join_ids(removed)}"
 
-    def _filters(self) -> Iterator[str]:
-        """The filters of pytest's own that are on; an ini or an environment variable may have given them."""
+    def _describe_filters(self) -> Iterator[str]:
+        """Describe the active filters of pytest itself; an ini or an environment variable may have given them."""
         given = " ".join(map(str, self._config.invocation_params.args))
         for option, flags in _FILTERS.items():
             value = self._config.getoption(option, None)
             if not value:
                 continue
             text = "" if value is True else value if isinstance(value, str) else " ".join(map(str, value))
-            asked = text in given if text else any(flag in given for flag in flags)
-            yield f"{flags[0]} {text}".strip() + ("" if asked else " (not from the command line)")
+            on_command_line = text in given if text else any(flag in given for flag in flags)
+            yield f"{flags[0]} {text}".strip() + ("" if on_command_line else " (not from the command line)")
 
-    def _look_at(self, item: pytest.Item) -> None:
-        for mark in _MARKS:
+    def _check_item(self, item: pytest.Item) -> None:
+        for mark in _ITEM_MARKS:
             if item.get_closest_marker(mark) is not None:
                 self.note(f"items are marked {mark} by something outside the suite")
         info: Any = getattr(item, "_fixtureinfo", None)
@@ -148,15 +179,15 @@ class Interference:
             if function.__module__.startswith(f"{_PACKAGE}."):
                 continue
             if name.startswith("otmcp"):
-                self.note(f"the fixture {name} of {self._place(function)} shadows the kit's")
-            elif _own(file, self._config.rootpath):
-                self.note(f"the fixture {name} of {self._place(function)} runs around the items")
-        for hook in _AROUND:
-            for who in _own_plugins(self._config, getattr(item.ihook, hook)):
-                self.note(f"{who} has a hook around the items: {hook}")
+                self.note(f"the fixture {name} of {self._locate(function)} shadows the kit's")
+            elif _is_own(file, self._config.rootpath):
+                self.note(f"the fixture {name} of {self._locate(function)} runs around the items")
+        for hook in _ITEM_HOOKS:
+            for file in _find_own_plugins(self._config, getattr(item.ihook, hook)):
+                self.note(f"{file} has a hook around the items: {hook}")
 
-    def _place(self, function: Any) -> str:
-        """Where a function is defined: file and line if it is the repository's, else its module."""
+    def _locate(self, function: Any) -> str:
+        """Return where a function is defined: file and line for one of the repository, else its module."""
         code, root = getattr(function, "__code__", None), self._config.rootpath
         if code is None or not Path(code.co_filename).is_relative_to(root):
             return str(function.__module__)
@@ -164,29 +195,28 @@ class Interference:
 
     # -- execution ----------------------------------------------------------------------------------------
 
-    def not_executed(self, item: pytest.Item) -> None:
-        """An item of the suite is over and its task was not run."""
+    def add_unexecuted(self, item: pytest.Item) -> None:
+        """Note an item of the suite that ended without its task having run."""
         self._gathered[_NOT_EXECUTED].append(item.name)
 
-    def reported(self, identifier: str, status: str, outcome: str) -> None:
-        """Compare pytest's outcome of an item with the kit's result."""
-        if outcome != outcome_for(status):
+    def check_outcome(self, identifier: str, status: str, outcome: str) -> None:
+        """Compare pytest's outcome of an item with the kit's status."""
+        if outcome != expected_outcome(status):
             self._gathered[_MISREPORTED].append(f"{identifier} {outcome} for {status}")
 
-    def repeated(self, identifier: str) -> None:
-        """An item has come to a second result."""
+    def add_repeated(self, identifier: str) -> None:
+        """Note an item that has a second result."""
         self._gathered[_REPEATED].append(identifier)
 
     def finish(self) -> None:
-        """Add what was gathered while the items ran."""
-        # What does not apply to the subject is the least news among them.
+        """Add the sentences on items that were gathered while they ran, with NOT_APPLICABLE items last."""
         for sentence, names in self._gathered.items():
             names.sort(key=lambda name: name.endswith("NOT_APPLICABLE"))
-            self.note(f"{sentence}: {named(dict.fromkeys(names))}")
+            self.note(f"{sentence}: {join_ids(dict.fromkeys(names))}")
         self._gathered.clear()
 
 
-def _wishes(settings: RunSettings) -> Iterator[str]:
+def _describe_settings(settings: RunSettings) -> Iterator[str]:
     if settings.suites != SUITES:
         yield f"only the suites {', '.join(settings.suites)} were asked for (--otmcp-suite)"
     if settings.time_scale != 1:
@@ -196,18 +226,19 @@ def _wishes(settings: RunSettings) -> Iterator[str]:
         yield f"the {device.noun} was {url}, which cannot be asked what it holds (--otmcp-{device.option})"
 
 
-def _own_plugins(config: pytest.Config, hook: Any) -> Iterator[str]:
-    """Who implements a hook and is no installed plugin: conftests, and modules of the repository given with ``-p``."""
+def _find_own_plugins(config: pytest.Config, hook: Any) -> Iterator[str]:
+    """Find the files that implement a hook and are no installed plugins: conftests, and modules of the repository that were
+    given with ``-p``."""
     for implementation in hook.get_hookimpls():
         file = getattr(implementation.plugin, "__file__", None)
-        if file is not None and _own(file, config.rootpath):
+        if file is not None and _is_own(file, config.rootpath):
             yield _relative(Path(file), config.rootpath)
 
 
-def _own(file: str, root: Path) -> bool:
-    """A file of the repository that the suite runs in, or a conftest: nothing that is installed, and not the kit's.
+def _is_own(file: str, root: Path) -> bool:
+    """Tell whether a file is a conftest or of the repository that the suite runs in; installed files and the kit's are not.
 
-    What installed plugins do is noticed by its effects; they are part of the environment, as Python is.
+    Installed plugins are part of the environment, as Python is; they are noticed by their effects.
     """
     path = Path(file)
     if path.name == "conftest.py":

@@ -1,6 +1,6 @@
 """The settings of a run, read from command line and ini, checked once.
 
-Imports nothing heavy: it is loaded in everybody's pytest run in whose environment the plugin is installed.
+The module imports nothing heavy: every pytest run in an environment with the plugin loads it.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from ..protocols.external import ExternalDevice, external_devices
 if TYPE_CHECKING:
     import pytest
 
-__all__ = ["DEFAULT_REPS", "RunSettings", "add_options", "read_settings", "requested"]
+__all__ = ["DEFAULT_REPS", "RunSettings", "add_options", "read_settings"]
 
 DEFAULT_REPS = 3
-"""Small, so that a first look takes seconds; the paper's matrix is 30."""
+"""Default of N: small, so that a first look takes seconds; the paper's matrix is 30."""
 
 _OPTIONS = {
     "reps": ("N", f"repetitions N: normal and fault N, stress N/3, recovery 2N/3, rounded up (default {DEFAULT_REPS})"),
@@ -40,12 +40,17 @@ _OPTIONS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunSettings:
-    """What the user asked for.
+    """The settings of a run.
 
     Attributes:
+        reps: the number N that the user gave.
         repetitions: suite name to number of repetitions.
         subject: subject file, or None for the shipped reference adapters.
-        time_scale: factor on deadlines and windows; those in which nothing may happen are never shortened.
+        suites: names of the suites to run, in the suite's order.
+        report_dir: directory of run record, tables and figures.
+        seed: seed of the values that repetitions use.
+        era: MCP protocol era, ``auto`` or ``legacy``.
+        time_scale: factor on deadlines and windows; windows in which nothing may happen are never shortened.
         external: protocol to the URL of a device of the user's own in the mock's place.
     """
 
@@ -68,20 +73,15 @@ def add_options(parser: pytest.Parser) -> None:
         parser.addini(f"otmcp_{name.replace('-', '_')}", text, default=None)
 
 
-def requested(config: pytest.Config) -> bool:
-    """Some ``--otmcp-…`` option was given on the command line."""
-    return any(config.getoption(_destination(name)) is not None for name in _OPTIONS)
-
-
 def _destination(name: str) -> str:
     return f"otmcp_{name.replace('-', '_')}"
 
 
 def read_settings(config: pytest.Config) -> RunSettings:
-    """The settings of this run.
+    """Read and check the settings of this run.
 
     Raises:
-        UsageError: a value is not what its option expects.
+        UsageError: a value does not fit its option.
     """
 
     def text(name: str) -> str | None:
@@ -90,25 +90,25 @@ def read_settings(config: pytest.Config) -> RunSettings:
             value = config.getini(_destination(name)) or None
         return None if value is None else str(value)
 
-    reps = _whole("reps", text("reps"), DEFAULT_REPS, minimum=1, maximum=100_000)
+    reps = _read_whole_number("reps", text("reps"), DEFAULT_REPS, minimum=1, maximum=100_000)
     return RunSettings(
         reps=reps,
         repetitions=repetitions(reps),
-        subject=_subject(text("subject"), config.rootpath, config.invocation_params.dir),
-        suites=_suites(text("suite")),
-        report_dir=_report_dir(text("report-dir"), config),
-        seed=_whole("seed", text("seed"), 0, minimum=0, maximum=2**63 - 1),
-        era=_choice("era", text("era") or "auto", ("auto", "legacy")),
-        time_scale=_factor(text("time-scale")),
+        subject=_find_subject(text("subject"), config.rootpath, config.invocation_params.dir),
+        suites=_read_suites(text("suite")),
+        report_dir=_resolve_report_dir(text("report-dir"), config),
+        seed=_read_whole_number("seed", text("seed"), 0, minimum=0, maximum=2**63 - 1),
+        era=_check_choice("era", text("era") or "auto", ("auto", "legacy")),
+        time_scale=_read_factor(text("time-scale")),
         external={
-            protocol: _url(device, value)
+            protocol: _check_url(device, value)
             for protocol, device in external_devices().items()
             if (value := text(device.option)) is not None
         },
     )
 
 
-def _whole(name: str, value: str | None, default: int, *, minimum: int, maximum: int) -> int:
+def _read_whole_number(name: str, value: str | None, default: int, *, minimum: int, maximum: int) -> int:
     if value is None:
         return default
     try:
@@ -120,7 +120,7 @@ def _whole(name: str, value: str | None, default: int, *, minimum: int, maximum:
     return number
 
 
-def _factor(value: str | None) -> float:
+def _read_factor(value: str | None) -> float:
     if value is None:
         return 1.0
     try:
@@ -132,7 +132,7 @@ def _factor(value: str | None) -> float:
     return number
 
 
-def _choice(name: str, value: str, known: tuple[str, ...]) -> str:
+def _check_choice(name: str, value: str, known: tuple[str, ...]) -> str:
     if value not in known:
         near = difflib.get_close_matches(value, known, 1)
         hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(known)}"
@@ -140,17 +140,17 @@ def _choice(name: str, value: str, known: tuple[str, ...]) -> str:
     return value
 
 
-def _suites(value: str | None) -> tuple[str, ...]:
+def _read_suites(value: str | None) -> tuple[str, ...]:
     if value is None:
         return SUITES
     names = [name.strip() for name in value.split(",") if name.strip()]
     if not names:
         raise UsageError(f"--otmcp-suite: expected one or more of {', '.join(SUITES)}")
-    chosen = [_choice("suite", name, SUITES) for name in names]
+    chosen = [_check_choice("suite", name, SUITES) for name in names]
     return tuple(name for name in SUITES if name in chosen)
 
 
-def _subject(value: str | None, root: Path, here: Path) -> Path | None:
+def _find_subject(value: str | None, root: Path, here: Path) -> Path | None:
     if value is not None:
         path = here / value
         if not path.is_file():
@@ -160,14 +160,14 @@ def _subject(value: str | None, root: Path, here: Path) -> Path | None:
     return default if default.is_file() else None
 
 
-def _report_dir(value: str | None, config: pytest.Config) -> Path:
+def _resolve_report_dir(value: str | None, config: pytest.Config) -> Path:
     path = config.rootpath / "reports" / "latest" if value is None else config.invocation_params.dir / value
     if path.exists() and not path.is_dir():
         raise UsageError(f"--otmcp-report-dir: {path} exists and is not a directory")
     return path
 
 
-def _url(device: ExternalDevice, value: str) -> str:
+def _check_url(device: ExternalDevice, value: str) -> str:
     try:
         parts = urlsplit(value)
         port = parts.port

@@ -1,4 +1,4 @@
-"""Progress while a run goes on: one line for each finished item, and on a terminal one that moves."""
+"""Progress of a run on the terminal: one line for each finished item, and a moving line for the item that runs."""
 
 from __future__ import annotations
 
@@ -17,13 +17,18 @@ if TYPE_CHECKING:
 
 __all__ = ["Progress"]
 
-# Rough seconds per repetition, only to guess how long the rest will take before there is anything better to go by.
+# Rough seconds per repetition, to guess the remaining time; nothing better is known of items that have not run.
 _GUESS_S = {"normal": 0.02, "fault": 0.02, "stress": 0.12, "recovery": 1.3}
 _REDRAW_S = 0.1
 
 
 class Progress:
-    """Writes progress to pytest's own terminal."""
+    """Display of progress on pytest's own terminal.
+
+    Args:
+        tasks: tasks of all items to run.
+        repetitions: suite name to number of repetitions.
+    """
 
     def __init__(self, config: pytest.Config, tasks: list[Task], repetitions: dict[str, int]) -> None:
         self._writer = config.get_terminal_writer()
@@ -37,25 +42,26 @@ class Progress:
         self._drawn = 0.0
         self._line_open = False
 
-    def repetition(self, task: Task, done: int, planned: int) -> None:
-        """A repetition begins."""
+    def show_repetition(self, task: Task, done: int, planned: int) -> None:
+        """Show that a repetition of a task begins."""
         now = time.monotonic()
         if not self._moving or self._quiet or now - self._drawn < _REDRAW_S:
             return
         self._drawn = now
-        text = f"  {task.id:<9} {done}/{planned}   item {self._done + 1} of {self._total}, {self._left(task, done, planned)}"
+        rest = self._estimate_rest(task, done, planned)
+        text = f"  {task.id:<9} {done}/{planned}   item {self._done + 1} of {self._total}, {rest}"
         if not self._line_open:
             self._write("\n")
         self._overwrite(text[: self._writer.fullwidth - 1].ljust(70))
         self._line_open = True
 
-    def _left(self, task: Task, done: int, planned: int) -> str:
+    def _estimate_rest(self, task: Task, done: int, planned: int) -> str:
         remaining = sum(self._guess.values()) - self._guess.get(task.id, 0.0) * done / planned
         minutes, seconds = divmod(round(remaining), 60)
         return f"about {minutes} min {seconds} s to go" if minutes else f"about {seconds} s to go"
 
-    def finished(self, item: ItemBody, measured: Measured) -> None:
-        """An item is done."""
+    def show_finished(self, item: ItemBody, measured: Measured) -> None:
+        """Show the result of a finished item."""
         self._guess.pop(item["id"], None)
         self._done += 1
         if self._quiet:
@@ -70,7 +76,7 @@ class Progress:
         self._line_open = False
         self._write(f"  {item['id']:<9} ")
         self._write(f"{good:>3}/{item['planned']:<3} {item['status']:<5}", **{colour: True})
-        # What comes near the edge makes pytest print its percentage there and begin another line.
+        # Text near the edge would make pytest print its percentage there and begin another line.
         self._write(shortened(f" {median}  {item['title']}", max(20, self._writer.fullwidth - 36)))
 
     def _write(self, text: str, **markup: bool) -> None:
@@ -78,11 +84,11 @@ class Progress:
             self._writer.write(text, flush=True, **markup)
 
     def _overwrite(self, text: str) -> None:
-        # Past pytest's writer, which takes a line with a carriage return for one of no width: it would put its percentage
-        # beyond the edge.
+        # This bypasses pytest's writer, which takes a line with a carriage return for one of no width and would put its
+        # percentage beyond the edge.
         with self._uncaptured():
             print("\r" + text, end="", flush=True)
 
     def _uncaptured(self) -> AbstractContextManager[None]:
-        # Standard output belongs to the running test; progress goes past its capturing.
+        # pytest captures standard output for the running test; progress is written past the capture.
         return nullcontext() if self._capture is None else self._capture.global_and_fixture_disabled()

@@ -32,19 +32,19 @@ STARTED: pytest.StashKey[float] = pytest.StashKey()
 """On the config: monotonic time at which the session began."""
 
 INTERFERENCE: pytest.StashKey[Interference] = pytest.StashKey()
-"""On the config of a process that has collected items of the suite: what narrowed or shadowed it."""
+"""On the config of a process that has collected items of the suite: everything that narrowed or shadowed the suite."""
 
 PLANNED: pytest.StashKey[list[str]] = pytest.StashKey()
-"""On the config of a process that has collected items of the suite: ids of those to run, in their order."""
+"""On the config of a process that has collected items of the suite: ids of the items to run, in their order."""
 
 RUN: pytest.StashKey[Run] = pytest.StashKey()
 """On the config of a process that executes items: its run."""
 
 RECORDER: pytest.StashKey[RunRecorder] = pytest.StashKey()
-"""On the config of the controller: what collects the results."""
+"""On the config of the controller: the collector of the results."""
 
 PROGRESS: pytest.StashKey[Progress] = pytest.StashKey()
-"""On the config of the controller: what shows progress."""
+"""On the config of the controller: the display of progress."""
 
 RESULT: pytest.StashKey[ItemResult] = pytest.StashKey()
-"""On an item: what its task came to, as ``run.json`` has it."""
+"""On an item: the result of its task, as in ``run.json``."""

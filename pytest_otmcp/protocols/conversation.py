@@ -43,15 +43,16 @@ class Conversation(Protocol):
     """Both directions of one connection, decoded frame by frame."""
 
     def decode(self, direction: Direction, frame: bytes) -> list[Message]:
-        """Decode one frame; several frames may be needed for a message. Never raises, whatever the frame holds."""
+        """Decode one frame; several frames may be needed for a message. A frame of any content is decoded without an
+        exception."""
         ...
 
 
 class Outstanding:
     """The messages of one connection that have not been answered, by what their answers repeat of them.
 
-    A client that uses an identifier again has given up waiting: the answer belongs to the newest message. Of messages that
-    nobody answers the oldest are forgotten in the end.
+    A client that uses an identifier again has given up waiting: the answer belongs to the newest message. Of too many
+    messages without an answer the oldest are forgotten.
     """
 
     def __init__(self) -> None:

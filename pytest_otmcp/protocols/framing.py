@@ -1,4 +1,4 @@
-"""Cuts recorded byte streams into frames, whatever segments they arrived in. Pure.
+"""Cuts recorded byte streams, which arrive in segments of any size, into frames. Pure.
 
 Each protocol that runs over streams says how long a frame is (:data:`FrameLength`), from as many of its first bytes as are
 there. Where no frame can begin, the stream is malformed: from then on nothing in that direction can be trusted. A datagram is

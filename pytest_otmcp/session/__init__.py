@@ -1,1 +1,1 @@
-"""One MCP session with an adapter: its process, its transport, every frame recorded with its time. Does not judge."""
+"""One MCP session with an adapter: its process, its transport, and a record of every frame with its time. Does not judge."""

@@ -1,6 +1,6 @@
-"""MCP over streamable HTTP to a subprocess, every frame recorded (MCP basic/transports, Streamable HTTP).
+"""Transport of MCP over streamable HTTP to a subprocess; records every frame (MCP basic/transports, Streamable HTTP).
 
-The SDK's own client transport carries the messages; below it, where requests and responses are bytes, sits a recorder.
+The SDK's own client transport carries the messages. A recorder sits below it, where requests and responses are bytes.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ if TYPE_CHECKING:
 __all__ = ["HttpTransport"]
 
 _POLL_S = 0.02
-"""How often a starting server is asked whether it accepts connections; it has no way to tell."""
+"""Interval at which the kit tries to connect to a starting server, which has no way to say that it is ready."""
 
-# A call's own deadline is the session's business; these only keep a dead connection from being waited for.
+# The session keeps the deadline of each call; these limits only end the wait for a dead connection.
 _TIMEOUT = httpx2.Timeout(30.0, read=330.0)
 
 
 class HttpTransport:
-    """Starts the subject and carries messages to and from its URL. For one session."""
+    """Process of the subject and carrier of messages to and from its URL, for one session."""
 
     def __init__(
         self,
@@ -55,28 +55,28 @@ class HttpTransport:
 
     @property
     def died(self) -> bool:
-        """The process has ended although nobody asked it to."""
+        """True when the process has ended, or was never started."""
         return self.process is None or self.process.exited.is_set()
 
     async def stop(self) -> StopReport | None:
-        """End the process, if it is still there; a server on the network is asked by SIGTERM."""
+        """End the process if it still runs; a server on the network is asked by SIGTERM."""
         if self.process is not None and self.stop_report is None:
             self.stop_report = await self.process.stop(grace_s=self._exit_grace_s, reads_stdin=False)
         return self.stop_report
 
     @asynccontextmanager
     async def streams(self) -> AsyncIterator[TransportStreams]:
-        """The streams for the SDK's client; the process lives as long as the block."""
+        """Start the process and give the streams for the SDK's client; the end of the block ends the process."""
         self.process = await SubjectProcess.start(
             self._command,
             env=self._env,
             cwd=self._cwd,
-            # What a server on the network prints is its own business.
+            # A server on the network may print anything: its stdout carries no MCP messages.
             on_line=lambda now, line: None,
             on_overflow=lambda now: None,
         )
         try:
-            await self._accepts(self.process)
+            await self._wait_until_accepting(self.process)
             recording = _RecordingTransport(self._recorder)
             async with (
                 httpx2.AsyncClient(transport=recording, timeout=_TIMEOUT) as client,
@@ -86,7 +86,7 @@ class HttpTransport:
         finally:
             await asyncio.shield(self.stop())
 
-    async def _accepts(self, process: SubjectProcess) -> None:
+    async def _wait_until_accepting(self, process: SubjectProcess) -> None:
         parts = urlsplit(self._url)
         while not process.exited.is_set():
             try:
@@ -100,11 +100,11 @@ class HttpTransport:
 
 
 class _RecordingTransport(httpx2.AsyncBaseTransport):
-    """Hands every JSON-RPC message that passes to the recorder."""
+    """HTTP transport that hands every JSON-RPC message to the recorder."""
 
     def __init__(self, recorder: FrameRecorder) -> None:
-        # The environment's proxies have no business between two processes of one machine.
-        self._below = httpx2.AsyncHTTPTransport(trust_env=False)
+        # Both processes are on this machine, so proxies of the environment do not apply.
+        self._network = httpx2.AsyncHTTPTransport(trust_env=False)
         self._recorder = recorder
 
     async def handle_async_request(self, request: httpx2.Request) -> httpx2.Response:
@@ -113,19 +113,19 @@ class _RecordingTransport(httpx2.AsyncBaseTransport):
             message = json.loads(body)
             if "id" in message and "method" in message:
                 self._recorder.sent(time.monotonic_ns(), body, message["id"], message.get("params"))
-        response = await self._below.handle_async_request(request)
+        response = await self._network.handle_async_request(request)
         kind = response.headers.get("content-type", "").partition(";")[0].strip()
         assert isinstance(response.stream, httpx2.AsyncByteStream)
         if kind in ("application/json", "text/event-stream"):
-            response.stream = _Recorded(response.stream, self._recorder, events=kind == "text/event-stream")
+            response.stream = _RecordedBody(response.stream, self._recorder, events=kind == "text/event-stream")
         return response
 
     async def aclose(self) -> None:
-        await self._below.aclose()
+        await self._network.aclose()
 
 
-class _Recorded(httpx2.AsyncByteStream):
-    """A response body that is recorded while it is read: one JSON message, or server-sent events with one each."""
+class _RecordedBody(httpx2.AsyncByteStream):
+    """Response body that is recorded while it is read: one JSON message, or server-sent events with one message each."""
 
     def __init__(self, stream: httpx2.AsyncByteStream, recorder: FrameRecorder, *, events: bool) -> None:
         self._stream = stream
@@ -136,20 +136,20 @@ class _Recorded(httpx2.AsyncByteStream):
 
     async def __aiter__(self) -> AsyncIterator[bytes]:
         async for chunk in self._stream:
-            # Before the client sees it: the call must find its response recorded when it returns.
-            self._take(chunk)
+            # The chunk is recorded before the client sees it: a call must find its response recorded when it returns.
+            self._record(chunk)
             yield chunk
         if not self._events and self._unread:
             self._recorder.received(time.monotonic_ns(), self._unread)
 
-    def _take(self, chunk: bytes) -> None:
+    def _record(self, chunk: bytes) -> None:
         now = time.monotonic_ns()
         self._unread += chunk
         if len(self._unread) > MAX_FRAME_BYTES:
             self._recorder.overflow = True
             raise httpx2.ReadError("the adapter sent a message longer than the kit reads")
         if not self._events:
-            self._take_whole(now)
+            self._record_whole_body(now)
             return
         *lines, self._unread = self._unread.split(b"\n")
         for line in map(bytes.strip, lines):
@@ -160,8 +160,8 @@ class _Recorded(httpx2.AsyncByteStream):
                 if frame:
                     self._recorder.received(now, frame)
 
-    def _take_whole(self, now: int) -> None:
-        # The end of a body comes after its last byte; the reply is there with that byte.
+    def _record_whole_body(self, now: int) -> None:
+        # The end of a body is signalled after its last byte, but the reply is complete with that byte and is timed then.
         try:
             json.loads(self._unread)
         except ValueError:

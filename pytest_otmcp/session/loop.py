@@ -1,6 +1,6 @@
-"""The kit's own event loop on a thread of its own.
+"""The kit's own event loop, on a thread of its own.
 
-Conformance tests are plain functions; everything asynchronous runs here. A vendor's asyncio settings
+Conformance tests are plain functions; everything asynchronous runs on this loop. A vendor's asyncio settings
 (``asyncio_mode``, loop scopes, policies) therefore never decide on which loop a session lives, and an anyio
 cancel scope is always left by the task that entered it.
 """
@@ -19,11 +19,12 @@ __all__ = ["LoopThread"]
 T = TypeVar("T")
 
 _CLEAN_UP_S = 60.0
-"""An adapter that ignores the end of its stdin and SIGTERM is killed after two grace periods. Ctrl-C again ends the waiting."""
+"""Time for the clean-up after Ctrl-C: an adapter that ignores the end of its stdin and SIGTERM is killed after two grace
+periods. A second Ctrl-C ends the wait."""
 
 
 class LoopThread:
-    """An event loop that runs until :meth:`close`."""
+    """Event loop that runs until :meth:`close`."""
 
     def __init__(self) -> None:
         self._loop = asyncio.new_event_loop()
@@ -42,11 +43,11 @@ class LoopThread:
     def run(self, work: Coroutine[Any, Any, T]) -> T:
         """Run ``work`` on the loop and return its result.
 
-        When the waiting thread is interrupted (Ctrl-C), the work is cancelled and given the time to clean up
-        before the interrupt goes on: it may have processes to end.
+        When the waiting thread is interrupted (Ctrl-C), the work is cancelled and gets time to clean up before the
+        interrupt goes on, because it may have processes to end.
         """
         finished = threading.Event()
-        future = self._submit(self._followed(work, finished))
+        future = self._submit(self._signal_end(work, finished))
         try:
             return future.result()
         except KeyboardInterrupt:
@@ -57,21 +58,22 @@ class LoopThread:
             raise KeyboardInterrupt from None
 
     @staticmethod
-    async def _followed(work: Coroutine[Any, Any, T], finished: threading.Event) -> T:
+    async def _signal_end(work: Coroutine[Any, Any, T], finished: threading.Event) -> T:
         try:
             return await work
         finally:
             finished.set()
 
     def _submit(self, work: Coroutine[Any, Any, T]) -> Future[T]:
-        # In a context of its own: one that came along from a test would tell anyio that this is trio's thread, or hand a
-        # vendor's variables to the sessions of the kit.
+        # The work runs in a context of its own: the context of a test would tell anyio that this is trio's thread, or hand
+        # a vendor's variables to the sessions of the kit.
         return Context().run(asyncio.run_coroutine_threadsafe, work, self._loop)
 
     async def wait(self, work: Coroutine[Any, Any, T]) -> T:
-        """Run ``work`` on the loop and await its result from another one, whosever that is.
+        """Run ``work`` on the loop and await its result from any other event loop, asyncio's or trio's.
 
-        When the waiting task is cancelled, so is the work; under trio, which has no futures to cancel, it goes on.
+        When the waiting task is cancelled, the work is cancelled too, except under trio: it has no futures to cancel, so
+        the work goes on.
         """
         future = self._submit(work)
         try:
@@ -83,7 +85,7 @@ class LoopThread:
         return await asyncio.wrap_future(future)
 
     def close(self) -> None:
-        """Cancel what is left and end the thread."""
+        """Cancel all tasks of the loop and end the thread."""
         if self._loop.is_closed():
             return
         asyncio.run_coroutine_threadsafe(self._cancel_all(), self._loop).result(timeout=10.0)

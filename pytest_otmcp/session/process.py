@@ -1,7 +1,7 @@
 """One subprocess of the subject: pipes with timestamps, stderr tail, process group, stop ladder.
 
 This module knows operating systems (groups, signals, pipes); it does not know MCP. Every other module may
-assume that nothing of a stopped subject is left running, including children that it forked.
+assume that no process of a stopped subject is left running, including children that it forked.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from typing import Any, cast
 __all__ = ["MAX_FRAME_BYTES", "StopReport", "SubjectProcess", "subject_environment"]
 
 MAX_FRAME_BYTES = 16 * 1024 * 1024
-"""A longer line on stdout is not read to its end: no OT reply has a reason to be this long."""
+"""Length of the longest line on stdout that is read to its end; no OT reply has a reason to be longer."""
 
 _SETTLE_S = 3.0
 _STDERR_LINES = 60
 _STDERR_LINE_BYTES = 2000
 
-# What a subject inherits from the kit's environment. An allow-list: a ``MODBUS_WRITES_ENABLED`` in the user's
+# Variables that a subject inherits from the kit's environment. This is an allow-list: a ``MODBUS_WRITES_ENABLED`` in the user's
 # shell must not reach the read-only variant.
 _INHERITED = (
     "HOME LOGNAME PATH SHELL TERM USER LANG LC_ALL TZ TMPDIR VIRTUAL_ENV PYTHONPATH LD_LIBRARY_PATH SSL_CERT_FILE "
@@ -37,21 +37,21 @@ _INHERITED = (
 
 
 def subject_environment(declared: Mapping[str, str]) -> dict[str, str]:
-    """The environment of a subject: a short allow-list of the kit's own plus what the subject declares."""
+    """Return the environment of a subject: a short allow-list from the kit's own, and the variables that it declares."""
     inherited = {name: os.environ[name] for name in _INHERITED if name in os.environ}
     return inherited | dict(declared)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StopReport:
-    """How a subject ended.
+    """The end of a subject's process.
 
     Attributes:
-        how: ``exited`` (before it was asked), ``eof`` (after its stdin closed, as the MCP specification asks),
-            ``terminated`` (SIGTERM, although its stdin was closed before), ``signalled`` (SIGTERM, the first that it was
-            asked by) or ``killed`` (SIGKILL).
-        seconds: from the first request to the exit.
-        returncode: exit code, negative for a signal, as :mod:`subprocess` has it.
+        how: ``exited`` (before it was asked to), ``eof`` (after its stdin was closed, as the MCP specification asks),
+            ``terminated`` (by SIGTERM, after its stdin was closed in vain), ``signalled`` (by SIGTERM as the first
+            request) or ``killed`` (SIGKILL).
+        seconds: time from the first request to the exit.
+        returncode: exit code, negative for a signal, as in :mod:`subprocess`.
     """
 
     how: str
@@ -60,7 +60,7 @@ class StopReport:
 
 
 class _Pipes(asyncio.SubprocessProtocol):
-    """Cuts stdout into lines, stamps each with the time at which its last byte was read."""
+    """Pipes of a process: cuts stdout into lines, stamps each with the time at which its last byte was read."""
 
     def __init__(self, on_line: Callable[[int, bytes], None], on_overflow: Callable[[int], None]) -> None:
         self._on_line = on_line
@@ -98,7 +98,7 @@ class _Pipes(asyncio.SubprocessProtocol):
     def _stderr(self, data: bytes) -> None:
         *lines, rest = (self._stderr_partial + data).split(b"\n")
         self._stderr_partial = rest[-_STDERR_LINE_BYTES:]
-        # Of megabytes in one chunk only the newest lines can survive the deque anyway.
+        # Only the newest lines are kept, so the others of a large chunk need not be decoded.
         for line in lines[-_STDERR_LINES:]:
             self.stderr.append(line[:_STDERR_LINE_BYTES].decode("utf-8", "replace").rstrip("\r"))
 
@@ -116,7 +116,7 @@ class _Pipes(asyncio.SubprocessProtocol):
 
 
 class SubjectProcess:
-    """A running subject. Create it with :meth:`start`, end it with :meth:`stop`."""
+    """Running process of a subject. Create it with :meth:`start`, end it with :meth:`stop`."""
 
     def __init__(self, transport: asyncio.SubprocessTransport, pipes: _Pipes) -> None:
         self._transport = transport
@@ -154,34 +154,34 @@ class SubjectProcess:
 
     @property
     def returncode(self) -> int | None:
-        """Exit code, or None while it runs."""
+        """Exit code, or None while the process runs."""
         return self._transport.get_returncode()
 
     @property
     def exited(self) -> asyncio.Event:
-        """Set when the process has ended."""
+        """Event that is set when the process has ended."""
         return self._pipes.exited
 
     @property
     def stdout_closed(self) -> asyncio.Event:
-        """Set when nothing more can come on stdout."""
+        """Event that is set when stdout has ended."""
         return self._pipes.stdout_closed
 
     def stderr_tail(self, lines: int = 12) -> list[str]:
-        """The newest non-empty lines of stderr, oldest first."""
+        """Return the newest non-empty lines of stderr, oldest first."""
         return [line for line in self._pipes.stderr if line.strip()][-lines:]
 
     async def settle(self) -> None:
-        """After its stdout was closed: wait (shortly) until it is known how it ended, and what it said last has been read."""
-        # The pipes of a process that ends are closed before it can be waited for.
-        if not await self._ended(_SETTLE_S):
+        """Wait for a short time, after stdout was closed, until the exit code is known and stderr has been read to its end."""
+        # The pipes of a process that ends are closed before its exit code is available.
+        if not await self._wait_for_exit(_SETTLE_S):
             return
-        # A child that lives on may hold the pipe.
+        # A child that lives on may keep the pipe open.
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(self._pipes.stderr_closed.wait(), _SETTLE_S)
 
     def write(self, data: bytes) -> None:
-        """Hand bytes to stdin; they are written at once unless the pipe is full.
+        """Write bytes to stdin, at once unless the pipe is full.
 
         Raises:
             BrokenPipeError: stdin is closed.
@@ -192,36 +192,36 @@ class SubjectProcess:
         cast(asyncio.WriteTransport, stdin).write(data)
 
     async def stop(self, *, grace_s: float, reads_stdin: bool = True) -> StopReport:
-        """End the process the way the MCP specification describes (stdio, shutdown): close stdin, wait, SIGTERM,
-        wait, SIGKILL; then kill what is left of its process group.
+        """End the process as the MCP specification describes (stdio, shutdown): close stdin, wait, SIGTERM, wait,
+        SIGKILL; then kill the rest of its process group.
 
         Args:
             grace_s: seconds given to each of the two polite steps.
-            reads_stdin: the end of its stdin tells it something; else SIGTERM is the first step.
+            reads_stdin: True when the process takes the end of its stdin as a request to end; else SIGTERM is the first.
         """
         begun = time.monotonic()
         if self._pipes.stdout_closed.is_set():
-            # Its end of the pipe closes a moment before the process is reaped: it was leaving before it was asked.
-            await self._ended(grace_s)
+            # stdout closes a moment before the process can be reaped, so this process was ending before it was asked to.
+            await self._wait_for_exit(grace_s)
         how = "exited" if self._pipes.exited.is_set() else "killed"
         if how != "exited":
             stdin = self._transport.get_pipe_transport(0)
             if stdin is not None:
                 stdin.close()
-            if reads_stdin and await self._ended(grace_s):
+            if reads_stdin and await self._wait_for_exit(grace_s):
                 how = "eof"
             else:
                 self._signal(signal.SIGTERM)
-                if await self._ended(grace_s):
+                if await self._wait_for_exit(grace_s):
                     how = "terminated" if reads_stdin else "signalled"
         seconds = time.monotonic() - begun
         # Children of a gracefully ended subject may live on: the group gets SIGKILL in every case.
         self._signal(signal.SIGKILL if os.name == "posix" else signal.SIGTERM)
-        await self._ended(5.0)
+        await self._wait_for_exit(5.0)
         self._transport.close()
         return StopReport(how=how, seconds=seconds, returncode=self.returncode)
 
-    async def _ended(self, timeout_s: float) -> bool:
+    async def _wait_for_exit(self, timeout_s: float) -> bool:
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(self._pipes.exited.wait(), timeout_s)
         return self._pipes.exited.is_set()

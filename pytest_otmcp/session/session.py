@@ -1,10 +1,10 @@
 """One MCP session with a subject, over a transport that records every frame.
 
 The official SDK's client gives the semantics (both protocol eras, cancellation on timeout, schema validation as a
-host would do it); below it frames are recorded, because a judgement needs what an ordinary client throws away:
+host would do it). Frames are recorded below it, because a judgement needs data that an ordinary client throws away:
 raw bytes, the times of request and reply, stray output, stderr and the way in which the process ended.
 
-What this file does not do: judge. It turns calls into :class:`~pytest_otmcp.session.exchange.Exchange` records.
+This module does not judge. It turns calls into :class:`~pytest_otmcp.session.exchange.Exchange` records.
 """
 
 from __future__ import annotations
@@ -32,10 +32,13 @@ __all__ = ["McpSession", "SessionOptions"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionOptions:
-    """How sessions are opened and closed. All times in seconds.
+    """Options for opening and closing sessions; all times in seconds.
 
     Attributes:
-        url: of the subject's streamable HTTP endpoint; None for stdio.
+        era: MCP protocol era, ``auto`` or ``legacy``.
+        start_timeout_s: limit for start and handshake.
+        exit_grace_s: time given to each polite step of ending the process.
+        url: URL of the subject's streamable HTTP endpoint; None for stdio.
     """
 
     era: str = "auto"
@@ -45,11 +48,12 @@ class SessionOptions:
 
 
 class McpSession:
-    """An open session. Use :meth:`open` and :meth:`close`; both may be called from different tasks.
+    """One session. Use :meth:`open` and :meth:`close`; both may be called from different tasks.
 
     Attributes:
         tools: name to entry of ``tools/list``.
-        state: what the functions of a bindings file keep from one call to the next.
+        state: values that the functions of a bindings file keep from one call to the next.
+        spawned_ns, ready_ns: monotonic times at which the process was started and the session was open.
     """
 
     def __init__(self, command: Sequence[str], env: Mapping[str, str], cwd: Path | None, options: SessionOptions):
@@ -74,21 +78,21 @@ class McpSession:
 
     @property
     def stop_report(self) -> StopReport | None:
-        """How the process ended; None while it runs."""
+        """The end of the process; None while it runs."""
         return self._transport.stop_report
 
-    # -- life ---------------------------------------------------------------------------------------------
+    # -- open and close ------------------------------------------------------------------------------------
 
     async def open(self) -> None:
         """Start the subject, agree on a protocol version and list its tools.
 
         Raises:
             SubjectError: the command cannot be run, the process ended, or it did not answer in time; the message
-                carries its last stderr lines. The process is gone when this is raised.
+                carries its last stderr lines. The process has ended when this is raised.
         """
         ready: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self.spawned_ns = time.monotonic_ns()
-        self._owner = asyncio.create_task(self._own(ready), name="otmcp-session")
+        self._owner = asyncio.create_task(self._hold_client(ready), name="otmcp-session")
         try:
             await asyncio.wait_for(asyncio.shield(ready), self._options.start_timeout_s)
         except TimeoutError:
@@ -106,20 +110,20 @@ class McpSession:
             await self.close()
             if isinstance(error, SubjectError):
                 raise
-            raise SubjectError("cannot_start", self._why_not_started(error)) from error
+            raise SubjectError("cannot_start", self._explain_failed_start(error)) from error
         self.ready_ns = time.monotonic_ns()
 
     async def _give_up(self, owner: asyncio.Task[None], ready: asyncio.Future[None]) -> None:
-        # It is still busy with the handshake; waiting for it once more would not make it answer.
+        # The owner is still busy with the handshake, which took too long; a second wait would not help, so cancel it.
         owner.cancel()
         await self.close()
-        # Nobody waits for it any more, and its end is no news.
+        # No task awaits this future any more; its exception is fetched so that asyncio does not report it as lost.
         if ready.done() and not ready.cancelled():
             ready.exception()
 
-    async def _own(self, ready: asyncio.Future[None]) -> None:
+    async def _hold_client(self, ready: asyncio.Future[None]) -> None:
         # anyio's cancel scopes must be left by the task that entered them: this task owns the client from
-        # beginning to end, whoever opens and closes the session.
+        # beginning to end, and other tasks may open and close the session.
         try:
             async with Client(self._transport.streams(), cache=None, mode=self._options.era) as client:
                 await self._list_tools(client)
@@ -136,7 +140,7 @@ class McpSession:
                 return
             if isinstance(error, asyncio.CancelledError):
                 raise
-            # After a good start, what goes wrong shows in the exchanges; closing noise is not news.
+            # After a good start faults show in the exchanges, and errors of the client while it closes say nothing.
         finally:
             self._client = None
 
@@ -152,7 +156,7 @@ class McpSession:
                 return
 
     async def close(self) -> StopReport | None:
-        """Close the session and end the process; never raises, never leaves a process behind."""
+        """Close the session and end the process. It never raises and never leaves a process behind."""
         self._closing.set()
         if self._owner is not None:
             done, _ = await asyncio.wait({self._owner}, timeout=3 * self._options.exit_grace_s + 6.0)
@@ -166,7 +170,7 @@ class McpSession:
     # -- calls --------------------------------------------------------------------------------------------
 
     async def call(self, tool: str, arguments: Mapping[str, Any], *, timeout_s: float) -> Exchange:
-        """Call a tool and record the exchange; every outcome is a record, none an exception."""
+        """Call a tool and return the recorded exchange; no outcome of the call is an exception."""
         asked = dict(arguments)
         return await self._exchange(
             tool,
@@ -175,7 +179,7 @@ class McpSession:
         )
 
     async def read_resource(self, uri: str, *, timeout_s: float) -> Exchange:
-        """Read a resource and record the exchange, as :meth:`call` does."""
+        """Read a resource and return the recorded exchange, as :meth:`call` does."""
 
         async def read(client: Client, meta: RequestParamsMeta) -> object:
             async with asyncio.timeout(timeout_s):
@@ -225,38 +229,38 @@ class McpSession:
 
     @property
     def died(self) -> bool:
-        """The subject has left although nobody asked it to."""
+        """True when the session has no process, or the process has closed the connection."""
         return self._transport.died
 
     async def death_note(self) -> str:
-        """One sentence on how the subject ended, with its last stderr lines."""
+        """Describe in one sentence how the subject ended, with its last stderr lines."""
         process = self._transport.process
         if process is None:
             return "the adapter is not running"
         await process.settle()
         code = process.returncode
-        how = "closed its stdout" if code is None else _exit_words(code)
+        how = "closed its stdout" if code is None else _describe_exit(code)
         return f"the adapter {how}{self._stderr_excerpt()}"
 
     def stderr_tail(self) -> list[str]:
-        """The newest lines on stderr, oldest first."""
+        """Return the newest lines on stderr, oldest first."""
         process = self._transport.process
         return [] if process is None else process.stderr_tail()
 
     def stray_output(self) -> tuple[int, list[str]]:
-        """Lines on stdout that are no MCP message: how many, and the first few."""
+        """Return the number of lines on stdout that are no MCP message, and the first few of them."""
         return self._recorder.stray_count, [line[:200].decode("utf-8", "replace") for line in self._recorder.stray]
 
     def unknown_responses(self) -> list[str]:
-        """Ids of responses to requests that were never sent."""
+        """Return the ids of responses to requests that were never sent."""
         return list(self._recorder.unknown_ids)
 
     @property
     def overflow(self) -> bool:
-        """A message longer than the kit accepts arrived; the session was ended because of it."""
+        """True when a message arrived that is longer than the kit accepts; it ends the session."""
         return self._recorder.overflow
 
-    # -- words --------------------------------------------------------------------------------------------
+    # -- descriptions -------------------------------------------------------------------------------------
 
     def _command_line(self) -> str:
         return " ".join(self._command)
@@ -265,7 +269,7 @@ class McpSession:
         tail = self.stderr_tail()
         return "; last stderr lines:\n    " + "\n    ".join(tail) if tail else "; it wrote nothing to stderr"
 
-    def _why_not_started(self, error: BaseException) -> str:
+    def _explain_failed_start(self, error: BaseException) -> str:
         if isinstance(error, FileNotFoundError):
             return f"the command {self._command[0]!r} was not found; the launch command is: {self._command_line()}"
         if self._recorder.overflow:
@@ -275,7 +279,7 @@ class McpSession:
             return f"the adapter floods stdout with lines that are no MCP messages, the first: {first!r}"
         report = self.stop_report
         if report is not None and report.how == "exited":
-            how = _exit_words(report.returncode)
+            how = _describe_exit(report.returncode)
             return f"the adapter {how} during its handshake ({self._command_line()}){self._stderr_excerpt()}"
         if isinstance(error, OSError):
             return f"the command cannot be executed ({error.strerror or error}): {self._command_line()}"
@@ -283,7 +287,7 @@ class McpSession:
         return f"the adapter's handshake failed: {reason} ({self._command_line()}){self._stderr_excerpt()}"
 
 
-def _exit_words(code: int | None) -> str:
+def _describe_exit(code: int | None) -> str:
     if code is None:
         return "did not exit"
     return f"was killed by signal {-code}" if code < 0 else f"exited with code {code}"

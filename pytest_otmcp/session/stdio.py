@@ -1,4 +1,4 @@
-"""MCP over a subprocess's standard input and output, every frame recorded (MCP basic/transports, stdio)."""
+"""Transport of MCP over a subprocess's standard input and output; records every frame (MCP basic/transports, stdio)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ __all__ = ["StdioTransport"]
 
 
 class StdioTransport:
-    """Starts the subject and carries messages to and from it. For one session."""
+    """Process of the subject and carrier of messages to and from it, for one session."""
 
     def __init__(
         self,
@@ -47,21 +47,21 @@ class StdioTransport:
 
     @property
     def died(self) -> bool:
-        """The process has ended, or has closed its stdout, although nobody asked it to."""
+        """True when the process has ended or closed its stdout, or was never started."""
         process = self.process
         return process is None or process.exited.is_set() or process.stdout_closed.is_set()
 
     async def stop(self) -> StopReport | None:
-        """End the process, if it is still there."""
+        """End the process if it still runs."""
         if self.process is not None and self.stop_report is None:
             self.stop_report = await self.process.stop(grace_s=self._exit_grace_s)
         return self.stop_report
 
     @asynccontextmanager
     async def streams(self) -> AsyncIterator[TransportStreams]:
-        """The streams for the SDK's client; the process lives as long as the block."""
+        """Start the process and give the streams for the SDK's client; the end of the block ends the process."""
         self.process = await SubjectProcess.start(
-            self._command, env=self._env, cwd=self._cwd, on_line=self._line, on_overflow=self._overflow
+            self._command, env=self._env, cwd=self._cwd, on_line=self._receive_line, on_overflow=self._end_at_overflow
         )
         to_client, from_server = anyio.create_memory_object_stream[SessionMessage | Exception](256)
         from_client, to_server = anyio.create_memory_object_stream[SessionMessage](16)
@@ -106,17 +106,17 @@ class StdioTransport:
                 self._incoming.put_nowait(None)
                 return
 
-    def _line(self, now: int, line: bytes) -> None:
+    def _receive_line(self, now: int, line: bytes) -> None:
         message = self._recorder.received(now, line.rstrip(b"\r"))
         if isinstance(message, ValidationError):
             if self._recorder.stray_count <= MAX_STRAY_LINES:
                 self._incoming.put_nowait(message)
             if self._recorder.stray_count == MAX_STRAY_LINES:
-                # A flood is not waited out: the session ends here, and the finding says why.
+                # The session does not wait for the end of a flood: it ends here, and the finding says why.
                 self._incoming.put_nowait(None)
         elif message is not None:
             self._incoming.put_nowait(SessionMessage(message))
 
-    def _overflow(self, now: int) -> None:
+    def _end_at_overflow(self, now: int) -> None:
         self._recorder.overflow = True
         self._incoming.put_nowait(None)

@@ -137,7 +137,8 @@ def adapter_table(protocol: OtProtocol) -> Table:
     return Table(
         {
             "command": Key(
-                _ARGV, "The argument vector; {host} {port} {url} {python} {dir} {work} {http_port} are replaced."
+                _ARGV,
+                "The argument vector; {host} {port} {url} {NAME_port} {serial} {python} {dir} {work} {http_port} are replaced.",
             ),
             "cwd": Key(TEXT, "Working directory, relative to this file."),
             "env": Key(MapOf(STRING), "Environment beyond a short allow-list.", default={}),

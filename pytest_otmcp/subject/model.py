@@ -259,7 +259,7 @@ class Variant:
     """One way to launch an adapter.
 
     Attributes:
-        command: argument vector; ``{host} {port} {url} {python} {dir} {work}`` are replaced.
+        command: argument vector; ``{host} {port} {url} {NAME_port} {serial} {python} {dir} {work} {http_port}`` are replaced.
         env: environment beyond the kit's allow-list, with the same replacements.
         cwd: working directory, or None for the kit's.
         files: name below ``{work}``, a fresh directory, to content with the same replacements.

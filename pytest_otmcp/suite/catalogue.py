@@ -1,4 +1,4 @@
-"""The shipped suite and kit as data: the tasks, without collecting them, and digests that say which they are."""
+"""The shipped suite and kit as data: the tasks, without a collection by pytest, and digests that identify both."""
 
 from __future__ import annotations
 
@@ -28,22 +28,22 @@ def _declarations() -> ModuleType:
 
 
 def task_modules() -> tuple[str, ...]:
-    """Dotted names of the modules that declare the tasks of the suite."""
+    """Return the dotted names of the modules that declare the tasks of the suite."""
     modules: tuple[str, ...] = _declarations().modules()
     return modules
 
 
 def all_tasks() -> dict[str, Task]:
-    """Every task by id, also those of protocols that are only run for a subject that has them, in the suite's order."""
+    """Return every task by id in the suite's order, also the tasks that run only for a subject with their protocol."""
     return {task.id: task for task in _declarations().tasks()}
 
 
 def tasks_by_id(adapters: Collection[str] = ()) -> dict[str, Task]:
-    """The tasks that a run has to have, by id, in the suite's order.
+    """Return the tasks that a run must have, by id, in the suite's order.
 
     Args:
-        adapters: protocols that the subject has an adapter for. Tasks on the kit's own protocols are always there, those
-            on others only when the subject has them.
+        adapters: protocols for which the subject has an adapter. Tasks on the kit's own protocols are always required,
+            tasks on other protocols only when the subject has an adapter for them.
     """
     return {
         name: task
@@ -54,15 +54,16 @@ def tasks_by_id(adapters: Collection[str] = ()) -> dict[str, Task]:
 
 @cache
 def suite_digest() -> str:
-    """``sha256:…`` over the conformance modules in this process's import path: which suite a run was."""
+    """Return ``sha256:…`` over the conformance modules on this process's import path, which identifies the suite."""
     return files_digest(SUITE)
 
 
 @cache
 def kit_digest() -> str:
-    """``sha256:…`` over everything that judges: kit, suite and mock devices; the same from a wheel and from a checkout.
+    """Return ``sha256:…`` over all code that judges: kit, suite and mock devices.
 
-    The reference adapters are subjects like any other.
+    The digest is the same from a wheel and from a checkout. The reference adapters do not count: they are subjects like
+    any other.
     """
-    # In a wheel the other rooms lie inside of the kit's folder, in a checkout beside it; each has its own turn.
-    return files_digest(_PACKAGE, SUITE, _MOCKS, apart=(SUITE, _MOCKS, _ADAPTERS))
+    # In a wheel the other rooms lie inside of the kit's folder, in a checkout beside it; so each is read separately.
+    return files_digest(_PACKAGE, SUITE, _MOCKS, excluded=(SUITE, _MOCKS, _ADAPTERS))

@@ -1,6 +1,6 @@
 """One adapter variant at its device: its session, and abstract operations turned into tool calls.
 
-A station replaces a session that broke; it does not know tasks and does not judge.
+A session that broke is replaced. Tasks are not known here, and nothing is judged.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from ..core.errors import KitError, SubjectError, UsageError
 from ..core.strict_json import parse_strict
 from ..core.text import printable
 from ..plant.device import Device
+from ..plant.endpoint import Endpoint, first_port
 from ..protocols.envelope import check_result
 from ..protocols.registry import protocols
 from ..record.schema import AdapterFacts, StoredBinding
@@ -39,10 +40,33 @@ from ..subject.model import (
 from .cursor import JournalCursor
 from .reply import Expectation, Reply, observe, replace_outputs
 
-__all__ = ["MAIN", "AdapterUnderTest", "BenchOptions", "NoBindingError"]
+__all__ = ["MAIN", "AdapterUnderTest", "BenchOptions", "NoBindingError", "endpoint_values"]
 
 _EXIT_GRACE_S = 5.0
 """From the end of its stdin to the exit (requirement MCP-009)."""
+
+
+def endpoint_values(scheme: str, endpoints: Mapping[str, Endpoint]) -> dict[str, str]:
+    """Return what stands for a device's endpoints in a subject file.
+
+    ``host``, ``port`` and ``url`` are those of its first port, ``NAME_port`` is any further port, ``serial`` is the path of its
+    first pseudo terminal, which is also the ``url`` of a device without a port.
+
+    Args:
+        scheme: of the URL.
+        endpoints: by name, the main one first.
+    """
+    main = first_port(endpoints)
+    lines = [endpoint.path for endpoint in endpoints.values() if endpoint.kind == "pty"]
+    values: dict[str, str] = {}
+    if main is not None:
+        values = {"host": main.host, "port": str(main.port), "url": f"{scheme}://{main.host}:{main.port}"}
+    elif lines:
+        values = {"url": f"{scheme}://{lines[0]}"}
+    if lines:
+        values["serial"] = lines[0]
+    further = (endpoint for endpoint in endpoints.values() if endpoint.kind != "pty" and endpoint is not main)
+    return values | {f"{endpoint.name}_port": str(endpoint.port) for endpoint in further}
 
 
 class NoBindingError(Exception):
@@ -118,13 +142,8 @@ class AdapterUnderTest:
 
     @property
     def endpoint(self) -> dict[str, str]:
-        """What the placeholders of a subject file stand for."""
-        device = self.device
-        return {
-            "host": device.host,
-            "port": str(device.port),
-            "url": f"{protocols()[self.adapter.protocol].scheme}://{device.host}:{device.port}",
-        }
+        """What the placeholders of a subject file stand for, by name."""
+        return endpoint_values(protocols()[self.adapter.protocol].scheme, self.device.endpoints)
 
     def facts(self) -> AdapterFacts:
         """What ``run.json`` says about the adapter."""

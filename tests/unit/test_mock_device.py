@@ -1,4 +1,4 @@
-"""What the kit learns of a mock device: everything that reached it, or that something is missing."""
+"""What the kit learns of a mock device: where it is, and everything that reached it, or that something is missing."""
 
 from __future__ import annotations
 
@@ -8,11 +8,16 @@ import signal
 import socket
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from pathlib import Path
 
 import pytest
 
 from pytest_otmcp.errors import KitError
+from pytest_otmcp.plant.endpoint import Endpoint
 from pytest_otmcp.plant.mock_device import MockDevice
+from pytest_otmcp.subject import load_subject
+from pytest_otmcp.subject.model import replace_template
+from pytest_otmcp.trial.adapter_under_test import AdapterUnderTest, BenchOptions, endpoint_values
 
 pytestmark = pytest.mark.asyncio
 
@@ -56,17 +61,97 @@ async def test_what_arrived_before_the_question_is_in_the_answer(
     assert [entry for entry in entries if expected.items() <= entry.items()], entries
 
 
-async def test_a_journal_that_has_forgotten_what_is_asked_for_says_so() -> None:
-    async with running("modbus") as device:
-        with socket.create_connection((device.host, device.port)) as client:
-            client.sendall(WRITE)
-            assert await device.wait(0, {"kind": "response"}, timeout_s=60.0)
-        await device.wait(0, {"kind": "DISCONNECTED"}, timeout_s=60.0)
-        assert (await device.journal(0)).entries
-        mark = await device.mark()
-        await device.forget(mark - 1)
-        with pytest.raises(KitError, match=f"no longer goes back to entry 0: the oldest that it holds is {mark - 1}"):
-            await device.journal(0)
-        assert len((await device.journal(mark - 1)).entries) == 1
-        await device.forget(mark)
-        assert (await device.journal(mark)).entries == []
+# -- endpoints ------------------------------------------------------------------------------------------------
+
+THIRD_PARTIES = Path(__file__).parents[1] / "mocks"
+
+
+@pytest.fixture
+def third_parties(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Mocks outside the product can be imported by their dotted names."""
+    monkeypatch.setenv("PYTHONPATH", str(THIRD_PARTIES))
+
+
+@pytest.mark.usefixtures("third_parties")
+async def test_a_device_tells_all_its_endpoints_and_keeps_them() -> None:
+    async with running("thirdparty.latches") as device:
+        stream, datagram, line = device.endpoints.values()
+        assert list(device.endpoints) == ["stream", "datagram", "line"]
+        assert [endpoint.kind for endpoint in (stream, datagram, line)] == ["tcp", "udp", "pty"]
+        assert (stream.name, stream.host, stream.port) == ("stream", device.host, device.port)
+        assert (datagram.host, datagram.path) == ("127.0.0.1", "")
+        assert (line.host, line.port) == ("", 0)
+        before, begun = device.endpoints, device.accepting_ns
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+            client.connect((datagram.host, datagram.port))
+            client.send(b"\x07")
+            assert await device.wait(0, {"endpoint": "datagram", "value": 7}, timeout_s=60.0)
+            await device.stop()
+            client.send(b"\x08")
+            await device.start()
+            # Nothing is accepted here: it is ready when it says so, and reads what is sent from then on.
+            assert device.accepting_ns > begun
+            client.send(b"\x09")
+            (set_now,) = await device.wait(0, {"kind": "SET"}, timeout_s=60.0)
+        assert device.endpoints == before
+        assert set_now["seq"] == 0
+        assert (await device.image())["points"]["datagram"] == 9
+
+
+@pytest.mark.usefixtures("third_parties")
+async def test_sentences_name_the_protocol_and_not_the_package() -> None:
+    device = MockDevice("thirdparty.latches", "latches")
+    with pytest.raises(KitError, match=r"^the latches mock is not running \(asked for 'image'\)$"):
+        await device.image()
+    missing = MockDevice("thirdparty.missing", "lamps")
+    try:
+        with pytest.raises(
+            KitError, match=r"(?s)^the lamps mock ended unexpectedly: .*thirdparty\.missing cannot be imported"
+        ):
+            await missing.launch()
+    finally:
+        await missing.close()
+
+
+TCP = Endpoint(name="explicit", kind="tcp", host="127.0.0.1", port=44818)
+UDP = Endpoint(name="implicit", kind="udp", host="127.0.0.1", port=2222)
+PTY = Endpoint(name="bus", kind="pty", path="/dev/pts/7")
+AT_TCP = {"host": "127.0.0.1", "port": "44818", "url": "enip://127.0.0.1:44818"}
+
+
+@pytest.mark.parametrize(
+    ("endpoints", "expected"),
+    [
+        ([TCP], AT_TCP),
+        ([TCP, UDP], {**AT_TCP, "implicit_port": "2222"}),
+        ([TCP, PTY, UDP], {**AT_TCP, "implicit_port": "2222", "serial": "/dev/pts/7"}),
+        ([UDP], {"host": "127.0.0.1", "port": "2222", "url": "enip://127.0.0.1:2222"}),
+        ([PTY, TCP], {**AT_TCP, "serial": "/dev/pts/7"}),
+        ([PTY], {"serial": "/dev/pts/7", "url": "enip:///dev/pts/7"}),
+        ([], {}),
+    ],
+)
+async def test_placeholders_stand_for_every_endpoint(endpoints: list[Endpoint], expected: dict[str, str]) -> None:
+    assert endpoint_values("enip", {endpoint.name: endpoint for endpoint in endpoints}) == expected
+
+
+@pytest.mark.usefixtures("third_parties")
+async def test_an_adapter_is_told_all_endpoints_where_it_is_launched_and_asked_to_connect(tmp_path: Path) -> None:
+    subject = tmp_path / "otmcp.toml"
+    subject.write_text(
+        '[subject]\nname = "Line"\nversion = "1"\n[adapter.modbus]\n'
+        'command = ["{python}", "{serial}"]\n'
+        'env = { AT = "{host}:{port} {datagram_port}" }\n'
+        'connect = { tool = "open", arguments = { line = "{serial}", port = "{datagram_port:int}", at = "{url}" } }\n'
+    )
+    adapter = load_subject(subject).adapters["modbus"]
+    assert adapter.connect is not None
+    async with running("thirdparty.latches") as device:
+        station = AdapterUnderTest(adapter, "rw", device, BenchOptions())
+        _, datagram, line = device.endpoints.values()
+        launch = adapter.variants["rw"].for_endpoint({**station.endpoint, "python": "python"})
+        assert launch.command == ("python", line.path)
+        assert launch.env["AT"] == f"{device.host}:{device.port} {datagram.port}"
+        assert replace_template(adapter.connect.arguments, {}, station.endpoint) == {
+            **{"line": line.path, "port": datagram.port, "at": f"modbus+tcp://{device.host}:{device.port}"},
+        }

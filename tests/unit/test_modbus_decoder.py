@@ -17,6 +17,7 @@ from pymodbus.pdu.register_message import (
     WriteSingleRegisterRequest,
 )
 
+from pytest_otmcp.protocols import conversation
 from pytest_otmcp.protocols.conversation import Direction
 from pytest_otmcp.protocols.framing import Framer
 from pytest_otmcp.protocols.modbus.decoder import ModbusConversation, mbap_length
@@ -97,7 +98,7 @@ def test_the_examples_of_the_specification_are_read_as_it_says(exchange: str) ->
     assert request["pdu"] == exchange.partition(" -> ")[0].replace(" ", "").lower()
 
 
-def test_a_library_of_somebody_else_agrees() -> None:
+def test_an_independent_library_agrees() -> None:
     peer = FramerSocket(DecodePDU(False))
     bits = [True, False, True, True, False, False, True, True, True]
     requests: list[tuple[Any, dict[str, Any]]] = [
@@ -184,6 +185,14 @@ def test_an_answer_belongs_to_the_newest_request_with_its_identifiers() -> None:
     answer = frame("03 02 0007")
     entries = decoded(conversation, ("in", read), ("in", read), ("in", other), ("out", answer), ("out", answer))
     assert [entry["answers"] for entry in entries] == [None, None, None, 1, None]
+
+
+def test_of_too_many_requests_without_an_answer_the_oldest_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(conversation, "_MOST_OUTSTANDING", 2)
+    requests: list[tuple[Direction, bytes]] = [("in", frame("03 0000 0001", transaction=n)) for n in (1, 2, 1, 3)]
+    answers: list[tuple[Direction, bytes]] = [("out", frame("03 02 0007", transaction=n)) for n in (1, 2, 3)]
+    entries = decoded(ModbusConversation(), *requests, *answers)
+    assert [entry["answers"] for entry in entries[4:]] == [2, None, 3]
 
 
 def test_a_coil_value_that_is_neither_on_nor_off_is_not_taken_for_one() -> None:

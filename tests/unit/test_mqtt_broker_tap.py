@@ -1,4 +1,4 @@
-"""A broker of somebody else's behind the tap: the same questions as to a mock, the same answers."""
+"""A broker of the user's own behind the tap: the same questions as to a mock, the same answers."""
 
 from __future__ import annotations
 
@@ -92,14 +92,14 @@ async def exercise(url: str) -> None:
             assert (await broker.journal(0)).entries[0]["seq"] == 0
 
 
-async def test_the_mock_serves_as_a_broker_of_somebody_elses() -> None:
+async def test_the_mock_serves_as_a_broker_of_the_users_own() -> None:
     async with the_mock() as url:
         await exercise(url)
 
 
 @pytest.mark.long
 @pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
-async def test_mosquitto_serves_as_a_broker_of_somebody_elses(tmp_path: Path) -> None:
+async def test_mosquitto_serves_as_a_broker_of_the_users_own(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     settings = tmp_path / "mosquitto.conf"
@@ -116,8 +116,15 @@ async def test_mosquitto_serves_as_a_broker_of_somebody_elses(tmp_path: Path) ->
         await process.communicate()
 
 
+async def test_the_kit_may_have_several_connections_to_one_broker() -> None:
+    async with the_mock() as url:
+        brokers = [TappedBroker(url) for _ in range(8)]
+        await asyncio.gather(*(broker.launch() for broker in brokers))
+        await asyncio.gather(*(broker.close() for broker in brokers))
+
+
 async def test_a_broker_that_is_not_there_is_no_fault_of_the_adapter() -> None:
-    # Bound and never listening: it refuses, and nobody else can take it.
+    # Bound and never listening: it refuses, and no other process can take it.
     with socket.socket() as unused:
         unused.bind(("127.0.0.1", 0))
         port = unused.getsockname()[1]

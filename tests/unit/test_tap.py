@@ -96,6 +96,17 @@ async def test_a_slow_reader_slows_the_sender_down_and_loses_nothing() -> None:
     assert bytes(received) == data
 
 
+async def test_small_pieces_are_sent_at_once_in_both_directions() -> None:
+    async with tapped() as tap, client(tap) as (reader, writer):
+        writer.write(READ)
+        await soon(reader.readexactly(12))
+        (link,) = tap._links
+        for side in (link.client, link._device):
+            assert side.transport is not None
+            sock = side.transport.get_extra_info("socket")
+            assert sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+
+
 async def test_a_half_closed_connection_still_delivers_the_answer() -> None:
     async with tapped() as tap, client(tap) as (reader, writer):
         writer.write(READ)
@@ -277,6 +288,14 @@ async def test_a_dripping_answer_arrives_byte_by_byte() -> None:
         assert b"".join(pieces) == READ + OTHER
         assert len(pieces) >= 6
         assert tap.injected == {Action.DRIP: 1}
+
+
+async def test_a_dropped_answer_is_missing_and_the_next_one_comes() -> None:
+    async with tapped() as tap, client(tap) as (reader, writer):
+        tap.inject(FaultRule(action=Action.DROP, direction="out"))
+        writer.write(READ + OTHER)
+        assert await soon(reader.readexactly(12)) == OTHER
+        assert tap.injected == {Action.DROP: 1}
 
 
 async def test_truncate_passes_only_the_beginning() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import gc
 import json
 import os
@@ -11,9 +12,10 @@ import signal
 import socket
 import sys
 import threading
+import traceback
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any
+from typing import Any, NoReturn
 
 IMPORTED = (
     "asyncua",
@@ -130,8 +132,29 @@ class Server:
             self._finish(adapter)
 
 
+def become(request: Request) -> NoReturn:
+    """Run what the request asks for, in the process that was forked for it, to the end of the process."""
+    code: Any = 1
+    try:
+        run(request)
+        code = 0
+    except SystemExit as end:
+        code = end.code
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        # What a usual end does besides, it does to everything that was imported, and pays for each page of it.
+        atexit._run_exitfuncs()
+        if not isinstance(code, int | None):
+            print(code, file=sys.stderr)
+            code = 1
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code or 0)
+
+
 def run(request: Request) -> None:
-    """Become what the request asks for, in a process that was forked for it."""
+    """Set up the process as it was asked for and run the program as ``__main__``."""
     for number, stream in enumerate(request.streams):
         os.dup2(stream, number)
     # Of the server and of the other adapters.
@@ -150,7 +173,7 @@ def run(request: Request) -> None:
         runpy.run_path(sys.argv[0], run_name="__main__")
 
 
-def main() -> Any:
+def main() -> None:
     """Import, serve, and run what was asked for."""
     # As the adapters do it themselves.
     os.environ["PYDANTIC_DISABLE_PLUGINS"] = "__all__"
@@ -163,7 +186,7 @@ def main() -> Any:
     gc.freeze()
     request = server.serve()
     if request is not None:
-        run(request)
+        become(request)
 
 
 if __name__ == "__main__":

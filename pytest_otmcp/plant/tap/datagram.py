@@ -217,7 +217,7 @@ class _Client:
             self._medium.journal.frame(self._number, direction, data, fault, self._conversation)
 
     def _to_device(self, data: bytes) -> None:
-        # A device that is not there is silent, whatever the system knows of its port.
+        # A device that is not there is silent: that the system calls its port unreachable is not handed on.
         with contextlib.suppress(OSError):
             self._upstream.send(data)
 

@@ -18,7 +18,7 @@ __all__ = ["Lane", "reset_connection"]
 
 
 def reset_connection(transport: asyncio.Transport) -> None:
-    """Close a TCP connection with RST, whatever is still to be sent."""
+    """Close a TCP connection with RST; what is still to be sent is lost."""
     sock = transport.get_extra_info("socket")
     with contextlib.suppress(OSError):
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
@@ -32,7 +32,7 @@ class Lane:
 
     Attributes:
         ended: the end of the stream has been handed on.
-        black_hole: swallow everything from now on.
+        is_black_hole: swallow everything from now on.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class Lane:
         self._queue = FrameQueue(self._write, {Action.RESET: reset, Action.BLACK_HOLE: swallow})
         # How many bytes of the frame that is not yet complete have been handed on already.
         self._ahead = 0
-        self.black_hole = False
+        self.is_black_hole = False
         self.ended = False
 
     # -- transports ---------------------------------------------------------------------------------------
@@ -111,7 +111,7 @@ class Lane:
             self._take_eof()
 
     def _take(self, data: bytes) -> None:
-        if self.black_hole:
+        if self.is_black_hole:
             return
         if self._medium.plan.empty and self._queue.idle:
             self._pass_on(data)
@@ -119,7 +119,7 @@ class Lane:
             self._disturb(data)
 
     def _take_eof(self) -> None:
-        if self.black_hole:
+        if self.is_black_hole:
             # Neither side would ever notice that the connection is over: clear it away.
             self._reset()
             return

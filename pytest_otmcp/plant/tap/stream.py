@@ -110,7 +110,9 @@ class StreamTap:
         self._medium.plan = FaultPlan(rules)
 
     def _bound(self, port: int) -> socket.socket:
-        sock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        # The protocol is named because asyncio sets TCP_NODELAY only where it reads IPPROTO_TCP; without it a small piece waits
+        # until the one before it has been acknowledged.
+        sock = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
         try:
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
@@ -210,7 +212,7 @@ class _Link:
     def _swallow(self) -> None:
         for lane in self._lanes:
             lane.stop()
-            lane.black_hole = True
+            lane.is_black_hole = True
 
     def _finished(self) -> None:
         if all(lane.ended for lane in self._lanes):

@@ -1,8 +1,8 @@
 """Decodes Modbus TCP from recorded bytes, by the specifications alone.
 
 MODBUS Messaging on TCP/IP Implementation Guide V1.0b, section 3.1 (MBAP header); MODBUS Application Protocol V1.1b3,
-section 6 (functions) and 7 (exceptions). Requests are described as far as their bytes go, also wrong ones: what
-arrived is evidence, whatever the device thinks of it. Every request counts as one; those of :data:`STATE_CHANGING` may change
+section 6 (functions) and 7 (exceptions). Requests are described as far as their bytes go, also those that the
+device refuses: what arrived is evidence. Every request counts as one; those of :data:`STATE_CHANGING` may change
 the plant.
 """
 
@@ -112,5 +112,5 @@ def _registers(data: bytes) -> list[int]:
 
 
 def _bits(data: Iterable[int], quantity: int) -> list[bool]:
-    """Least significant bit first (section 6.1)."""
+    """Return the bits, least significant first (section 6.1)."""
     return [bool(byte >> bit & 1) for byte in data for bit in range(8)][:quantity]

@@ -95,7 +95,7 @@ _SCHEMA: dict[str, tuple[tuple[int, str], ...]] = {
 
 @cache
 def payload_class() -> Any:
-    """The message class ``Payload``."""
+    """Return the message class ``Payload``."""
     # Imported here: a run that never meets Sparkplug does not pay for protobuf.
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
@@ -134,7 +134,7 @@ class Topic:
 
 
 def parse_topic(topic: str) -> Topic | None:
-    """The parts of a Sparkplug topic with a protobuf payload, or None for any other topic (STATE among them)."""
+    """Return the parts of a Sparkplug topic with a protobuf payload, or None for any other topic (STATE among them)."""
     namespace, *parts = topic.split("/")
     if namespace != NAMESPACE or not all(parts):
         return None
@@ -146,7 +146,7 @@ def parse_topic(topic: str) -> Topic | None:
 
 
 def decode_message(topic: str, payload: bytes) -> dict[str, Any] | None:
-    """What a PUBLISH says in Sparkplug's words, JSON-safe; None when the topic is none of Sparkplug's.
+    """Return what a PUBLISH says in Sparkplug's words, JSON-safe; None when the topic is none of Sparkplug's.
 
     The result has group, type, edge_node, device, seq, timestamp and metrics, or ``error`` with one sentence when the
     payload is no Sparkplug payload.
@@ -168,7 +168,7 @@ def decode_message(topic: str, payload: bytes) -> dict[str, Any] | None:
 
 
 def decode_payload(payload: bytes) -> dict[str, Any]:
-    """``{"seq", "timestamp", "metrics": [{"name", "alias", "datatype", "value", "is_null"}]}``, JSON-safe.
+    """Return ``{"seq", "timestamp", "metrics": [{"name", "alias", "datatype", "value", "is_null"}]}``, JSON-safe.
 
     What is absent on the wire is None. Signed integers come out signed (section 6.4.16: two's complement), DateTime as
     milliseconds, Bytes and File as base64, NaN and infinities as their names, a DataSet as ``{"columns", "rows"}``, a
@@ -283,7 +283,8 @@ _FORMATS |= {"UInt64": "Q", "Float": "f", "Double": "d", "DateTime": "Q"}
 
 
 def _array(data: bytes, element: str, label: str) -> list[Any]:
-    """Section 6.4.17: packed little-endian; booleans as a count and bits, most significant first; strings ended by NUL."""
+    """Read an array (section 6.4.17): packed little-endian; booleans as a count and bits, most significant first; strings ended
+    by NUL."""
     if element == "String":
         if data and data[-1]:
             raise ValueError(f"metric {label}: the last string of the array is not ended by NUL")

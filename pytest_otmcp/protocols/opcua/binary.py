@@ -32,7 +32,7 @@ _NUMBERS = {2: "b", 3: "B", 4: "h", 5: "H", 6: "i", 7: "I", 8: "q", 9: "Q", 10: 
 
 
 def symbol(status: int) -> str:
-    """Symbol of a status code by its upper 16 bits (the lower ones are information); hexadecimal when unknown."""
+    """Return the symbol of a status code by its upper 16 bits (the lower ones are information); hexadecimal when unknown."""
     if status & 0xFFFF0000 == 0:
         return "Good"
     for entry in wire_codes(__package__).values():
@@ -55,7 +55,7 @@ class BinaryReader:
         return len(self._data) - self._at
 
     def take(self, count: int) -> bytes:
-        """The next bytes.
+        """Return the next bytes.
 
         Raises:
             MalformedError: there are not so many.
@@ -67,21 +67,21 @@ class BinaryReader:
         return part
 
     def unpack(self, code: str) -> Any:
-        """One number of :mod:`struct` format ``code``."""
+        """Read one number of :mod:`struct` format ``code``."""
         return struct.unpack("<" + code, self.take(struct.calcsize(code)))[0]
 
     def byte_string(self) -> bytes | None:
-        """Length -1 is null."""
+        """Read a ByteString; length -1 is null."""
         length = self.unpack("i")
         return None if length == -1 else self.take(length)
 
     def string(self) -> str | None:
-        """UTF-8, with what is none replaced."""
+        """Read UTF-8; bytes that are none are replaced."""
         data = self.byte_string()
         return None if data is None else data.decode("utf-8", "replace")
 
     def array(self, element: Callable[[], Any]) -> list[Any] | None:
-        """Length -1 is null."""
+        """Read an array; length -1 is null."""
         count = self.unpack("i")
         if count == -1:
             return None
@@ -91,11 +91,11 @@ class BinaryReader:
         return [element() for _ in range(count)]
 
     def node_id(self) -> str:
-        """Section 5.2.2.9, written as in section 5.3.1.10; namespace 0 is left out."""
+        """Read a NodeId (section 5.2.2.9), written as in section 5.3.1.10; namespace 0 is left out."""
         return self._node_id(self.unpack("B"))
 
     def expanded_node_id(self) -> str:
-        """Section 5.2.2.10; a namespace URI replaces the index, a server index is ignored."""
+        """Read an ExpandedNodeId (section 5.2.2.10); a namespace URI replaces the index, a server index is ignored."""
         encoding = self.unpack("B")
         text = self._node_id(encoding & 0x3F)
         if encoding & 0x80:
@@ -123,11 +123,11 @@ class BinaryReader:
         return f"ns={namespace};{identifier}" if namespace else identifier
 
     def guid(self) -> str:
-        """Section 5.2.2.6."""
+        """Read a Guid (section 5.2.2.6)."""
         return str(uuid.UUID(bytes_le=self.take(16)))
 
     def date_time(self) -> str | None:
-        """Section 5.2.2.5: 100 ns since 1601; 0 and what no calendar holds is null."""
+        """Read a DateTime (section 5.2.2.5): 100 ns since 1601; 0, and a time that no calendar holds, is null."""
         ticks = self.unpack("q")
         try:
             return None if ticks <= 0 else (_EPOCH + timedelta(microseconds=ticks // 10)).isoformat()
@@ -135,25 +135,25 @@ class BinaryReader:
             return None
 
     def qualified_name(self) -> str:
-        """``2:Temperature``; namespace 0 is left out."""
+        """Read a QualifiedName as ``2:Temperature``; namespace 0 is left out."""
         namespace, name = self.unpack("H"), self.string()
         return f"{namespace}:{name}" if namespace else str(name)
 
     def localized_text(self) -> str | None:
-        """The text without its locale."""
+        """Read a LocalizedText: the text without its locale."""
         mask = self.unpack("B")
         if mask & 1:
             self.string()
         return self.string() if mask & 2 else None
 
     def extension_object(self) -> dict[str, Any]:
-        """Not decoded further: the type's node id and the body as base64."""
+        """Read an ExtensionObject no further than the node id of its type and its body as base64."""
         type_id, encoding = self.node_id(), self.unpack("B")
         body = self.byte_string() if encoding else None
         return {"type_id": type_id, "body": None if body is None else base64.b64encode(body).decode()}
 
     def diagnostic_info(self) -> None:
-        """Section 5.2.2.12; read over."""
+        """Read over a DiagnosticInfo (section 5.2.2.12)."""
         mask = self.unpack("B")
         for bit in (1, 2, 8, 4):
             if mask & bit:
@@ -166,7 +166,7 @@ class BinaryReader:
             self._nested(self.diagnostic_info)
 
     def data_value(self) -> dict[str, Any]:
-        """Section 5.2.2.17: ``value``, ``variant_type``, ``status`` (symbol) and which timestamps are there."""
+        """Read a DataValue (section 5.2.2.17): ``value``, ``variant_type``, ``status`` (symbol) and which timestamps are there."""
         mask = self.unpack("B")
         variant_type, value = self.variant() if mask & 1 else (None, None)
         status = self.unpack("I") if mask & 2 else 0
@@ -183,7 +183,7 @@ class BinaryReader:
         }
 
     def variant(self) -> tuple[str, Any]:
-        """Section 5.2.2.16: name of the type, and the value; a matrix stays a flat list."""
+        """Read a Variant (section 5.2.2.16): the name of its type, and its value; a matrix stays a flat list."""
         mask = self.unpack("B")
         number = mask & 0x3F
         if number >= len(VARIANT_TYPES):
