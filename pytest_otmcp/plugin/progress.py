@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import statistics
 import time
 from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING, Any
@@ -12,7 +11,9 @@ from ..report.text import shortened
 if TYPE_CHECKING:
     import pytest
 
+    from ..record.schema import ItemBody
     from ..trial.task import Task
+    from .results import Measured
 
 __all__ = ["Progress"]
 
@@ -59,25 +60,24 @@ class Progress:
         minutes, seconds = divmod(round(remaining), 60)
         return f"about {minutes} min {seconds} s to go" if minutes else f"about {seconds} s to go"
 
-    def show_finished(self, result: dict[str, Any]) -> None:
+    def show_finished(self, item: ItemBody, measured: Measured) -> None:
         """Show the result of a finished item."""
-        self._guess.pop(result["id"], None)
+        self._guess.pop(item["id"], None)
         self._done += 1
         if self._quiet:
             return
-        good = sum(sample["ok"] for sample in result["samples"])
-        times = [sample["duration_ms"] for sample in result["samples"]]
-        median = f"{statistics.median(times):8.2f} ms" if times else " " * 11
-        colour = {"PASS": "green", "NOT_APPLICABLE": "yellow"}.get(result["status"], "red")
+        good, median_ms = measured["passed"], measured["median_ms"]
+        median = " " * 11 if median_ms is None else f"{median_ms:8.2f} ms"
+        colour = {"PASS": "green", "NOT_APPLICABLE": "yellow"}.get(item["status"], "red")
         if self._line_open:
             self._overwrite("")
         else:
             self._write("\n")
         self._line_open = False
-        self._write(f"  {result['id']:<9} ")
-        self._write(f"{good:>3}/{result['planned']:<3} {result['status']:<5}", **{colour: True})
+        self._write(f"  {item['id']:<9} ")
+        self._write(f"{good:>3}/{item['planned']:<3} {item['status']:<5}", **{colour: True})
         # Text near the edge would make pytest print its percentage there and begin another line.
-        self._write(shortened(f" {median}  {result['title']}", max(20, self._writer.fullwidth - 36)))
+        self._write(shortened(f" {median}  {item['title']}", max(20, self._writer.fullwidth - 36)))
 
     def _write(self, text: str, **markup: bool) -> None:
         with self._uncaptured():

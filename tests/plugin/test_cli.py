@@ -17,7 +17,7 @@ import pytest
 
 from pytest_otmcp import cli
 from pytest_otmcp.errors import KitError, UsageError
-from pytest_otmcp.record.run_file import load
+from pytest_otmcp.record import load
 from tests.unit.certified import conformant_run, resealed
 
 from .command import OTMCP, otmcp, sentence
