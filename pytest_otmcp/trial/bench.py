@@ -73,7 +73,7 @@ class Bench:
         if name not in self._stations:
             protocol, _, variant = name.partition("@")
             adapter = self.subject.adapters[protocol]
-            first = await device.mark()
+            first = await device.first()
             self._stations.setdefault(
                 name, AdapterUnderTest(adapter, variant or READ_WRITE, device, self.options, first=first)
             )
