@@ -87,10 +87,10 @@ async def outage(run: Repetition, rig: Rig, operation: str, witness: Witness, **
         "stop": stop_ms,
         "detect": failing.latency_ms,
         "restart": restart_ms,
-        "same_session": milliseconds(accepting_ns, recovered.wire.received_ns) if recovered else None,
+        "same_session": milliseconds(accepting_ns, recovered.exchange.received_ns) if recovered else None,
         "same_session_attempts": len(attempts),
         "same_session_ok": recovered is not None,
-        "fresh_session": milliseconds(fresh.spawned_ns, first.wire.received_ns) if first.success else None,
+        "fresh_session": milliseconds(fresh.spawned_ns, first.exchange.received_ns) if first.success else None,
         "fresh_session_ok": bool(first.success),
     }
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from pytest_otmcp.protocols.modbus import oracle
 from pytest_otmcp.protocols.modbus.entries import points
+from pytest_otmcp.protocols.session_oracle import StateChanges
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.rig import Rig
 from pytest_otmcp.trial.task import Tasks
@@ -114,7 +115,7 @@ async def the_guard_was_put_to_the_test(run: Repetition, modbus: Rig, modbus_ro:
     )
     # The whole life of the read-only session, its closing included, is on this device's journal and nobody else's.
     await modbus_ro.close_session()
-    run.witnessed(oracle.no_state_changing_request(await modbus_ro.session_journal()))
+    run.witnessed(oracle.nothing_changed_by(await modbus_ro.follow(StateChanges)))
 
 
 @TASKS.task(

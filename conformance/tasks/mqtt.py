@@ -53,7 +53,7 @@ async def subscribe_to_sensors(run: Repetition, mqtt: Rig) -> None:
     run.succeeds(reply, granted_qos=0)
     qos = mqtt.expected_if_accepted("subscribe", "qos", 0)
     # An adapter that holds the subscription already need not ask for it again.
-    run.witnessed(oracle.subscribed(await mqtt.session_journal(), filter="sensors/#", qos=qos))
+    run.witnessed((await mqtt.follow(oracle.Subscriptions)).granted("sensors/#", qos=qos))
     topic, payload = "sensors/temperature", f"nonce-{run.rng.getrandbits(64):016x}".encode()
     await publish_from_kit(mqtt, topic, payload)
     await mqtt.wait_for(kind="PUBLISH", direction="out", topic=topic, timeout_s=1.0)
@@ -106,7 +106,7 @@ async def guarded_publish(run: Repetition, guarded: Rig | None, operation: str, 
         run.succeeds(await guarded.call("info"))
         run.witnessed(oracle.exchange(await guarded.journal()))
     await guarded.close_session()
-    run.witnessed(oracle.no_packet(await guarded.session_journal(), "PUBLISH", direction="in"))
+    run.witnessed((await guarded.follow(oracle.Publications)).none())
 
 
 @TASKS.task(
@@ -126,7 +126,7 @@ async def publish_device_data(run: Repetition, mqtt: Rig) -> None:
     await mqtt.wait_for(kind="PUBLISH", direction="in", timeout_s=1.0)
     run.witnessed(
         oracle.ddata_metric(await mqtt.journal(), device="device-1", name="temperature", value=value),
-        oracle.sparkplug_sequence(await mqtt.session_journal()),
+        (await mqtt.follow(oracle.SparkplugSequence)).findings,
     )
 
 
@@ -186,7 +186,7 @@ async def subscribe_with_qos_5(run: Repetition, mqtt: Rig) -> None:
 async def a_proper_qos_is_accepted(run: Repetition, mqtt: Rig) -> None:
     await mqtt.stays_quiet(QUIET_S, lambda journal: oracle.no_packet(journal, "SUBSCRIBE", direction="in"))
     run.succeeds(await mqtt.call("subscribe", filter="sensors/#", qos=1), granted_qos=1)
-    run.witnessed(oracle.subscribed(await mqtt.session_journal(), filter="sensors/#", qos=1))
+    run.witnessed((await mqtt.follow(oracle.Subscriptions)).granted("sensors/#", qos=1))
 
 
 @TASKS.task(

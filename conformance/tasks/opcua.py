@@ -9,6 +9,7 @@ from __future__ import annotations
 from functools import partial
 
 from pytest_otmcp.protocols.opcua import oracle
+from pytest_otmcp.protocols.session_oracle import StateChanges
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.rig import Rig
 from pytest_otmcp.trial.task import Tasks
@@ -102,7 +103,7 @@ async def nothing_is_written_with_writes_disabled(run: Repetition, opcua_ro: Rig
     await opcua_ro.close_session()
     run.witnessed(
         oracle.read_from_device(await opcua_ro.journal(), "ns=2;s=ValvePosition"),
-        oracle.no_state_changing_service(await opcua_ro.session_journal()),
+        oracle.nothing_changed_by(await opcua_ro.follow(StateChanges)),
         oracle.only_changed(before, await opcua_ro.image(), {}),
     )
 

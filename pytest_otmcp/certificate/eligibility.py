@@ -6,25 +6,23 @@ because the subject does not claim what it needs. The record says all of that, a
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator, Mapping
-from typing import Any, TypeGuard
+from collections.abc import Iterable, Iterator, Mapping
+from typing import cast
 
 from ..core.matrix import SUITES, repetitions
 from ..core.verdict import Status, Verdict, decide
 from ..protocols.external import external_devices
 from ..protocols.protocol import GUARD
 from ..protocols.registry import protocols
+from ..record.schema import Run
+from ..subject.claims import Claims
 from ..trial.task import Task
 
-__all__ = ["MINIMUM_REPS", "needed", "objections", "unguarded", "why_not_claimed"]
+__all__ = ["MINIMUM_REPS", "exercised", "objections", "unguarded"]
 
 MINIMUM_REPS = 30
 """The paper's matrix: thirty passes of thirty mean at least 90 % with 95 % confidence, fewer mean less."""
 
-_DIGEST = re.compile("sha256:[0-9a-f]{64}")
-
-Run = Mapping[str, Any]
 Tasks = Mapping[str, Task]
 
 
@@ -37,41 +35,29 @@ def objections(run: Run, tasks: Tasks) -> list[str]:
     """
     found = [
         *_verdict_objections(run, tasks),
-        *(_gaps(run) or [*_settings_objections(run), *unguarded(run["subject"]["adapters"])]),
+        *(_gaps(run) or [*_settings_objections(run), *unguarded(_claims(run), run["subject"]["adapters"])]),
     ]
     # What did not pass needs no further reason; what did must be everything that the subject claims.
     return found or list(_item_objections(run, tasks))
 
 
+def _claims(run: Run) -> Claims:
+    return Claims.of_record(run["subject"]["adapters"])
+
+
 def _gaps(run: Run) -> list[str]:
     """What a certificate needs to say and the record does not."""
-    environment = run["environment"] if isinstance(run["environment"], dict) else {}
-    texts = {
-        "kit.name": run["kit"].get("name"),
-        "kit.version": run["kit"].get("version"),
-        "kit.digest": run["kit"].get("digest"),
-        "kit.suite_digest": run["kit"].get("suite_digest"),
-        "subject.name": run["subject"].get("name"),
-        "subject.version": run["subject"].get("version"),
-        "subject.digest": run["subject"].get("digest"),
-        "environment.started_at": environment.get("started_at"),
-    }
-    lists = {
-        "subject.deviations": run["subject"].get("deviations"),
-        "settings.narrowed": run["settings"].get("narrowed"),
-    }
-    gaps = [
-        f"the record has no valid {name}"
-        for name, text in texts.items()
-        if not isinstance(text, str) or (name.endswith("digest") and not _DIGEST.fullmatch(text))
+    gaps = [] if "tool_calls" in run["footer"] else ["the record does not count its tool calls"]
+    gaps += [
+        f"the record's adapter {protocol!r} is none that the kit knows"
+        for protocol in run["subject"]["adapters"]
+        if protocol not in protocols()
     ]
-    gaps += [f"the record has no list {name}" for name, entries in lists.items() if not isinstance(entries, list)]
-    if not isinstance(run["footer"].get("tool_calls"), dict):
-        gaps.append("the record does not count its tool calls")
-    for protocol, facts in run["subject"]["adapters"].items():
-        known = protocol in protocols() and isinstance(facts, dict)
-        if not known or not isinstance(facts.get("unclaimed"), dict) or not isinstance(facts.get("blocking"), list):
-            gaps.append(f"the record's adapter {protocol!r} is none that the kit knows")
+    gaps += [
+        f"the journal of {name} does not begin with the run"
+        for name, device in run["devices"].items()
+        if device["first"] != 0
+    ]
     return gaps
 
 
@@ -97,30 +83,30 @@ def _settings_objections(run: Run) -> Iterator[str]:
         yield f"known deviations are declared, and a certificate excuses nothing: {deviations}"
     for sentence in settings["narrowed"]:
         yield f"the suite was narrowed: {sentence}"
-    reps = settings.get("reps")
-    if not _is_count(reps) or reps < MINIMUM_REPS:
+    reps = settings["reps"]
+    if reps < MINIMUM_REPS:
         yield f"{reps!r} repetitions are not the {MINIMUM_REPS} that a certificate needs"
-    if settings.get("time_scale") != 1:
+    if settings["time_scale"] != 1:
         yield f"deadlines and windows were scaled by {settings.get('time_scale')}"
     for device in external_devices().values():
-        if settings.get(device.option) != "embedded":
+        if cast(dict[str, object], settings).get(device.option) != "embedded":
             yield f"the {device.option} was not the kit's own"
-    if settings.get("suites") != list(SUITES):
+    if settings["suites"] != list(SUITES):
         yield f"not every suite was chosen: {settings.get('suites')}"
 
 
-def unguarded(adapters: Mapping[str, Any]) -> Iterator[str]:
+def unguarded(claims: Claims, adapters: Iterable[str]) -> Iterator[str]:
     """A sentence for each adapter that writes and is not claimed to refuse that when it is told to.
 
     Requirement WR-004 is a MUST for every adapter: a claim that is left out must not be the way around it.
 
     Args:
-        adapters: as in ``subject.adapters`` of a run record.
+        adapters: their protocols.
     """
     for protocol in adapters:
         writing = [name for name, operation in protocols()[protocol].operations.items() if operation.writes]
-        reason = why_not_claimed(f"{protocol}.{GUARD}", adapters)
-        if reason is not None and any(why_not_claimed(f"{protocol}.{name}", adapters) is None for name in writing):
+        reason = claims.why_not(f"{protocol}.{GUARD}")
+        if reason is not None and any(claims.has(f"{protocol}.{name}") for name in writing):
             yield (
                 f"{protocol}: it writes, and that its writes can be disabled ({GUARD}, requirement WR-004) "
                 f"is not claimed: {reason}"
@@ -128,9 +114,8 @@ def unguarded(adapters: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _item_objections(run: Run, tasks: Tasks) -> Iterator[str]:
-    reps = run["settings"].get("reps")
-    planned = repetitions(reps) if _is_count(reps) else {}
-    adapters = run["subject"]["adapters"]
+    planned = repetitions(max(1, run["settings"]["reps"]))
+    claims = _claims(run)
     for item in run["items"]:
         name = item["id"]
         task = tasks.get(name)
@@ -140,46 +125,11 @@ def _item_objections(run: Run, tasks: Tasks) -> Iterator[str]:
             yield f"{name} is an item of {task.suite}, {task.family}, the record says {item['suite']}, {item['family']}"
         elif item["planned"] != planned.get(task.suite):
             yield f"{name} has {item['planned']} repetitions, the settings say {planned.get(task.suite)}"
-        elif (item["status"] == Status.NOT_APPLICABLE) != _applies_not(task, adapters):
+        elif (item["status"] == Status.NOT_APPLICABLE) == all(map(claims.has, claims.required(task.needs))):
             yield f"{name} is called {item['status']}, which is not what the subject claims"
 
 
-def _is_count(value: Any) -> TypeGuard[int]:
-    # JSON's true is no number, though Python's is.
-    return isinstance(value, int) and not isinstance(value, bool) and value > 0
-
-
-def _applies_not(task: Task, adapters: Mapping[str, Any]) -> bool:
-    """Something that the task needs is not claimed."""
-    return any(why_not_claimed(facet, adapters) is not None for facet in needed(task, adapters))
-
-
-def needed(task: Task, adapters: Mapping[str, Any]) -> list[str]:
-    """The facets that a task needs of these adapters, each with its protocol.
-
-    Args:
-        task: of the suite.
-        adapters: ``subject.adapters`` of a run record.
-    """
-    found = []
-    for need in task.needs:
-        protocol, _, name = need.partition(".")
-        blocking = adapters[protocol].get("blocking", ()) if protocol in adapters else ()
-        found += [f"{protocol}.{real}" for real in protocols()[protocol].required_facets(name, blocking)]
-    return list(dict.fromkeys(found))
-
-
-def exercised(task: Task, adapters: Mapping[str, Any]) -> list[str]:
+def exercised(task: Task, claims: Claims) -> list[str]:
     """The facets that a task says something about: those that it needs, and guards that it looks at when there are any."""
     guards = [f"{protocol}.{GUARD}" for protocol in task.guards]
-    return [*needed(task, adapters), *(facet for facet in guards if why_not_claimed(facet, adapters) is None)]
-
-
-def why_not_claimed(facet: str, adapters: Mapping[str, Any]) -> str | None:
-    """Why a facet, such as ``modbus.guard``, is not claimed; None when it is."""
-    protocol, _, name = facet.partition(".")
-    if protocol not in adapters:
-        return f"the subject has no adapter for {protocols()[protocol].name}"
-    unclaimed = adapters[protocol]["unclaimed"]
-    reason: str | None = unclaimed.get(name, unclaimed.get(name.partition(".")[0]))
-    return reason
+    return [*claims.required(task.needs), *(facet for facet in guards if claims.has(facet))]

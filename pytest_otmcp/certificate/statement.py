@@ -12,15 +12,17 @@ A certificate is a function of the run record and of nothing else, so whoever ha
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from ..core.matrix import SUITES
 from ..core.statistics import lower_bound, proportion_interval
 from ..core.verdict import Status
 from ..protocols.registry import protocols
+from ..record.schema import AdapterFacts, Item, Run
+from ..subject.claims import Claims
 from ..trial.task import Task
-from .eligibility import exercised, needed, why_not_claimed
+from .eligibility import exercised
 
 __all__ = ["PREDICATE_TYPE", "STATEMENT_TYPE", "certificate", "differences"]
 
@@ -45,7 +47,6 @@ _LIMITS = [
     "Bounds take repetitions as independent; they share a session.",
 ]
 
-Run = Mapping[str, Any]
 Tasks = Mapping[str, Task]
 
 
@@ -68,6 +69,15 @@ def certificate(run: Run, run_sha256: str, tasks: Tasks) -> dict[str, Any]:
             "configuration": [
                 {"name": f"{kit['name']} {kit['version']}", "digest": _digest_set(kit["digest"])},
                 {"name": "conformance suite", "digest": _digest_set(kit["suite_digest"])},
+                *(
+                    # Whoever judges a protocol that is not the kit's own is named.
+                    {
+                        "name": f"protocol {entry['key']}: {entry['distribution']} {entry['version']}",
+                        "digest": _digest_set(entry["digest"]),
+                    }
+                    for entry in kit["protocols"]
+                    if entry["digest"] is not None and entry["key"] in subject["adapters"]
+                ),
                 {"name": "run.json", "digest": {"sha256": run_sha256}, "mediaType": "application/json"},
             ],
             "passedTests": passed,
@@ -77,6 +87,7 @@ def certificate(run: Run, run_sha256: str, tasks: Tasks) -> dict[str, Any]:
                 "schema": SCHEMA,
                 "verdict": footer["verdict"],
                 "level": dict(_LEVEL),
+                "run_id": run["run_id"],
                 "measured_at": run["environment"]["started_at"],
                 "adapters": {
                     protocol: _adapter(protocol, facts, run, tasks)
@@ -98,28 +109,29 @@ def _digest_set(digest: str) -> dict[str, str]:
     return {algorithm: value}
 
 
-def _adapter(protocol: str, facts: Mapping[str, Any], run: Run, tasks: Tasks) -> dict[str, Any]:
-    adapters = run["subject"]["adapters"]
+def _adapter(protocol: str, facts: AdapterFacts, run: Run, tasks: Tasks) -> dict[str, Any]:
+    claims = Claims.of_record(run["subject"]["adapters"])
     earned, not_exercised, not_claimed = {}, [], {}
     for name in protocols()[protocol].facets:
         facet = f"{protocol}.{name}"
-        behind = [item for item in run["items"] if facet in exercised(tasks[item["id"]], adapters)]
+        behind = [item for item in run["items"] if facet in exercised(tasks[item["id"]], claims)]
         applying = [item for item in behind if item["status"] != Status.NOT_APPLICABLE]
-        if (reason := why_not_claimed(facet, adapters)) is not None:
+        if (reason := claims.why_not(facet)) is not None:
             not_claimed[name] = reason
         elif applying:
             # They have all passed, or there would be no certificate.
             earned[name] = [item["id"] for item in applying]
         else:
             not_exercised.append(name)
-    revision = str(facts.get("protocol_version"))
+    revision = str(facts["protocol_version"])
     return {
-        "server": {"name": facts.get("server_name"), "version": facts.get("server_version")},
+        "server": {"name": facts["server_name"], "version": facts["server_version"]},
         "mcp": {"revision": revision, "era": "stateless" if revision >= _FIRST_STATELESS else "initialize"},
-        "envelope": facts.get("envelope", "native"),
-        "envelope_requirements_unmet": facts.get("unmet", []),
-        "outputs_not_judged": facts.get("unjudged", []),
-        "recovery": facts.get("recovery"),
+        "deadline_s": facts["deadline_s"],
+        "envelope": facts["envelope"],
+        "envelope_requirements_unmet": facts["unmet"],
+        "outputs_not_judged": facts["unjudged"],
+        "recovery": facts["recovery"],
         "facets": {"earned": earned, "claimed_not_exercised": not_exercised, "not_claimed": not_claimed},
     }
 
@@ -136,7 +148,7 @@ def _counts(run: Run) -> dict[str, Any]:
     }
 
 
-def _item_counts(item: Mapping[str, Any]) -> dict[str, Any]:
+def _item_counts(item: Item) -> dict[str, Any]:
     good, planned = sum(sample["ok"] for sample in item["samples"]), item["planned"]
     least, interval = lower_bound(good, planned, _CONFIDENCE), proportion_interval(good, planned, _CONFIDENCE)
     assert least is not None
@@ -150,7 +162,7 @@ def _item_counts(item: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _tally(items: Any) -> dict[str, int]:
+def _tally(items: Iterable[Item]) -> dict[str, int]:
     counted = [item for item in items if item["status"] != Status.NOT_APPLICABLE]
     return {
         "items": len(counted),
@@ -161,12 +173,12 @@ def _tally(items: Any) -> dict[str, int]:
 
 def _not_applicable(run: Run, tasks: Tasks) -> dict[str, str]:
     """Item to the first thing that it needs and the subject does not claim."""
-    adapters = run["subject"]["adapters"]
+    claims = Claims.of_record(run["subject"]["adapters"])
     return {
         item["id"]: next(
             f"{facet}: {reason}"
-            for facet in needed(tasks[item["id"]], adapters)
-            if (reason := why_not_claimed(facet, adapters)) is not None
+            for facet in claims.required(tasks[item["id"]].needs)
+            if (reason := claims.why_not(facet)) is not None
         )
         for item in run["items"]
         if item["status"] == Status.NOT_APPLICABLE

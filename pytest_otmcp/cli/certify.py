@@ -8,7 +8,6 @@ directory, without conftest files, and without any plugin but pytest's and ours.
 from __future__ import annotations
 
 import argparse
-import hashlib
 import json
 import os
 import secrets
@@ -70,6 +69,7 @@ def run(args: argparse.Namespace) -> int:
     """
     from ..certificate.eligibility import MINIMUM_REPS, unguarded
     from ..subject import load_subject, reference_subject
+    from ..subject.claims import Claims
 
     if args.reps < MINIMUM_REPS:
         raise UsageError(f"--reps: a certificate needs at least {MINIMUM_REPS} repetitions, found {args.reps}")
@@ -84,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
             f"no certificate: {subject.source} declares known deviations ({known}), and a certificate excuses nothing; "
             f"pytest --otmcp-reps={args.reps} accepts them until they expire"
         )
-    if without := list(unguarded({protocol: adapter.facts() for protocol, adapter in subject.adapters.items()})):
+    if without := list(unguarded(Claims.of_subject(subject.adapters), subject.adapters)):
         raise Refusal(f"no certificate: {'; '.join(without)}")
     out.mkdir(parents=True, exist_ok=True)
     print(f"certifying {subject.name} {subject.version} ({file or 'shipped with the kit'})", flush=True)
@@ -164,7 +164,8 @@ def _conclude(out: Path, ended: int) -> int:
     """Write the certificate, or say why there is none."""
     from ..certificate.eligibility import objections
     from ..certificate.statement import certificate
-    from ..record.run_file import RecordError, load
+    from ..record.condensed import condensed
+    from ..record.reader import RecordError, open_record
     from ..suite.catalogue import tasks_by_id
 
     path = out / "run.json"
@@ -173,15 +174,16 @@ def _conclude(out: Path, ended: int) -> int:
             raise UsageError("no certificate: the suite did not begin, for the reason above")
         raise KitError(f"no certificate: pytest ended with {ended} before anything was recorded")
     try:
-        record = load(path)
+        with open_record(path) as stored:
+            record, sha256 = condensed(stored), stored.sha256
     except RecordError as reason:
         raise Refusal(f"no certificate: {reason}") from None
-    tasks = tasks_by_id()
+    tasks = tasks_by_id(record["subject"]["adapters"])
     if reasons := objections(record, tasks):
         statuses = {item["id"]: Status(item["status"]) for item in record["items"]}
         code = exit_code(decide(statuses, tasks))
         raise Refusal(f"no certificate: {'; '.join(reasons)}", max(code, ExitCode.NOT_CONFORMANT))
-    _write(out, certificate(record, hashlib.sha256(path.read_bytes()).hexdigest(), tasks))
+    _write(out, certificate(record, sha256, tasks))
     return ExitCode.CONFORMANT
 
 

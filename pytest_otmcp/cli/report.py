@@ -32,13 +32,15 @@ def run(args: argparse.Namespace) -> int:
         Refusal: it is no record that can be believed.
         KitError: a report could not be written; the others were.
     """
-    from ..record.run_file import RecordError, load
+    from ..record.condensed import condensed
+    from ..record.reader import RecordError, open_record
     from ..report.render import write_all
 
     if not args.record.is_file():
         raise UsageError(f"{args.record}: there is no such file")
     try:
-        record = load(args.record, allow_incomplete=True)
+        with open_record(args.record, allow_incomplete=True) as stored:
+            record = condensed(stored)
     except RecordError as reason:
         raise Refusal(f"no reports: {reason}") from None
     directory: Path = args.out if args.out is not None else args.record.parent

@@ -7,13 +7,15 @@ that judged a history can judge it again.
 from __future__ import annotations
 
 import argparse
-import hashlib
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..core.errors import UsageError
 from . import Refusal
+
+if TYPE_CHECKING:
+    from ..record.reader import StoredRun
+    from ..record.schema import Kit
 
 __all__ = ["add_parser", "run", "verify"]
 
@@ -45,6 +47,10 @@ def run(args: argparse.Namespace) -> int:
         f"verified: {told['subject'][0]['name']} is {told['predicate']['otmcp']['verdict']}; {counts['passed']} of "
         f"{counts['planned']} repetitions passed in {counts['items']} items, and judging them again found the same"
     )
+    if judges := [
+        entry["name"] for entry in told["predicate"]["configuration"] if entry["name"].startswith("protocol ")
+    ]:
+        print(f"judged by other packages than the kit, too: {', '.join(judges)}")
     print("the certificate is not signed: who ran the kit, and at which adapter, it cannot prove")
     return 0
 
@@ -56,31 +62,37 @@ def verify(certificate_path: Path, record_path: Path) -> dict[str, Any]:
         UsageError: one of the files is not there.
         Refusal: something does not hold; one sentence.
     """
-    from ..certificate.eligibility import objections
-    from ..certificate.statement import certificate, differences
-    from ..record.run_file import RecordError, load
-    from ..replay.rejudge import rejudge
-    from ..suite.catalogue import tasks_by_id
+    from ..record.reader import RecordError, open_record
 
     told = _statement(certificate_path)
     if not record_path.is_file():
         raise UsageError(f"{record_path}: there is no such file")
     try:
-        record = load(record_path)
+        with open_record(record_path) as run:
+            return _derived(told, run, certificate_path, record_path)
     except RecordError as reason:
         raise Refusal(f"refused: {reason}") from None
-    digest = hashlib.sha256(record_path.read_bytes()).hexdigest()
-    if digest not in _bound(told):
+
+
+def _derived(told: Any, run: StoredRun, certificate_path: Path, record_path: Path) -> dict[str, Any]:
+    from ..certificate.eligibility import objections
+    from ..certificate.statement import certificate, differences
+    from ..record.condensed import condensed
+    from ..replay.rejudge import rejudge
+    from ..suite.catalogue import tasks_by_id
+
+    if run.sha256 not in _bound(told):
         raise Refusal(f"refused: {certificate_path} is about another run.json than {record_path}")
-    _check_kit(record_path, record["kit"])
-    tasks = tasks_by_id()
+    _check_kit(record_path, run.header["kit"])
+    record = condensed(run)
+    tasks = tasks_by_id(run.header["subject"]["adapters"])
     try:
         _refuse(f"{record_path} earns no certificate", objections(record, tasks))
-        expected = certificate(record, digest, tasks)
+        expected = certificate(record, run.sha256, tasks)
         _refuse(f"{certificate_path} does not say what the run says", list(differences(told, expected)))
-        _refuse(f"{record_path} was not judged as its history deserves", rejudge(record))
+        _refuse(f"{record_path} was not judged as its history deserves", rejudge(run))
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
-        # This kit wrote records of its own runs with all that it reads here: whoever wrote this one was not this kit.
+        # This kit wrote records of its own runs with all that it reads here: this one was not written by this kit.
         raise Refusal(f"refused: {record_path} holds what no run of this kit has written ({error!r})") from None
     return expected
 
@@ -110,18 +122,34 @@ def _bound(statement: Any) -> list[Any]:
         return []
 
 
-def _check_kit(path: Path, judged_by: Mapping[str, Any]) -> None:
+def _check_kit(path: Path, judged_by: Kit) -> None:
     from .. import __version__
     from ..suite.catalogue import kit_digest, suite_digest
 
     found = tuple(judged_by.get(name) for name in ("version", "suite_digest", "digest"))
     if found == (__version__, suite_digest(), kit_digest()):
+        _check_protocols(path, judged_by)
         return
     if found[0] == __version__:
         why = f"a pytest-otmcp {__version__} with other files than this one (one of the two has been changed)"
     else:
         why = f"pytest-otmcp {found[0]}, and this is {__version__}; install that version to judge it again"
     raise Refusal(f"refused: {path} was judged by {why}")
+
+
+def _check_protocols(path: Path, judged_by: Kit) -> None:
+    """Compare the protocols of other packages that judged the run with those that are installed here."""
+    from ..protocols.registry import protocols
+
+    for entry in judged_by["protocols"]:
+        if entry["digest"] is None:
+            continue
+        package = f"the protocol {entry['key']!r} of {entry['distribution']} {entry['version']}"
+        installed = protocols().get(entry["key"])
+        if installed is None or installed.origin is None:
+            raise Refusal(f"refused: {path} was judged by {package}; install it to judge the run again")
+        if installed.origin.digest != entry["digest"]:
+            raise Refusal(f"refused: {path} was judged by {package} with other files than those installed here")
 
 
 def _refuse(what: str, reasons: list[str]) -> None:

@@ -49,7 +49,7 @@ class ErrorCode:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WireCode:
-    """One code of a protocol, and what it becomes in the envelope.
+    """One code of a protocol and its meaning in the envelope.
 
     Attributes:
         key: as in the data file: a number in decimal, a symbol of the specification, or a socket condition.
@@ -92,7 +92,7 @@ def registry() -> Mapping[str, ErrorCode]:
 
 @cache
 def wire_codes(package: str, file: str = "codes.toml", table: str = "codes") -> Mapping[str, WireCode]:
-    """Read a protocol's own codes and what they become in the envelope, key to entry.
+    """Read a protocol's own codes and their meaning in the envelope, key to entry.
 
     Args:
         package: the package that holds the file, such as that of a protocol; ``pytest_otmcp.core`` with ``errors.toml``

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 __all__ = ["Finding"]
 
@@ -16,9 +17,13 @@ class Finding:
         message: one sentence: what was expected and what was seen.
         requirement: id in the requirement catalogue, or None.
         evidence: an excerpt of the wire or of the device, or None.
+        strength: of the requirement; only a MUST that is not met turns an item red.
+        cause: the item or finding that found the same cause first; None when this one did.
     """
 
     code: str
     message: str
     requirement: str | None = None
     evidence: str | None = None
+    strength: Literal["MUST", "SHOULD"] = "MUST"
+    cause: str | None = None

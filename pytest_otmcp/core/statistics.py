@@ -6,7 +6,7 @@ No sample is ever left out. A figure for which there are too few samples is None
   linear interpolation between order statistics, the default of NumPy;
 - interval of a mean: Student's t with n - 1 degrees of freedom;
 - interval of a proportion: the exact one of Clopper and Pearson, Biometrika 26 (1934);
-- interval of a median: order statistics, whatever the distribution is (David and Nagaraja, Order Statistics, section 7.1);
+- interval of a median: order statistics, for any distribution (David and Nagaraja, Order Statistics, section 7.1);
 - outliers: Tukey's fences, 1.5 times the interquartile range beyond the quartiles.
 """
 

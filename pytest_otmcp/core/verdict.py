@@ -4,7 +4,7 @@ The rules of this file:
 
 1. Nothing turns green by not having been tested. An item that did not run makes a run incomplete, a claimed operation
    that cannot be exercised fails, and a run in which no item passed is no evidence of anything.
-2. A fault of the kit says nothing about the adapter: the verdict is indeterminate, whatever else was found.
+2. A fault of the kit says nothing about the adapter: the verdict is indeterminate, also where the adapter failed.
 3. A known deviation is a debt. It can turn the exit code green, never the verdict, and only until it expires; one that
    is not needed any more fails, so that no list of excuses outlives its reasons.
 4. A worse status of one item never gives a better verdict, and the order of the items does not matter.

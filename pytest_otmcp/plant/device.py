@@ -96,6 +96,10 @@ class Device(Protocol):
         """Return the sequence number that the next journal entry will get."""
         ...
 
+    async def first(self) -> int:
+        """Return the sequence number of the oldest journal entry that has not been released; that of the next without one."""
+        ...
+
     async def journal(self, since: int) -> Journal:
         """Return the entries from ``since`` on.
 

@@ -218,6 +218,10 @@ class MockDevice:
         """Return the sequence number that the next journal entry will get."""
         return int((await self.ask("journal", since=sys.maxsize))["next"])
 
+    async def first(self) -> int:
+        """Return the sequence number of the oldest journal entry that has not been released; that of the next without one."""
+        return int((await self.ask("journal", since=sys.maxsize))["first"])
+
     async def journal(self, since: int) -> Journal:
         """Return the entries from ``since`` on.
 

@@ -112,6 +112,10 @@ class TappedDevice:
         """Return the sequence number that the next journal entry will get."""
         return self.tap.journal.next
 
+    async def first(self) -> int:
+        """Return the sequence number of the oldest journal entry that has not been released; that of the next without one."""
+        return self.tap.journal.first
+
     async def journal(self, since: int) -> Journal:
         """Return the entries from ``since`` on.
 

@@ -1,4 +1,4 @@
-"""Place and collection of the shipped suite. It is collected as a whole, against the ini of the repository it runs in.
+"""Place and collection of the shipped suite: always whole, the ini of the repository that it runs in does not apply.
 
 The user decides on the command line, not in the ini, which items of the suite run (``-k``, ``--otmcp-suite`` …) and
 whether it runs at all. File name patterns, name prefixes and directories not to be recursed into in an ini are about the

@@ -7,22 +7,32 @@ from __future__ import annotations
 
 import os
 import platform
+import secrets
 import time
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, cast
 
 from .. import __version__
+from ..core.text import printable
 from ..core.verdict import DeviationReport, ExitCode, Status, Verdict, decide, exit_code, judge_deviations
 from ..protocols.external import external_devices
 from ..protocols.registry import protocols
+from ..record.schema import ROLES, SCHEMA
 from ..suite.catalogue import kit_digest, suite_digest
+from .worker import SPOOLS
 
 if TYPE_CHECKING:
-    from ..record.run_file import RunWriter
+    from ..protocols.protocol import OtProtocol
+    from ..record.schema import AdapterFacts, Footer, Header, ItemHead, Protocol, Role, Settings
+    from ..record.writer import RunWriter
     from ..subject import Subject
     from .options import RunSettings
+    from .results import ItemResult, Measured, WorkerFacts
 
 __all__ = ["RunRecorder"]
 
@@ -35,7 +45,7 @@ class RunRecorder:
 
     Args:
         settings, subject: of the run.
-        required: ids of all items of the shipped suite, whatever was left of them after filters.
+        required: ids, in the suite's order, of all items of the shipped suite, whatever was left of them after filters.
         narrowed: what narrowed or shadowed the suite; may grow until :meth:`finish`.
         workers: number of pytest-xdist workers, 0 for none.
         begun: monotonic time at which the session began.
@@ -56,8 +66,10 @@ class RunRecorder:
     ) -> None:
         self.settings = settings
         self.required = required
-        self.results: dict[str, dict[str, Any]] = {}
-        self.facts: dict[str, dict[str, Any]] = {}
+        self.statuses: dict[str, Status] = {}
+        self._measured: list[Measured] = []
+        self._facts: dict[str, WorkerFacts] = {}
+        self._run_id = secrets.token_hex(16)
         self.verdict: Verdict | None = None
         self.deviations: DeviationReport | None = None
         self._subject = subject
@@ -82,66 +94,71 @@ class RunRecorder:
     @property
     def missing(self) -> list[str]:
         """Items of the suite that have no result."""
-        return [identifier for identifier in self.required if identifier not in self.results]
+        return [identifier for identifier in self.required if identifier not in self.statuses]
 
     @property
     def failures(self) -> int:
         """Items that pytest counts among its failures, if nobody interferes."""
-        return sum(result["status"] not in (Status.PASS, Status.NOT_APPLICABLE) for result in self.results.values())
+        return sum(status not in (Status.PASS, Status.NOT_APPLICABLE) for status in self.statuses.values())
 
-    def add(self, result: dict[str, Any], worker: str, facts: dict[str, Any]) -> bool:
+    def add(self, result: ItemResult, worker: str, facts: WorkerFacts) -> bool:
         """Take an item's result and write it at once; False when there is one already, which stays."""
-        from ..record.run_file import RunWriter
+        from ..record.writer import RunWriter, SampleSpool
 
-        if result["id"] in self.results:
+        item, spool = result["item"], Path(result["spool"])
+        if item["id"] in self.statuses:
+            spool.unlink(missing_ok=True)
             return False
         if self._writer is None:
             self.settings.report_dir.mkdir(parents=True, exist_ok=True)
             self._writer = RunWriter(self.path, self._header())
-        self.results[result["id"]] = result
-        self.facts[worker] = facts
-        self._writer.append(result)
+        self._facts[worker] = facts
+        head: ItemHead = {**item, "run_id": self._run_id, "order": self.required.index(item["id"])}
+        self._writer.append(head, SampleSpool.read(spool))
+        spool.unlink(missing_ok=True)
+        self.statuses[item["id"]] = Status(item["status"])
+        self._measured.append(result["measured"])
         return True
 
     def finish(self, *, interrupted: bool) -> None:
-        """Decide the verdict and complete the record."""
-        statuses = {identifier: Status(result["status"]) for identifier, result in self.results.items()}
-        self.verdict = decide(statuses, self.required)
+        """Decide the verdict and seal the record."""
+        self.verdict = decide(self.statuses, self.required)
         known = self._subject.deviations
-        self.deviations = judge_deviations(known, statuses, self.required, self._started.date())
+        self.deviations = judge_deviations(known, self.statuses, self.required, self._started.date())
         if self._writer is None:
             return
+        with suppress(OSError):
+            (self.settings.report_dir / SPOOLS).rmdir()
         missing = self.missing
         reason = None
         if interrupted:
             reason = "interrupted by the user"
         elif missing:
             reason = f"{len(missing)} of {len(self.required)} items did not run: {', '.join(missing)}"
-        adapters: dict[str, Any] = {}
         spent: dict[str, float] = {}
-        for facts in self.facts.values():
-            adapters |= facts["adapters"]
+        for facts in self._facts.values():
             for what, seconds in facts["spent"].items():
                 spent[what] = round(spent.get(what, 0.0) + seconds, 3)
         elapsed = self.elapsed_s
         if not self._workers:
             # What no span has claimed is the kit's as well: collection, pytest itself, writing the record.
             spent["kit"] = round(spent.get("kit", 0.0) + max(0.0, elapsed - sum(spent.values())), 3)
-        self._writer.finish(
-            {
-                "complete": reason is None,
-                "reason": reason,
-                "items": len(self.results),
-                "samples": sum(len(result["samples"]) for result in self.results.values()),
-                "tool_calls": self._tool_calls(),
-                "verdict": str(self.verdict),
-                "deviations": self.deviations.as_record(),
-                "elapsed_s": round(elapsed, 3),
-                "breakdown_s": dict(sorted(spent.items())),
-                "timing_valid": not self._workers,
-            },
-            adapters,
-        )
+        calls: Counter[Role] = Counter(dict.fromkeys(ROLES, 0))
+        for measured in self._measured:
+            calls.update(measured["tool_calls"])
+        footer: Footer = {
+            "complete": reason is None,
+            "reason": reason,
+            "items": len(self.statuses),
+            "samples": sum(measured["samples"] for measured in self._measured),
+            "tool_calls": dict(calls),
+            "verdict": str(self.verdict),
+            "deviations": self.deviations.as_record(),
+            "elapsed_s": round(elapsed, 3),
+            "breakdown_s": dict(sorted(spent.items())),
+            "timing_valid": not self._workers,
+        }
+        self._writer.finish(self._header(datetime.now(UTC)), footer)
 
     @property
     def exit_code(self) -> ExitCode:
@@ -149,55 +166,88 @@ class RunRecorder:
         assert self.verdict is not None
         return exit_code(self.verdict, self.deviations)
 
-    def _tool_calls(self) -> dict[str, int]:
-        from ..record.run_file import count_calls
-
-        return count_calls(self.results.values())
-
-    def _header(self) -> dict[str, Any]:
+    def _header(self, finished: datetime | None = None) -> Header:
         settings = self.settings
         return {
-            "schema": "otmcp-run/1",
+            "schema": SCHEMA,
+            "run_id": self._run_id,
             "kit": {
                 "name": "pytest-otmcp",
                 "version": __version__,
                 "suite_digest": suite_digest(),
                 "digest": kit_digest(),
+                "protocols": [
+                    _protocol(protocol)
+                    for protocol in protocols().values()
+                    if protocol.always or protocol.key in self._subject.adapters
+                ],
             },
             "subject": {
-                "name": self._subject.name,
-                "version": self._subject.version,
+                "name": printable(self._subject.name),
+                "version": printable(self._subject.version),
                 "digest": self._subject.digest,
                 "deviations": [
                     {"item": entry.item, "reason": entry.reason, "expires": entry.expires.isoformat()}
                     for entry in self._subject.deviations
                 ],
-                "adapters": {},
+                "adapters": _merged(facts["adapters"] for facts in self._facts.values()),
             },
             "environment": {
                 "python": platform.python_version(),
                 "platform": f"{platform.system()} {platform.machine()}",
                 "cpu_count": os.cpu_count(),
                 "packages": {name: _version(name) for name in (*_PACKAGES, *_protocol_packages())},
-                "started_at": self._started.isoformat(timespec="seconds").replace("+00:00", "Z"),
+                "started_at": _instant(self._started),
+                "finished_at": None if finished is None else _instant(finished),
             },
-            "settings": {
-                "subject": settings.subject.name if settings.subject else None,
-                "reps": settings.reps,
-                "repetitions": settings.repetitions,
-                "seed": settings.seed,
-                "era": settings.era,
-                "time_scale": settings.time_scale,
-                "suites": list(settings.suites),
-                "xdist_workers": self._workers,
-                **{
-                    device.option: settings.external.get(protocol, "embedded")
-                    for protocol, device in external_devices().items()
+            "settings": cast(
+                "Settings",
+                {
+                    "subject": settings.subject.name if settings.subject else None,
+                    "reps": settings.reps,
+                    "repetitions": settings.repetitions,
+                    "seed": settings.seed,
+                    "era": settings.era,
+                    "time_scale": settings.time_scale,
+                    "suites": list(settings.suites),
+                    "xdist_workers": self._workers,
+                    **{
+                        device.option: settings.external.get(protocol, "embedded")
+                        for protocol, device in external_devices().items()
+                    },
+                    # The same list until the end: what is noted while the run goes on is in the finished record.
+                    "narrowed": self._narrowed,
                 },
-                # The same list until the end: what is noted while the run goes on is in the finished record.
-                "narrowed": self._narrowed,
-            },
+            ),
+            "devices": {name: device for facts in self._facts.values() for name, device in facts["devices"].items()},
         }
+
+
+def _instant(moment: datetime) -> str:
+    return moment.isoformat(timespec="seconds").replace("+00:00", "Z")
+
+
+def _protocol(protocol: OtProtocol) -> Protocol:
+    origin = protocol.origin
+    return {
+        "key": protocol.key,
+        "name": protocol.name,
+        "distribution": None if origin is None else origin.distribution,
+        "version": None if origin is None else origin.version,
+        "digest": None if origin is None else origin.digest,
+    }
+
+
+def _merged(workers: Iterable[Mapping[str, AdapterFacts]]) -> dict[str, AdapterFacts]:
+    """The adapters of all workers: each has opened its own sessions and used its own bindings of the one subject."""
+    merged: dict[str, AdapterFacts] = {}
+    for adapters in workers:
+        for key, facts in adapters.items():
+            known = merged.setdefault(key, facts)
+            told = facts if known["tools"] is None else known
+            bindings = {**known["bindings"], **facts["bindings"]}
+            merged[key] = {**told, "bindings": bindings, "unmet": sorted({*known["unmet"], *facts["unmet"]})}
+    return dict(sorted(merged.items()))
 
 
 def _protocol_packages() -> list[str]:

@@ -107,6 +107,11 @@ def _is_worker(config: pytest.Config) -> bool:
     return hasattr(config, "workerinput")
 
 
+def _worker(config: pytest.Config) -> str | None:
+    """The name that pytest-xdist gave this process; None without it."""
+    return str(config.workerinput["workerid"]) if hasattr(config, "workerinput") else None
+
+
 def _load_subject(config: pytest.Config) -> Any:
     from ..subject import load_subject, reference_subject
 
@@ -241,7 +246,7 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     interference.check_execution_plan(config.stash.get(PLANNED, []), _task_ids(session.items))
     with ignore_warnings():
         interference.note(*changed_files())
-        run = config.stash[RUN] = Run(config.stash[SETTINGS], _load_subject(config), tasks, shared=_is_worker(config))
+        run = config.stash[RUN] = Run(config.stash[SETTINGS], _load_subject(config), tasks, worker=_worker(config))
         if not _is_worker(config):
             _begin_recording(config, run.subject, tasks, workers=0)
     progress = config.stash.get(PROGRESS, None)
@@ -299,7 +304,7 @@ def pytest_runtest_makereport(
     report = yield
     result = item.stash.get(RESULT, None)
     if result is not None and report.when == "call":
-        # pytest-xdist carries text from a worker to the controller unchanged, also where an adapter answered odd values.
+        # An attribute that is text survives the way from an xdist worker to the controller, for every answer of an adapter.
         setattr(report, _RESULT, json.dumps(result))
         setattr(report, _FACTS, json.dumps(item.config.stash[RUN].facts()))
         del item.stash[RESULT]
@@ -326,11 +331,12 @@ class _ResultReceiver:
         result, facts = json.loads(content), json.loads(getattr(report, _FACTS))
         worker = getattr(getattr(report, "node", None), "gateway", None)
         interference = config.stash[INTERFERENCE]
-        interference.check_outcome(result["id"], result["status"], report.outcome)
+        item = result["item"]
+        interference.check_outcome(item["id"], item["status"], report.outcome)
         if config.stash[RECORDER].add(result, worker.id if worker is not None else "main", facts):
-            config.stash[PROGRESS].show_finished(result)
+            config.stash[PROGRESS].show_finished(item, result["measured"])
         else:
-            interference.add_repeated(result["id"])
+            interference.add_repeated(item["id"])
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -391,9 +397,9 @@ def pytest_testnodedown(node: Any, error: object) -> None:
 
 def pytest_terminal_summary(terminalreporter: Any, exitstatus: int, config: pytest.Config) -> None:
     recorder = config.stash.get(RECORDER, None)
-    if recorder is None or (exitstatus == pytest.ExitCode.INTERRUPTED and not recorder.results):
+    if recorder is None or (exitstatus == pytest.ExitCode.INTERRUPTED and not recorder.statuses):
         return
-    if not recorder.results:
+    if not recorder.statuses:
         for sentence in config.stash[INTERFERENCE].sentences:
             terminalreporter.write_line(f"narrowed: {sentence}")
         terminalreporter.write_line(f"VERDICT: {recorder.verdict} (no item of the suite ran)", red=True, bold=True)

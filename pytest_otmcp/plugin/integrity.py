@@ -25,12 +25,15 @@ __all__ = ["altered_task", "changed_files", "replaced_functions"]
 _KIT = Path(__file__).resolve().parents[1]
 _LIBRARY = Path(hashlib.__file__).resolve().parent
 _PACKAGE = __package__.partition(".")[0]
-_ROOMS_WITHOUT_JUDGEMENT = tuple(f"{_PACKAGE}.{room}" for room in ("cli", "onboarding", "report"))
-"""Rooms of the kit that show results or help with a subject file; every other room takes part in a judgement."""
+_ROOMS_WITHOUT_JUDGEMENT = tuple(
+    f"{_PACKAGE}.{room}" for room in ("cli", "onboarding", "report", "conformance", "mocks", "reference_adapters")
+)
+"""Rooms that show results or help with a subject file, and those that a wheel has inside of the kit's folder: tasks are compared
+with their declarations, and the others run in processes of their own. Every other room takes part in a judgement."""
 
 
 def changed_files() -> list[str]:
-    """Return a sentence if files of the installed kit differ from those of its wheel; a source checkout has none."""
+    """Return one sentence if files of the installed kit differ from those of its wheel; none for a source checkout."""
     try:
         distribution = metadata.distribution("pytest-otmcp")
     except metadata.PackageNotFoundError:
@@ -58,7 +61,7 @@ def _has_digest(path: Path, recorded: metadata.FileHash | None) -> bool:
 
 
 def replaced_functions() -> list[str]:
-    """Return one sentence for each function of the kit that was monkeypatched."""
+    """Return one sentence for each function of the kit that was replaced (monkeypatched) by code from elsewhere."""
     return [
         f"{module.__name__}.{what} was replaced by something from {where}"
         for module in _find_judging_modules()

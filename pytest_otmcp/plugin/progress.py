@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import statistics
 import time
 from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING, Any
@@ -12,11 +11,13 @@ from ..report.text import shortened
 if TYPE_CHECKING:
     import pytest
 
+    from ..record.schema import ItemBody
     from ..trial.task import Task
+    from .results import Measured
 
 __all__ = ["Progress"]
 
-# Rough seconds per repetition, only to guess how long the remaining items will take; nothing better is known of them.
+# Rough seconds per repetition, to guess the remaining time; nothing better is known of items that have not run.
 _GUESS_S = {"normal": 0.02, "fault": 0.02, "stress": 0.12, "recovery": 1.3}
 _REDRAW_S = 0.1
 
@@ -47,7 +48,8 @@ class Progress:
         if not self._moving or self._quiet or now - self._drawn < _REDRAW_S:
             return
         self._drawn = now
-        text = f"  {task.id:<9} {done}/{planned}   item {self._done + 1} of {self._total}, {self._estimate_rest(task, done, planned)}"
+        rest = self._estimate_rest(task, done, planned)
+        text = f"  {task.id:<9} {done}/{planned}   item {self._done + 1} of {self._total}, {rest}"
         if not self._line_open:
             self._write("\n")
         self._overwrite(text[: self._writer.fullwidth - 1].ljust(70))
@@ -58,25 +60,24 @@ class Progress:
         minutes, seconds = divmod(round(remaining), 60)
         return f"about {minutes} min {seconds} s to go" if minutes else f"about {seconds} s to go"
 
-    def show_finished(self, result: dict[str, Any]) -> None:
+    def show_finished(self, item: ItemBody, measured: Measured) -> None:
         """Show the result of a finished item."""
-        self._guess.pop(result["id"], None)
+        self._guess.pop(item["id"], None)
         self._done += 1
         if self._quiet:
             return
-        good = sum(sample["ok"] for sample in result["samples"])
-        times = [sample["duration_ms"] for sample in result["samples"]]
-        median = f"{statistics.median(times):8.2f} ms" if times else " " * 11
-        colour = {"PASS": "green", "NOT_APPLICABLE": "yellow"}.get(result["status"], "red")
+        good, median_ms = measured["passed"], measured["median_ms"]
+        median = " " * 11 if median_ms is None else f"{median_ms:8.2f} ms"
+        colour = {"PASS": "green", "NOT_APPLICABLE": "yellow"}.get(item["status"], "red")
         if self._line_open:
             self._overwrite("")
         else:
             self._write("\n")
         self._line_open = False
-        self._write(f"  {result['id']:<9} ")
-        self._write(f"{good:>3}/{result['planned']:<3} {result['status']:<5}", **{colour: True})
+        self._write(f"  {item['id']:<9} ")
+        self._write(f"{good:>3}/{item['planned']:<3} {item['status']:<5}", **{colour: True})
         # Text near the edge would make pytest print its percentage there and begin another line.
-        self._write(shortened(f" {median}  {result['title']}", max(20, self._writer.fullwidth - 36)))
+        self._write(shortened(f" {median}  {item['title']}", max(20, self._writer.fullwidth - 36)))
 
     def _write(self, text: str, **markup: bool) -> None:
         with self._uncaptured():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from .interference import Interference
     from .options import RunSettings
     from .progress import Progress
+    from .results import ItemResult
     from .worker import Run
 
 __all__ = [
@@ -45,5 +46,5 @@ RECORDER: pytest.StashKey[RunRecorder] = pytest.StashKey()
 PROGRESS: pytest.StashKey[Progress] = pytest.StashKey()
 """On the config of the controller: the display of progress."""
 
-RESULT: pytest.StashKey[dict[str, Any]] = pytest.StashKey()
+RESULT: pytest.StashKey[ItemResult] = pytest.StashKey()
 """On an item: the result of its task, as in ``run.json``."""

@@ -3,25 +3,29 @@
 from __future__ import annotations
 
 import asyncio
-import traceback
 from contextlib import suppress
 from functools import partial
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
-
-from ..core.verdict import Status
+from typing import TYPE_CHECKING
+from uuid import uuid4
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from ..plant.devices import Plant
+    from ..record.redaction import Redactor
+    from ..record.schema import ItemBody, Sample
     from ..session.loop import LoopThread
     from ..subject import Subject
     from ..trial.bench import Bench
     from ..trial.task import Task
     from .options import RunSettings
+    from .results import ItemResult, WorkerFacts
 
-__all__ = ["Run"]
+__all__ = ["SPOOLS", "Run"]
+
+SPOOLS = "run.parts"
+"""Folder in the report directory for the samples of items that are not in the record yet."""
 
 
 class Run:
@@ -30,17 +34,21 @@ class Run:
     Args:
         settings, subject: of the run.
         tasks: what may be executed.
-        shared: by other processes, too; nobody knows by whom which.
+        worker: name of this process where there are others, which may execute some of these tasks (which ones is not
+            known in advance); None where there are not.
+
+    Attributes:
+        unfinished: the item that was interrupted, or None.
     """
 
-    def __init__(self, settings: RunSettings, subject: Subject, tasks: list[Task], *, shared: bool) -> None:
+    def __init__(self, settings: RunSettings, subject: Subject, tasks: list[Task], *, worker: str | None) -> None:
         self.settings = settings
         self.subject = subject
         self.tasks = tasks
-        self._shared = shared
+        self._worker = worker
         self.progress: Callable[[Task, int, int], None] | None = None
-        self.unfinished: dict[str, Any] | None = None
-        self._adapters: dict[str, Any] = {}
+        self.unfinished: ItemResult | None = None
+        self._facts: WorkerFacts = {"adapters": {}, "devices": {}, "spent": {}}
         self._loop: LoopThread | None = None
         self._plant: Plant | None = None
         self._bench: Bench | None = None
@@ -59,10 +67,12 @@ class Run:
                 # The MCP client takes as long to import as the devices take to start. Not on this thread: pydantic would
                 # make an error of its own of Ctrl-C.
                 self._loop.run(asyncio.to_thread(import_module, "pytest_otmcp.trial.bench"))
-                from ..trial.adapter_under_test import BenchOptions
+                from ..trial.adapter_under_test import MAIN, BenchOptions
                 from ..trial.bench import Bench
 
-                options = BenchOptions(era=self.settings.era, time_scale=self.settings.time_scale)
+                options = BenchOptions(
+                    era=self.settings.era, time_scale=self.settings.time_scale, worker=self._worker or MAIN
+                )
                 self._bench = Bench(self.subject, options, self._plant)
                 # A mock that cannot be started is reported by every task that needs it.
                 with suppress(KitError):
@@ -77,55 +87,67 @@ class Run:
 
         adapters = self.subject.adapters
         wanted = {name for task in self.tasks for name in task.adapters if name in adapters}
-        # Few tasks have a read-only variant. Where somebody else may get them, it is started with the first of them.
-        for task in () if self._shared else self.tasks:
+        # Few tasks have a read-only variant. Where another process may get them, it is started with the first of them.
+        for task in self.tasks if self._worker is None else ():
             if applicability(task, adapters) is None:
                 wanted |= set(stations(task, adapters))
         return sorted(wanted)
 
-    def execute(self, task: Task) -> dict[str, Any]:
-        """Run a task; its result is what ``run.json`` has as an item, without the subject's secrets.
+    def execute(self, task: Task) -> ItemResult:
+        """Run a task; its samples go to a file as they come, without the subject's secrets.
 
         Raises:
             UsageError: the subject file contradicts the tools that an adapter lists.
         """
-        from ..record.redaction import Redactor
-
-        secrets = {secret for adapter in self.subject.adapters.values() for secret in adapter.secret_values()}
-        result: dict[str, Any] = Redactor(secrets).apply(self._execute(task))
-        return result
-
-    def _execute(self, task: Task) -> dict[str, Any]:
         loop, bench = self._start()
 
+        from ..record.writer import SampleSpool
         from ..trial.live_driver import LiveDriver
         from ..trial.trial import Trial
+        from .results import Tally
+
+        folder = self.settings.report_dir / SPOOLS
+        folder.mkdir(parents=True, exist_ok=True)
+        # The same item may be executed twice, by plugins that repeat tests.
+        spool = SampleSpool(folder / f"{task.id}-{uuid4().hex}.jsonl")
+        tally, redactor = Tally(task.suite), self._redactor()
+
+        def keep(sample: Sample) -> None:
+            spool.add(redactor.apply(sample))
+            tally.add(sample)
+
+        def result(item: ItemBody) -> ItemResult:
+            measured = redactor.apply(tally.measured(item))
+            return {"item": redactor.apply(item), "measured": measured, "spool": str(spool.path)}
 
         planned = self.settings.repetitions[task.suite]
         report = partial(self.progress, task) if self.progress is not None else None
         driver = LiveDriver(bench, task, seed=self.settings.seed)
-        trial = Trial(driver, task, planned, progress=report)
+        trial = Trial(driver, task, planned, keep=keep, progress=report)
         try:
-            return loop.run(trial.run())
+            return result(loop.run(trial.run()))
         except KeyboardInterrupt:
-            self.unfinished = trial.interrupted()
+            self.unfinished = result(trial.interrupted())
             raise
         except Exception as error:
-            # Whatever the trial does not know how to end with is a bug of the kit, and says nothing about the adapter.
-            finding = {
-                "code": "kit_error",
-                "message": f"{type(error).__name__}: {error}. This is the kit's fault; please file a bug.",
-                "requirement": None,
-                "evidence": "".join(traceback.format_exception(error))[-2000:],
-            }
-            return {**trial.interrupted(), "status": str(Status.KIT_ERROR), "findings": [finding]}
+            # An unexpected exception is a bug of the kit, not of the adapter.
+            return result(trial.broken(error))
 
-    def facts(self) -> dict[str, Any]:
-        """What the controller wants to know of this process: its adapters and how its time was spent."""
+    def _redactor(self) -> Redactor:
+        from ..record.redaction import Redactor
+
+        return Redactor({secret for adapter in self.subject.adapters.values() for secret in adapter.secret_values()})
+
+    def facts(self) -> WorkerFacts:
+        """What the controller wants to know of this process."""
         if self._bench is not None:
-            self._adapters |= self._bench.facts()
-            return {"adapters": self._adapters, "spent": dict(self._bench.spent.seconds)}
-        return {"adapters": self._adapters, "spent": {}}
+            redactor = self._redactor()
+            self._facts = {
+                "adapters": redactor.apply(self._bench.adapters()),
+                "devices": self._bench.devices(),
+                "spent": dict(self._bench.spent.seconds),
+            }
+        return self._facts
 
     def close(self) -> None:
         """End everything that runs."""

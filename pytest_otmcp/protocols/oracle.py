@@ -14,6 +14,7 @@ from typing import Any
 from ..core.finding import Finding
 from ..core.strict_json import same_json
 from .journal import Entries, Image, JournalEntry
+from .session_oracle import StateChanges
 
 __all__ = ["Witness", "has", "requests", "state_changing"]
 
@@ -131,14 +132,21 @@ class Witness:
             commands: of these requests only those count that command the plant; None for all of them.
         """
         found = [entry for entry in state_changing(entries) if commands is None or commands(entry)]
-        if not found:
+        return self._wrote(len(found), found, requirement)
+
+    def nothing_changed_by(self, session: StateChanges) -> list[Finding]:
+        """No request that may change the plant reached the device in the whole life of a session."""
+        return self._wrote(session.count, session.first, "WR-004")
+
+    def _wrote(self, count: int, first: Entries, requirement: str) -> list[Finding]:
+        if not count:
             return []
         return [
             Finding(
                 code="wrote",
-                message=f"{self.noun} should have seen no state-changing request, it saw {len(found)}",
+                message=f"{self.noun} should have seen no state-changing request, it saw {count}",
                 requirement=requirement,
-                evidence=self.seen(found),
+                evidence=self.seen(first),
             )
         ]
 

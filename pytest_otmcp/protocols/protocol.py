@@ -16,6 +16,7 @@ from .conversation import Conversation
 from .external import ExternalDevice
 from .framing import FrameLength
 from .journal import Entries, JournalEntry
+from .session_oracle import SessionOracle
 
 __all__ = [
     "GUARD",
@@ -171,6 +172,7 @@ class OtProtocol:
         packages: distributions whose versions the run record states.
         colour: in figures and reports.
         external: the user's own device in the mock's place; None when there is no such way.
+        session_oracles: what is judged over the whole life of a session.
         always: its items are part of every run, as the paper's matrix has it; otherwise only of runs whose subject has
             an adapter for it.
         origin: None for the kit's own protocols.
@@ -198,6 +200,7 @@ class OtProtocol:
     envelope_names: tuple[str, ...] = ()
     packages: tuple[str, ...] = ()
     external: ExternalDevice | None = None
+    session_oracles: tuple[type[SessionOracle], ...] = ()
     always: bool = False
     origin: Origin | None = None
 

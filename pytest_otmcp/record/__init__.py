@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from .run_file import RecordError, load
+from .reader import RecordError, load
 
 __all__ = ["RecordError", "load"]

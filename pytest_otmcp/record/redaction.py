@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Iterable
-from typing import Any
+from typing import TypeVar, cast
 from urllib.parse import quote, quote_plus
 
 __all__ = ["REDACTED", "Redactor"]
@@ -20,6 +20,9 @@ _SHORTEST = 4
 """Characters: what is shorter would be found in the middle of ordinary words and numbers."""
 
 _NO_SECRETS = {"true", "false", "none", "null", "enabled", "disabled", "required", "optional"}
+
+
+T = TypeVar("T")
 
 
 class Redactor:
@@ -40,14 +43,15 @@ class Redactor:
             text = text.replace(form, REDACTED)
         return text
 
-    def apply(self, value: Any) -> Any:
+    def apply(self, value: T) -> T:
         """A JSON value without secrets in its texts and member names."""
-        if not self._forms:
-            return value
+        return cast(T, self._applied(value)) if self._forms else value
+
+    def _applied(self, value: object) -> object:
         if isinstance(value, str):
             return self.text(value)
         if isinstance(value, dict):
-            return {self.text(name): self.apply(member) for name, member in value.items()}
+            return {self.text(name): self._applied(member) for name, member in value.items()}
         if isinstance(value, list):
-            return [self.apply(element) for element in value]
+            return [self._applied(element) for element in value]
         return value

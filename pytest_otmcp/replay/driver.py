@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from typing import Any
 
 from ..core.errors import KitError, SubjectError
 from ..core.verdict import Status
 from ..protocols.journal import Entries
-from ..record.images import restored_images
+from ..record.reader import StoredItem
+from ..record.schema import Around, Role, Sample
+from ..subject.model import READ_ONLY
 from ..trial.adapter_under_test import NoBindingError
-from ..trial.driver import SessionFacts
+from ..trial.driver import ItemHistory, SessionFacts
 from ..trial.repetition import Repetition
-from ..trial.rig import EndedError
+from ..trial.rig import EndedError, place_name
 from ..trial.task import Steps, Task, execute
+from .device import DeviceHistory
 from .reply import UNREADABLE, HistoryError
-from .rig import RecordedRepetition, ReplayItemState, ReplayRig
+from .rig import Clock, RecordedAdapter, RecordedRepetition, ReplayItemState, ReplayRig
 
 __all__ = ["ReplayDriver", "UnfinishedError"]
 
@@ -29,95 +31,122 @@ class ReplayDriver:
     """Plays an item of a run record back.
 
     Args:
-        item: as ``run.json`` has it.
+        item: of the record.
         task: the item's task.
+        adapters: of the subject, by protocol.
+        devices: of the run, where the item before this one has left them.
         seed, time_scale: of the run.
 
     Attributes:
+        sample: the stored repetition that is being played back.
         objections: role and number of a repetition that the steps cannot be taken through, to the reason.
     """
 
-    def __init__(self, item: Mapping[str, Any], task: Task, *, seed: int, time_scale: float) -> None:
+    def __init__(
+        self,
+        item: StoredItem,
+        task: Task,
+        *,
+        adapters: Mapping[str, RecordedAdapter],
+        devices: Mapping[str, DeviceHistory],
+        seed: int,
+        time_scale: float,
+    ) -> None:
         self.objections: dict[tuple[str, int], str] = {}
-        self._item = item
-        self._history: Mapping[str, Any] = item["history"]
+        self.sample: Sample | None = None
+        self._head = item.head
         self._task = task
+        self._adapters = adapters
+        self._devices = devices
         self._seed = seed
         self._time_scale = time_scale
-        self._images: list[dict[str, Any]] = []
+        self._clock = Clock(item.head["began_ns"])
+        self._samples = item.samples()
+        self._repetitions = 0
+        self._around = list(item.head["around"])
         self._places: list[ReplayItemState] = []
-        self._around = list(self._history["around"])
-        self._other_calls = list(item["other_calls"])
-        self._other_device = list(item["other_device"])
         self._inspections = 0
-        self._ended = self._history["ended"]
+        self._ended = item.head["ended"]
 
     def obstacle(self) -> tuple[Status, str] | None:
         """What the record says, of an item that nothing was done for."""
-        status = Status(self._item["status"])
-        if status in (Status.NOT_APPLICABLE, Status.NOT_TESTABLE) and not self._history["stations"] and not self._ended:
-            return status, self._item["reason"]
+        head = self._head
+        status = Status(head["status"])
+        if status in (Status.NOT_APPLICABLE, Status.NOT_TESTABLE) and not head["devices"] and not self._ended:
+            return status, head["reason"] or ""
         return None
 
     def spent(self, what: str) -> AbstractContextManager[None]:
-        """Nothing is measured."""
+        """Measure nothing."""
         return nullcontext()
 
     async def prepare(self) -> None:
-        """Look at what there is."""
-        try:
-            self._images = restored_images(self._history["images"])
-        except UNREADABLE as error:
-            raise HistoryError(f"the images of the devices cannot be restored ({error!r})") from None
-        self._places = [ReplayItemState(station) for station in self._history["stations"]]
+        """Take every device from where the item before has left it to where this one found it."""
+        problems = []
+        for name, found in self._head["devices"].items():
+            protocol = name.partition("@")[0]
+            device = self._devices.get(found["device"])
+            if device is None or protocol not in self._adapters or name != _rig_name(device):
+                raise HistoryError(f"the run has no device {found['device']!r} for {name}")
+            place = ReplayItemState(self._adapters[protocol], device, found)
+            self._places.append(place)
+            try:
+                self._clock.passed(found["asked_ns"], found["seen_ns"], f"the first look at {name}", together=False)
+                device.enter(found)
+            except HistoryError as problem:
+                problems.append(str(problem))
+        if problems:
+            raise HistoryError("; ".join(problems))
         missing = sorted(set(self._task.adapters) - {place.name for place in self._places})
         if missing and not self._ended:
             raise HistoryError(f"{' and '.join(missing)} did not take part")
+        await self.open_sessions()
 
     def before(self) -> Sequence[tuple[str, Entries]]:
-        """What had reached the devices since the last item that had them."""
-        return [(place.protocol, place.before) for place in self._places]
+        """What had reached the devices while nobody called their adapters."""
+        return [(place.protocol, place.found["before"]) for place in self._places if place.found["quiet"]]
 
-    def repetition(self, rep: int, role: str) -> Repetition:
+    def repetition(self, rep: int, role: Role) -> Repetition:
         """The next execution of steps that is stored."""
+        part: Sample | Around
         if role == "task":
-            samples = self._item["samples"]
-            if rep >= len(samples):
+            self.sample = next(self._samples, None)
+            if self.sample is None:
                 raise self._end()
-            calls, device, seen = samples[rep]["calls"], samples[rep]["device"], samples[rep]["observations"]
+            self._repetitions += 1
+            part = self.sample
         else:
             if not self._around:
                 raise self._end()
             part = self._around.pop(0)
             if part["role"] != role:
                 raise HistoryError(f"after {role} the task asks for, there is {part['role']}")
-            calls, self._other_calls = _cut(self._other_calls, part["calls"])
-            device, self._other_device = _cut(self._other_device, part["entries"])
-            seen = part["observations"]
-        past = RecordedRepetition(calls, seen)
+        past = RecordedRepetition(part["calls"], part["observations"], self._clock)
         return Repetition(
             self._task.id,
             rep,
             role,
             seed=self._seed,
             time_scale=self._time_scale,
-            places=[ReplayRig(place, past, device, self._images) for place in self._places],
+            places=[ReplayRig(place, past, part["device"]) for place in self._places],
         )
 
     def _end(self) -> Exception:
         """Why there is no more."""
         ended, self._ended = self._ended, None
         if ended is None:
-            if self._item["status"] == Status.INTERRUPTED:
+            if self._head["status"] == Status.INTERRUPTED:
                 return UnfinishedError()
-            return HistoryError(f"the history ends after {len(self._item['samples'])} repetitions and does not say why")
-        message = str(ended["message"])
+            return HistoryError(f"the history ends after {self._repetitions} repetitions and does not say why")
+        message = ended["message"]
         if ended["fault_of"] == "subject":
             return SubjectError(ended["code"], message)
         return NoBindingError(message) if ended["fault_of"] == "binding" else KitError(message)
 
     async def perform(self, repetition: Repetition, steps: Steps) -> None:
         """Take the steps through the history."""
+        for place in self._places:
+            place.history.cursor.looked_through = False
         try:
             try:
                 await execute(steps, repetition)
@@ -137,6 +166,8 @@ class ReplayDriver:
         for at in repetition.all:
             if isinstance(at, ReplayRig):
                 at.leave()
+        for place in self._places:
+            place.history.cursor.looked_through = True
 
     async def inspect(self) -> list[SessionFacts]:
         """What was remarkable then; or how the item ended, when that was after its last steps."""
@@ -146,6 +177,8 @@ class ReplayDriver:
 
     async def end_sessions(self) -> list[SessionFacts]:
         """What was remarkable then."""
+        for place in self._places:
+            place.history.cursor.close_session()
         return self._inspected()
 
     def _inspected(self) -> list[SessionFacts]:
@@ -159,30 +192,57 @@ class ReplayDriver:
                 stray_lines=entry["stray_lines"],
                 first_stray=entry["first_stray"],
             )
-            for entry in self._history["sessions"]
+            for entry in self._head["sessions"]
             if entry["inspection"] == self._inspections
         ]
 
     async def open_sessions(self) -> None:
-        """Nothing."""
+        """Have sessions again; where one is another than before, the next repetition says so."""
+        for place in self._places:
+            place.history.cursor.connected = True
 
     async def close(self) -> None:
-        """Nothing."""
+        """End the read-only session, as a bench does."""
+        for place in self._places:
+            if place.variant == READ_ONLY:
+                place.history.cursor.close_session()
+
+    def leave(self, *, judged: bool) -> None:
+        """The item is over.
+
+        Args:
+            judged: it was taken through its history to its end.
+        """
+        early = self._head["ended"] is not None or self._head["status"] in (Status.INTERRUPTED, Status.KIT_ERROR)
+        for name in self._head["devices"].values():
+            if (device := self._devices.get(name["device"])) is not None:
+                device.unknown = early or not judged
 
     def left_over(self) -> str | None:
         """What the history has beyond the task's end."""
-        if self._ended or self._around or self._other_calls or self._other_device:
+        if self._ended or self._around or next(self._samples, None) is not None:
             return "the history has more than the task does"
+        if self._clock.now_ns > self._head["ended_ns"]:
+            return f"it went on until {self._clock.now_ns} ns, but ended at {self._head['ended_ns']} ns"
         return None
 
     def timing_ms(self) -> Mapping[str, float]:
-        """Nothing."""
+        """Return nothing: nothing is measured."""
         return {}
 
-    def history(self) -> dict[str, Any]:
-        """Nothing: it is there already."""
-        return {}
+    def history(self) -> ItemHistory:
+        """What the record has of this already."""
+        head = self._head
+        return ItemHistory(
+            worker=head["worker"],
+            started_at=head["started_at"],
+            finished_at=head["finished_at"],
+            began_ns=head["began_ns"],
+            ended_ns=head["ended_ns"],
+            devices=head["devices"],
+            sessions=head["sessions"],
+        )
 
 
-def _cut(values: list[Any], count: int) -> tuple[list[Any], list[Any]]:
-    return values[:count], values[count:]
+def _rig_name(device: DeviceHistory) -> str:
+    return place_name(device.facts["protocol"], device.facts["variant"])

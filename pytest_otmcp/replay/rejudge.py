@@ -16,17 +16,20 @@ from typing import Any
 
 from ..core.strict_json import same_json
 from ..core.verdict import Status
-from ..protocols.registry import protocols
-from ..suite.catalogue import suite_digest, tasks_by_id
+from ..record.reader import StoredItem, StoredRun
+from ..record.schema import SCHEMA, Header, ItemBody, ItemHead, Sample
+from ..subject.claims import Claims
+from ..suite.catalogue import all_tasks, suite_digest
 from ..trial.task import Task
 from ..trial.trial import Trial
+from .device import DeviceHistory
 from .driver import ReplayDriver, UnfinishedError
-from .reply import UNREADABLE, HistoryError
+from .reply import UNREADABLE, HistoryError, restored_bindings
+from .rig import RecordedAdapter
 
 __all__ = ["rejudge"]
 
 _OF_ITEM = ("suite", "family", "title", "requirements", "status", "reason")
-_OF_SUBJECT = ("deadline_s", "recovery", "unclaimed", "probes", "lacks")
 _OF_SAMPLE = ("ok", "duration_ms", "phases")
 _OF_CALL = (
     "role",
@@ -44,107 +47,131 @@ _OF_CALL = (
     "error_code",
 )
 
-Record = Mapping[str, Any]
+Said = Mapping[str, Any]
 
 
-def rejudge(run: Record) -> list[str]:
+def rejudge(run: StoredRun) -> list[str]:
     """Judge a run record again.
 
     Args:
-        run: as :func:`pytest_otmcp.record.load` returns it.
+        run: as :func:`pytest_otmcp.record.reader.open_record` gives it.
 
     Returns:
         Every disagreement between what the history shows and what the record says, a sentence each; empty when the
         judgement follows from the history.
     """
     digest = suite_digest()
-    if run["kit"]["suite_digest"] != digest:
+    stated = run.header["kit"]["suite_digest"]
+    if run.version != SCHEMA or stated != digest:
         return [
-            f"the run was judged by the suite {run['kit']['suite_digest']}, this is {digest}: "
+            f"the run was judged by the suite {stated} and recorded as {run.version}, this is {digest} and {SCHEMA}: "
             "judge it again with the version of the kit that made it"
         ]
     return list(_disagreements(run))
 
 
-def _disagreements(run: Record) -> Iterator[str]:
-    tasks = tasks_by_id()
-    yield from _readable("the run", _of_subject(run))
-    for item in run["items"]:
-        task = tasks.get(item["id"])
-        if task is None:
-            yield f"{item['id']}: the suite has no such task"
-        else:
-            yield from _readable(item["id"], _of_claims(item, task, run["subject"]["adapters"]))
-            yield from _readable(item["id"], _of_item(item, task, run["settings"]))
-
-
-def _readable(where: str, disagreements: Iterator[str]) -> Iterator[str]:
+def _disagreements(run: StoredRun) -> Iterator[str]:
+    tasks = all_tasks()
     try:
-        yield from disagreements
+        judge = _Judge(run.header)
     except UNREADABLE as error:
-        yield f"{where}: the stored history cannot be read ({error!r})"
+        yield f"the run: the stored history cannot be read ({error!r})"
+        return
+    # Devices are taken from item to item as they were in the run, whatever the order of the items in the record.
+    for item in sorted(run.items(), key=lambda item: item.head["began_ns"]):
+        name = item.head["id"]
+        task = tasks.get(name)
+        if task is None:
+            yield f"{name}: the suite has no such task"
+            continue
+        try:
+            yield from judge.item(item, task)
+        except UNREADABLE as error:
+            yield f"{name}: the stored history cannot be read ({error!r})"
 
 
-def _of_subject(run: Record) -> Iterator[str]:
-    """Whether all items were told the same of the subject, and as much as their suite demands was planned for each."""
-    known: dict[tuple[str, ...], tuple[str, Any]] = {}
-    for protocol, facts in run["subject"]["adapters"].items():
-        known[protocol, "recovery"] = "the subject", facts.get("recovery")
-        known[protocol, "unclaimed"] = "the subject", sorted(facts.get("unclaimed", []))
-    for item in run["items"]:
-        for station in item.get("history", {}).get("stations", []):
-            told = {name: station.get(name) for name in _OF_SUBJECT}
-            told |= {f"the binding of {name}": cases for name, cases in station.get("bindings", {}).items()}
-            for name, value in told.items():
-                where, expected = known.setdefault((str(station.get("protocol")), name), (item["id"], value))
-                if not same_json(value, expected):
-                    yield f"{item['id']}: {name} is {_short(value)}, with {where} it is {_short(expected)}"
-        demanded = run["settings"].get("repetitions", {}).get(item["suite"], item["planned"])
-        if item["planned"] != demanded:
-            yield f"{item['id']}: {item['planned']} repetitions were planned, the settings demand {demanded}"
+class _Judge:
+    """Judges the items of a run in the order in which they were executed."""
+
+    def __init__(self, header: Header) -> None:
+        self._settings = header["settings"]
+        self._claims = Claims.of_record(header["subject"]["adapters"])
+        self._adapters = {
+            protocol: RecordedAdapter(
+                protocol, facts, self._claims, restored_bindings(facts["bindings"]), self._settings["time_scale"]
+            )
+            for protocol, facts in header["subject"]["adapters"].items()
+        }
+        self._devices = {name: DeviceHistory(name, facts) for name, facts in header["devices"].items()}
+        self._ended_ns: dict[str, int] = {}
+
+    def item(self, item: StoredItem, task: Task) -> Iterator[str]:
+        """Judge an item again."""
+        head = item.head
+        name = head["id"]
+        demanded = self._settings["repetitions"].get(head["suite"], head["planned"])
+        if head["planned"] != demanded:
+            yield f"{name}: {head['planned']} repetitions were planned, the settings demand {demanded}"
+        if head["began_ns"] < self._ended_ns.get(head["worker"], 0):
+            yield f"{name}: it began before the item before it had ended"
+        self._ended_ns[head["worker"]] = head["ended_ns"]
+        yield from self._of_claims(head, task)
+        yield from self._of_history(item, task)
+
+    def _of_claims(self, head: ItemHead, task: Task) -> Iterator[str]:
+        # Of an adapter that had no device, as in a run that was narrowed, nothing can be said.
+        gaps = [facet for facet in self._claims.required(task.needs) if not self._claims.has(facet)]
+        if head["status"] == Status.NOT_APPLICABLE and not gaps:
+            yield f"{head['id']}: the record says NOT_APPLICABLE, the subject claims {' and '.join(task.needs)}"
+        named = [facet for facet in gaps if self._claims.has_adapter(facet.partition(".")[0])]
+        if head["status"] != Status.NOT_APPLICABLE and named:
+            yield f"{head['id']}: the record says {head['status']}, the subject does not claim {' and '.join(named)}"
+
+    def _of_history(self, item: StoredItem, task: Task) -> Iterator[str]:
+        head = item.head
+        name = head["id"]
+        driver = ReplayDriver(
+            item,
+            task,
+            adapters=self._adapters,
+            devices=self._devices,
+            seed=self._settings["seed"],
+            time_scale=self._settings["time_scale"],
+        )
+        found: list[str] = []
+
+        def compare(sample: Sample) -> None:
+            said = driver.sample
+            assert said is not None
+            if ("task", sample["repetition"]) not in driver.objections:
+                found.extend(_of_sample(_where(name, "task", said["repetition"]), sample, said))
+
+        try:
+            shown, objection = asyncio.run(_again(Trial(driver, task, head["planned"], keep=compare)))
+            objection = objection or driver.left_over()
+        except UNREADABLE:
+            driver.leave(judged=False)
+            raise
+        driver.leave(judged=objection is None and not driver.objections)
+        for (role, rep), reason in driver.objections.items():
+            yield f"{_where(name, role, rep)}: {reason}"
+        if objection is not None:
+            yield f"{name}: {objection}"
+        yield from found
+        if objection is None and not driver.objections:
+            yield from _differing(name, shown, head, _OF_ITEM)
+            for part, told in zip(shown["around"], head["around"], strict=True):
+                yield from _of_calls(f"{name} {told['role']}", part["calls"], told["calls"])
+            yield from _of_findings(name, shown["findings"], head["findings"])
 
 
-def _of_claims(item: Record, task: Task, adapters: Record) -> Iterator[str]:
-    # An adapter that never had a session is not listed: of that one nothing can be said.
-    gaps = [facet for facet in task.needs if not _claimed(facet, adapters)]
-    if item["status"] == Status.NOT_APPLICABLE and not gaps:
-        yield f"{item['id']}: the record says NOT_APPLICABLE, the subject claims {' and '.join(task.needs)}"
-    named = [facet for facet in gaps if facet.partition(".")[0] in adapters]
-    if item["status"] != Status.NOT_APPLICABLE and named:
-        yield f"{item['id']}: the record says {item['status']}, the subject does not claim {' and '.join(named)}"
+def _of_sample(where: str, found: Sample, said: Sample) -> Iterator[str]:
+    yield from _differing(where, found, said, _OF_SAMPLE)
+    yield from _of_calls(where, found["calls"], said["calls"])
+    yield from _of_findings(where, found["findings"], said["findings"])
 
 
-def _claimed(facet: str, adapters: Record) -> bool:
-    protocol, _, name = facet.partition(".")
-    if protocol not in adapters:
-        return False
-    unclaimed = adapters[protocol].get("unclaimed", {})
-    needed = protocols()[protocol].required_facets(name, adapters[protocol].get("blocking", ()))
-    return not any(real in unclaimed or real.partition(".")[0] in unclaimed for real in needed)
-
-
-def _of_item(item: Record, task: Task, settings: Record) -> Iterator[str]:
-    name = item["id"]
-    stage = ReplayDriver(item, task, seed=settings["seed"], time_scale=settings["time_scale"])
-    shown, objection = asyncio.run(_again(Trial(stage, task, item["planned"])))
-    objection = objection or stage.left_over()
-    for (role, rep), reason in stage.objections.items():
-        yield f"{_where(name, role, rep)}: {reason}"
-    if objection is not None:
-        yield f"{name}: {objection}"
-    for said, found in zip(item["samples"], shown["samples"], strict=False):
-        if ("task", said["repetition"]) not in stage.objections:
-            where = _where(name, "task", said["repetition"])
-            yield from _differing(where, found, said, _OF_SAMPLE)
-            yield from _of_calls(where, found["calls"], said["calls"])
-            yield from _of_findings(where, found["findings"], said["findings"])
-    if objection is None and not stage.objections:
-        yield from _differing(name, shown, item, _OF_ITEM)
-        yield from _of_calls(f"{name} around its repetitions", shown["other_calls"], item["other_calls"])
-        yield from _of_findings(name, shown["findings"], item["findings"])
-
-
-async def _again(trial: Trial) -> tuple[dict[str, Any], str | None]:
+async def _again(trial: Trial) -> tuple[ItemBody, str | None]:
     try:
         return await trial.run(), None
     except UnfinishedError:
@@ -157,7 +184,7 @@ def _where(name: str, role: str, rep: int) -> str:
     return f"{name} repetition {rep + 1}" if role == "task" else f"{name} {role}"
 
 
-def _of_calls(where: str, found: Sequence[Record], said: Sequence[Record]) -> Iterator[str]:
+def _of_calls(where: str, found: Sequence[Said], said: Sequence[Said]) -> Iterator[str]:
     # Concurrent calls are told apart by what was asked, not by whose reply came first.
     left = list(found)
     for index, call in enumerate(said, start=1):
@@ -167,11 +194,11 @@ def _of_calls(where: str, found: Sequence[Record], said: Sequence[Record]) -> It
             yield from _differing(f"{where}, call {index} ({call['tool']})", match, call, _OF_CALL)
 
 
-def _same_question(one: Record, other: Record) -> bool:
+def _same_question(one: Said, other: Said) -> bool:
     return all(same_json(one[name], other[name]) for name in ("adapter", "variant", "operation", "inputs", "sent_ns"))
 
 
-def _of_findings(where: str, found: Sequence[Record], said: Sequence[Record]) -> Iterator[str]:
+def _of_findings(where: str, found: Sequence[Said], said: Sequence[Said]) -> Iterator[str]:
     shown = Counter((finding["code"], finding["message"]) for finding in found)
     stated = Counter((finding["code"], finding["message"]) for finding in said)
     for code, message in shown - stated:
@@ -180,7 +207,7 @@ def _of_findings(where: str, found: Sequence[Record], said: Sequence[Record]) ->
         yield f"{where}: the record says {message!r} ({code}), the stored history does not show it"
 
 
-def _differing(where: str, found: Record, said: Record, names: Sequence[str]) -> Iterator[str]:
+def _differing(where: str, found: Said, said: Said, names: Sequence[str]) -> Iterator[str]:
     for name in names:
         if not same_json(found[name], said[name]):
             yield f"{where}: the stored history shows {name} {_short(found[name])}, the record says {_short(said[name])}"

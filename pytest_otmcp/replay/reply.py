@@ -20,8 +20,9 @@ from typing import Any
 
 from ..core.finding import Finding
 from ..core.strict_json import same_json
+from ..session.exchange import Exchange
 from ..subject.model import READ_WRITE, Answering, Binding, ErrorRule, OutcomeRule, OutputRule
-from ..trial.reply import Reply, Wire, observe, performed
+from ..trial.reply import Expectation, Reply, observe, replace_outputs
 
 __all__ = ["UNREADABLE", "HistoryError", "recorded_reply", "restored_bindings"]
 
@@ -53,18 +54,12 @@ def _binding(case: Mapping[str, Any]) -> Binding:
 
 
 def recorded_reply(
-    call: Mapping[str, Any],
-    *,
-    role: str,
-    cases: list[Binding] | None,
-    endpoint: Mapping[str, str],
-    deadline_s: float,
+    call: Mapping[str, Any], *, cases: list[Binding] | None, endpoint: Mapping[str, str], deadline_s: float
 ) -> Reply:
-    """The reply of a recorded call.
+    """Read a recorded call again.
 
     Args:
         call: as ``run.json`` has it.
-        role: what the steps ask for it as.
         cases: how the subject performs the operation; None for a Python function.
         endpoint, deadline_s: of the station.
 
@@ -84,27 +79,21 @@ def recorded_reply(
             f"{call['operation']} is performed by {tool} with {arguments}, "
             f"the history has {call['tool']} with {call['arguments']}"
         )
-    wire = _wire(call)
-    if wire is None:
-        return _believed(call, role)
-    answering = Answering(form="text") if binding is None else binding.answering
-    reply = observe(
-        wire,
+    exchange = _exchange(call)
+    if exchange is None:
+        return _believed(call)
+    expected = Expectation(
         adapter=call["adapter"],
         variant=call["variant"],
         operation=call["operation"],
-        tool=tool,
-        arguments=arguments,
-        role=role,
         deadline_s=deadline_s,
-        answering=answering,
+        answering=Answering(form="text") if binding is None else binding.answering,
         outputs={} if binding is None else binding.outputs,
         # Only the read-only variant may do without a tool.
         listed=call["variant"] == READ_WRITE or call["listed"],
     )
-    if binding is None:
-        performed(reply, call["outputs"], _refusal(call))
-    return reply
+    reply = observe(exchange, expected)
+    return replace_outputs(reply, call["outputs"], _refusal(call)) if binding is None else reply
 
 
 def _refusal(call: Mapping[str, Any]) -> tuple[str, str] | None:
@@ -112,8 +101,8 @@ def _refusal(call: Mapping[str, Any]) -> tuple[str, str] | None:
     return None if error is None else (error["code"], error["message"])
 
 
-def _wire(call: Mapping[str, Any]) -> Wire | None:
-    """The exchange of a call; None when its frames cannot be read again."""
+def _exchange(call: Mapping[str, Any]) -> Exchange | None:
+    """Return the exchange of a call; None when its frames cannot be read again."""
     frames = call.get("frames")
     response: bytes | None
     if frames is None:
@@ -126,8 +115,9 @@ def _wire(call: Mapping[str, Any]) -> Wire | None:
         failure, complaint = frames["failure"], frames["complaint"]
         if response is not None and hashlib.sha256(request + b"\n" + response).hexdigest() != call["frames_sha256"]:
             return None
-    return Wire(
-        request=b"",
+    return Exchange(
+        tool=call["tool"],
+        arguments=call["arguments"],
         response=response,
         sent_ns=call["sent_ns"],
         received_ns=call["received_ns"],
@@ -145,17 +135,15 @@ def _frame(envelope: Mapping[str, Any]) -> bytes:
     return json.dumps({"jsonrpc": "2.0", "id": 0, "result": result}).encode()
 
 
-def _believed(call: Mapping[str, Any], role: str) -> Reply:
+def _believed(call: Mapping[str, Any]) -> Reply:
     frames = call["frames"]
     return Reply(
         adapter=call["adapter"],
         variant=call["variant"],
         operation=call["operation"],
-        tool=call["tool"],
-        arguments=call["arguments"],
-        role=role,
-        wire=Wire(
-            request=b"",
+        exchange=Exchange(
+            tool=call["tool"],
+            arguments=call["arguments"],
             response=b"",
             sent_ns=call["sent_ns"],
             received_ns=call["received_ns"],
@@ -164,7 +152,7 @@ def _believed(call: Mapping[str, Any], role: str) -> Reply:
         ),
         envelope=call["envelope"],
         outputs=dict(call["outputs"]),
-        faults=[Finding(**fault) for fault in frames["faults"]],
+        faults=tuple(Finding(**fault) for fault in frames["faults"]),
         native=call["native"],
         listed=call["listed"],
     )

@@ -1,7 +1,6 @@
 """An adapter at its device in a repetition of the past: gives what the history has, and objects where it cannot be so.
 
-Whatever the steps ask for must be what the history has next. A journal is checked to be without a gap: each slice has
-consecutive sequence numbers and begins where the one before it ended.
+Whatever the steps ask for must be what the history has next, and in the order of time.
 """
 
 from __future__ import annotations
@@ -10,63 +9,114 @@ from collections.abc import Iterable, Mapping
 from typing import Any, cast
 
 from ..core.strict_json import same_json
-from ..protocols.oracle import has
+from ..record.images import Images, restore_image
+from ..record.schema import AdapterFacts, Call, DeviceEntry, ItemDevice, Observation
+from ..subject.claims import Claims
 from ..subject.model import READ_WRITE, Binding
+from ..trial.ledger import Ledger
 from ..trial.reply import Reply
 from ..trial.rig import Entry, FreshSession, Rig, place_name
-from .reply import HistoryError, recorded_reply, restored_bindings
+from .device import DeviceHistory
+from .reply import HistoryError, recorded_reply
 
-__all__ = ["RecordedRepetition", "ReplayItemState", "ReplayRig"]
+__all__ = ["Clock", "RecordedAdapter", "RecordedRepetition", "ReplayItemState", "ReplayRig"]
+
+
+class RecordedAdapter:
+    """An adapter as the run record has it, for all items.
+
+    Args:
+        protocol: of the adapter.
+        facts: what the record says about it.
+        claims: of the subject.
+        bindings: of the operations that were used; None for one that a Python function performs.
+        time_scale: of the run.
+    """
+
+    def __init__(
+        self,
+        protocol: str,
+        facts: AdapterFacts,
+        claims: Claims,
+        bindings: Mapping[str, list[Binding] | None],
+        time_scale: float,
+    ) -> None:
+        self.protocol = protocol
+        self.facts = facts
+        self.claims = claims
+        self.bindings = bindings
+        self.deadline_s = facts["deadline_s"] * time_scale
+
+
+class Clock:
+    """Time within one item of the past: it only goes forward.
+
+    Calls that were made at the same time have no order among them, and so have looks at a device meanwhile.
+
+    Args:
+        now_ns: monotonic; when the item began.
+    """
+
+    def __init__(self, now_ns: int) -> None:
+        self._floor_ns = self.now_ns = now_ns
+        self._together = False
+
+    def passed(self, begun_ns: int, over_ns: int, what: str, *, together: bool) -> None:
+        """Let something happen.
+
+        Args:
+            together: at the same time as other things.
+
+        Raises:
+            HistoryError: it happened before something that came before it.
+        """
+        if not (together and self._together):
+            self._floor_ns = self.now_ns
+        self._together = together
+        if begun_ns < self._floor_ns or over_ns < begun_ns:
+            raise HistoryError(f"{what} is not of its time: {begun_ns} to {over_ns} ns, after {self._floor_ns} ns")
+        self.now_ns = max(self.now_ns, over_ns)
 
 
 class ReplayItemState:
-    """A station during one item, as its history has it.
+    """An adapter and its device during one item, as its history has it."""
 
-    Attributes:
-        before: the journal from the end of the last item that had the device to the beginning of this one.
-        since: sequence number at which the next slice of the journal begins.
-        past: the journal before that, as far as the history has it.
-    """
-
-    def __init__(self, station: Mapping[str, Any]) -> None:
-        self.protocol: str = station["protocol"]
-        self.variant: str = station["variant"]
-        self.deadline_s: float = station["deadline_s"]
-        self.endpoint: Mapping[str, str] = station["endpoint"]
-        self.bindings: Mapping[str, list[Binding] | None] = restored_bindings(station["bindings"])
-        self.unclaimed: list[str] = station["unclaimed"]
-        self.probes: Mapping[str, Any] = station["probes"]
-        self.lacks: list[str] = station["lacks"]
-        self.blocking: list[str] = station["blocking"]
-        self.accepting_ns: int = station["accepting_ns"]
-        self.since: int = station["begin"]
-        self.before: list[Entry] = list(station["before"])
-        found = [entry.get("seq") for entry in self.before]
-        if found != list(range(self.since - len(found), self.since)):
-            raise HistoryError(f"what reached {self.protocol} before should end with entry {self.since - 1}: {found}")
-        self.past: list[Entry] = list(station["earlier"])
+    def __init__(self, adapter: RecordedAdapter, history: DeviceHistory, found: ItemDevice) -> None:
+        self.adapter = adapter
+        self.history = history
+        self.found = found
+        self.protocol = adapter.protocol
+        self.variant = history.facts["variant"]
         self.name = place_name(self.protocol, self.variant)
+        self.accepting_ns = found["accepting_ns"]
+        self.images: Images = {}
         self.running = True
 
 
 class RecordedRepetition:
     """Calls and observations of one repetition, each to be had once."""
 
-    def __init__(self, calls: Iterable[Mapping[str, Any]], observations: Iterable[Mapping[str, Any]]) -> None:
+    def __init__(self, calls: Iterable[Call], observations: Iterable[Observation], clock: Clock) -> None:
         self.calls = list(calls)
         self.observations = list(observations)
+        self._clock = clock
 
-    def observation(self, at: str, what: str) -> Any:
+    def next_is(self, at: str, what: str) -> bool:
+        """The next observation is this one."""
+        return bool(self.observations) and self.observations[0]["at"] == at and what in self.observations[0]
+
+    def observation(self, at: str, what: str, *others: str, together: bool) -> Observation:
         """The next one, which must be this one."""
         if not self.observations:
             raise HistoryError(f"the steps ask for {what} of {at}, the history has nothing further")
-        entry = self.observations.pop(0)
-        if entry.get("at") != at or what not in entry:
-            found = " ".join(name for name in entry if name != "at")
-            raise HistoryError(f"the steps ask for {what} of {at}, the history has {found} of {entry.get('at')}")
-        return entry[what]
+        seen = self.observations.pop(0)
+        if seen["at"] != at or not any(name in seen for name in (what, *others)):
+            found = " ".join(name for name in seen if name not in ("at", "asked_ns", "seen_ns"))
+            raise HistoryError(f"the steps ask for {what} of {at}, the history has {found} of {seen['at']}")
+        self._clock.passed(seen["asked_ns"], seen["seen_ns"], f"{what} of {at}", together=together)
+        return seen
 
-    def call(self, at: ReplayItemState, operation: str, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
+    def call(self, at: ReplayItemState, operation: str, inputs: Mapping[str, Any], *, together: bool) -> Call:
         """The call that the steps ask for: the next one, or, of concurrent ones, one of the next."""
         asked = f"{at.name} {operation}({_listed(inputs)})"
         if not self.calls:
@@ -77,10 +127,17 @@ class RecordedRepetition:
                 break
             who = (call["adapter"], call["variant"], call["operation"])
             if who == (at.protocol, at.variant, operation) and same_json(call["inputs"], inputs):
+                self._pass(call, together=together)
                 return self.calls.pop(index)
         first = self.calls[0]
         found = f"{first['adapter']} {first['operation']}({_listed(first['inputs'])})"
         raise HistoryError(f"the steps ask for {asked}, the history has {found}")
+
+    def _pass(self, call: Call, *, together: bool) -> None:
+        # What could not be sent has no time.
+        if call["sent_ns"]:
+            received_ns = call["sent_ns"] if call["received_ns"] is None else call["received_ns"]
+            self._clock.passed(call["sent_ns"], received_ns, f"the call of {call['tool']}", together=together)
 
 
 def _listed(inputs: Mapping[str, Any]) -> str:
@@ -90,34 +147,32 @@ def _listed(inputs: Mapping[str, Any]) -> str:
 class ReplayRig(Rig):
     """An adapter at its device in one repetition of the past. Nothing is done, nothing is waited for."""
 
-    def __init__(
-        self,
-        place: ReplayItemState,
-        past: RecordedRepetition,
-        device: Iterable[Mapping[str, Any]],
-        images: list[dict[str, Any]],
-    ) -> None:
-        super().__init__(place.protocol, place.variant)
+    def __init__(self, place: ReplayItemState, past: RecordedRepetition, device: Iterable[DeviceEntry]) -> None:
+        super().__init__(place.protocol, place.variant, place.history.cursor)
         self._place = place
         self._past = past
-        self._images = images
         self._unread = [
             cast(Entry, {name: value for name, value in entry.items() if name not in ("protocol", "variant")})
             for entry in device
             if (entry["protocol"], entry.get("variant", READ_WRITE)) == (place.protocol, place.variant)
         ]
 
+    def join(self, ledger: Ledger) -> None:
+        super().join(ledger)
+        if self._past.next_is(self.name, "session"):
+            self._place.history.has_session(self._seen("session")["session"])
+
     def claims(self, facet: str) -> bool:
-        return not {facet, facet.partition(".")[0]} & set(self._place.unclaimed)
+        return self._place.adapter.claims.has(f"{self.protocol}.{facet}")
 
     def blocks(self, operation: str) -> bool:
-        return operation in self._place.blocking
+        return operation in self._place.adapter.facts["blocking"]
 
     def probe(self, name: str) -> Any:
-        return self._place.probes[name]
+        return self._place.adapter.facts["probes"][name]
 
     def accepts_input(self, operation: str, name: str) -> bool:
-        return f"{operation}.{name}" not in self._place.lacks
+        return f"{operation}.{name}" not in self._place.adapter.facts["lacks"]
 
     @property
     def running(self) -> bool:
@@ -144,61 +199,68 @@ class ReplayRig(Rig):
 
     def leave(self) -> None:
         """Bring the place to where the next repetition begins, also when this one could not be taken to its end."""
-        for entry in self._past.observations:
-            if entry.get("at") == self.name and isinstance(end := entry.get("end"), int):
-                self._place.since = end
-        self._place.past += self._unread
-        self._unread = []
+        cursor = self._cursor
+        for seen in self._past.observations:
+            if seen["at"] == self.name:
+                if "start" in seen:
+                    cursor.restart()
+                elif "fresh_session" in seen:
+                    cursor.open_session(seen["fresh_session"]["opened"])
+                elif "end" in seen:
+                    cursor.next = cursor.fed = seen["end"]
         self._place.running = True
 
-    def _seen(self, what: str) -> Any:
-        return self._past.observation(self.name, what)
+    def _seen(self, what: str, *others: str) -> Observation:
+        return self._past.observation(self.name, what, *others, together=self._ledger.together)
 
-    def _until(self, end: int) -> list[Entry]:
+    def _until(self, end: int, seen_ns: int) -> list[Entry]:
         """The slice of this repetition up to the entry before ``end``."""
-        entries = self._unread[: max(0, end - self._place.since)]
-        self._without_gap(entries, self._place.since, end)
+        entries = self._unread[: max(0, end - self._cursor.next)]
+        self._place.history.looked(entries, end, seen_ns)
         return entries
 
-    def _without_gap(self, entries: list[Entry], begin: int, end: int) -> None:
-        found = [entry.get("seq") for entry in entries]
-        if found != list(range(begin, end)):
-            wanted = f"{begin} to {end - 1}" if end > begin else "none"
-            raise HistoryError(f"the journal of {self.name} should have the entries {wanted}, it has {found}")
-
-    async def _perform(self, operation: str, role: str, inputs: Mapping[str, Any]) -> Reply:
-        call = self._past.call(self._place, operation, inputs)
+    async def _perform(self, operation: str, inputs: Mapping[str, Any]) -> Reply:
+        call = self._past.call(self._place, operation, inputs, together=self._ledger.together)
         return recorded_reply(
             call,
-            role=role,
-            cases=self._place.bindings.get(operation),
-            endpoint=self._place.endpoint,
-            deadline_s=self._place.deadline_s,
+            cases=self._place.adapter.bindings.get(operation),
+            endpoint=self._place.history.facts["placeholders"],
+            deadline_s=self._place.adapter.deadline_s,
         )
 
     async def journal(self) -> list[Entry]:
-        return self._until(self._seen("journal"))
+        seen = self._seen("journal")
+        return self._until(seen["journal"], seen["seen_ns"])
 
     async def wait_for(self, *, timeout_s: float, count: int = 1, **match: Any) -> list[Entry]:
         seen = self._seen("wait")
-        found = [entry for entry in self._unread if has(entry, **match)]
-        if len(found) < seen:
-            raise HistoryError(f"{seen} entries with {_listed(match)} were seen at {self.name}, there are {len(found)}")
-        return found[:seen]
+        found = [
+            entry
+            for entry in self._unread
+            if all(name in entry and dict(entry)[name] == value for name, value in match.items())
+            and entry["t_ns"] <= seen["seen_ns"]
+        ]
+        if len(found) < seen["wait"]:
+            raise HistoryError(
+                f"{seen['wait']} entries with {_listed(match)} were seen at {self.name}, there are {len(found)}"
+            )
+        return found[: seen["wait"]]
 
     async def session_journal(self) -> list[Entry]:
-        begin, end = self._seen("session_journal")
-        known = self._place.past + self._unread
-        entries = [entry for entry in known if begin <= entry["seq"] < end]
-        self._without_gap(entries, begin, end)
-        return entries
+        seen = self._seen("session_journal")
+        begin, end = seen["session_journal"]
+        if begin != self._cursor.began:
+            raise HistoryError(f"the session at {self.name} began at entry {self._cursor.began}, not at {begin}")
+        return [entry for entry in self._until(end, seen["seen_ns"]) if entry["seq"] >= begin]
+
+    async def _feed(self) -> None:
+        seen = self._seen("followed")
+        end = seen["followed"]
+        self._cursor.feed(self._until(end, seen["seen_ns"]), end)
 
     async def image(self) -> dict[str, Any]:
-        index: int = self._seen("image")
-        if not 0 <= index < len(self._images):
-            raise HistoryError(f"there is no image {index}")
-        image: dict[str, Any] = self._images[index]
-        return image
+        seen = self._seen("image", "changes")
+        return restore_image(self._place.images, self.name, cast(Mapping[str, Any], seen))
 
     async def poke(self, **params: Any) -> None:
         pass
@@ -213,28 +275,27 @@ class ReplayRig(Rig):
         pass
 
     async def close_session(self) -> None:
-        pass
+        self._cursor.close_session()
 
     async def _stop(self) -> float:
         self._place.running = False
-        took_ms: float = self._seen("stop")
-        return took_ms
+        return self._seen("stop")["stop"]
 
     async def start_device(self) -> float:
-        seen = self._seen("start")
-        place = self._place
-        place.running, place.accepting_ns, place.since, place.past = True, seen["accepting_ns"], 0, []
-        took_ms: float = seen["ms"]
-        return took_ms
+        started = self._seen("start")["start"]
+        self._place.running, self._place.accepting_ns = True, started["accepting_ns"]
+        self._cursor.restart()
+        return started["ms"]
 
     async def _replace_session(self) -> FreshSession:
-        return FreshSession(**self._seen("fresh_session"))
+        fresh = self._seen("fresh_session")["fresh_session"]
+        self._cursor.open_session(fresh["opened"])
+        return FreshSession(**fresh)
 
     async def take_slice(self) -> list[Entry]:
-        end = self._seen("end")
-        entries = self._until(end)
-        place = self._place
+        seen = self._seen("end")
+        end = seen["end"]
+        entries = self._until(end, seen["seen_ns"])
         self._unread = self._unread[len(entries) :]
-        place.past += entries
-        place.since = end
+        self._place.history.take(entries, end, seen["asked_ns"])
         return entries

@@ -6,17 +6,19 @@ Figures that several reports print are counted here, so that no two reports disa
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from itertools import count
-from typing import Any
+from typing import cast
 
 from ..core.matrix import SUITES, repetitions
 from ..core.statistics import lower_bound
 from ..protocols.external import external_devices
+from ..record.schema import AdapterFacts, Call, Item, Run
 
 __all__ = [
     "Item",
     "Run",
+    "adapters",
     "applies",
     "command",
     "durations",
@@ -27,11 +29,6 @@ __all__ = [
     "task_calls",
     "timing_valid",
 ]
-
-Run = Mapping[str, Any]
-"""A run record, as :func:`pytest_otmcp.record.load` returns it."""
-Item = Mapping[str, Any]
-"""One of its items."""
 
 
 def applies(item: Item) -> bool:
@@ -53,7 +50,7 @@ def least(item: Item) -> float | None:
 
 def timing_valid(run: Run) -> bool:
     """Tell whether the run's latencies are the subject's: those of a parallel run measure the neighbours, too."""
-    return bool(run["footer"].get("timing_valid", True))
+    return run["footer"].get("timing_valid", True)
 
 
 def durations(run: Run, items: Iterable[Item]) -> list[float]:
@@ -65,7 +62,7 @@ def phases(run: Run, item: Item, name: str) -> list[float]:
     """Return the milliseconds of a phase of recovery, where it happened; none when the run's latencies are withheld."""
     if not timing_valid(run):
         return []
-    found = [sample["phases"][name] for sample in item["samples"] if sample["phases"]]
+    found = [cast(dict[str, float | None], sample["phases"])[name] for sample in item["samples"] if sample["phases"]]
     return [value for value in found if value is not None]
 
 
@@ -73,11 +70,16 @@ def recovered(items: Iterable[Item], way: str) -> tuple[int, int]:
     """Count outages after which ``way`` (``same_session`` or ``fresh_session``) succeeded, and those planned."""
     counted = [item for item in items if applies(item)]
     samples = [sample for item in counted for sample in item["samples"]]
-    good = sum(bool(sample["phases"] and sample["phases"][f"{way}_ok"]) for sample in samples)
+    good = sum(bool(sample["phases"] and cast(dict[str, bool], sample["phases"])[f"{way}_ok"]) for sample in samples)
     return good, sum(item["planned"] for item in counted)
 
 
-def task_calls(items: Iterable[Item]) -> list[Mapping[str, Any]]:
+def adapters(run: Run) -> dict[str, AdapterFacts]:
+    """The subject's adapters that had a session, by protocol."""
+    return {key: facts for key, facts in run["subject"]["adapters"].items() if facts["tools"] is not None}
+
+
+def task_calls(items: Iterable[Item]) -> list[Call]:
     """Return the calls that the tasks of these items are about; neither set-up nor what came before a recovery."""
     return [call for item in items for sample in item["samples"] for call in sample["calls"] if call["role"] == "task"]
 
@@ -100,8 +102,9 @@ def command(run: Run, item: Item | None = None, repetition: int = 0) -> str:
     usual = {"seed": 0, "era": "auto", "time_scale": 1.0}
     usual |= {device.option: "embedded" for device in external_devices().values()}
     for name, value in usual.items():
-        if settings.get(name, value) != value:
-            options.append(f"--otmcp-{name.replace('_', '-')}={settings[name]}")
+        chosen = cast(dict[str, object], settings).get(name, value)
+        if chosen != value:
+            options.append(f"--otmcp-{name.replace('_', '-')}={chosen}")
     if settings.get("subject"):
         options.append(f"--otmcp-subject={settings['subject']}")
     return shlex.join(["pytest", *options])

@@ -16,7 +16,7 @@ from ..core.verdict import Status
 from ..protocols.protocol import GUARD
 from ..protocols.registry import protocols
 from ..suite.catalogue import all_tasks, tasks_by_id
-from . import Item, Run
+from . import Item, Run, adapters
 from .families import families
 
 __all__ = ["Earned", "Grade", "Heading", "earned"]
@@ -124,7 +124,7 @@ def _wanted(run: Run) -> tuple[dict[str, _Ids], _Ids]:
 
 
 def _capabilities(item: Item) -> Collection[str]:
-    if "capabilities" in item:
+    if item["capabilities"]:
         return [str(name) for name in item["capabilities"]]
     # A record of an earlier kit does not say; the task of that id does.
     task = all_tasks().get(item["id"])
@@ -135,7 +135,7 @@ def _not_claimed(run: Run, facet: str | None) -> set[str]:
     """Return the families whose adapter does not claim ``facet``."""
     return {
         protocols()[key].name
-        for key, facts in run["subject"]["adapters"].items()
+        for key, facts in adapters(run).items()
         if key in protocols() and facet in facts.get("unclaimed", {})
     }
 

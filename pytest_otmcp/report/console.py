@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 from ..core.matrix import SUITES
 from ..core.statistics import mean, mean_interval, percentile
-from ..record.run_file import count_calls
+from ..record.consistency import count_calls
 from . import Item, Run, applies, durations, least, phases, recovered, tally, timing_valid
 from .text import count, interval, number, printable, shortened
 

@@ -100,8 +100,8 @@ def _failure(run: Run, item: Item, limits: _Limits) -> Failure:
             kinds.setdefault(kind, []).append(index)
     evidence = [_repetition(run, item, alike, limits) for alike in list(kinds.values())[:_REPETITIONS]]
     if item["findings"]:
-        calls = [call for call in item["other_calls"] if call.get("frames")]
-        device = item.get("other_device", [])
+        calls = [call for part in item["around"] for call in part["calls"] if call.get("frames")]
+        device = [entry for part in item["around"] for entry in part["device"]]
         title = "Before, between and after the repetitions"
         evidence.append(_evidence(title, command(run, item), item["findings"], calls, device, limits))
     notes = []

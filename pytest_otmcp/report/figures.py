@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..core.statistics import percentile, proportion_interval
 from ..protocols.registry import protocols
-from . import Item, Run, durations, phases, recovered, timing_valid
+from . import Item, Run, adapters, durations, phases, recovered, timing_valid
 from .families import family_colour
 
 if TYPE_CHECKING:
@@ -149,8 +149,9 @@ def _error_classes(run: Run, axes: Axes) -> bool:
     counts: dict[str, list[int]] = {}
     for index, item in enumerate(items):
         for sample in item["samples"]:
-            codes = {call["error_code"] for call in sample["calls"] if call["role"] == "task"} - {None}
-            for code in codes:
+            for code in {
+                call["error_code"] for call in sample["calls"] if call["role"] == "task" and call["error_code"]
+            }:
                 counts.setdefault(code, [0] * len(items))[index] += 1
     if not counts:
         return False
@@ -225,8 +226,8 @@ def _recovery_phases(run: Run, axes: Axes) -> bool:
 
 
 def _protocol_map(run: Run, axes: Axes) -> bool:
-    adapters = run["subject"]["adapters"]
-    evaluated = {protocols()[key].name: facts.get("tools") for key, facts in adapters.items() if key in protocols()}
+    sessions = adapters(run)
+    evaluated = {protocols()[key].name: facts.get("tools") for key, facts in sessions.items() if key in protocols()}
     if not evaluated:
         return False
     boxes = [(name, tools, True) for name, tools in evaluated.items()]

@@ -12,8 +12,8 @@ from pathlib import Path
 from ..core.matrix import SUITES
 from ..core.statistics import mean, mean_interval, median_interval, outliers, percentile, standard_deviation
 from ..protocols.registry import protocols
-from ..record.run_file import count_calls
-from . import Item, Run, applies, command, durations, least, phases, recovered, tally, task_calls
+from ..record.consistency import count_calls
+from . import Item, Run, adapters, applies, command, durations, least, phases, recovered, tally, task_calls
 from .families import families
 from .text import count, interval, number
 
@@ -101,7 +101,7 @@ def _exact_counts(run: Run) -> list[str]:
     samples = {suite: sum(len(item["samples"]) for item in items) for suite, items in suites.items()}
     calls = {suite: len(task_calls(items)) for suite, items in suites.items()}
     every = count_calls(run["items"])
-    adapters = run["subject"]["adapters"]
+    sessions = adapters(run)
     macros = {
         "totalNormalRuns": samples["normal"],
         "totalFaultRuns": samples["fault"],
@@ -116,9 +116,9 @@ def _exact_counts(run: Run) -> list[str]:
         "recoveryToolCalls": every["recovery"],
         "otherToolCalls": every["control"] + every["setup"] + every["warmup"],
         **{
-            f"{_letters(known.key)}ToolCount": adapters.get(known.key, {}).get("tools", _NONE)
+            f"{_letters(known.key)}ToolCount": sessions[known.key]["tools"] if known.key in sessions else _NONE
             for known in protocols().values()
-            if known.always or known.key in adapters
+            if known.always or known.key in sessions
         },
     }
     return [f"\\newcommand{{\\{name}}}{{{value}}}" for name, value in macros.items()]

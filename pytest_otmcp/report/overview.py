@@ -19,6 +19,7 @@ from ..core.statistics import (
     standard_deviation,
 )
 from . import Item, Run, durations, least, phases, recovered, tally
+from . import adapters as having_sessions
 from .evidence import findings_of
 from .text import count, interval, number
 
@@ -189,7 +190,7 @@ def deviations(run: Run) -> list[Deviation]:
 
 def adapters(run: Run) -> list[Adapter]:
     """Return the subject's adapters."""
-    return [_adapter(protocol, facts) for protocol, facts in run["subject"]["adapters"].items()]
+    return [_adapter(protocol, facts) for protocol, facts in having_sessions(run).items()]
 
 
 def _adapter(protocol: str, facts: Mapping[str, Any]) -> Adapter:

@@ -9,7 +9,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from ..record.run_file import RecordError, load
+from ..record.condensed import condensed
+from ..record.reader import RecordError, open_record
 from . import Run
 
 __all__ = ["NAMES", "render", "write_all"]
@@ -70,7 +71,8 @@ def _remove(path: Path) -> None:
 def render(path: Path, terminal: Any, root: Path) -> None:
     """Write every report beside the record ``path``, and the summary to pytest's terminal."""
     try:
-        run = load(path, allow_incomplete=True)
+        with open_record(path, allow_incomplete=True) as stored:
+            run = condensed(stored)
     except RecordError as error:
         terminal.write_line(f"no reports were written: {error}", red=True)
         return

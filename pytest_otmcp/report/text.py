@@ -5,16 +5,9 @@ Everything in a run record may have been written by the adapter under test: its 
 
 from __future__ import annotations
 
+from ..core.text import printable
+
 __all__ = ["clipped", "count", "interval", "number", "printable", "shortened"]
-
-
-def printable(text: str, keep: str = "") -> str:
-    """Replace every letter that is not printable, but those to ``keep``, by its escape.
-
-    Control characters could colour a terminal or forge a line; those that turn the reading direction could make a
-    browser show something else than what is there.
-    """
-    return "".join(letter if letter.isprintable() or letter in keep else repr(letter)[1:-1] for letter in text)
 
 
 def clipped(text: str, limit: int) -> str:

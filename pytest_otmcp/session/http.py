@@ -17,7 +17,7 @@ from urllib.parse import urlsplit
 import httpx2
 from mcp.client.streamable_http import streamable_http_client
 
-from .exchange import FrameRecorder
+from .frames import FrameRecorder
 from .process import MAX_FRAME_BYTES, StopReport, SubjectProcess
 
 if TYPE_CHECKING:

@@ -164,7 +164,7 @@ class SubjectProcess:
 
     @property
     def stdout_closed(self) -> asyncio.Event:
-        """Event that is set when nothing more can come on stdout."""
+        """Event that is set when stdout has ended."""
         return self._pipes.stdout_closed
 
     def stderr_tail(self, lines: int = 12) -> list[str]:
@@ -173,7 +173,7 @@ class SubjectProcess:
 
     async def settle(self) -> None:
         """Wait for a short time, after stdout was closed, until the exit code is known and stderr has been read to its end."""
-        # The pipes of a process that ends are closed before its exit code can be had.
+        # The pipes of a process that ends are closed before its exit code is available.
         if not await self._wait_for_exit(_SETTLE_S):
             return
         # A child that lives on may keep the pipe open.

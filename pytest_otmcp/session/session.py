@@ -21,12 +21,13 @@ from mcp.types import RequestParamsMeta
 from pydantic import ValidationError
 
 from ..core.errors import SubjectError
-from .exchange import MAX_STRAY_LINES, META_KEY, Exchange, FrameRecorder
+from .exchange import Exchange
+from .frames import MAX_STRAY_LINES, META_KEY, FrameRecorder, Measurement
 from .http import HttpTransport
 from .process import MAX_FRAME_BYTES, StopReport
 from .stdio import StdioTransport
 
-__all__ = ["Exchange", "McpSession", "SessionOptions"]
+__all__ = ["McpSession", "SessionOptions"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -170,45 +171,61 @@ class McpSession:
 
     async def call(self, tool: str, arguments: Mapping[str, Any], *, timeout_s: float) -> Exchange:
         """Call a tool and return the recorded exchange; no outcome of the call is an exception."""
-        exchange = Exchange(tool=tool, arguments=dict(arguments))
+        asked = dict(arguments)
         return await self._exchange(
-            exchange,
-            lambda client, meta: client.call_tool(tool, exchange.arguments, read_timeout_seconds=timeout_s, meta=meta),
+            tool,
+            asked,
+            lambda client, meta: client.call_tool(tool, asked, read_timeout_seconds=timeout_s, meta=meta),
         )
 
     async def read_resource(self, uri: str, *, timeout_s: float) -> Exchange:
         """Read a resource and return the recorded exchange, as :meth:`call` does."""
-        exchange = Exchange(tool=uri, arguments={})
 
-        async def read(client: Client, meta: RequestParamsMeta) -> Any:
+        async def read(client: Client, meta: RequestParamsMeta) -> object:
             async with asyncio.timeout(timeout_s):
                 return await client.read_resource(uri, meta=meta)
 
-        return await self._exchange(exchange, read)
+        return await self._exchange(uri, {}, read)
 
     async def _exchange(
-        self, exchange: Exchange, request: Callable[[Client, RequestParamsMeta], Awaitable[Any]]
+        self,
+        tool: str,
+        arguments: Mapping[str, Any],
+        request: Callable[[Client, RequestParamsMeta], Awaitable[object]],
     ) -> Exchange:
+        measured = Measurement()
+        failure = complaint = None
         client = self._client
-        exchange.asked_ns = exchange.returned_ns = time.monotonic_ns()
+        asked_ns = returned_ns = time.monotonic_ns()
         if client is None or self.died:
-            exchange.failure = "connection_closed"
-            return exchange
-        token = self._recorder.begin(exchange)
-        try:
-            await request(client, cast(RequestParamsMeta, {META_KEY: token}))
-        except (MCPError, TimeoutError) as error:
-            if exchange.response is None:
-                timed_out = isinstance(error, TimeoutError) or error.code == -32001
-                exchange.failure = "timeout" if timed_out and not self.died else "connection_closed"
-        except (RuntimeError, ValidationError, ValueError) as error:
-            exchange.client_complaint = str(error).splitlines()[0][:300]
-            if exchange.response is None:
-                exchange.failure = "connection_closed"
-        finally:
-            exchange.returned_ns = time.monotonic_ns()
-            self._recorder.end(token)
-        return exchange
+            failure = "connection_closed"
+        else:
+            token = self._recorder.begin(measured)
+            try:
+                await request(client, cast(RequestParamsMeta, {META_KEY: token}))
+            except (MCPError, TimeoutError) as error:
+                if measured.response is None:
+                    timed_out = isinstance(error, TimeoutError) or error.code == -32001
+                    failure = "timeout" if timed_out and not self.died else "connection_closed"
+            except (RuntimeError, ValidationError, ValueError) as error:
+                complaint = str(error).splitlines()[0][:300]
+                if measured.response is None:
+                    failure = "connection_closed"
+            finally:
+                returned_ns = time.monotonic_ns()
+                self._recorder.end(token)
+        return Exchange(
+            tool=tool,
+            arguments=arguments,
+            request=measured.request,
+            response=measured.response,
+            sent_ns=measured.sent_ns,
+            received_ns=measured.received_ns,
+            failure=failure,
+            client_complaint=complaint,
+            asked_ns=asked_ns,
+            returned_ns=returned_ns,
+        )
 
     @property
     def died(self) -> bool:

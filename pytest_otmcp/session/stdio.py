@@ -14,7 +14,7 @@ from mcp.shared.message import SessionMessage
 from mcp.types import JSONRPCRequest
 from pydantic import ValidationError
 
-from .exchange import MAX_STRAY_LINES, FrameRecorder
+from .frames import MAX_STRAY_LINES, FrameRecorder
 from .process import StopReport, SubjectProcess
 
 if TYPE_CHECKING:

@@ -10,6 +10,7 @@ import difflib
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from .claims import Claims
 from .model import Adapter
 
 __all__ = ["check_bindings"]
@@ -18,8 +19,9 @@ __all__ = ["check_bindings"]
 def check_bindings(adapter: Adapter, tools: Mapping[str, Mapping[str, Any]]) -> list[str]:
     """Return the contradictions between the bindings and ``tools`` (name to entry in ``tools/list``), a sentence each."""
     found: list[str] = []
+    claims = Claims.of_subject({adapter.protocol: adapter})
     for name, bound in adapter.operations.items():
-        if isinstance(bound, tuple) and adapter.why_not_claimed(name) is None:
+        if isinstance(bound, tuple) and claims.has(f"{adapter.protocol}.{name}"):
             for index, binding in enumerate(bound):
                 if binding.resource:
                     continue

@@ -14,6 +14,7 @@ from typing import Any
 
 from ..protocols.protocol import GUARD, RECOVERY
 from ..protocols.registry import protocols
+from ..record.schema import AdapterFacts
 
 __all__ = [
     "READ_ONLY",
@@ -322,13 +323,6 @@ class Adapter:
     deadline_s: float
     start_timeout_s: float
 
-    def why_not_claimed(self, facet: str) -> str | None:
-        """Return the reason why the subject does not claim a facet; None when it does."""
-        if facet in self.unclaimed:
-            return self.unclaimed[facet]
-        operation = facet.partition(".")[0]
-        return self.unclaimed.get(operation)
-
     def why_not_testable(self, facet: str) -> str | None:
         """Return what is missing for a claimed facet to be exercised; None when nothing is."""
         operation, _, optional = facet.partition(".")
@@ -360,15 +354,24 @@ class Adapter:
             if isinstance(bound, tuple) and any(binding.blocking for binding in bound)
         )
 
-    def facts(self) -> dict[str, Any]:
-        """Return what ``run.json`` says about how this adapter was tested."""
+    def facts(self) -> AdapterFacts:
+        """Return what ``run.json`` says about how this adapter is tested; nothing of its server yet."""
         return {
             "command": list(self.variants["rw"].command),
             "envelope": "native" if self.answering.native else "synthesised",
             "recovery": self.recovery,
-            "blocking": list(self.blocking),
+            "deadline_s": self.deadline_s,
             "unclaimed": dict(self.unclaimed),
+            "blocking": list(self.blocking),
+            "lacks": sorted(self.missing_inputs()),
+            "probes": dict(self.probes),
+            "bindings": {},
             "unjudged": sorted(self._unjudged()),
+            "unmet": [],
+            "server_name": None,
+            "server_version": None,
+            "protocol_version": None,
+            "tools": None,
         }
 
     def missing_inputs(self) -> set[str]:

@@ -9,18 +9,22 @@ import socket
 import sys
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict, cast
 
 from .. import __version__
 from ..core.errors import KitError, SubjectError, UsageError
 from ..core.strict_json import parse_strict
+from ..core.text import printable
 from ..plant.device import Device
 from ..plant.endpoint import Endpoint, first_port
 from ..protocols.envelope import check_result
 from ..protocols.registry import protocols
-from ..session.session import Exchange, McpSession, SessionOptions
+from ..record.schema import AdapterFacts, StoredBinding
+from ..record.schema import Device as DeviceFacts
+from ..session.exchange import Exchange, joined
+from ..session.session import McpSession, SessionOptions
 from ..subject.answers import interpret, read_answer
 from ..subject.functions import Refused, ToolAnswer, checked_outputs
 from ..subject.model import (
@@ -29,12 +33,14 @@ from ..subject.model import (
     Answering,
     Binding,
     Function,
+    OutputRule,
     replace_placeholders,
     replace_template,
 )
-from .reply import Reply, Wire, observe, performed
+from .cursor import JournalCursor
+from .reply import Expectation, Reply, observe, replace_outputs
 
-__all__ = ["AdapterUnderTest", "BenchOptions", "NoBindingError", "endpoint_values"]
+__all__ = ["MAIN", "AdapterUnderTest", "BenchOptions", "NoBindingError", "endpoint_values"]
 
 _EXIT_GRACE_S = 5.0
 """From the end of its stdin to the exit (requirement MCP-009)."""
@@ -67,6 +73,10 @@ class NoBindingError(Exception):
     """The subject claims something but does not say how to ask for it: not testable."""
 
 
+MAIN = "main"
+"""The worker of a run without others."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BenchOptions:
     """Settings of a run that the bench needs.
@@ -74,10 +84,21 @@ class BenchOptions:
     Attributes:
         era: MCP protocol era, ``auto`` or ``legacy``.
         time_scale: factor on deadlines and windows, for slow machines.
+        worker: name of this process among those of the run.
     """
 
     era: str = "auto"
     time_scale: float = 1.0
+    worker: str = MAIN
+
+
+class ServerFacts(TypedDict, total=False):
+    """How an adapter's server introduced itself; empty as long as no session was opened."""
+
+    server_name: str
+    server_version: str
+    protocol_version: str
+    tools: int
 
 
 class AdapterUnderTest:
@@ -85,12 +106,15 @@ class AdapterUnderTest:
 
     Attributes:
         tools: what the adapter last listed, name to its entry; None as long as no session was opened.
-        mark: sequence number in the device's journal at which the next slice begins.
-        looked_through: everything before ``mark`` has been looked at, and since then nobody has called the adapter.
+        first: sequence number at which the adapter took over the journal of its device.
+        cursor: where the adapter is in the journal of its device.
+        used: operations that were performed.
         unmet: requirements of the envelope that the adapter's own answers do not meet, where it does not claim to have one.
     """
 
-    def __init__(self, adapter: Adapter, variant: str, device: Device, options: BenchOptions) -> None:
+    def __init__(
+        self, adapter: Adapter, variant: str, device: Device, options: BenchOptions, *, first: int = 0
+    ) -> None:
         self.adapter = adapter
         self.variant = variant
         self.device = device
@@ -100,9 +124,10 @@ class AdapterUnderTest:
         self._options = options
         self._start_failure: SubjectError | None = None
         self._work: tempfile.TemporaryDirectory[str] | None = None
-        self.mark = 0
-        self.looked_through = False
-        self.session_mark = 0
+        self._server: ServerFacts = {}
+        self.used: dict[str, None] = {}
+        self.first = first
+        self.cursor = JournalCursor(adapter.protocol, first)
 
     @property
     def deadline_s(self) -> float:
@@ -110,9 +135,49 @@ class AdapterUnderTest:
         return self.adapter.deadline_s * self._options.time_scale
 
     @property
+    def device_name(self) -> str:
+        """How the run record names the device."""
+        name = self.adapter.protocol if self.variant == READ_WRITE else f"{self.adapter.protocol}@{self.variant}"
+        return name if self._options.worker == MAIN else f"{self._options.worker}:{name}"
+
+    @property
     def endpoint(self) -> dict[str, str]:
         """What the placeholders of a subject file stand for, by name."""
         return endpoint_values(protocols()[self.adapter.protocol].scheme, self.device.endpoints)
+
+    def facts(self) -> AdapterFacts:
+        """What ``run.json`` says about the adapter."""
+        adapter = self.adapter
+        used = {name: adapter.operations.get(name) for name in self.used}
+        return {
+            **adapter.facts(),
+            **self._server,
+            "bindings": {
+                name: None if cases is None or isinstance(cases, Function) else [_stored(case) for case in cases]
+                for name, cases in used.items()
+            },
+            "unmet": sorted(self.unmet),
+        }
+
+    def device_facts(self) -> DeviceFacts:
+        """What ``run.json`` says about the device."""
+        return {
+            "protocol": self.adapter.protocol,
+            "variant": self.variant,
+            "worker": self._options.worker,
+            "endpoints": [
+                {
+                    "name": endpoint.name,
+                    "kind": endpoint.kind,
+                    "host": endpoint.host,
+                    "port": endpoint.port,
+                    "path": endpoint.path,
+                }
+                for endpoint in self.device.endpoints.values()
+            ],
+            "placeholders": self.endpoint,
+            "first": self.first,
+        }
 
     # -- life ---------------------------------------------------------------------------------------------
 
@@ -154,11 +219,17 @@ class AdapterUnderTest:
             return
         await self.close()
         # Everything that this session will ever do to its device is on the journal from here on.
-        self.session_mark = await self.device.mark()
+        self.cursor.open_session(await self.device.mark())
         session = self.new_session()
         try:
             await session.open()
             self.session, self.tools = session, session.tools
+            self._server = {
+                "server_name": printable(session.server_name),
+                "server_version": printable(session.server_version),
+                "protocol_version": printable(session.protocol_version),
+                "tools": len(session.tools),
+            }
             await self._connect()
         except SubjectError as failure:
             self._start_failure = failure
@@ -189,6 +260,7 @@ class AdapterUnderTest:
     async def close(self) -> None:
         """Close the session, if there is one."""
         session, self.session = self.session, None
+        self.cursor.close_session()
         if session is not None:
             await session.close()
         work, self._work = self._work, None
@@ -203,72 +275,50 @@ class AdapterUnderTest:
 
     # -- calls --------------------------------------------------------------------------------------------
 
-    async def call(self, operation: str, *, role: str, session: McpSession | None = None, **inputs: Any) -> Reply:
+    async def call(self, operation: str, *, session: McpSession | None = None, **inputs: Any) -> Reply:
         """Perform an abstract operation through the adapter's own tools.
 
         Args:
             operation: name of the operation.
-            role: see :class:`~pytest_otmcp.trial.reply.Reply`.
-            session: a session other than the station's.
+            session: a session other than the adapter's own.
             inputs: the operation's inputs.
 
         Raises:
             NoBindingError: the subject does not say how it is performed.
         """
         bound = self.adapter.operations.get(operation)
+        self.used[operation] = None
         session = self._current(session)
         if isinstance(bound, Function):
-            return await self._perform(bound, session, role, inputs)
+            return await self._perform(bound, session, inputs)
         binding = next((case for case in bound or () if case.fits(inputs)), None)
         if binding is None:
             asked = ", ".join(f"{name}={value!r}" for name, value in inputs.items()) if bound else "any input"
             raise NoBindingError(
                 f"{self.adapter.protocol}: the subject binds no tool to the operation {operation!r} for {asked}"
             )
-        arguments = binding.fill(inputs, self.endpoint)
         # The client gives up a little later than the deadline, so that a late answer is seen to be late.
         timeout_s = 1.2 * self.deadline_s
         if binding.resource:
             exchange = await session.read_resource(binding.tool, timeout_s=timeout_s)
         else:
-            exchange = await session.call(binding.tool, arguments, timeout_s=timeout_s)
-        reply = self._observed(
-            operation,
-            role,
-            _wire([exchange]),
-            tool=binding.tool,
-            arguments=arguments,
-            answering=binding.answering,
-            binding=binding,
-            listed=self.variant == READ_WRITE or binding.resource or binding.tool in session.tools,
-        )
+            exchange = await session.call(binding.tool, binding.fill(inputs, self.endpoint), timeout_s=timeout_s)
+        listed = self.variant == READ_WRITE or binding.resource or binding.tool in session.tools
+        expected = self._expectation(operation, binding.answering, binding.outputs, listed=listed)
         if not binding.answering.native:
             self._note_unmet(exchange)
-        return reply
+        return observe(exchange, expected)
 
-    def _observed(
-        self,
-        operation: str,
-        role: str,
-        wire: Wire,
-        *,
-        tool: str,
-        arguments: Mapping[str, Any],
-        answering: Answering,
-        binding: Binding | None,
-        listed: bool,
-    ) -> Reply:
-        return observe(
-            wire,
+    def _expectation(
+        self, operation: str, answering: Answering, outputs: Mapping[str, OutputRule], *, listed: bool = True
+    ) -> Expectation:
+        return Expectation(
             adapter=self.adapter.protocol,
             variant=self.variant,
             operation=operation,
-            tool=tool,
-            arguments=arguments,
-            role=role,
             deadline_s=self.deadline_s,
             answering=answering,
-            outputs=binding.outputs if binding is not None else {},
+            outputs=outputs,
             listed=listed,
         )
 
@@ -280,7 +330,7 @@ class AdapterUnderTest:
         if isinstance(result, dict) and isinstance(result.get("result"), dict):
             self.unmet |= {fault.requirement for fault in check_result(result["result"]) if fault.requirement}
 
-    async def _perform(self, function: Function, session: McpSession, role: str, inputs: dict[str, Any]) -> Reply:
+    async def _perform(self, function: Function, session: McpSession, inputs: dict[str, Any]) -> Reply:
         tools = _Tools(self, session)
         outputs: Mapping[str, Any] = {}
         refusal: Refused | None = None
@@ -298,18 +348,13 @@ class AdapterUnderTest:
             ) from error
         if not tools.exchanges:
             raise NoBindingError(f"the binding function {function.name} called no tool")
-        reply = self._observed(
-            function.name,
-            role,
-            _wire(tools.exchanges),
-            tool="+".join(exchange.tool for exchange in tools.exchanges),
-            arguments=inputs,
-            answering=Answering(form="text"),
-            binding=None,
-            listed=True,
-        )
-        performed(reply, outputs, None if refusal is None else (refusal.code, str(refusal)))
-        return reply
+        expected = self._expectation(function.name, Answering(form="text"), {})
+        reply = observe(joined(tools.exchanges, inputs), expected)
+        return replace_outputs(reply, outputs, None if refusal is None else (refusal.code, str(refusal)))
+
+
+def _stored(binding: Binding) -> StoredBinding:
+    return cast(StoredBinding, asdict(binding))
 
 
 class _NoAnswerError(Exception):
@@ -353,18 +398,3 @@ def _free_port() -> int:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]
         return port
-
-
-def _wire(exchanges: list[Exchange]) -> Wire:
-    """The exchanges of one operation as one: from the first request to the last reply."""
-    first, last = exchanges[0], exchanges[-1]
-    return Wire(
-        request=b"\n".join(exchange.request for exchange in exchanges),
-        response=last.response,
-        sent_ns=first.sent_ns,
-        received_ns=last.received_ns,
-        failure=last.failure,
-        client_complaint=last.client_complaint,
-        asked_ns=first.asked_ns,
-        returned_ns=last.returned_ns,
-    )

@@ -3,11 +3,12 @@ and that the subject claims."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 
 from ..core.verdict import Status
 from ..protocols.protocol import GUARD
 from ..protocols.registry import protocols
+from ..subject.claims import Claims
 from ..subject.model import READ_ONLY, Adapter
 from .rig import place_name
 from .task import Task
@@ -20,13 +21,13 @@ def applicability(task: Task, adapters: Mapping[str, Adapter]) -> tuple[Status, 
 
     What is claimed but cannot be exercised comes first only if everything that the task needs is claimed.
     """
+    claims = Claims.of_subject(adapters)
     for protocol in dict.fromkeys(facet.partition(".")[0] for facet in task.needs):
-        if protocol not in adapters:
+        if not claims.has_adapter(protocol):
             return Status.NOT_APPLICABLE, f"the subject has no adapter for {protocols()[protocol].name}"
-    needs = [need for facet in task.needs for need in _resolved(facet, adapters)]
+    needs = claims.required(task.needs)
     for facet in needs:
-        protocol, _, name = facet.partition(".")
-        if (reason := adapters[protocol].why_not_claimed(name)) is not None:
+        if (reason := claims.why_not(facet)) is not None:
             return Status.NOT_APPLICABLE, f"{facet} is not claimed: {reason}"
     for facet in needs:
         protocol, _, name = facet.partition(".")
@@ -37,11 +38,6 @@ def applicability(task: Task, adapters: Mapping[str, Adapter]) -> tuple[Status, 
 
 def stations(task: Task, adapters: Mapping[str, Adapter]) -> list[str]:
     """The adapter variants that take part in a task that applies: ``protocol``, or ``protocol@ro`` for the read-only one."""
-    guarded = [place_name(name, READ_ONLY) for name in task.guards if adapters[name].why_not_claimed(GUARD) is None]
+    claims = Claims.of_subject(adapters)
+    guarded = [place_name(name, READ_ONLY) for name in task.guards if claims.has(f"{name}.{GUARD}")]
     return [*task.adapters, *guarded]
-
-
-def _resolved(facet: str, adapters: Mapping[str, Adapter]) -> Iterator[str]:
-    protocol, _, name = facet.partition(".")
-    for real in protocols()[protocol].required_facets(name, adapters[protocol].blocking):
-        yield f"{protocol}.{real}"

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterable
-from typing import Any
 
 from ..plant.devices import Plant
+from ..record.schema import AdapterFacts, Device
 from ..subject import Subject
 from ..subject.binding_check import check_bindings
 from ..subject.model import READ_WRITE
@@ -73,7 +73,10 @@ class Bench:
         if name not in self._stations:
             protocol, _, variant = name.partition("@")
             adapter = self.subject.adapters[protocol]
-            self._stations[name] = AdapterUnderTest(adapter, variant or READ_WRITE, device, self.options)
+            first = await device.first()
+            self._stations.setdefault(
+                name, AdapterUnderTest(adapter, variant or READ_WRITE, device, self.options, first=first)
+            )
         return self._stations[name]
 
     def drift(self) -> list[str]:
@@ -85,21 +88,24 @@ class Bench:
                 found += check_bindings(station.adapter, station.tools)
         return found
 
-    def facts(self) -> dict[str, Any]:
-        """What is known of the subject's servers, as ``run.json`` has it under ``subject.adapters``."""
-        facts: dict[str, Any] = {}
-        for protocol, station in sorted(self._stations.items()):
-            session = station.session
-            if station.variant == READ_WRITE and session is not None:
-                facts[protocol] = {
-                    **station.adapter.facts(),
-                    "unmet": sorted(station.unmet),
-                    "server_name": session.server_name,
-                    "server_version": session.server_version,
-                    "protocol_version": session.protocol_version,
-                    "tools": len(session.tools),
-                }
-        return facts
+    def adapters(self) -> dict[str, AdapterFacts]:
+        """What is known of the adapters, as ``run.json`` has it under ``subject.adapters``."""
+        facts: dict[str, AdapterFacts] = {}
+        for station in self._stations.values():
+            key = station.adapter.protocol
+            own = station.facts()
+            if station.variant == READ_WRITE or key not in facts:
+                # The server is that of the variant that works; both variants use the subject's one set of bindings.
+                own["bindings"] |= facts[key]["bindings"] if key in facts else {}
+                own["unmet"] = sorted({*own["unmet"], *(facts[key]["unmet"] if key in facts else ())})
+                facts[key] = own
+            else:
+                facts[key]["bindings"] |= own["bindings"]
+        return dict(sorted(facts.items()))
+
+    def devices(self) -> dict[str, Device]:
+        """The devices that adapters had so far, as ``run.json`` has them."""
+        return {station.device_name: station.device_facts() for station in self._stations.values()}
 
     async def close(self) -> None:
         """End every session."""

@@ -7,15 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import asdict, dataclass
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import Protocol, TypedDict
 
 from ..core.verdict import Status
 from ..protocols.journal import Entries
+from ..record.schema import ItemDevice, Role, SessionRemark
 from .repetition import Repetition
 from .task import Steps
 
-__all__ = ["SessionFacts", "TrialDriver"]
+__all__ = ["ItemHistory", "SessionFacts", "TrialDriver"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,9 +44,29 @@ class SessionFacts:
         """There is anything to say."""
         return bool(self.overflow or self.died or self.unknown_ids or self.stray_lines)
 
-    def as_record(self) -> dict[str, Any]:
-        """As an item's history has it."""
-        return asdict(self)
+    def as_record(self, inspection: int) -> SessionRemark:
+        """Return the facts as an item has them, with the number of the inspection."""
+        return {
+            "inspection": inspection,
+            "protocol": self.protocol,
+            "overflow": self.overflow,
+            "died": self.died,
+            "unknown_ids": list(self.unknown_ids),
+            "stray_lines": self.stray_lines,
+            "first_stray": self.first_stray,
+        }
+
+
+class ItemHistory(TypedDict):
+    """What a driver contributes to an item; see :class:`~pytest_otmcp.record.schema.ItemBody`."""
+
+    worker: str
+    started_at: str
+    finished_at: str
+    began_ns: int
+    ended_ns: int
+    devices: dict[str, ItemDevice]
+    sessions: list[SessionRemark]
 
 
 class TrialDriver(Protocol):
@@ -61,9 +82,9 @@ class TrialDriver(Protocol):
         """Bring the devices into their initial state and open the sessions."""
 
     def before(self) -> Sequence[tuple[str, Entries]]:
-        """Protocol and journal of each device, from the last item that had it to this one: nobody called then."""
+        """Protocol and journal of each device whose adapter was not called from the last item that had it to this one."""
 
-    def repetition(self, rep: int, role: str) -> Repetition:
+    def repetition(self, rep: int, role: Role) -> Repetition:
         """The next execution of steps."""
 
     async def perform(self, repetition: Repetition, steps: Steps) -> None:
@@ -84,5 +105,6 @@ class TrialDriver(Protocol):
     def timing_ms(self) -> Mapping[str, float]:
         """Milliseconds by what they were spent on, since this stage was made."""
 
-    def history(self) -> dict[str, Any]:
-        """What the item has to keep of this stage, so that it can be judged again."""
+    def history(self) -> ItemHistory:
+        """What the item has to keep of this driver, so that it can be judged again."""
+        ...

@@ -118,7 +118,7 @@ def _contains(found: Any, expected: Any) -> bool:
 
 
 def _outcome(reply: Reply) -> str:
-    if reply.wire.response is None:
+    if not reply.answered:
         return "no reply"
     if reply.envelope is None:
         return "no envelope"

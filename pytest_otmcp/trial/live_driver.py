@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
-from typing import Any
+from datetime import UTC, datetime
 
 from ..core.errors import SubjectError
 from ..core.verdict import Status
 from ..protocols.journal import Entries
-from ..record.images import Images
+from ..record.schema import Role, SessionRemark
 from ..subject.model import READ_ONLY
 from .adapter_under_test import NoBindingError
 from .applicability import applicability, stations
 from .bench import Bench
-from .driver import SessionFacts
+from .driver import ItemHistory, SessionFacts
 from .gc_pause import uncollected
 from .live_rig import LiveItemState, LiveRig
 from .repetition import Repetition
-from .rig import EndedError
+from .rig import EndedError, place_name
 from .task import Steps, Task, execute
 
 __all__ = ["LiveDriver"]
@@ -40,8 +41,9 @@ class LiveDriver:
         self._seed = seed
         self._before = dict(bench.spent.seconds)
         self._places: list[LiveItemState] = []
-        self._images = Images()
-        self._sessions: list[dict[str, Any]] = []
+        self._sessions: list[SessionRemark] = []
+        self._started = datetime.now(UTC)
+        self._began_ns = time.monotonic_ns()
         self._inspections = 0
 
     def obstacle(self) -> tuple[Status, str] | None:
@@ -58,17 +60,17 @@ class LiveDriver:
             for name in stations(self._task, self._bench.subject.adapters):
                 self._places.append(LiveItemState(await self._bench.station(name)))
         for place in self._places:
-            device = place.station.device
-            await device.reset()
+            await place.station.device.reset()
             await place.enter()
-            place.accepting_ns = device.accepting_ns
         await self.open_sessions()
 
     def before(self) -> Sequence[tuple[str, Entries]]:
-        """What reached the devices since the last item that had them."""
-        return [(place.station.adapter.protocol, place.before) for place in self._places]
+        """What reached the devices while nobody called their adapters."""
+        return [
+            (place.station.adapter.protocol, place.found["before"]) for place in self._places if place.found["quiet"]
+        ]
 
-    def repetition(self, rep: int, role: str) -> Repetition:
+    def repetition(self, rep: int, role: Role) -> Repetition:
         """A repetition on this bench."""
         return Repetition(
             self._task.id,
@@ -76,13 +78,13 @@ class LiveDriver:
             role,
             seed=self._seed,
             time_scale=self._bench.options.time_scale,
-            places=[LiveRig(place, self._bench, self._images) for place in self._places],
+            places=[LiveRig(place, self._bench) for place in self._places],
         )
 
     async def perform(self, repetition: Repetition, steps: Steps) -> None:
         """Execute the steps and take the journals."""
         for place in self._places:
-            place.station.looked_through = False
+            place.station.cursor.looked_through = False
         try:
             with uncollected():
                 await execute(steps, repetition)
@@ -99,7 +101,7 @@ class LiveDriver:
         with self.spent("observing the device"):
             await repetition.close_journals()
         for place in self._places:
-            place.station.looked_through = True
+            place.station.cursor.looked_through = True
         for at in repetition.all:
             if isinstance(at, LiveRig):
                 at.add_last_words()
@@ -137,7 +139,7 @@ class LiveDriver:
                 )
             if facts.remarkable:
                 found.append(facts)
-                self._sessions.append({"inspection": self._inspections, **facts.as_record()})
+                self._sessions.append(facts.as_record(self._inspections))
         return found
 
     async def open_sessions(self) -> None:
@@ -161,13 +163,25 @@ class LiveDriver:
             if seconds - self._before.get(what, 0.0) > 0
         }
 
-    def history(self) -> dict[str, Any]:
-        """Stations, images and sessions."""
-        return {
-            "stations": [place.as_record() for place in self._places],
-            "images": self._images.kept,
-            "sessions": self._sessions,
-        }
+    def history(self) -> ItemHistory:
+        """When and where it was, how it found the devices, and what was remarkable about the sessions."""
+        return ItemHistory(
+            worker=self._bench.options.worker,
+            started_at=_instant(self._started),
+            finished_at=_instant(datetime.now(UTC)),
+            began_ns=self._began_ns,
+            ended_ns=time.monotonic_ns(),
+            devices={
+                place_name(place.station.adapter.protocol, place.station.variant): place.found
+                for place in self._places
+                if place.entered
+            },
+            sessions=self._sessions,
+        )
+
+
+def _instant(moment: datetime) -> str:
+    return moment.isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
 async def _all_running(repetition: Repetition) -> None:

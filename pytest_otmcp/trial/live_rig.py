@@ -6,91 +6,103 @@ import asyncio
 import time
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
-from dataclasses import asdict, replace
-from typing import Any
+from dataclasses import asdict
+from typing import Any, cast
 
 from ..core.finding import Finding
-from ..record.images import Images
+from ..plant.device import Journal
+from ..record.images import Images, keep_image
+from ..record.schema import ItemDevice, Observation, SessionStart
 from ..session.session import McpSession
-from ..subject.model import Function
+from ..subject.claims import Claims
 from .adapter_under_test import AdapterUnderTest
 from .bench import Bench
+from .ledger import Ledger
 from .reply import Reply
 from .rig import Entry, FreshSession, Rig
 
 __all__ = ["LiveItemState", "LiveRig"]
 
 
+_RELEASED_AT_ONCE = 1000
+"""Entries of a journal: to let the device forget takes a question of its own, which most repetitions shall not have to wait for."""
+
+
 class LiveItemState:
-    """A station during one item.
+    """An adapter under test and its device during one item.
 
     Attributes:
-        begin: sequence number in the device's journal at which the item began.
-        before: the entries before that, from the end of the last item that had this adapter at its device.
-        accepting_ns: since when the device accepted connections then.
-        earlier: entries before ``begin`` that were looked at nevertheless.
-        used: operations that were performed.
+        told_session: what the record of the item says so far about where the adapter's session began.
     """
 
     def __init__(self, station: AdapterUnderTest) -> None:
         self.station = station
-        self.begin = 0
-        self.accepting_ns = 0
-        self.before: list[Entry] = []
-        self.earlier: list[Entry] = []
-        self.used: dict[str, None] = {}
-        self.restarted = False
+        self.claims = Claims.of_subject({station.adapter.protocol: station.adapter})
+        self.images: Images = {}
+        self.told_session: SessionStart | None = None
+        self._found: ItemDevice | None = None
 
     async def enter(self) -> None:
-        """The item begins."""
-        station = self.station
-        if station.session is not None and station.looked_through:
-            journal = await station.device.journal(station.mark)
-            self.before, self.begin = journal.entries, journal.next
-        else:
-            self.begin = await station.device.mark()
-        station.mark = self.begin
-
-    def as_record(self) -> dict[str, Any]:
-        """What judging again needs to know of it."""
-        adapter = self.station.adapter
-        bound = {name: adapter.operations.get(name) for name in self.used}
-        return {
-            "protocol": adapter.protocol,
-            "variant": self.station.variant,
-            "deadline_s": self.station.deadline_s,
-            "endpoint": self.station.endpoint,
-            "accepting_ns": self.accepting_ns,
-            "begin": self.begin,
-            "before": self.before,
-            "earlier": self.earlier,
-            "recovery": adapter.recovery,
-            "unclaimed": sorted(adapter.unclaimed),
-            "probes": dict(adapter.probes),
-            "lacks": sorted(adapter.missing_inputs()),
-            "blocking": list(adapter.blocking),
-            "bindings": {
-                name: None if cases is None or isinstance(cases, Function) else [asdict(case) for case in cases]
-                for name, cases in bound.items()
-            },
+        """Take what reached the device since the last item that had it."""
+        device, cursor = self.station.device, self.station.cursor
+        asked_ns = time.monotonic_ns()
+        journal = await device.journal(cursor.next)
+        seen_ns = time.monotonic_ns()
+        self._found = {
+            "device": self.station.device_name,
+            "begin": journal.next,
+            "asked_ns": asked_ns,
+            "seen_ns": seen_ns,
+            "accepting_ns": device.accepting_ns,
+            "starts": cursor.starts,
+            "before": journal.entries,
+            "quiet": cursor.quiet,
+            "session": cursor.session,
         }
+        self.told_session = cursor.session
+        cursor.take(journal.entries, journal.next)
+        await self.release()
+
+    async def release(self) -> None:
+        """Let the device forget what has been taken, now and then: it need not keep what the record has."""
+        cursor = self.station.cursor
+        if cursor.next - cursor.released >= _RELEASED_AT_ONCE:
+            await self.station.device.forget(cursor.next)
+            cursor.released = cursor.next
+
+    @property
+    def entered(self) -> bool:
+        """The item has begun at this device."""
+        return self._found is not None
+
+    @property
+    def found(self) -> ItemDevice:
+        """The device as the item found it."""
+        assert self._found is not None, "the item has not been entered"
+        return self._found
 
 
 class LiveRig(Rig):
-    """A station of the bench. Every look at the device is noted with the repetition."""
+    """An adapter under test at its device. Every look at the device is noted with the repetition."""
 
-    def __init__(self, place: LiveItemState, bench: Bench, images: Images) -> None:
-        super().__init__(place.station.adapter.protocol, place.station.variant)
-        self.station = place.station
-        self.device = place.station.device
+    def __init__(self, place: LiveItemState, bench: Bench) -> None:
+        station = place.station
+        super().__init__(station.adapter.protocol, station.variant, station.cursor)
+        self.station = station
+        self.device = station.device
         self._place = place
         self._bench = bench
-        self._images = images
-        self._since = place.station.mark
         self._bugs: list[tuple[Finding, McpSession]] = []
 
+    def join(self, ledger: Ledger) -> None:
+        super().join(ledger)
+        session = self._cursor.session
+        if session is not None and session != self._place.told_session:
+            self._place.told_session = session
+            self._noted({"session": list(session)}, time.monotonic_ns())
+
     def claims(self, facet: str) -> bool:
-        return self.station.adapter.why_not_claimed(facet) is None
+        return self._place.claims.has(f"{self.protocol}.{facet}")
 
     def blocks(self, operation: str) -> bool:
         return operation in self.station.adapter.blocking
@@ -112,12 +124,12 @@ class LiveRig(Rig):
     def _observing(self) -> AbstractContextManager[None]:
         return self._bench.spent.on("observing the device")
 
-    def _noted(self, what: str, seen: Any) -> None:
-        self._ledger.observed(self.name, what, seen)
+    def _noted(self, seen: Mapping[str, Any], asked_ns: int) -> None:
+        observation = {"at": self.name, "asked_ns": asked_ns, "seen_ns": time.monotonic_ns(), **seen}
+        self._ledger.observed(cast(Observation, observation))
 
-    async def _perform(self, operation: str, role: str, inputs: Mapping[str, Any]) -> Reply:
-        self._place.used[operation] = None
-        reply = await self.station.call(operation, role=role, **inputs)
+    async def _perform(self, operation: str, inputs: Mapping[str, Any]) -> Reply:
+        reply = await self.station.call(operation, **inputs)
         if self.station.session is not None:
             bugs = [fault for fault in reply.faults if fault.code == "internal_error"]
             self._bugs += [(bug, self.station.session) for bug in bugs]
@@ -125,39 +137,48 @@ class LiveRig(Rig):
 
     def add_last_words(self) -> None:
         """Give the adapter's last lines on stderr as the evidence of bugs that it reported of itself."""
-        findings = self._ledger.findings
+        evidence: dict[int, str] = {}
         for bug, session in self._bugs:
             if lines := session.stderr_tail():
-                evidence = "the adapter's last lines on stderr:\n    " + "\n    ".join(lines)
-                findings[findings.index(bug)] = replace(bug, evidence=evidence)
+                evidence[id(bug)] = "the adapter's last lines on stderr:\n    " + "\n    ".join(lines)
+        self._ledger.explain(evidence)
+
+    async def _look(self, since: int) -> tuple[Journal, int]:
+        """The journal from ``since`` on, and when it was asked for."""
+        asked_ns = time.monotonic_ns()
+        with self._observing():
+            return await self.device.journal(since), asked_ns
 
     async def journal(self) -> list[Entry]:
-        with self._observing():
-            journal = await self.device.journal(self._since)
-        self._noted("journal", journal.next)
+        journal, asked_ns = await self._look(self._cursor.next)
+        self._noted({"journal": journal.next}, asked_ns)
         return journal.entries
 
     async def wait_for(self, *, timeout_s: float, count: int = 1, **match: Any) -> list[Entry]:
+        asked_ns = time.monotonic_ns()
         with self._observing():
             scaled = timeout_s * self._ledger.time_scale
-            entries = await self.device.wait(self._since, match, timeout_s=scaled, count=count)
-        self._noted("wait", len(entries))
+            entries = await self.device.wait(self._cursor.next, match, timeout_s=scaled, count=count)
+        self._noted({"wait": len(entries)}, asked_ns)
         return entries
 
     async def session_journal(self) -> list[Entry]:
-        since = self.station.session_mark
-        with self._observing():
-            journal = await self.device.journal(since)
-        place = self._place
-        if not place.restarted and not place.earlier:
-            place.earlier = [entry for entry in journal.entries if entry["seq"] < place.begin]
-        self._noted("session_journal", [since, journal.next])
+        begin = self._cursor.began
+        journal, asked_ns = await self._look(begin)
+        self._noted({"session_journal": [begin, journal.next]}, asked_ns)
         return journal.entries
 
+    async def _feed(self) -> None:
+        journal, asked_ns = await self._look(self._cursor.fed)
+        self._cursor.feed(journal.entries, journal.next)
+        self._noted({"followed": journal.next}, asked_ns)
+
     async def image(self) -> dict[str, Any]:
+        asked_ns = time.monotonic_ns()
         with self._observing():
             image = await self.device.image()
-        self._noted("image", self._images.keep(self.name, image))
+        kind, kept = keep_image(self._place.images, self.name, image)
+        self._noted({kind: kept}, asked_ns)
         return image
 
     async def poke(self, **params: Any) -> None:
@@ -175,32 +196,34 @@ class LiveRig(Rig):
     async def _reconnecting(self) -> None:
         # An adapter may reconnect in its own time: a new connection is the sign to ask again, at the latest
         # after a pause that keeps an adapter which fails at once from being hammered.
-        seen = len(await self.device.wait(0, {"kind": "CONNECTED"}, timeout_s=0.0))
-        await self.device.wait(0, {"kind": "CONNECTED"}, timeout_s=0.05, count=seen + 1)
+        since = self._cursor.next
+        seen = len(await self.device.wait(since, {"kind": "CONNECTED"}, timeout_s=0.0))
+        await self.device.wait(since, {"kind": "CONNECTED"}, timeout_s=0.05, count=seen + 1)
         if self.station.adapter.recovery == "connect_step":
             # It may fail as long as the device is not ready; then the call after it fails as well, and says so.
             with self._bench.spent.on("tool calls"):
                 await self.station.connect()
 
     async def _stop(self) -> float:
-        begun = time.monotonic()
+        begun = time.monotonic_ns()
         with self._bench.spent.on("endpoint restarts"):
             await self.device.stop()
-        took_ms = (time.monotonic() - begun) * 1000
-        self._noted("stop", took_ms)
+        took_ms = (time.monotonic_ns() - begun) / 1e6
+        self._noted({"stop": took_ms}, begun)
         return took_ms
 
     async def start_device(self) -> float:
         begun = time.monotonic_ns()
         with self._bench.spent.on("endpoint restarts"):
             await self.device.start()
-        self._since = self.station.mark = self.station.session_mark = 0
-        self._place.restarted = True
+        self._cursor.restart()
+        self._place.told_session = self._cursor.session
         took_ms = (self.device.accepting_ns - begun) / 1e6
-        self._noted("start", {"ms": took_ms, "accepting_ns": self.device.accepting_ns})
+        self._noted({"start": {"ms": took_ms, "accepting_ns": self.device.accepting_ns}}, begun)
         return took_ms
 
     async def _replace_session(self) -> FreshSession:
+        begun = time.monotonic_ns()
         # Like the restarts of endpoints this is what is measured, not what measuring costs.
         with self._bench.spent.on("fresh sessions"):
             session = self.station.session
@@ -209,10 +232,12 @@ class LiveRig(Rig):
         assert self.station.session is not None
         fresh = FreshSession(
             spawned_ns=self.station.session.spawned_ns,
+            opened=self._cursor.began,
             ended=None if report is None else report.how,
             seconds=0.0 if report is None else report.seconds,
         )
-        self._noted("fresh_session", asdict(fresh))
+        self._place.told_session = self._cursor.session
+        self._noted({"fresh_session": asdict(fresh)}, begun)
         return fresh
 
     async def close_session(self) -> None:
@@ -220,7 +245,9 @@ class LiveRig(Rig):
             await self.station.close()
 
     async def take_slice(self) -> list[Entry]:
-        journal = await self.device.journal(self._since)
-        self.station.mark = self._since = journal.next
-        self._noted("end", journal.next)
+        asked_ns = time.monotonic_ns()
+        journal = await self.device.journal(self._cursor.next)
+        self._cursor.take(journal.entries, journal.next)
+        self._noted({"end": journal.next}, asked_ns)
+        await self._place.release()
         return journal.entries

@@ -13,9 +13,10 @@ from typing import Any
 
 from ..core.finding import Finding
 from ..core.strict_json import same_json
+from ..record.schema import Phases, Role
 from ..subject.model import READ_ONLY, READ_WRITE
 from . import expectations as oracle
-from .ledger import Ledger
+from .ledger import Judged, Ledger
 from .reply import Reply
 from .rig import EndedError, Rig
 
@@ -41,7 +42,7 @@ class Repetition:
     """
 
     def __init__(
-        self, task_id: str, rep: int, role: str, *, seed: int, time_scale: float, places: Iterable[Rig]
+        self, task_id: str, rep: int, role: Role, *, seed: int, time_scale: float, places: Iterable[Rig]
     ) -> None:
         self.rep = rep
         self.role = role
@@ -49,7 +50,7 @@ class Repetition:
         self.ledger = Ledger(role, time_scale)
         # The same seed gives the same nonces, whatever else ran before.
         self.rng = random.Random(f"{seed}/{task_id}/{role}/{rep}")
-        self.phases: dict[str, Any] | None = None
+        self.phases: Phases | None = None
         self.notes: dict[str, Any] = {}
         self._at = {(at.protocol, at.variant): at for at in places}
         for at in self.all:
@@ -115,8 +116,7 @@ class Repetition:
 
     def must_succeed(self, reply: Reply, **outputs: Any) -> None:
         """Expect success with these outputs; without it the repetition ends here."""
-        self.succeeds(reply, **outputs)
-        if not reply.ok:
+        if not self.judge(reply, oracle.succeeded(reply, **outputs)):
             raise EndedError
 
     def fails(self, reply: Reply, *codes: str, **expected: Any) -> None:
@@ -127,56 +127,50 @@ class Repetition:
         """Expect an output to be one of several values, where concurrency makes each of them right."""
         found = reply.outputs.get(output)
         if reply.success and not any(same_json(value, found) for value in values):
-            reply.ok = False
             shown = " or ".join(map(repr, values))
-            self.finding(
-                "wrong_value", f"{reply.label}: {output} should be {shown}, the reply says {found!r}", "CON-004"
-            )
+            message = f"{reply.label}: {output} should be {shown}, the reply says {found!r}"
+            self.ledger.reject(reply, Finding(code="wrong_value", message=message, requirement="CON-004"))
 
-    def judge(self, reply: Reply, findings: list[Finding]) -> None:
-        """Take over what an expectation found about a reply."""
-        reply.ok = not findings and not reply.faults
-        # A reply that never came, or is no envelope, has been reported as such.
-        if not (reply.envelope is None and reply.faults):
-            self.ledger.findings.extend(findings)
+    def judge(self, reply: Reply, findings: list[Finding]) -> bool:
+        """Take over what an expectation found about a reply; return whether it was met."""
+        return self.ledger.judge(reply, findings)
 
     @property
     def unanswered(self) -> bool:
         """Some call got no response at all."""
-        return any(reply.wire.response is None for reply in self.ledger.replies)
+        return not all(call.reply.answered for call in self.ledger.calls)
 
     @property
     def duration_ms(self) -> float:
         """Time of the task's calls: the sum over sequential calls, concurrent ones counted once."""
-        return sum(self._spans("task")) / 1e6
+        answered = [call for call in self.ledger.calls if call.role == "task" and call.reply.answered]
+        return sum(map(_span, _groups(answered))) / 1e6
 
     def calls_s(self) -> tuple[float, float]:
         """Seconds spent in calls of any role: from the first request to the last reply of those made together, and in the
         MCP client before and after."""
         between = around = 0
-        for replies in self._groups(self.ledger.replies):
-            answered = [reply for reply in replies if reply.wire.received_ns is not None]
+        for calls in _groups(self.ledger.calls):
+            answered = [call for call in calls if call.reply.answered]
             # Without any reply the client has waited all the time.
-            span = _span(answered) if answered else _whole(replies)
+            span = _span(answered) if answered else _whole(calls)
             between += span
-            around += _whole(replies) - span
+            around += _whole(calls) - span
         return between / 1e9, around / 1e9
 
-    def _spans(self, role: str) -> Iterable[int]:
-        replies = [reply for reply in self.ledger.replies if reply.role == role and reply.wire.received_ns is not None]
-        return map(_span, self._groups(replies))
 
-    @staticmethod
-    def _groups(replies: Iterable[Reply]) -> Iterable[list[Reply]]:
-        groups: dict[int, list[Reply]] = {}
-        for reply in replies:
-            groups.setdefault(reply.group, []).append(reply)
-        return groups.values()
+def _groups(calls: Iterable[Judged]) -> Iterable[list[Judged]]:
+    groups: dict[int, list[Judged]] = {}
+    for call in calls:
+        groups.setdefault(call.group, []).append(call)
+    return groups.values()
 
 
-def _span(replies: list[Reply]) -> int:
-    return max(reply.wire.received_ns or 0 for reply in replies) - min(reply.wire.sent_ns for reply in replies)
+def _span(calls: list[Judged]) -> int:
+    exchanges = [call.reply.exchange for call in calls]
+    return max(exchange.received_ns or 0 for exchange in exchanges) - min(exchange.sent_ns for exchange in exchanges)
 
 
-def _whole(replies: list[Reply]) -> int:
-    return max(reply.wire.returned_ns for reply in replies) - min(reply.wire.asked_ns for reply in replies)
+def _whole(calls: list[Judged]) -> int:
+    exchanges = [call.reply.exchange for call in calls]
+    return max(exchange.returned_ns for exchange in exchanges) - min(exchange.asked_ns for exchange in exchanges)

@@ -1,11 +1,7 @@
-"""What one tool call showed: the exchange on the wire, read strictly, with the envelope's own faults.
-
-Pure: knows neither pytest nor asyncio nor any protocol library.
-"""
+"""What one tool call showed: its exchange, read strictly by the subject's rules, with the faults of the reply as such. Pure."""
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -14,73 +10,77 @@ from ..core.finding import Finding
 from ..core.strict_json import parse_strict
 from ..protocols.envelope import check_result
 from ..protocols.registry import protocols
+from ..session.exchange import Exchange
 from ..subject.answers import extract, interpret, read_answer, synthesised, synthesised_from_outputs
 from ..subject.model import Answering, OutputRule
 
-__all__ = ["Reply", "Wire", "observe", "performed"]
+__all__ = ["Expectation", "Reply", "observe", "replace_outputs"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Wire:
-    """The frames of one call and their times.
-
-    Attributes:
-        request, response: frames without their newline; no response is None.
-        sent_ns, received_ns: monotonic; request written, response line read.
-        failure: ``timeout`` or ``connection_closed`` when there is no response.
-        client_complaint: what the official MCP client objected to, or None.
-        asked_ns, returned_ns: monotonic; the MCP client was asked, and was done with the response. 0 where nobody
-            measured how the kit spent its time.
-    """
-
-    request: bytes
-    response: bytes | None
-    sent_ns: int
-    received_ns: int | None
-    failure: str | None
-    client_complaint: str | None
-    asked_ns: int = 0
-    returned_ns: int = 0
-
-
-@dataclass(slots=True, kw_only=True)
-class Reply:
-    """One tool call as observed.
+class Expectation:
+    """What the reply of one call is read with.
 
     Attributes:
         adapter, variant: whose session it was, such as ``modbus`` and ``rw``.
         operation: the abstract operation, such as ``read_input``.
-        role: ``task``, ``control``, ``setup``, ``warmup`` or ``recovery``; only ``task`` calls count for the benchmark.
-        envelope: the structured content when it is an object; for an adapter with answers of its own one that is made
-            from them; else None.
-        native: the envelope is the adapter's own.
+        deadline_s: seconds within which the call must have answered.
+        answering, outputs: the subject's rules for reading the answer.
         listed: the session lists the tool; the read-only variant may do without its writing tools.
-        outputs: the operation's outputs that the binding knows how to find.
-        faults: what is wrong with the reply as such, whatever the task expected of it.
-        ok: the call met its task's expectation; None until an oracle has judged it.
     """
 
     adapter: str
     variant: str
     operation: str
-    tool: str
-    arguments: Mapping[str, Any]
-    role: str
-    wire: Wire
+    deadline_s: float
+    answering: Answering
+    outputs: Mapping[str, OutputRule]
+    listed: bool = True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reply:
+    """One tool call as observed.
+
+    Attributes:
+        adapter, variant, operation, listed: see :class:`Expectation`.
+        exchange: what was measured.
+        envelope: the structured content when it is an object; for an adapter with answers of its own one that is made
+            from them; else None.
+        outputs: the operation's outputs that the binding knows how to find.
+        faults: what is wrong with the reply as such, whatever the task expected of it.
+        native: the envelope is the adapter's own.
+    """
+
+    adapter: str
+    variant: str
+    operation: str
+    exchange: Exchange
     envelope: dict[str, Any] | None
     outputs: dict[str, Any]
-    faults: list[Finding]
+    faults: tuple[Finding, ...] = ()
     native: bool = True
     listed: bool = True
-    ok: bool | None = None
-    group: int = 0
+
+    @property
+    def tool(self) -> str:
+        """Name of the tool, or URI of the resource."""
+        return self.exchange.tool
+
+    @property
+    def arguments(self) -> Mapping[str, Any]:
+        """What the tool was called with."""
+        return self.exchange.arguments
+
+    @property
+    def answered(self) -> bool:
+        """There is a response."""
+        return self.exchange.response is not None
 
     @property
     def latency_ms(self) -> float | None:
         """Request written to response line read, in milliseconds; None without a response."""
-        if self.wire.received_ns is None:
-            return None
-        return (self.wire.received_ns - self.wire.sent_ns) / 1e6
+        return self.exchange.latency_ms
 
     @property
     def success(self) -> bool | None:
@@ -98,174 +98,155 @@ class Reply:
     @property
     def label(self) -> str:
         """How findings name this call."""
-        arguments = ", ".join(f"{name}={value!r}" for name, value in self.arguments.items())
-        return f"{self.tool}({arguments})"[:160]
-
-    def as_record(self) -> dict[str, Any]:
-        """The call as ``run.json`` has it."""
-        frames = hashlib.sha256(self.wire.request + b"\n" + (self.wire.response or b"")).hexdigest()
-        return {
-            "role": self.role,
-            "adapter": self.adapter,
-            "variant": self.variant,
-            "operation": self.operation,
-            "tool": self.tool,
-            "arguments": dict(self.arguments),
-            "latency_ms": None if self.latency_ms is None else round(self.latency_ms, 4),
-            "ok": bool(self.ok) and not self.faults,
-            "envelope": self.envelope,
-            "native": self.native,
-            "listed": self.listed,
-            "outputs": self.outputs,
-            "error_code": self.error_code,
-            "frames_sha256": frames,
-        }
+        return _label(self.exchange)
 
 
-def observe(
-    wire: Wire,
-    *,
-    adapter: str,
-    variant: str,
-    operation: str,
-    tool: str,
-    arguments: Mapping[str, Any],
-    role: str,
-    deadline_s: float,
-    answering: Answering,
-    outputs: Mapping[str, OutputRule],
-    listed: bool,
-) -> Reply:
-    """Read the frames strictly and note every fault of the reply as such.
-
-    Args:
-        answering, outputs: the subject's rules for reading the answer.
-        listed: see :class:`Reply`.
-    """
-    faults: list[Finding] = []
-    reply = Reply(
-        adapter=adapter,
-        variant=variant,
-        operation=operation,
-        tool=tool,
-        arguments=arguments,
-        role=role,
-        wire=wire,
+def observe(exchange: Exchange, expected: Expectation) -> Reply:
+    """Read the frames of an exchange strictly and note every fault of the reply as such."""
+    silent = Reply(
+        adapter=expected.adapter,
+        variant=expected.variant,
+        operation=expected.operation,
+        exchange=exchange,
         envelope=None,
         outputs={},
-        faults=faults,
-        native=answering.native,
-        listed=listed,
+        native=expected.answering.native,
+        listed=expected.listed,
     )
-    if wire.response is None:
-        faults.append(_no_response(reply, deadline_s))
-        return reply
+    if exchange.response is None:
+        return replace(silent, faults=(_no_response(exchange, expected.deadline_s),))
     try:
-        message = parse_strict(wire.response)
+        message = parse_strict(exchange.response)
     except ValueError as error:
-        faults.append(
-            Finding(
-                code="not_strict_json",
-                message=f"{reply.label}: the response is not strict JSON: {error}",
-                requirement="ENV-003",
-                evidence=_excerpt(wire.response),
-            )
-        )
-        return reply
-    if reply.native and listed:
-        _read_envelope(reply, message)
-    else:
-        _read_answer(reply, message, answering)
-    if reply.envelope is not None:
-        document = reply.envelope if answering.native else read_answer(message, answering.form)[0]
-        reply.outputs = extract(outputs, document)
-    if wire.client_complaint is not None and "result" in message:
-        faults.append(
-            Finding(
-                code="client_rejects",
-                message=f"{reply.label}: the official MCP client rejects the result: {wire.client_complaint}",
-                requirement="MCP-006",
-                evidence=_excerpt(wire.response),
-            )
-        )
-    if reply.latency_ms is not None and reply.latency_ms > deadline_s * 1000:
-        faults.append(
-            Finding(
-                code="deadline_missed",
-                message=f"{reply.label}: answered after {reply.latency_ms:.0f} ms, deadline {deadline_s:g} s",
-                requirement="TMO-001",
-            )
-        )
-    return reply
+        return replace(silent, faults=(_not_strict(exchange, exchange.response, error),))
+    # A tool that the session does not list has no envelope to be judged: what was answered is read like prose.
+    native = expected.answering.native and expected.listed
+    envelope, faults = _read_envelope(exchange, message) if native else _read_answer(exchange, message, expected)
+    outputs: dict[str, Any] = {}
+    if envelope is not None:
+        own = expected.answering.native
+        outputs = extract(expected.outputs, envelope if own else read_answer(message, expected.answering.form)[0])
+    return replace(
+        silent,
+        envelope=envelope,
+        outputs=outputs,
+        faults=(*faults, *_client_faults(exchange, message), *_timing_faults(exchange, expected.deadline_s)),
+        native=native,
+    )
 
 
-def performed(reply: Reply, outputs: Mapping[str, Any], refused: tuple[str, str] | None) -> None:
-    """Let count what a function of the bindings file made of the answers that it got.
+def replace_outputs(reply: Reply, outputs: Mapping[str, Any], refused: tuple[str, str] | None) -> Reply:
+    """Replace the outputs of a reply, and what follows from them, by what the user's binding function returned.
 
     Args:
         outputs: what it found.
         refused: code and words, when it took the answers for a refusal.
     """
     if reply.envelope is None:
-        return
-    reply.outputs = dict(outputs)
-    reply.envelope = synthesised_from_outputs(outputs, refused, protocol=reply.adapter, operation=reply.operation)
+        return reply
+    envelope = synthesised_from_outputs(outputs, refused, protocol=reply.adapter, operation=reply.operation)
+    faults = reply.faults
     if refused is not None:
-        # What admits not to be the device's claims nothing any more: the function has seen that, too.
-        reply.faults[:] = [fault for fault in reply.faults if fault.code != "not_from_the_device"]
+        # The function has judged the answer's source as well.
+        faults = tuple(fault for fault in faults if fault.code != "not_from_the_device")
+    return replace(reply, outputs=dict(outputs), envelope=envelope, faults=faults)
 
 
-def _read_envelope(reply: Reply, message: Mapping[str, Any]) -> None:
+Reading = tuple[dict[str, Any] | None, list[Finding]]
+"""The envelope, and what is wrong with it."""
+
+
+def _read_envelope(exchange: Exchange, message: Mapping[str, Any]) -> Reading:
     result = message.get("result")
+    label = _label(exchange)
     if not isinstance(result, dict):
-        reply.faults.append(
-            Finding(
-                code="json_rpc_error",
-                message=f"{reply.label}: answered with a JSON-RPC error instead of a tool result: {message.get('error')}",
-                requirement="MCP-007",
-                evidence=_excerpt(reply.wire.response or b""),
-            )
+        fault = Finding(
+            code="json_rpc_error",
+            message=f"{label}: answered with a JSON-RPC error instead of a tool result: {message.get('error')}",
+            requirement="MCP-007",
+            evidence=_excerpt(exchange.response or b""),
         )
-        return
-    for fault in check_result(result, measured_latency_ms=reply.latency_ms):
-        reply.faults.append(replace(fault, message=f"{reply.label}: {fault.message}"))
+        return None, [fault]
+    faults = [
+        replace(fault, message=f"{label}: {fault.message}")
+        for fault in check_result(result, measured_latency_ms=exchange.latency_ms)
+    ]
     structured = result.get("structuredContent")
-    reply.envelope = structured if isinstance(structured, dict) else None
+    return (structured if isinstance(structured, dict) else None), faults
 
 
-def _read_answer(reply: Reply, message: Mapping[str, Any], answering: Answering) -> None:
+def _read_answer(exchange: Exchange, message: Mapping[str, Any], expected: Expectation) -> Reading:
     """Make an envelope from an answer that has none, by the rules of the subject file."""
-    answer = interpret(message, answering)
-    if not reply.listed and not answer.success:
-        # What is not there cannot be used: a guard as good as a refusal in words (requirement MCP-008), whatever a rule
-        # meant for other answers makes of "Unknown tool".
+    answer = interpret(message, expected.answering)
+    if not expected.listed and not answer.success:
+        # A tool that is not listed counts as "writes disabled" (requirement MCP-008), even if a rule meant for other
+        # answers matches the text "Unknown tool".
         answer = replace(answer, code="writes_disabled")
-    reply.native = False
-    writes = protocols()[reply.adapter].operations[reply.operation].writes
-    reply.envelope = synthesised(answer, protocol=reply.adapter, operation=reply.operation, writes=writes)
-    if answer.admission is not None:
-        reply.faults.append(
-            Finding(
-                code="not_from_the_device",
-                message=f"{reply.label}: claims success, but says itself that it is not the device's: {answer.admission}",
-                requirement="RD-004",
-                evidence=_excerpt(reply.wire.response or b""),
-            )
+    writes = protocols()[expected.adapter].operations[expected.operation].writes
+    envelope = synthesised(answer, protocol=expected.adapter, operation=expected.operation, writes=writes)
+    if answer.admission is None:
+        return envelope, []
+    fault = Finding(
+        code="not_from_the_device",
+        message=f"{_label(exchange)}: claims success, but says itself that it is not the device's: {answer.admission}",
+        requirement="RD-004",
+        evidence=_excerpt(exchange.response or b""),
+    )
+    return envelope, [fault]
+
+
+def _client_faults(exchange: Exchange, message: Mapping[str, Any]) -> list[Finding]:
+    if exchange.client_complaint is None or "result" not in message:
+        return []
+    return [
+        Finding(
+            code="client_rejects",
+            message=f"{_label(exchange)}: the official MCP client rejects the result: {exchange.client_complaint}",
+            requirement="MCP-006",
+            evidence=_excerpt(exchange.response or b""),
         )
+    ]
 
 
-def _no_response(reply: Reply, deadline_s: float) -> Finding:
-    if reply.wire.failure == "timeout":
+def _timing_faults(exchange: Exchange, deadline_s: float) -> list[Finding]:
+    latency_ms = exchange.latency_ms
+    if latency_ms is None or latency_ms <= deadline_s * 1000:
+        return []
+    return [
+        Finding(
+            code="deadline_missed",
+            message=f"{_label(exchange)}: answered after {latency_ms:.0f} ms, deadline {deadline_s:g} s",
+            requirement="TMO-001",
+        )
+    ]
+
+
+def _not_strict(exchange: Exchange, response: bytes, error: ValueError) -> Finding:
+    return Finding(
+        code="not_strict_json",
+        message=f"{_label(exchange)}: the response is not strict JSON: {error}",
+        requirement="ENV-003",
+        evidence=_excerpt(response),
+    )
+
+
+def _no_response(exchange: Exchange, deadline_s: float) -> Finding:
+    if exchange.failure == "timeout":
         return Finding(
             code="no_reply",
-            message=f"{reply.label}: no reply within the deadline of {deadline_s:g} s",
+            message=f"{_label(exchange)}: no reply within the deadline of {deadline_s:g} s",
             requirement="TMO-001",
         )
     return Finding(
         code="session_lost",
-        message=f"{reply.label}: no reply, the session ended",
+        message=f"{_label(exchange)}: no reply, the session ended",
         requirement="MCP-007",
     )
+
+
+def _label(exchange: Exchange) -> str:
+    arguments = ", ".join(f"{name}={value!r}" for name, value in exchange.arguments.items())
+    return f"{exchange.tool}({arguments})"[:160]
 
 
 def _excerpt(frame: bytes) -> str:

@@ -9,10 +9,12 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 from ..core.finding import Finding
+from ..record.schema import DeviceEntry, Role
 from ..subject.model import READ_WRITE
+from .cursor import JournalCursor, Oracle
 from .ledger import Entry, Ledger
 from .reply import Reply
 
@@ -38,11 +40,13 @@ class FreshSession:
 
     Attributes:
         spawned_ns: monotonic; when its process was started.
+        opened: sequence number of the device's journal at which it began.
         ended: how the process before it ended: ``exited``, ``terminated``, ``killed``; None when there was none.
         seconds: how long that took.
     """
 
     spawned_ns: int
+    opened: int
     ended: str | None
     seconds: float
 
@@ -55,11 +59,12 @@ class Rig(ABC):
         name: both in one, such as ``modbus`` and ``modbus@ro``.
     """
 
-    def __init__(self, protocol: str, variant: str) -> None:
+    def __init__(self, protocol: str, variant: str, cursor: JournalCursor) -> None:
         self.protocol = protocol
         self.variant = variant
         self.name = place_name(protocol, variant)
         self._ledger: Ledger
+        self._cursor = cursor
 
     def join(self, ledger: Ledger) -> None:
         """Write into the ledger of a repetition from now on."""
@@ -89,11 +94,11 @@ class Rig(ABC):
 
     # -- what the steps of a task do ----------------------------------------------------------------------
 
-    async def call(self, operation: str, *, role: str | None = None, **inputs: Any) -> Reply:
+    async def call(self, operation: str, *, role: Role | None = None, **inputs: Any) -> Reply:
         """Perform an operation; see :meth:`pytest_otmcp.trial.bench.AdapterUnderTest.call`."""
-        reply = await self._perform(operation, role or self._ledger.role, inputs)
-        self._ledger.add(reply, inputs)
-        if reply.wire.response is None:
+        reply = await self._perform(operation, inputs)
+        self._ledger.add(reply, inputs, role)
+        if not reply.answered:
             raise EndedError
         return reply
 
@@ -107,10 +112,9 @@ class Rig(ABC):
             reply = await self.call(operation, **inputs)
             replies.append(reply)
             # The call itself may have come too early and answered late: only one that began too late is the last.
-            if reply.success or (len(replies) > 1 and reply.wire.sent_ns >= end):
+            if reply.success or (len(replies) > 1 and reply.exchange.sent_ns >= end):
                 return replies
-            reply.role = "recovery"
-            reply.ok = True
+            self._ledger.set_aside(reply)
             await self._reconnecting()
 
     async def call_until_failure(self, operation: str, *, window_s: float, **inputs: Any) -> Reply:
@@ -121,11 +125,10 @@ class Rig(ABC):
         begun_ns = None
         while True:
             reply = await self.call(operation, **inputs)
-            begun_ns = begun_ns or reply.wire.sent_ns
-            if not reply.success or reply.wire.sent_ns - begun_ns >= window_ns:
+            begun_ns = begun_ns or reply.exchange.sent_ns
+            if not reply.success or reply.exchange.sent_ns - begun_ns >= window_ns:
                 return reply
-            reply.role = "recovery"
-            reply.ok = True
+            self._ledger.set_aside(reply)
             await self._watch(_NOTICING_PAUSE_S)
 
     async def stays_quiet(self, seconds: float, judge: Callable[[list[Entry]], list[Finding]]) -> None:
@@ -141,7 +144,8 @@ class Rig(ABC):
         # The read-only variant has a device of its own, whose entries count from 0 as well.
         variant = {} if self.variant == READ_WRITE else {"variant": self.variant}
         entries = await self.take_slice()
-        self._ledger.journal.extend({"protocol": self.protocol, **variant, **entry} for entry in entries)
+        kept = ({"protocol": self.protocol, **variant, **entry} for entry in entries)
+        self._ledger.journal.extend(cast(DeviceEntry, entry) for entry in kept)
 
     async def stop_device(self) -> float:
         """Kill the device process; what its journal held is kept with this repetition. Milliseconds it took."""
@@ -182,8 +186,12 @@ class Rig(ABC):
 
     @abstractmethod
     async def session_journal(self) -> list[Entry]:
-        """The device's journal since the adapter's session was opened, or since the device was started if that was
-        later."""
+        """The entries of this repetition since the adapter's session was opened."""
+
+    async def follow(self, kind: type[Oracle]) -> Oracle:
+        """Return the session oracle of this kind, which has seen everything that the session did at the device so far."""
+        await self._feed()
+        return self._cursor.oracle(kind)
 
     @abstractmethod
     async def image(self) -> dict[str, Any]:
@@ -210,7 +218,11 @@ class Rig(ABC):
         """The journal since the repetition began; the next repetition's slice begins where this one ends."""
 
     @abstractmethod
-    async def _perform(self, operation: str, role: str, inputs: Mapping[str, Any]) -> Reply: ...
+    async def _perform(self, operation: str, inputs: Mapping[str, Any]) -> Reply: ...
+
+    @abstractmethod
+    async def _feed(self) -> None:
+        """Show the session's oracles what they have not seen."""
 
     @abstractmethod
     async def _reconnecting(self) -> None:

@@ -6,16 +6,18 @@ driver makes it happen or looks up what happened (see ``driver``).
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Callable
-from typing import Any
+from typing import Literal, cast
 
 from ..core.errors import KitError, SubjectError
 from ..core.finding import Finding
 from ..protocols.unsolicited import nothing_commanded
+from ..record.schema import Around, Ended, ItemBody, Role, Sample, State
 from .adapter_under_test import NoBindingError
 from .driver import SessionFacts, TrialDriver
 from .repetition import Repetition
-from .reply import Reply
+from .stored import stored_calls, stored_finding
 from .task import Steps, Task
 
 __all__ = ["Repetition", "Trial"]
@@ -24,43 +26,47 @@ _GIVE_UP_AFTER = 3
 """Consecutive repetitions without any reply after which an item is not continued: a hanging adapter is a finding
 within a few deadlines, not after thirty."""
 
-_KEPT_OF_A_FRAME = 16_384
-"""Bytes: an adapter may send megabytes, again and again; the record has the digest of all of them."""
-
 ReportProgress = Callable[[int, int], None]
 
 
 class Trial:
-    """One item of a run. :meth:`run` returns the item as ``run.json`` has it.
+    """One item of a run. :meth:`run` returns the item as ``run.json`` has it, but for its samples.
 
     Args:
         driver: makes things happen, or looks up what happened.
         task: what is to be run.
         planned: repetitions.
+        keep: takes each sample as soon as there is one; the trial keeps none.
         progress: is told which repetition of how many begins.
     """
 
     def __init__(
-        self, driver: TrialDriver, task: Task, planned: int, *, progress: ReportProgress | None = None
+        self,
+        driver: TrialDriver,
+        task: Task,
+        planned: int,
+        *,
+        keep: Callable[[Sample], None],
+        progress: ReportProgress | None = None,
     ) -> None:
         self._driver = driver
         self._task = task
         self._planned = planned
         self._progress = progress
-        self._samples: list[dict[str, Any]] = []
+        self._keep = keep
+        self._all_passed = True
         self._findings: list[Finding] = []
-        self._status: str | None = None
+        self._status: State | None = None
         self._reason: str | None = None
-        self._ended: dict[str, Any] | None = None
-        self._around_it: list[dict[str, Any]] = []
-        self._other_calls: list[dict[str, Any]] = []
-        self._other_device: list[dict[str, Any]] = []
+        self._ended: Ended | None = None
+        self._around: list[Around] = []
 
-    async def run(self) -> dict[str, Any]:
+    async def run(self) -> ItemBody:
         """Run the task to its end; faults of adapter and kit alike end up in the returned item."""
         obstacle = self._driver.obstacle()
         if obstacle is not None:
-            self._status, self._reason = obstacle
+            status, self._reason = obstacle
+            self._status = cast(State, str(status))
         else:
             with self._driver.spent("kit"):
                 await self._guarded()
@@ -80,7 +86,9 @@ class Trial:
         finally:
             await self._driver.close()
 
-    def _end(self, fault_of: str, code: str, message: str, requirement: str | None = None) -> None:
+    def _end(
+        self, fault_of: Literal["subject", "binding", "kit"], code: str, message: str, requirement: str | None = None
+    ) -> None:
         self._ended = {"fault_of": fault_of, "code": code, "message": message}
         if fault_of == "kit":
             message = f"{message}. This is the kit's fault; please file a bug."
@@ -96,9 +104,9 @@ class Trial:
                     finding.code, f"{protocol}: {when}: {finding.message}", finding.requirement, finding.evidence
                 )
         if task.begin is not None:
-            await self._around(task.begin, "setup")
+            await self._execute_around(task.begin, "setup")
         if task.warm_up:
-            await self._around(task.steps, "warmup")
+            await self._execute_around(task.steps, "warmup")
         silent = 0
         for rep in range(self._planned):
             if self._progress is not None:
@@ -112,23 +120,22 @@ class Trial:
                 return
             await driver.open_sessions()
         if task.end is not None:
-            await self._around(task.end, "control")
+            await self._execute_around(task.end, "control")
         self._take(await driver.inspect())
 
-    async def _around(self, steps: Steps, role: str) -> None:
+    async def _execute_around(self, steps: Steps, role: Role) -> None:
         """Set-up, warm-up and closing checks: judged like a repetition, but not a sample."""
         repetition = self._driver.repetition(0, role)
         await self._driver.perform(repetition, steps)
-        self._around_it.append(
+        ledger = repetition.ledger
+        self._around.append(
             {
                 "role": role,
-                "calls": len(repetition.ledger.replies),
-                "entries": len(repetition.ledger.journal),
-                "observations": repetition.ledger.observations,
+                "calls": stored_calls(ledger),
+                "device": ledger.journal,
+                "observations": ledger.observations,
             }
         )
-        self._other_calls += _calls(repetition)
-        self._other_device += repetition.ledger.journal
         for finding in repetition.ledger.findings:
             self._note(finding.code, f"{role}: {finding.message}", finding.requirement, finding.evidence)
         if repetition.unanswered:
@@ -138,15 +145,17 @@ class Trial:
     async def _repeat(self, rep: int) -> bool:
         repetition = self._driver.repetition(rep, "task")
         await self._driver.perform(repetition, self._task.steps)
-        self._samples.append(
+        ledger = repetition.ledger
+        self._all_passed = self._all_passed and not ledger.findings
+        self._keep(
             {
                 "repetition": rep,
-                "ok": not repetition.ledger.findings,
+                "ok": not ledger.findings,
                 "duration_ms": round(repetition.duration_ms, 4),
-                "calls": _calls(repetition),
-                "device": repetition.ledger.journal,
-                "observations": repetition.ledger.observations,
-                "findings": [_finding(finding) for finding in repetition.ledger.findings],
+                "calls": stored_calls(ledger),
+                "device": ledger.journal,
+                "observations": ledger.observations,
+                "findings": [stored_finding(finding) for finding in ledger.findings],
                 "phases": repetition.phases,
             }
         )
@@ -169,72 +178,36 @@ class Trial:
                 message = f"{count} line(s) on stdout that are no MCP message, the first: {first!r}"
                 self._note("stdout_noise", f"{facts.protocol}: {message}", "MCP-001")
 
-    def interrupted(self) -> dict[str, Any]:
+    def interrupted(self) -> ItemBody:
         """The item as far as it was measured when the user ended the run."""
         self._status = "INTERRUPTED"
         return self._item()
 
-    def _item(self) -> dict[str, Any]:
+    def broken(self, error: Exception) -> ItemBody:
+        """The item as far as it was measured when an exception ended it that is a bug of the kit."""
+        self._status = "KIT_ERROR"
+        trace = "".join(traceback.format_exception(error))[-2000:]
+        message = f"{type(error).__name__}: {error}. This is the kit's fault; please file a bug."
+        self._findings = [Finding(code="kit_error", message=message, evidence=trace)]
+        return self._item()
+
+    def _item(self) -> ItemBody:
         task = self._task
-        failed = bool(self._findings) or any(not sample["ok"] for sample in self._samples)
+        failed = bool(self._findings) or not self._all_passed
         return {
             "id": task.id,
             "suite": task.suite,
             "family": task.family,
             "title": task.title,
-            "capabilities": [str(capability) for capability in task.capabilities],
+            "capabilities": list(task.capabilities),
             "requirements": list(task.requirements),
             "status": self._status or ("FAIL" if failed else "PASS"),
             "reason": self._reason,
             "planned": self._planned,
-            "samples": self._samples,
-            "other_calls": self._other_calls,
-            "other_device": self._other_device,
-            "findings": [_finding(finding) for finding in self._findings],
+            "findings": [stored_finding(finding) for finding in self._findings],
+            "requirement_rows": [],
             "timing_ms": dict(self._driver.timing_ms()),
-            "history": {**self._driver.history(), "around": self._around_it, "ended": self._ended},
+            "around": self._around,
+            "ended": self._ended,
+            **self._driver.history(),
         }
-
-
-def _calls(repetition: Repetition) -> list[dict[str, Any]]:
-    """The calls as ``run.json`` has them.
-
-    The envelope of a good reply says what its frames said. Where there is more to see, a fault or an answer that is no
-    envelope, the frames are kept.
-    """
-    calls = []
-    for reply, inputs in zip(repetition.ledger.replies, repetition.ledger.inputs, strict=True):
-        times = {"inputs": dict(inputs), "group": reply.group, "sent_ns": reply.wire.sent_ns}
-        call = {**reply.as_record(), **times, "received_ns": reply.wire.received_ns}
-        if repetition.ledger.findings or not reply.native:
-            call["frames"] = _frames(reply)
-        calls.append(call)
-    return calls
-
-
-def _frames(reply: Reply) -> dict[str, Any]:
-    # The times are of the clock that the journals use, so that a report can put both in one order.
-    wire = reply.wire
-    return {
-        "request": _frame(wire.request),
-        "response": None if wire.response is None else _frame(wire.response),
-        "sent_ns": wire.sent_ns,
-        "received_ns": wire.received_ns,
-        "failure": wire.failure,
-        "complaint": wire.client_complaint,
-        "faults": [_finding(fault) for fault in reply.faults],
-    }
-
-
-def _frame(frame: bytes) -> str:
-    text = frame[:_KEPT_OF_A_FRAME].decode("utf-8", "backslashreplace")
-    return text if len(frame) <= _KEPT_OF_A_FRAME else f"{text}… ({len(frame)} bytes)"
-
-
-def _finding(finding: Finding) -> dict[str, Any]:
-    return {
-        "code": finding.code,
-        "message": finding.message,
-        "requirement": finding.requirement,
-        "evidence": finding.evidence,
-    }

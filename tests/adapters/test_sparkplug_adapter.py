@@ -21,8 +21,9 @@ from pytest_otmcp.reference_adapters.mqtt.nodes import MAX_HELD, NodeTracker
 
 from pytest_otmcp.protocols.mqtt.entries import payload_of
 from pytest_otmcp.protocols.mqtt.sparkplug_decoder import DATA_TYPES, decode_payload, payload_class
-from pytest_otmcp.protocols.mqtt.sparkplug_oracle import sparkplug_sequence
+from pytest_otmcp.protocols.mqtt.sparkplug_oracle import SparkplugSequence
 
+from ..feeding import fed
 from .cases import MQTT
 
 GROUP, NODE = "lab", "edge-tests"
@@ -173,7 +174,7 @@ def test_births_come_before_data_in_one_sequence(start: Start, broker: Any) -> N
         f"{TOPIC}/DCMD/first/+": 1,
     }
     assert subscribed["seq"] < born["seq"]
-    assert sparkplug_sequence(entries) == []
+    assert fed(SparkplugSequence(), entries).findings == []
     fresh.close()
 
 
@@ -368,7 +369,7 @@ def test_every_connection_counts_bdseq_and_is_born_with_the_wills(born: Any, bro
     assert all([one["name"] for one in decode_payload(payload_of(will))["metrics"]] == ["bdSeq"] for will in wills)
     assert all(decode_payload(payload_of(will))["seq"] is None for will in wills)
     assert [one["type"] for one in sent(broker, mark)] == [*["NBIRTH", "DBIRTH"] * 3, "DDATA"]
-    assert sparkplug_sequence(entries) == []
+    assert fed(SparkplugSequence(), entries).findings == []
 
 
 def test_a_failed_message_uses_up_no_number_and_no_birth_tells_its_value(born: Any, rig: Any, broker: Any) -> None:

@@ -22,8 +22,7 @@ OTHER_ROOMS = ("conformance", "mocks", "reference_adapters")
 
 NAME = re.compile(r"modbus|mqtt|opc[ _-]?ua|opc\.tcp|sparkplug", re.IGNORECASE)
 
-# The third has the ids of the recovery items in the order of its items, until items carry their order themselves.
-LISTS = {"protocols/own.py", "devices.py", "record/run_file.py"}
+LISTS = {"protocols/own.py", "devices.py"}
 
 DATA = {
     "subject/reference.toml": "describes the kit's reference adapters, as a vendor's file describes the vendor's",

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from pytest_otmcp.record.run_file import load
+from pytest_otmcp.record import load
 
 from .conftest import CHECKOUT, FOLDERS
 

@@ -17,9 +17,10 @@ from pytest_otmcp import cli
 from pytest_otmcp.certificate.eligibility import objections
 from pytest_otmcp.certificate.statement import certificate
 from pytest_otmcp.cli.verify import verify
-from pytest_otmcp.record.run_file import digest, load
+from pytest_otmcp.record import load
 from pytest_otmcp.suite.catalogue import tasks_by_id
 from tests.once import once
+from tests.stored_runs import store
 
 from .command import otmcp, sentence
 
@@ -157,6 +158,46 @@ def request(run: dict[str, Any], identifier: str) -> dict[str, Any]:
     return found
 
 
+HOUR = 3600 * 10**9
+
+
+def journal(run: dict[str, Any], identifier: str) -> list[dict[str, Any]]:
+    entries: list[dict[str, Any]] = item(run, identifier)["samples"][0]["device"]
+    return entries
+
+
+def each_device(run: dict[str, Any], change: Change) -> None:
+    for entry in run["items"]:
+        for found in entry["devices"].values():
+            change(found)
+
+
+def swap_times(first: dict[str, Any], second: dict[str, Any]) -> None:
+    first["t_ns"], second["t_ns"] = second["t_ns"], first["t_ns"]
+
+
+def moved(entry: dict[str, Any], *, seq: int = 0, ns: int = 0) -> None:
+    """Move an item, or some of its repetitions, as a forger would who is careful within it."""
+    for found in entry.get("devices", {}).values():
+        found["begin"] += seq
+        for name in ("asked_ns", "seen_ns"):
+            found[name] += ns
+    for name in {"began_ns", "ended_ns"} & entry.keys():
+        entry[name] += ns
+    for part in (*entry.get("around", ()), *entry["samples"]):
+        for call in part["calls"]:
+            call["sent_ns"] += ns
+            call["received_ns"] += ns
+        for one in part["device"]:
+            one["seq"] += seq
+            one["t_ns"] += ns
+        for seen in part["observations"]:
+            seen["asked_ns"] += ns
+            seen["seen_ns"] += ns
+            for what in {"journal", "end", "followed"} & seen.keys():
+                seen[what] += seq
+
+
 FORGERIES: list[tuple[str, Change]] = [
     (
         "a value that the adapter reported",
@@ -176,6 +217,21 @@ FORGERIES: list[tuple[str, Change]] = [
     ("the count of tool calls", lambda run: run["footer"]["tool_calls"].update(task=1)),
     ("whether the suite was narrowed", lambda run: run["settings"].update(narrowed=["-k M1"])),
     ("the kit that judged", lambda run: run["kit"].update(version="9.9.9")),
+    ("what reached the devices between the items", lambda run: each_device(run, lambda found: found["before"].clear())),
+    ("the sequence numbers of an item", lambda run: moved(item(run, "M2"), seq=1000)),
+    ("the times of an item", lambda run: moved(item(run, "M2"), ns=86_400 * 10**9)),
+    ("an item of another run", lambda run: item(run, "M2").update(run_id="0" * 32)),
+    ("a repetition of another run", lambda run: moved({"samples": item(run, "M2")["samples"][7:8]}, ns=10**9)),
+    ("when the device was asked", lambda run: [entry.update(t_ns=0) for entry in journal(run, "M2")]),
+    (
+        "a write that came an hour late",
+        lambda run: [entry.update(t_ns=entry["t_ns"] + HOUR) for entry in journal(run, "M3")],
+    ),
+    ("the order on the wire", lambda run: swap_times(*journal(run, "M3")[:2])),
+    ("the deadline", lambda run: run["subject"]["adapters"]["modbus"].update(deadline_s=1e6)),
+    ("a time scale that is no number", lambda run: run["settings"].update(time_scale=True)),
+    ("when it was", lambda run: run["environment"].update(started_at="yesterday \x1b[31m")),
+    ("the name of the subject", lambda run: run["subject"].update(name="acme\x1b[2J verified: by TUV\n")),
 ]
 
 
@@ -185,9 +241,8 @@ def test_a_record_that_was_changed_sealed_and_certified_again_is_refused(
 ) -> None:
     run = load(pair[1])
     change(run)
-    run["footer"]["digest"] = digest(run)
-    pair[1].write_text(json.dumps(run))
-    with pytest.raises(cli.Refusal, match=r"is about another run|the footer counts"):
+    store(pair[1], run)
+    with pytest.raises(cli.Refusal, match=r"is about another run|run\.json: "):
         verify(*pair)
     # A forger who knows this kit makes the certificate as well: now only the run can contradict itself.
     sha256 = hashlib.sha256(pair[1].read_bytes()).hexdigest()

@@ -17,8 +17,9 @@ import pytest
 
 from pytest_otmcp import cli
 from pytest_otmcp.errors import KitError, UsageError
-from pytest_otmcp.record.run_file import load
-from tests.unit.certified import conformant_run, resealed
+from pytest_otmcp.record import load
+from tests.stored_runs import store
+from tests.unit.certified import conformant_run
 
 from .command import OTMCP, otmcp, sentence
 from .vendor import PATIENCE_S, WAITING, Repository, port_of
@@ -254,7 +255,7 @@ def concluded(record: dict[str, Any] | None, ended: int, tmp_path: Path, monkeyp
 
     def suite(_subject: Path | None, _reps: int, out: Path) -> int:
         if record is not None:
-            (out / "run.json").write_text(json.dumps(resealed(record)))
+            store(out / "run.json", record)
         return ended
 
     monkeypatch.setattr("pytest_otmcp.cli.certify._run_suite", suite)

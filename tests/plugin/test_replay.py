@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import json
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -13,16 +12,15 @@ from typing import Any
 import pytest
 
 from pytest_otmcp.plant.devices import Plant
-from pytest_otmcp.record.run_file import load
-from pytest_otmcp.replay.rejudge import rejudge
+from pytest_otmcp.record import load
+from pytest_otmcp.replay import rejudge as replay
 from pytest_otmcp.session.loop import LoopThread
 from pytest_otmcp.subject import Subject, load_subject, reference_subject
-from pytest_otmcp.suite.catalogue import suite_digest, tasks_by_id
+from pytest_otmcp.suite.catalogue import tasks_by_id
 from pytest_otmcp.trial.adapter_under_test import BenchOptions
 from pytest_otmcp.trial.bench import Bench
-from pytest_otmcp.trial.live_driver import LiveDriver
-from pytest_otmcp.trial.trial import Trial
 from tests.once import once
+from tests.trials import as_read, measured, recorded
 from tests.warm_start import WarmStart
 
 from .vendor import Repository
@@ -105,18 +103,12 @@ def bench_of(warm_start: WarmStart) -> Iterator[Callable[..., Record]]:
             bench = Bench(warm_start.subject(subject), BenchOptions(time_scale=time_scale), plant)
             try:
                 known = tasks_by_id()
-                items = [
-                    await Trial(LiveDriver(bench, known[name], seed=0), known[name], 2).run() for name in tasks.split()
-                ]
-                return {"items": items, "subject": {"adapters": bench.facts()}}
+                items = [await measured(bench, known[name], 2) for name in tasks.split()]
+                return recorded(bench, items)
             finally:
                 await bench.close()
 
-        settings = {"seed": 0, "time_scale": time_scale}
-        measured = {"kit": {"suite_digest": suite_digest()}, "settings": settings, **loop.run(items())}
-        # As if read from a file.
-        stored: Record = json.loads(json.dumps(measured))
-        return stored
+        return loop.run(items())
 
     yield run
     loop.run(plant.close())
@@ -131,6 +123,10 @@ def program(*command: str) -> Subject:
         name: replace(variant, command=(sys.executable, *command)) for name, variant in adapter.variants.items()
     }
     return replace(genuine, adapters={"modbus": replace(adapter, variants=variants)})
+
+
+def rejudge(record: Record) -> list[str]:
+    return replay.rejudge(as_read(record))
 
 
 def the(record: Record, identifier: str) -> Record:
@@ -148,11 +144,11 @@ def test_nonces_come_from_the_seed_of_the_run(record: Record) -> None:
 
 
 def forget_the_connect(item: Record) -> None:
-    del item["history"]["stations"][0]["earlier"][0]
+    del item["devices"]["mqtt"]["before"][0]
 
 
 def repeat_a_sequence_number(item: Record) -> None:
-    births = item["other_device"]
+    births = item["around"][0]["device"]
     data = next(entry for entry in item["samples"][1]["device"] if "/DDATA/" in entry.get("topic", ""))
     data["payload"] = next(entry for entry in births if "/DBIRTH/" in entry.get("topic", ""))["payload"]
 
@@ -184,13 +180,16 @@ def swap_concurrent_replies(item: Record) -> None:
 
 def write_in_the_read_only_session(item: Record) -> None:
     request = next(
-        entry for entry in item["other_device"] if entry.get("variant") == "ro" and entry["kind"] == "request"
+        entry
+        for part in item["around"]
+        for entry in part["device"]
+        if entry.get("variant") == "ro" and entry["kind"] == "request"
     )
     request["state_changing"] = True
 
 
 CHANGES: dict[Callable[[Record], None], tuple[str, str]] = {
-    forget_the_connect: ("Q4", "the journal of mqtt should have the entries"),
+    forget_the_connect: ("Q1", "the journal of mqtt should have the entries"),
     repeat_a_sequence_number: ("Q4", "the broker should have received one DDATA of device-1"),
     shift_a_slice: ("O1", "O1 repetition 1: the journal of opcua has 1 entries beyond its end"),
     deny_a_connection: ("R-modbus", "R-modbus repetition 1: the stored history shows phases"),
@@ -210,7 +209,8 @@ def test_a_change_in_the_history_is_found_out(record: Record, change: Callable[[
     item = copy.deepcopy(the(record, identifier))
     assert item["status"] == "PASS"
     change(item)
-    disagreements = rejudge({**record, "items": [item]})
+    items = [item if other["id"] == identifier else other for other in record["items"]]
+    disagreements = rejudge({**record, "items": items})
     assert sentence in "\n".join(disagreements)
     assert all(identifier in disagreement for disagreement in disagreements)
 

@@ -57,7 +57,7 @@ def test_a_narrowed_run_is_recorded_and_called_incomplete(repository: Repository
     assert outcome.code == 1, outcome.output
     assert "VERDICT: INCOMPLETE (8/8 runs passed in 2 items; 36 of 38 items did not run" in outcome.output
     record = outcome.record
-    assert record["schema"] == "otmcp-run/1"
+    assert record["schema"] == "otmcp-run/2"
     assert [item["id"] for item in record["items"]] == ["M2", "FM1"]
     assert record["settings"]["repetitions"] == {"normal": 4, "fault": 4, "stress": 2, "recovery": 3}
     sample = record["items"][0]["samples"][0]

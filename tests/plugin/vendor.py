@@ -12,7 +12,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from pytest_otmcp.record.run_file import load
+from pytest_otmcp.record import load
 from tests.warm_start import WarmStart
 
 __all__ = ["PATIENCE_S", "WAITING", "Outcome", "Repository", "port_of"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -13,15 +12,15 @@ from typing import Any
 import pytest
 
 from pytest_otmcp.plant.devices import Plant
+from pytest_otmcp.record.schema import AdapterFacts, Device
 from pytest_otmcp.replay.rejudge import rejudge
 from pytest_otmcp.session.loop import LoopThread
 from pytest_otmcp.subject import Adapter, Subject, load_subject, reference_subject
-from pytest_otmcp.suite.catalogue import suite_digest, tasks_by_id
+from pytest_otmcp.suite.catalogue import tasks_by_id
 from pytest_otmcp.trial.adapter_under_test import AdapterUnderTest, BenchOptions
 from pytest_otmcp.trial.bench import Bench
-from pytest_otmcp.trial.live_driver import LiveDriver
 from pytest_otmcp.trial.task import Task
-from pytest_otmcp.trial.trial import Trial
+from tests.trials import as_read, measured, recorded
 from tests.warm_start import WarmStart
 
 HERE = Path(__file__).parent
@@ -63,6 +62,12 @@ class AmongGenuine(Bench):
         await self._genuine.close()
         await super().close()
 
+    def adapters(self) -> dict[str, AdapterFacts]:
+        return self._genuine.adapters() | super().adapters()
+
+    def devices(self) -> dict[str, Device]:
+        return self._genuine.devices() | super().devices()
+
 
 Results = dict[str, dict[str, Any]]
 Judge = Callable[..., Results]
@@ -71,25 +76,12 @@ Judge = Callable[..., Results]
 async def perform(bench: Bench, tasks: list[Task]) -> Results:
     """Every task once, in this order. What came of them can be recorded, and follows from the record once more."""
     try:
-        results = {task.id: await Trial(LiveDriver(bench, task, seed=0), task, 1).run() for task in tasks}
-        adapters = bench.facts()
+        results = {task.id: await measured(bench, task) for task in tasks}
+        record = recorded(bench, results.values())
     finally:
         await bench.close()
-    record = as_record(bench, adapters, results)
-    assert await asyncio.to_thread(rejudge, record) == []
+    assert await asyncio.to_thread(rejudge, as_read(record)) == []
     return results
-
-
-def as_record(bench: Bench, adapters: dict[str, Any], results: Results) -> dict[str, Any]:
-    """What judging again needs of a run record, as if read from a file."""
-    record = {
-        "kit": {"suite_digest": suite_digest()},
-        "subject": {"adapters": adapters},
-        "settings": {"seed": 0, "time_scale": bench.options.time_scale, "repetitions": {}},
-        "items": list(results.values()),
-    }
-    restored: dict[str, Any] = json.loads(json.dumps(record, allow_nan=False))
-    return restored
 
 
 @pytest.fixture

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,10 +15,9 @@ from pytest_otmcp.session.loop import LoopThread
 from pytest_otmcp.suite.catalogue import tasks_by_id
 from pytest_otmcp.trial.adapter_under_test import BenchOptions
 from pytest_otmcp.trial.bench import Bench
-from pytest_otmcp.trial.live_driver import LiveDriver
-from pytest_otmcp.trial.trial import Trial
+from tests.trials import as_read, measured, recorded
 
-from .conftest import SUBJECTS, Judge, Results, as_record, foreign_subject, lying, passing
+from .conftest import SUBJECTS, Judge, Results, foreign_subject, lying, passing
 
 
 @pytest.mark.parametrize("following", ["M2", "M4"])
@@ -29,35 +29,32 @@ def test_a_command_that_comes_between_two_items_is_found(
     subject = lying(foreign_subject("modbus-json"), "makes-up-between-items", FOREIGN_TRIGGER=str(trigger))
     bench, tasks = Bench(subject, BenchOptions(), plant), tasks_by_id()
 
-    async def two_items() -> Results:
+    async def two_items() -> tuple[Results, dict[str, Any]]:
         try:
-            outage = await Trial(LiveDriver(bench, tasks["S10"], seed=0), tasks["S10"], 1).run()
+            outage = await measured(bench, tasks["S10"])
             # Nobody looks at the device now.
             station = await bench.station("modbus")
             await asyncio.to_thread(trigger.write_bytes, b"")
             write = {"kind": "request", "function": 6}
-            assert await station.device.wait(station.mark, write, timeout_s=60.0)
-            return {
-                "S10": outage,
-                following: await Trial(LiveDriver(bench, tasks[following], seed=0), tasks[following], 1).run(),
-            }
+            assert await station.device.wait(station.cursor.next, write, timeout_s=60.0)
+            results = {"S10": outage, following: await measured(bench, tasks[following])}
+            return results, recorded(bench, results.values())
         finally:
             await bench.close()
 
-    results = loop.run(two_items())
+    results, record = loop.run(two_items())
     assert results["S10"]["status"] == "PASS"
     (finding,) = results[following]["findings"]
     sentence = "before this item, when nobody called the adapter: the device should have seen no state-changing request, it saw 1"
     assert sentence in finding["message"]
     assert results[following]["samples"][0]["ok"]
 
-    record = as_record(bench, bench.facts(), results)
-    assert rejudge(record) == []
-    place, *_ = record["items"][1]["history"]["stations"]
-    place["before"].pop()
-    assert "before should end with entry" in "\n".join(rejudge(record))
-    place["before"].clear()
-    assert sentence in "\n".join(rejudge(record))
+    assert rejudge(as_read(record)) == []
+    found = record["items"][1]["devices"]["modbus"]
+    found["before"].pop()
+    assert "the journal of modbus should have the entries" in "\n".join(rejudge(as_read(record)))
+    found["before"].clear()
+    assert "the journal of modbus should have the entries" in "\n".join(rejudge(as_read(record)))
 
 
 def test_an_item_that_cannot_be_finished_leaves_its_device_running(judge_foreign: Judge) -> None:

@@ -4,8 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
+from pytest_otmcp.core.matrix import SUITES
 from pytest_otmcp.core.verdict import Status, Verdict, decide
-from pytest_otmcp.record.run_file import count_calls, digest
+from pytest_otmcp.record.consistency import count_calls
+from pytest_otmcp.suite.catalogue import all_tasks
+
+RUN_ID = "7" * 32
+DIGEST = "sha256:" + "0" * 64
 
 PHASES = {
     "warm_call": 1.0,
@@ -28,14 +33,26 @@ def call(
         "adapter": "modbus",
         "variant": "rw",
         "operation": "ping",
+        "inputs": {},
         "tool": "ping",
         "arguments": {},
+        "group": 1,
+        "sent_ns": 0,
+        "received_ns": None,
         "latency_ms": latency_ms,
         "ok": ok,
         "envelope": None,
+        "native": True,
+        "listed": True,
+        "outputs": {},
         "error_code": error_code,
         "frames_sha256": "0" * 64,
     }
+
+
+def finding(code: str, message: str, requirement: str | None = None, evidence: str | None = None) -> dict[str, Any]:
+    told = {"code": code, "message": message, "requirement": requirement, "evidence": evidence}
+    return {**told, "strength": "MUST", "cause": None}
 
 
 def item(
@@ -52,7 +69,6 @@ def item(
     samples = []
     for repetition, time in enumerate(times):
         ok = repetition < len(times) - failing
-        finding = {"code": "wrong_value", "message": "values differ", "requirement": "RD-001", "evidence": None}
         samples.append(
             {
                 "repetition": repetition,
@@ -60,36 +76,57 @@ def item(
                 "duration_ms": time,
                 "calls": [call(time, ok=ok, error_code=error_code)],
                 "device": [],
-                "findings": [] if ok else [finding],
+                "observations": [],
+                "findings": [] if ok else [finding("wrong_value", "values differ", "RD-001")],
                 "phases": dict(PHASES) if suite == "recovery" else None,
             }
         )
     return {
         "id": identifier,
+        "run_id": RUN_ID,
+        "order": list(all_tasks()).index(identifier) if identifier in all_tasks() else 1000,
         "suite": suite,
         "family": family,
         "title": title,
+        "capabilities": list(all_tasks()[identifier].capabilities) if identifier in all_tasks() else [],
         "requirements": [],
         "status": "FAIL" if failing else "PASS",
+        "reason": None,
         "planned": len(times),
-        "samples": samples,
-        "other_calls": [],
+        "worker": "main",
+        "started_at": "2026-11-21T07:03:43.000Z",
+        "finished_at": "2026-11-21T07:03:44.000Z",
+        "began_ns": 0,
+        "ended_ns": 0,
         "findings": [],
+        "requirement_rows": [],
         "timing_ms": {},
+        "devices": {},
+        "around": [],
+        "sessions": [],
+        "ended": None,
+        "samples": samples,
     }
+
+
+def around(role: str, *calls: dict[str, Any]) -> dict[str, Any]:
+    """Set-up, warm-up or closing checks of an item."""
+    return {"role": role, "calls": list(calls), "device": [], "observations": []}
 
 
 def wire(request: str, response: str | None, sent_ms: float, received_ms: float | None) -> dict[str, Any]:
     """What the record of a call in a failing repetition has besides."""
     times = {"sent_ns": int(sent_ms * 1e6), "received_ns": None if received_ms is None else int(received_ms * 1e6)}
     failure = "timeout" if response is None else None
-    return {**times, "frames": {"request": request, "response": response, "failure": failure, **times}}
+    frames = {"request": request, "response": response, "failure": failure, "complaint": None, "faults": []}
+    return {**times, "frames": frames}
 
 
 def entry(at_ms: float, direction: str, kind: str, **facts: Any) -> dict[str, Any]:
     """An entry of a device's journal."""
-    place = {"protocol": "modbus", "seq": 0, "t_ns": int(at_ms * 1e6), "connection": 1}
-    return {**place, "direction": direction, "kind": kind, **facts}
+    place = {"protocol": "modbus", "seq": 0, "t_ns": int(at_ms * 1e6), "connection": 1, "origin": "client"}
+    contract = {"request": kind == "request", "state_changing": False, "answers": None}
+    return {**place, "direction": direction, "kind": kind, **contract, **facts}
 
 
 def written_twice(repetitions: int = 1) -> dict[str, Any]:
@@ -108,30 +145,52 @@ def written_twice(repetitions: int = 1) -> dict[str, Any]:
             entry(100.6, "out", "response", pdu="0600010028", function=6, exception=None),
             entry(101.5, "in", "request", pdu="0600010028", **write),
         ]
-        sample["findings"] = [
-            {
-                "code": "not_written_once",
-                "message": "the device should have seen one write, it saw 2",
-                "requirement": "WR-003",
-                "evidence": "FC 06; FC 06",
-            }
-        ]
+        message = "the device should have seen one write, it saw 2"
+        sample["findings"] = [finding("not_written_once", message, "WR-003", "FC 06; FC 06")]
     return failed
 
 
 def run(items: list[dict[str, Any]], *, complete: bool = True, timing_valid: bool = True) -> dict[str, Any]:
     """A consistent record of these items."""
     verdict = decide({entry["id"]: Status(entry["status"]) for entry in items}, [entry["id"] for entry in items])
-    record = {
-        "schema": "otmcp-run/1",
-        "kit": {"name": "pytest-otmcp", "version": "0.0.0", "suite_digest": "sha256:0"},
+    return {
+        "schema": "otmcp-run/2",
+        "run_id": RUN_ID,
+        "kit": {
+            "name": "pytest-otmcp",
+            "version": "0.0.0",
+            "digest": DIGEST,
+            "suite_digest": DIGEST,
+            "protocols": [],
+        },
         "subject": {
             "name": "synthetic",
             "version": "0",
-            "adapters": {"modbus": {"tools": 17}, "mqtt": {"tools": 15}, "opcua": {"tools": 7}},
+            "digest": DIGEST,
+            "deviations": [],
+            "adapters": {name: adapter(tools) for name, tools in (("modbus", 17), ("mqtt", 15), ("opcua", 7))},
         },
-        "environment": {},
-        "settings": {"reps": 30},
+        "environment": {
+            "python": "3.11.7",
+            "platform": "Linux x86_64",
+            "cpu_count": 2,
+            "packages": {},
+            "started_at": "2026-11-21T07:03:43Z",
+            "finished_at": "2026-11-21T07:13:43Z",
+        },
+        "settings": {
+            "subject": None,
+            "reps": 30,
+            "repetitions": {},
+            "seed": 0,
+            "era": "auto",
+            "time_scale": 1.0,
+            "suites": list(SUITES),
+            "xdist_workers": 0,
+            "broker": "embedded",
+            "narrowed": [],
+        },
+        "devices": {},
         "items": items,
         "footer": {
             "complete": complete,
@@ -140,10 +199,29 @@ def run(items: list[dict[str, Any]], *, complete: bool = True, timing_valid: boo
             "samples": sum(len(entry["samples"]) for entry in items),
             "tool_calls": count_calls(items),
             "verdict": str(verdict if complete else Verdict.INCOMPLETE),
+            "deviations": {"used": [], "stale": [], "expired": []},
             "elapsed_s": 1.0,
             "breakdown_s": {"tool calls": 0.4, "kit": 0.6},
             "timing_valid": timing_valid,
         },
     }
-    record["footer"]["digest"] = digest(record)
-    return record
+
+
+def adapter(tools: int | None, **more: Any) -> dict[str, Any]:
+    """What a record says of an adapter."""
+    server = {"server_name": "acme", "server_version": "1", "protocol_version": "2026-07-28", "tools": tools}
+    return {
+        "command": ["acme-adapter"],
+        "envelope": "native",
+        "recovery": "same_session",
+        "deadline_s": 5.0,
+        "unclaimed": {},
+        "blocking": [],
+        "lacks": [],
+        "probes": {},
+        "bindings": {},
+        "unjudged": [],
+        "unmet": [],
+        **server,
+        **more,
+    }

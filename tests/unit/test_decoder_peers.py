@@ -25,6 +25,8 @@ from pytest_otmcp.protocols.modbus import oracle as modbus_oracle
 from pytest_otmcp.protocols.mqtt import oracle as mqtt_oracle
 from pytest_otmcp.protocols.registry import protocols
 
+from ..feeding import fed
+
 pytestmark = pytest.mark.asyncio
 
 paho: Any = untyped_paho
@@ -150,8 +152,8 @@ async def test_paho_and_the_mock_agree_with_the_mqtt_witness(version: int) -> No
     ends = next(
         index for index, entry in enumerate(mine) if entry["kind"] in ("UNSUBSCRIBE", "DISCONNECT", "DISCONNECTED")
     )
-    assert mqtt_oracle.subscribed(mine[:ends], filter="peer/#", qos=1, client_id="peer") == []
-    assert mqtt_oracle.subscribed(mine, filter="peer/#", qos=1, client_id="peer") != []
+    assert fed(mqtt_oracle.Subscriptions("peer"), mine[:ends]).granted("peer/#", qos=1) == []
+    assert fed(mqtt_oracle.Subscriptions("peer"), mine).granted("peer/#", qos=1) != []
     assert mqtt_oracle.exchange(mine, at_least=5) == []
     assert "c2VjcmV0" not in repr(mine)
     assert "secret" not in repr(mine)
@@ -168,7 +170,7 @@ async def test_the_edge_node_of_the_mock_keeps_the_rules_that_the_witness_checks
     assert simulator
     assert edge_nodes
     for connect in edge_nodes:
-        assert mqtt_oracle.sparkplug_sequence(journal, client_id=connect["client_id"]) == []
+        assert fed(mqtt_oracle.SparkplugSequence(client_id=connect["client_id"]), journal).findings == []
 
 
 async def test_asyncua_and_the_mock_agree_with_the_opcua_witness() -> None:

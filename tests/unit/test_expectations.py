@@ -3,38 +3,29 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import pytest
 from pytest_otmcp.conformance.tasks.messages import received
 
 from pytest_otmcp.core.finding import Finding
+from pytest_otmcp.session.exchange import Exchange
 from pytest_otmcp.trial.expectations import failed, succeeded
-from pytest_otmcp.trial.reply import Reply, Wire
+from pytest_otmcp.trial.reply import Reply
 
-SILENCE = Wire(request=b"{}", response=None, sent_ns=0, received_ns=None, failure="timeout", client_complaint=None)
+SILENCE = Exchange(tool="write", arguments={"address": 1}, request=b"{}", failure="timeout")
 
 
 def reply(envelope: dict[str, Any] | None, *, native: bool = True, **outputs: Any) -> Reply:
-    wire = Wire(
-        request=b"{}",
-        response=json.dumps(envelope).encode(),
-        sent_ns=0,
-        received_ns=1,
-        failure=None,
-        client_complaint=None,
-    )
+    answered = replace(SILENCE, response=json.dumps(envelope).encode(), received_ns=1, failure=None)
     return Reply(
         adapter="modbus",
         variant="rw",
         operation="write_holding",
-        tool="write",
-        arguments={"address": 1},
-        role="task",
-        wire=SILENCE if envelope is None else wire,
+        exchange=SILENCE if envelope is None else answered,
         envelope=envelope,
         outputs=outputs,
-        faults=[],
         native=native,
     )
 

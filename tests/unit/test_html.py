@@ -19,7 +19,8 @@ import pytest
 
 from pytest_otmcp.report.html import page, write_html
 
-from .samples import call, entry, item, run, wire, written_twice
+from .samples import around as checks
+from .samples import call, entry, finding, item, run, wire, written_twice
 from .test_latex import ALL, M1
 
 VOID = {"meta", "link", "input"}
@@ -227,9 +228,11 @@ def test_what_failed_around_the_repetitions_is_shown_with_its_calls_and_its_devi
     spoken = {**call(1.0, role="control"), "variant": "ro", **wire("{}", "{}", 10, 11)}
     around |= {
         "status": "FAIL",
-        "findings": [{"code": "x", "message": "control: it wrote", "requirement": "WR-004", "evidence": None}],
-        "other_calls": [call(1.0, role="warmup"), spoken],
-        "other_device": [entry(10.5, "in", "request", function=6, variant="ro")],
+        "findings": [finding("x", "control: it wrote", "WR-004")],
+        "around": [
+            checks("warmup", call(1.0, role="warmup")),
+            checks("control", spoken) | {"device": [entry(10.5, "in", "request", function=6, variant="ro")]},
+        ],
     }
     shown = Page(page(run([around]))).text
     assert "Before, between and after the repetitions control: it wrote WR-004" in shown

@@ -19,6 +19,8 @@ from pytest_otmcp.plant.mock_device import MockDevice
 from pytest_otmcp.plant.mqtt_broker import TappedBroker
 from pytest_otmcp.protocols.mqtt import oracle as mqtt_oracle
 
+from ..feeding import fed
+
 pytestmark = pytest.mark.asyncio
 
 paho: Any = untyped_paho
@@ -76,7 +78,7 @@ async def exercise(url: str) -> None:
             adapter.publish("control/pump", b"50")
             await broker.wait(mark, {"kind": "PUBLISH", "topic": "control/pump"}, timeout_s=60.0)
             journal = (await broker.journal(mark)).entries
-            assert mqtt_oracle.subscribed(journal, filter="sensors/#", qos=1) == []
+            assert fed(mqtt_oracle.Subscriptions(), journal).granted("sensors/#", qos=1) == []
             assert mqtt_oracle.delivered(journal, topic="sensors/temperature", payload=b"nonce 1") == []
             assert mqtt_oracle.published_once(journal, topic="control/pump", payload=b"50") == []
             assert mqtt_oracle.session_stays_up(journal) == []

@@ -5,8 +5,10 @@ from __future__ import annotations
 import base64
 from typing import Any
 
+from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.mqtt import oracle
 
+from ..feeding import fed
 from .journals import Entry
 from .journals import journal as contract
 
@@ -75,12 +77,16 @@ def test_an_exchange_is_a_request_of_the_adapter_and_its_answer() -> None:
         assert "[RD-004]" in found
 
 
+def subscribed(entries: Any, filter: str, qos: int | None) -> list[Finding]:
+    return fed(oracle.Subscriptions(), entries).granted(filter, qos=qos)
+
+
 def test_a_subscription_counts_when_the_broker_grants_it_as_asked() -> None:
-    assert oracle.subscribed(journal(*SUBSCRIBED), filter="sensors/#", qos=1) == []
-    assert "it answered with reason code 0x80" in words(oracle.subscribed(journal(*SUBSCRIBED), filter="x", qos=0))
-    assert "reason code 0x01" in words(oracle.subscribed(journal(*SUBSCRIBED), filter="sensors/#", qos=2))
-    assert "it saw no SUBSCRIBE" in words(oracle.subscribed(journal(), filter="x", qos=0))
-    unanswered = words(oracle.subscribed(journal(SUBSCRIBED[0]), filter="x", qos=0))
+    assert subscribed(journal(*SUBSCRIBED), "sensors/#", 1) == []
+    assert "it answered with reason code 0x80" in words(subscribed(journal(*SUBSCRIBED), "x", 0))
+    assert "reason code 0x01" in words(subscribed(journal(*SUBSCRIBED), "sensors/#", 2))
+    assert "it saw no SUBSCRIBE" in words(subscribed(journal(), "x", 0))
+    unanswered = words(subscribed(journal(SUBSCRIBED[0]), "x", 0))
     assert "it saw SUBSCRIBE for [['x', 'sensors/#']]" in unanswered
     assert "[MQT-002]" in unanswered
 
@@ -135,17 +141,16 @@ def test_a_connection_made_for_one_call_may_end_in_an_orderly_way() -> None:
 
 
 def test_a_subscription_lasts_until_it_is_ended_or_its_connection_is() -> None:
-    any_qos: dict[str, Any] = {"filter": "sensors/#", "qos": None}
-    assert oracle.subscribed(journal(*SUBSCRIBED, publish()), **any_qos) == []
+    assert subscribed(journal(*SUBSCRIBED, publish()), "sensors/#", None) == []
     ended = sent("UNSUBSCRIBE", packet_id=4, filters=[{"filter": "sensors/#"}])
-    assert oracle.subscribed(journal(*SUBSCRIBED, ended), **any_qos) != []
-    assert oracle.subscribed(journal(*SUBSCRIBED, sent("DISCONNECTED")), **any_qos) != []
+    assert subscribed(journal(*SUBSCRIBED, ended), "sensors/#", None) != []
+    assert subscribed(journal(*SUBSCRIBED, sent("DISCONNECTED")), "sensors/#", None) != []
     lowered = (
         sent("SUBSCRIBE", packet_id=5, filters=[{"filter": "sensors/#", "qos": 0}]),
         answered("SUBACK", packet_id=5, reason_codes=[0]),
     )
-    assert oracle.subscribed(journal(*SUBSCRIBED, *lowered), filter="sensors/#", qos=1) != []
-    assert oracle.subscribed(journal(*SUBSCRIBED), filter="x", qos=None) != []
+    assert subscribed(journal(*SUBSCRIBED, *lowered), "sensors/#", 1) != []
+    assert subscribed(journal(*SUBSCRIBED), "x", None) != []
 
 
 def test_a_message_that_was_reported_as_failed_must_never_come() -> None:
@@ -159,3 +164,21 @@ def test_a_quality_of_service_that_cannot_be_asked_for_may_be_any() -> None:
     assert oracle.published_once(journal(publish(qos=1, packet_id=4)), **wanted) == []
     retained = words(oracle.published_once(journal(publish(retain=True)), **wanted))
     assert "b'50' on 'control/pump' retained" not in retained
+
+
+def test_a_publication_in_a_session_is_counted_and_the_first_ones_are_shown() -> None:
+    assert fed(oracle.Publications(), journal(*SUBSCRIBED)).none() == []
+    (finding,) = fed(oracle.Publications(), journal(*(publish() for _ in range(30)))).none()
+    assert finding.message == "the broker should have seen no PUBLISH from the adapter, it saw 30"
+    assert finding.evidence is not None
+    assert finding.evidence.endswith("; … 20 more")
+
+
+def test_a_long_session_leaves_no_more_behind_than_a_short_one() -> None:
+    ended = sent("UNSUBSCRIBE", packet_id=4, filters=[{"filter": "sensors/#"}])
+    cycle = journal(*SUBSCRIBED, ended, sent("DISCONNECTED"))
+    short, long = (fed(oracle.Subscriptions(), cycle * times) for times in (1, 1000))
+    sizes = [
+        [len(value) for value in vars(one).values() if isinstance(value, dict | set | list)] for one in (short, long)
+    ]
+    assert sizes[0] == sizes[1]

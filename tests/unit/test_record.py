@@ -3,51 +3,94 @@
 from __future__ import annotations
 
 import copy
+import hashlib
 import json
 import os
+from collections.abc import Callable
+from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
+import jsonschema
 import pytest
 
-from pytest_otmcp.record.run_file import RecordError, RunWriter, count_calls, digest, load
+from pytest_otmcp.record import RecordError, load
+from pytest_otmcp.record.condensed import condensed
+from pytest_otmcp.record.consistency import count_calls
+from pytest_otmcp.record.json_schema import json_schema
+from pytest_otmcp.record.reader import open_record
+from pytest_otmcp.record.schema import Footer, ItemHead
+from pytest_otmcp.record.writer import RunWriter, SampleSpool, laid_out
 
-from .samples import call, item, run
+from ..stored_runs import header_of, store
+from .samples import around, call, finding, item, run
 
 ITEMS = [
     item("M1", "normal", "Modbus", "Ping", [1.0, 2.0]),
     item("FM1", "fault", "Modbus", "Read", [1.0], error_code="illegal_address"),
 ]
+V1 = Path(__file__).parents[1] / "data" / "run-1.json"
 
 
-def header() -> dict[str, Any]:
-    record = run([])
-    return {name: record[name] for name in ("schema", "kit", "subject", "environment", "settings")}
+def head(entry: dict[str, Any]) -> ItemHead:
+    return cast(ItemHead, {name: value for name, value in entry.items() if name != "samples"})
 
 
-def footer(samples: int, items: int) -> dict[str, Any]:
+def append(writer: RunWriter, entry: dict[str, Any]) -> None:
+    writer.append(head(entry), laid_out(entry["samples"]))
+
+
+def footer(samples: int, items: int) -> Footer:
     return {"complete": True, "reason": None, "items": items, "samples": samples, "verdict": "CONFORMANT"}
 
 
-def test_what_was_written_is_read_back_in_the_suites_order(tmp_path: Path) -> None:
+def begun(tmp_path: Path) -> tuple[Path, RunWriter]:
     path = tmp_path / "run.json"
-    writer = RunWriter(path, header())
+    header = header_of(run([]))
+    return path, RunWriter(path, {**header, "environment": {**header["environment"], "finished_at": None}})
+
+
+def test_what_was_written_is_read_back_in_the_suites_order(tmp_path: Path) -> None:
+    path, writer = begun(tmp_path)
     for entry in reversed(ITEMS):
-        writer.append(entry)
-    writer.finish(footer(3, 2), {"modbus": {"tools": 17}})
+        append(writer, entry)
+    writer.finish(header_of(run([])), footer(3, 2))
     record = load(path)
-    assert [entry["id"] for entry in record["items"]] == ["M1", "FM1"]
-    assert record["items"][0] == ITEMS[0]
-    assert record["subject"]["adapters"] == {"modbus": {"tools": 17}}
-    assert list(record) == ["schema", "kit", "subject", "environment", "settings", "items", "footer"]
+    assert record["items"] == ITEMS
+    assert record["environment"]["finished_at"] == "2026-11-21T07:13:43Z"
+    assert list(record)[:2] == ["schema", "run_id"]
+    assert list(record)[-2:] == ["items", "footer"]
+    # Other readers need not know of lines.
+    assert json.loads(path.read_text()) == record
+
+
+def test_an_item_without_samples_is_read_back(tmp_path: Path) -> None:
+    nothing = item("M1", "normal", "Modbus", "Ping", []) | {"status": "NOT_APPLICABLE", "planned": 3}
+    assert load(store(tmp_path / "run.json", run([nothing])))["items"] == [nothing]
+
+
+def test_samples_wait_in_a_file_of_their_own(tmp_path: Path) -> None:
+    path, writer = begun(tmp_path)
+    spool = SampleSpool(tmp_path / "M1.jsonl")
+    assert list(SampleSpool.read(spool.path)) == []
+    for sample in ITEMS[0]["samples"]:
+        spool.add(sample)
+    writer.append(head(ITEMS[0]), SampleSpool.read(spool.path))
+    assert load(path, allow_incomplete=True)["items"] == ITEMS[:1]
+
+
+def test_the_digest_is_that_of_the_bytes_before_its_line(tmp_path: Path) -> None:
+    content = store(tmp_path / "run.json", run(ITEMS)).read_bytes()
+    before, line = content[: content.rindex(b' "digest"')], content[content.rindex(b' "digest"') :]
+    assert hashlib.sha256(before).hexdigest() in line.decode()
 
 
 def test_an_unfinished_record_is_valid_after_every_item_and_says_so(tmp_path: Path) -> None:
-    path = tmp_path / "run.json"
-    writer = RunWriter(path, header())
+    path, writer = begun(tmp_path)
     for count, entry in enumerate([None, *ITEMS]):
         if entry is not None:
-            writer.append(entry)
+            append(writer, entry)
+        assert len(json.loads(path.read_text())["items"]) == count
         with pytest.raises(RecordError, match="incomplete: the run did not end"):
             load(path)
         assert len(load(path, allow_incomplete=True)["items"]) == count
@@ -55,10 +98,9 @@ def test_an_unfinished_record_is_valid_after_every_item_and_says_so(tmp_path: Pa
 
 def torn(tmp_path: Path, lost: int) -> Path:
     """A record of both items from whose last write ``lost`` bytes are missing."""
-    path = tmp_path / "run.json"
-    writer = RunWriter(path, header())
+    path, writer = begun(tmp_path)
     for entry in ITEMS:
-        writer.append(entry)
+        append(writer, entry)
     path.write_bytes(path.read_bytes()[:-lost])
     return path
 
@@ -70,26 +112,28 @@ def test_a_write_torn_in_its_footer_loses_no_item(tmp_path: Path) -> None:
         load(path)
 
 
-def test_a_write_torn_in_an_item_loses_that_item_only(tmp_path: Path) -> None:
-    record = load(torn(tmp_path, 150), allow_incomplete=True)
+@pytest.mark.parametrize("lost", [150, 900])
+def test_a_write_torn_in_an_item_loses_that_item_only(tmp_path: Path, lost: int) -> None:
+    record = load(torn(tmp_path, lost), allow_incomplete=True)
     assert record["items"] == ITEMS[:1]
     assert record["footer"] == {"complete": False, "reason": "the run did not end", "items": 1}
 
 
 def test_a_record_torn_before_its_items_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "run.json"
-    RunWriter(path, header())
+    path, _ = begun(tmp_path)
     path.write_bytes(path.read_bytes()[:60])
     with pytest.raises(RecordError, match="not strict JSON"):
         load(path, allow_incomplete=True)
 
 
-def test_an_append_that_fails_leaves_the_record_as_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "run.json"
-    writer = RunWriter(path, header())
-    writer.append(ITEMS[0])
+@pytest.mark.parametrize("room", [40, 800])
+def test_an_append_that_fails_leaves_the_record_as_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, room: int
+) -> None:
+    path, writer = begun(tmp_path)
+    append(writer, ITEMS[0])
     before = path.read_bytes()
-    genuine, left = os.write, 40
+    genuine, left = os.write, room
 
     def disk_full(descriptor: int, content: memoryview) -> int:
         nonlocal left
@@ -102,74 +146,235 @@ def test_an_append_that_fails_leaves_the_record_as_it_was(tmp_path: Path, monkey
 
     monkeypatch.setattr(os, "write", disk_full)
     with pytest.raises(OSError, match="No space"):
-        writer.append(ITEMS[1])
+        append(writer, ITEMS[1])
     assert path.read_bytes() == before
-    writer.append(ITEMS[1])
+    append(writer, ITEMS[1])
     assert load(path, allow_incomplete=True)["items"] == ITEMS
 
 
 def test_a_lone_surrogate_from_a_device_does_not_make_the_record_unreadable(tmp_path: Path) -> None:
-    path = tmp_path / "run.json"
-    writer = RunWriter(path, header())
-    writer.append({**ITEMS[0], "title": "topic \ud800"})
-    writer.finish(footer(2, 1), {})
+    path = store(tmp_path / "run.json", run([{**ITEMS[0], "title": "topic \ud800"}]))
     assert load(path)["items"][0]["title"] == "topic ?"
+
+
+def test_two_items_can_be_read_in_turns(tmp_path: Path) -> None:
+    with open_record(store(tmp_path / "run.json", run(ITEMS))) as stored:
+        first, second = stored.items()
+        pairs = list(zip(first.samples(), second.samples(), strict=False))
+    assert pairs == [(ITEMS[0]["samples"][0], ITEMS[1]["samples"][0])]
+
+
+def test_a_record_is_read_as_it_was_when_it_was_checked(tmp_path: Path) -> None:
+    path = store(tmp_path / "run.json", run(ITEMS))
+    with open_record(path) as stored:
+        path.write_text("another one")
+        assert [entry.head["id"] for entry in stored.items()] == ["M1", "FM1"]
+        assert [len(list(entry.samples())) for entry in stored.items()] == [2, 1]
+
+
+def test_reports_keep_whole_what_they_show_and_count_the_rest(tmp_path: Path) -> None:
+    failed = item("M1", "normal", "Modbus", "Ping", [1.0] * 6, failing=2)
+    failed["samples"][5]["findings"] = [finding("timeout", "nothing came", "TMO-001")]
+    with open_record(store(tmp_path / "run.json", run([failed]))) as stored:
+        kept = condensed(stored)
+    (entry,) = kept["items"]
+    whole = [sample["repetition"] for sample in entry["samples"] if "tool" in sample["calls"][0]]
+    assert whole == [0, 4, 5]
+    assert [sample["duration_ms"] for sample in entry["samples"]] == [1.0] * 6
+    assert count_calls(kept["items"]) == count_calls([cast(Any, failed)])
+
+
+# -- one definition ----------------------------------------------------------------------------------------------------
+
+
+def test_the_exported_json_schema_is_current() -> None:
+    # Made by: python -m pytest_otmcp.record.json_schema > pytest_otmcp/record/run.schema.json
+    committed = resources.files("pytest_otmcp.record") / "run.schema.json"
+    assert committed.read_text(encoding="utf-8") == json_schema()
+
+
+def test_a_record_satisfies_the_exported_json_schema(tmp_path: Path) -> None:
+    failed = item("M3", "normal", "Modbus", "Write", [1.0], failing=1) | {"around": [around("warmup", call())]}
+    document = json.loads(store(tmp_path / "run.json", run([*ITEMS, failed])).read_text())
+    schema = json.loads(json_schema())
+    validator = jsonschema.Draft202012Validator(schema)
+    assert [error.message for error in validator.iter_errors(document)] == []
+    document["items"][0]["samples"][0]["ok"] = "yes"
+    assert [error.json_path for error in validator.iter_errors(document)] == ["$.items[0].samples[0].ok"]
+
+
+def test_every_member_is_explained_in_the_documentation() -> None:
+    text = (Path(__file__).parents[2] / "docs" / "run-record.md").read_text(encoding="utf-8")
+    definitions = json.loads(json_schema())["$defs"]
+    missing = [
+        f"{name}.{member}"
+        for name, definition in definitions.items()
+        for member in definition.get("properties", {})
+        if f"`{member}`" not in text
+    ]
+    assert missing == []
+
+
+# -- older records -----------------------------------------------------------------------------------------------------
+
+
+def test_a_record_of_the_first_version_is_still_read() -> None:
+    record = load(V1, allow_incomplete=True)
+    assert record["schema"] == "otmcp-run/1"
+    assert [entry["id"] for entry in record["items"]] == ["M1", "M4", "FM1", "R-modbus"]
+    assert all(sample["ok"] for entry in record["items"] for sample in entry["samples"])
+    assert count_calls(record["items"]) == record["footer"]["tool_calls"]
+    assert record["subject"]["adapters"]["modbus"]["tools"] == 17
+
+
+def test_a_record_of_the_first_version_that_was_edited_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "run.json"
+    path.write_text(V1.read_text().replace('"duration_ms": ', '"duration_ms": 1', 1))
+    with pytest.raises(RecordError, match="digest does not match"):
+        load(path, allow_incomplete=True)
+
+
+def test_a_record_of_the_first_version_that_was_torn_keeps_its_whole_items(tmp_path: Path) -> None:
+    path = tmp_path / "run.json"
+    content = V1.read_bytes()
+    path.write_bytes(content[: content.index(b'{"id": "FM1"') + 200])
+    assert [entry["id"] for entry in load(path, allow_incomplete=True)["items"]] == ["M1", "M4"]
+
+
+@pytest.mark.parametrize("name", ["kit", "subject", "environment", "settings", "items", "footer"])
+@pytest.mark.parametrize("value", [None, [], {}, "", 7, [7]])
+def test_a_record_of_the_first_version_of_another_shape_is_refused(tmp_path: Path, name: str, value: Any) -> None:
+    document = json.loads(V1.read_text())
+    document["footer"].pop("digest")
+    path = tmp_path / "run.json"
+    path.write_text(json.dumps({**document, name: value}))
+    if (name, value) in (("environment", {}), ("settings", {})):
+        assert load(path, allow_incomplete=True)["items"]
+    else:
+        with pytest.raises(RecordError):
+            load(path, allow_incomplete=True)
+
+
+# -- contradictions ----------------------------------------------------------------------------------------------------
 
 
 def test_the_recovery_suites_task_calls_are_counted_apart() -> None:
     normal, recovery = item("M1", "normal", "Modbus", "Ping", [1.0]), item("R-modbus", "recovery", "Modbus", "R", [1.0])
-    normal["other_calls"] = [call(role="setup"), call(role="warmup")]
+    normal["around"] = [around("setup", call(role="setup")), around("warmup", call(role="warmup"))]
     recovery["samples"][0]["calls"].append(call(role="control"))
-    assert count_calls([normal, recovery]) == {"task": 1, "control": 1, "setup": 1, "warmup": 1, "recovery": 1}
-
-
-def stored(tmp_path: Path, record: dict[str, Any]) -> Path:
-    path = tmp_path / "run.json"
-    path.write_text(json.dumps(record))
-    return path
-
-
-def test_a_consistent_record_is_accepted(tmp_path: Path) -> None:
-    assert load(stored(tmp_path, run(ITEMS)))["items"] == ITEMS
+    assert count_calls(cast(Any, [normal, recovery])) == {
+        "task": 1,
+        "control": 1,
+        "setup": 1,
+        "warmup": 1,
+        "recovery": 1,
+    }
 
 
 def test_an_edited_record_is_refused(tmp_path: Path) -> None:
-    record = copy.deepcopy(run(ITEMS))
-    record["items"][0]["samples"][0]["duration_ms"] = 0.5
+    path = store(tmp_path / "run.json", run(ITEMS))
+    path.write_bytes(path.read_bytes().replace(b'"duration_ms": 1.0', b'"duration_ms": 0.5', 1))
     with pytest.raises(RecordError, match="digest does not match"):
-        load(stored(tmp_path, record))
+        load(path)
+
+
+def test_a_record_that_was_formatted_anew_is_refused(tmp_path: Path) -> None:
+    path = store(tmp_path / "run.json", run(ITEMS))
+    path.write_text(json.dumps(json.loads(path.read_text()), indent=2))
+    with pytest.raises(RecordError, match="formatted anew"):
+        load(path)
+
+
+Change = Callable[[dict[str, Any]], object]
+
+
+def first(record: dict[str, Any]) -> dict[str, Any]:
+    entry: dict[str, Any] = record["items"][0]
+    return entry
 
 
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (lambda record: record["items"].append(record["items"][0]), "occurs twice"),
+        (lambda record: record["items"].append(first(record)), "an item occurs twice: M1"),
         (lambda record: record["items"].pop(), "the footer counts 2 items"),
-        (lambda record: record["items"][0]["samples"].pop(), "the footer counts 3 samples"),
-        (lambda record: record.pop("footer"), "lacks footer"),
-        (lambda record: record["footer"].pop("digest"), "without a digest"),
-        (lambda record: record.update(schema="otmcp-run/9"), "not a run record"),
+        (lambda record: first(record)["samples"].pop(), "the footer counts 3 samples|not everything"),
         (lambda record: record["footer"]["tool_calls"].update(task=4), "the footer counts .* tool_calls"),
-        (lambda record: record["items"][0].pop("planned"), "item 1 has no valid 'planned'"),
-        (lambda record: record["items"][0].update(planned=True), "item 1 has no valid 'planned'"),
-        (lambda record: record["items"][0].update(status="GOOD"), "unknown suite or status"),
-        (lambda record: record["items"][0]["samples"].__setitem__(0, 7), "a sample of M1 is no object"),
-        (lambda record: record["items"][0]["samples"][0]["calls"][0].update(role="x"), "unknown role 'x'"),
+        (lambda record: record["footer"].pop("items"), "the footer: object missing required field `items`"),
+        (lambda record: first(record).pop("planned"), "item 1: object missing required field `planned`"),
+        (lambda record: first(record).update(planned=True), r"item 1\.planned: expected `int`, got `bool`"),
+        (lambda record: first(record).update(status="GOOD"), r"item 1\.status: invalid enum value"),
+        (lambda record: first(record).update(suite="endless"), "M1 has the unknown suite 'endless'"),
+        (lambda record: first(record)["samples"].__setitem__(0, 7), "a sample of M1"),
+        (
+            lambda record: first(record)["samples"][0]["calls"][0].update(role="x"),
+            r"a sample of M1\.calls\[0\]\.role: invalid",
+        ),
+        (lambda record: first(record).update(run_id="8" * 32), "M1 is of another run: its run_id is 8888"),
+        (lambda record: record.update(run_id="yesterday"), r"the record\.run_id: expected `str` matching"),
+        (
+            lambda record: record["settings"].update(time_scale=True),
+            r"settings\.time_scale: expected `float`, got `bool`",
+        ),
+        (lambda record: record["settings"].update(time_scale=0), r"settings\.time_scale: expected `float` > 0"),
+        (lambda record: record["environment"].update(started_at="yesterday \x1b[31m"), r"environment\.started_at"),
+        (
+            lambda record: record["environment"].update(started_at="2026-13-32T25:61:61Z"),
+            "environment.started_at|no clock",
+        ),
+        (lambda record: record["environment"].update(started_at="2026-02-31T07:03:43Z"), "which no clock shows"),
+        (lambda record: first(record).update(finished_at="2026-11-21 07:03"), r"item 1\.finished_at"),
+        (
+            lambda record: record["subject"].update(name="x\x1b[2J verified: by TUV"),
+            r"subject\.name: expected `str` matching",
+        ),
+        (lambda record: record["subject"].update(name="acme\n"), r"subject\.name: expected `str` matching"),
+        (
+            lambda record: record["subject"]["adapters"]["modbus"].update(server_name="a\rb"),
+            r"subject\.adapters\[\.\.\.\]\.server_name",
+        ),
+        (
+            lambda record: record["subject"]["adapters"]["modbus"].update(deadline_s=1e6),
+            r"deadline_s: expected `float` <= 300",
+        ),
+        (lambda record: first(record).update(began_ns=9, ended_ns=8), "M1 ended before it began"),
     ],
 )
-def test_a_record_that_contradicts_itself_is_refused(tmp_path: Path, change: Any, reason: str) -> None:
+def test_a_record_that_contradicts_itself_is_refused(tmp_path: Path, change: Change, reason: str) -> None:
     record = copy.deepcopy(run(ITEMS))
     change(record)
     with pytest.raises(RecordError, match=reason):
-        load(stored(tmp_path, record))
+        load(store(tmp_path / "run.json", record))
 
 
-def resealed(record: dict[str, Any]) -> dict[str, Any]:
-    """The record with the counts and the digest that a careful forger would give it."""
-    record["footer"]["samples"] = sum(len(entry["samples"]) for entry in record["items"])
-    record["footer"]["tool_calls"] = count_calls(record["items"])
-    record["footer"]["digest"] = digest(record)
-    return record
+@pytest.mark.parametrize(
+    ("old", "new", "reason"),
+    [
+        (b"otmcp-run/2", b"otmcp-run/9", "not a run record of schema"),
+        (b' "footer"', b' "header"', "not strict JSON"),
+        (b',\n "digest"', b',\n "digits"', "digest does not match"),
+        (b'},\n   {"repetition": 1', b'}\n   {"repetition": 1', "a comma is missing between two samples of M1"),
+        (b"}\n  ]},", b"},\n  ]},", "a comma after the last sample of M1"),
+        (b"}}\n", b"}}\n{}\n", "something follows the footer"),
+        (b'"items": [\n', b'"items": [\n\n', "not strict JSON"),
+        (b'{"id": "M1"', b'{"id": "M1", "id": "M2"', "the member 'id' occurs twice"),
+    ],
+)
+def test_a_file_of_other_lines_is_refused(tmp_path: Path, old: bytes, new: bytes, reason: str) -> None:
+    path = store(tmp_path / "run.json", run(ITEMS))
+    content = path.read_bytes()
+    assert old in content
+    path.write_bytes(content.replace(old, new, 1))
+    with pytest.raises(RecordError, match=reason):
+        load(path)
+
+
+def test_a_complete_record_without_a_digest_is_refused(tmp_path: Path) -> None:
+    path = store(tmp_path / "run.json", run(ITEMS))
+    content = path.read_bytes()
+    path.write_bytes(content[: content.rindex(b',\n "digest"')] + b"}}\n")
+    with pytest.raises(RecordError, match="a complete record without a digest"):
+        load(path)
 
 
 def failing(record: dict[str, Any], status: str) -> None:
@@ -185,11 +390,11 @@ def failing(record: dict[str, Any], status: str) -> None:
         (lambda record: record["items"][0].update(planned=1), "the repetitions of M1 are not the first of 1"),
         (lambda record: failing(record, "FAIL"), "the footer says CONFORMANT, the items do not"),
         (
-            lambda record: record["items"][0]["findings"].append({"code": "x", "message": "y"}),
+            lambda record: record["items"][0]["findings"].append(finding("x", "y")),
             "M1 is called PASS, but not everything",
         ),
         (
-            lambda record: record["items"][0]["samples"][0]["findings"].append({"code": "x", "message": "y"}),
+            lambda record: record["items"][0]["samples"][0]["findings"].append(finding("x", "y")),
             "a repetition of M1 is called ok, but has findings",
         ),
     ],
@@ -200,7 +405,7 @@ def test_a_better_judgement_than_the_samples_is_refused_even_with_a_matching_dig
     record = copy.deepcopy(run(ITEMS))
     change(record)
     with pytest.raises(RecordError, match=reason):
-        load(stored(tmp_path, resealed(record)))
+        load(store(tmp_path / "run.json", record, recount=True))
 
 
 @pytest.mark.parametrize("text", ["", "{", '{"schema": NaN}', '{"schema": 1, "schema": 2}', "[]"])

@@ -10,7 +10,8 @@ import pytest
 
 from pytest_otmcp.core.matrix import repetitions
 from pytest_otmcp.protocols.registry import protocols
-from pytest_otmcp.record.run_file import RunWriter, load
+from pytest_otmcp.record import load
+from pytest_otmcp.record.writer import RunWriter, laid_out
 from pytest_otmcp.report import command
 from pytest_otmcp.report.capabilities import Earned, Grade, earned
 from pytest_otmcp.report.families import css_class, families, style_sheet
@@ -18,7 +19,8 @@ from pytest_otmcp.report.html import page
 from pytest_otmcp.report.markdown import summary
 from pytest_otmcp.report.render import NAMES, write_all
 
-from .samples import item, run, written_twice
+from ..stored_runs import header_of
+from .samples import adapter, item, run, written_twice
 from .test_latex import ALL
 
 
@@ -35,8 +37,9 @@ def test_every_report_is_written_below_the_directory(tmp_path: Path) -> None:
 def test_every_report_is_written_of_a_run_that_was_killed(tmp_path: Path) -> None:
     record = run([])
     path = tmp_path / "run.json"
-    writer = RunWriter(path, {name: record[name] for name in record if name not in ("items", "footer")})
-    writer.append(written_twice())
+    writer = RunWriter(path, header_of(record))
+    failed = written_twice()
+    writer.append(failed, laid_out(failed.pop("samples")))
     assert write_all(load(path, allow_incomplete=True), tmp_path) == {}
     assert "The run is not complete: the run did not end." in (tmp_path / "report.html").read_text(encoding="utf-8")
 
@@ -128,7 +131,7 @@ def test_what_no_item_tests_is_said_to_be_untested() -> None:
 
 def test_write_protection_is_not_earned_by_writing_where_it_is_not_claimed() -> None:
     record = run([item("Q3", "normal", "MQTT", "x", [1.0])])
-    record["subject"]["adapters"] = {"mqtt": {"unclaimed": {"guard": "always writes"}}}
+    record["subject"]["adapters"] = {"mqtt": adapter(5, unclaimed={"guard": "always writes"})}
     by_name = {capability.name: by_family for capability, by_family in earned(record)}
     assert by_name["Write protection"]["MQTT"] == Earned(grade=Grade.NOT_CLAIMED)
     assert by_name["Writing"]["MQTT"].grade != Grade.NOT_CLAIMED

@@ -12,16 +12,20 @@ import pytest
 
 from pytest_otmcp.plant.mock_device import MockDevice
 from pytest_otmcp.protocols.modbus.entries import points
-from pytest_otmcp.record.images import Images, restored_images
+from pytest_otmcp.record.images import Images, keep_image, restore_image
+from pytest_otmcp.record.reader import StoredRun
+from pytest_otmcp.record.schema import Run, check
 from pytest_otmcp.replay.rejudge import rejudge
 from pytest_otmcp.subject import reference_subject
 from pytest_otmcp.suite.catalogue import suite_digest, tasks_by_id
 from pytest_otmcp.trial.adapter_under_test import AdapterUnderTest, BenchOptions
-from pytest_otmcp.trial.live_rig import LiveItemState
+
+from ..stored_runs import run_of
+from .samples import finding
 
 Item = dict[str, Any]
 
-BEGIN_NS = 10**12
+BEGIN_NS = 10**16
 READ, WRITE = "read_multiple_holding_registers", "write_register"
 
 
@@ -72,19 +76,34 @@ def call(operation: str, tool: str, inputs: dict[str, Any], data: dict[str, Any]
 
 def entry(seq: int, kind: str, function: int, **fields: Any) -> dict[str, Any]:
     direction = "in" if kind == "request" else "out"
-    common = {"seq": seq, "t_ns": BEGIN_NS + seq, "connection": 1, "direction": direction, "kind": kind}
+    common = {"seq": seq, "t_ns": BEGIN_NS + 10**7 + seq * 10**4, "connection": 1, "direction": direction, "kind": kind}
     asks = {"origin": "client", "request": kind == "request", "state_changing": False}
     asks["answers"] = None if kind == "request" else seq - 1
     return {"protocol": "modbus", **common, **asks, "unit": 1, "transaction_id": seq, "function": function, **fields}
 
 
-def station() -> dict[str, Any]:
-    """What an item keeps of the reference adapter's station: nothing is started for it."""
-    adapter = reference_subject().adapters["modbus"]
-    place = LiveItemState(AdapterUnderTest(adapter, "rw", MockDevice("modbus"), BenchOptions()))
-    place.begin = 1
-    place.used = {"write_holding": None, "read_holding": None}
-    return place.as_record()
+CONNECTED = {**entry(0, "connected", 0), "t_ns": BEGIN_NS - 10**6, "answers": None}
+
+
+def adapter() -> dict[str, Any]:
+    """What a record says of the reference adapter: nothing is started for it."""
+    station = AdapterUnderTest(reference_subject().adapters["modbus"], "rw", MockDevice("modbus"), BenchOptions())
+    station.used = {"write_holding": None, "read_holding": None}
+    return {**station.facts(), "tools": 17}
+
+
+DEVICE = {
+    "protocol": "modbus",
+    "variant": "rw",
+    "worker": "main",
+    "endpoints": [{"name": "modbus", "kind": "tcp", "host": "127.0.0.1", "port": 502, "path": ""}],
+    "placeholders": {"host": "127.0.0.1", "port": "502", "url": "modbus+tcp://127.0.0.1:502"},
+    "first": 0,
+}
+
+
+def look(at_ns: int, **seen: Any) -> dict[str, Any]:
+    return {"at": "modbus", "asked_ns": at_ns, "seen_ns": at_ns + 1000, **seen}
 
 
 def item() -> Item:
@@ -92,8 +111,6 @@ def item() -> Item:
     task = tasks_by_id()["M3"]
     cells = [0, 7, 0]
     before = {"points": points("holding_registers", 0, cells)}
-    after = {"points": points("holding_registers", 0, [0, 40, 0])}
-    images = Images()
     calls = [
         call("write_holding", WRITE, {"address": 1, "value": 40}, {"address": 1, "value": 40}, group=1),
         call("read_holding", READ, {"address": 1, "count": 1}, {"values": [40]}, group=2),
@@ -105,74 +122,81 @@ def item() -> Item:
         entry(7, "request", 3, address=1, quantity=1, state_changing=False),
         entry(8, "response", 3, values=[40]),
     ]
-    first, second = images.keep("modbus", before), images.keep("modbus", after)
-    observations = [
-        {"at": "modbus", "image": first},
-        {"at": "modbus", "image": second},
-        {"at": "modbus", "journal": 9},
-        {"at": "modbus", "end": 9},
-    ]
-    warm_up = [{**one, "seq": one["seq"] - 4} for one in entries]
+    changes = [[["points", "1/holding_registers/1"], 40]]
+    begin = BEGIN_NS + 10**8
+
+    def part(number: int) -> dict[str, Any]:
+        """Calls, entries and looks of the warm-up (0) or of the repetition (1)."""
+        shift = number * 10**8
+        moved = [
+            {**one, "sent_ns": one["sent_ns"] + shift, "received_ns": one["received_ns"] + shift}
+            for one in copy.deepcopy(calls)
+        ]
+        seen = copy.deepcopy(entries)
+        for one in seen:
+            one["seq"] -= 4 * (1 - number)
+            one["t_ns"] += shift
+            one["answers"] = None if one["answers"] is None else one["answers"] - 4 * (1 - number)
+        looks = [
+            look(BEGIN_NS + shift, **({"changes": []} if number else {"image": before})),
+            look(BEGIN_NS + 15 * 10**6 + shift, changes=changes),
+            look(BEGIN_NS + 10**8 - 10**6 + shift, journal=5 + 4 * number),
+            look(BEGIN_NS + 10**8 - 10**5 + shift, end=5 + 4 * number),
+        ]
+        return {"calls": moved, "device": seen, "observations": looks}
+
+    warm_up, repetition = part(0), part(1)
+    for one in warm_up["calls"]:
+        one["role"] = "warmup"
     return {
         "id": "M3",
         "suite": task.suite,
         "family": task.family,
         "title": task.title,
+        "capabilities": list(task.capabilities),
         "requirements": list(task.requirements),
         "status": "PASS",
         "reason": None,
         "planned": 1,
-        "samples": [
-            {
-                "repetition": 0,
-                "ok": True,
-                "duration_ms": 2.0,
-                "calls": calls,
-                "device": entries,
-                "observations": observations,
-                "findings": [],
-                "phases": None,
-            }
-        ],
-        "other_calls": [{**one, "role": "warmup"} for one in copy.deepcopy(calls)],
-        "other_device": warm_up,
+        "worker": "main",
+        "started_at": "2026-11-21T07:03:43.000Z",
+        "finished_at": "2026-11-21T07:03:44.000Z",
+        "began_ns": BEGIN_NS - 10**6,
+        "ended_ns": begin + 10**9,
         "findings": [],
+        "requirement_rows": [],
         "timing_ms": {},
-        "history": {
-            "stations": [station()],
-            "images": images.kept,
-            "sessions": [],
-            "around": [
-                {
-                    "role": "warmup",
-                    "calls": 2,
-                    "entries": 4,
-                    "observations": [
-                        {"at": "modbus", "image": first},
-                        {"at": "modbus", "image": second},
-                        {"at": "modbus", "journal": 5},
-                        {"at": "modbus", "end": 5},
-                    ],
-                }
-            ],
-            "ended": None,
+        "devices": {
+            "modbus": {
+                "device": "modbus",
+                "begin": 1,
+                "asked_ns": BEGIN_NS - 10**5,
+                "seen_ns": BEGIN_NS - 10**4,
+                "accepting_ns": BEGIN_NS - 10**9,
+                "starts": 0,
+                "before": [{name: value for name, value in CONNECTED.items() if name != "protocol"}],
+                "quiet": False,
+                "session": [1, 0],
+            }
         },
+        "around": [{"role": "warmup", **warm_up}],
+        "sessions": [],
+        "ended": None,
+        "samples": [{"repetition": 0, "ok": True, "duration_ms": 2.0, "findings": [], "phases": None, **repetition}],
     }
 
 
-def run(*items: Item, digest: str | None = None) -> dict[str, Any]:
-    # As if read from a file.
-    record: dict[str, Any] = json.loads(
-        json.dumps(
-            {
-                "kit": {"suite_digest": digest or suite_digest()},
-                "subject": {"adapters": {"modbus": {"unclaimed": {}, "recovery": "same_session"}}},
-                "settings": {"seed": 0, "time_scale": 1.0, "repetitions": {"normal": items[0]["planned"]}},
-                "items": items,
-            }
-        )
+def run(*items: Item, digest: str | None = None, **settings: Any) -> StoredRun:
+    record = run_of(
+        items,
+        adapters={"modbus": adapter()},
+        devices={"modbus": DEVICE},
+        suite_digest=digest or suite_digest(),
+        repetitions={"normal": items[0]["planned"]},
     )
-    return record
+    record["settings"].update(settings)  # type: ignore[typeddict-item]
+    # As if read from a file.
+    return StoredRun.of(check(json.loads(json.dumps(record)), Run, "the record"))
 
 
 def test_a_judgement_that_follows_from_its_history_is_confirmed() -> None:
@@ -202,19 +226,19 @@ def change_an_entry(changed: Item) -> None:
 def remove_a_pair_and_number_again(changed: Item) -> None:
     sample = changed["samples"][0]
     sample["device"] = [{**one, "seq": one["seq"] - 2} for one in sample["device"][2:]]
-    sample["observations"][2:] = [{"at": "modbus", "journal": 7}, {"at": "modbus", "end": 7}]
+    sample["observations"][2]["journal"] = sample["observations"][3]["end"] = 7
 
 
 def change_an_image(changed: Item) -> None:
-    changed["history"]["images"][1]["changes"][0][1] = 39
+    changed["samples"][0]["observations"][1]["changes"][0][1] = 39
 
 
 def touch_another_cell(changed: Item) -> None:
-    changed["history"]["images"][1]["changes"].append([["points", "1/holding_registers/2"], 1])
+    changed["samples"][0]["observations"][1]["changes"].append([["points", "1/holding_registers/2"], 1])
 
 
 def break_an_image(changed: Item) -> None:
-    changed["history"]["images"][1]["changes"][0][0] = ["points", "9/holding_registers/1", "x"]
+    changed["samples"][0]["observations"][1]["changes"][0][0] = ["points", "9/holding_registers/1", "x"]
 
 
 def change_a_value_that_was_read(changed: Item) -> None:
@@ -246,8 +270,13 @@ def add_a_call(changed: Item) -> None:
 
 
 def answer_late(changed: Item) -> None:
-    late = changed["samples"][0]["calls"][0]
+    sample = changed["samples"][0]
+    late = sample["calls"][1]
     late["received_ns"], late["latency_ms"] = late["sent_ns"] + 6 * 10**9, 6000.0
+    for seen in sample["observations"][2:]:
+        seen["asked_ns"] += 6 * 10**9
+        seen["seen_ns"] += 6 * 10**9
+    changed["ended_ns"] += 6 * 10**9
 
 
 def shorten_a_latency(changed: Item) -> None:
@@ -263,7 +292,7 @@ def flip_ok(changed: Item) -> None:
 
 
 def invent_a_finding(changed: Item) -> None:
-    changed["samples"][0]["findings"].append({"code": "wrote", "message": "it wrote"})
+    changed["samples"][0]["findings"].append(finding("wrote", "it wrote"))
 
 
 def fail_the_item(changed: Item) -> None:
@@ -279,30 +308,66 @@ def lose_the_repetition(changed: Item) -> None:
 
 
 def lose_the_warm_up(changed: Item) -> None:
-    changed["history"]["around"] = []
+    changed["around"] = []
 
 
 def change_the_warm_up(changed: Item) -> None:
-    changed["other_calls"][1]["envelope"]["data"]["values"] = [39]
+    changed["around"][0]["calls"][1]["envelope"]["data"]["values"] = [39]
 
 
 def add_noise(changed: Item) -> None:
     facts = {"protocol": "modbus", "overflow": False, "died": None, "unknown_ids": []}
-    changed["history"]["sessions"].append({"inspection": 1, **facts, "stray_lines": 1, "first_stray": "hello"})
+    changed["sessions"].append({"inspection": 1, **facts, "stray_lines": 1, "first_stray": "hello"})
 
 
-def give_it_more_time(changed: Item) -> None:
-    changed["history"]["stations"].append({**changed["history"]["stations"][0], "deadline_s": 60.0})
+def forget_what_came_before(changed: Item) -> None:
+    changed["devices"]["modbus"]["before"] = []
 
 
-def take_a_claim_back(changed: Item) -> None:
-    changed["history"]["stations"][0]["unclaimed"] = ["write_holding"]
+def move_the_sequence_numbers(changed: Item) -> None:
+    shift(changed, seq=1000)
 
 
-def read_the_output_elsewhere(changed: Item) -> None:
-    again = copy.deepcopy(changed["history"]["stations"][0])
-    again["bindings"]["read_holding"][0]["outputs"]["values"]["path"] = "[`40`]"
-    changed["history"]["stations"].append(again)
+def say_that_nobody_called_it(changed: Item) -> None:
+    changed["devices"]["modbus"]["quiet"] = True
+
+
+def forget_a_restart(changed: Item) -> None:
+    changed["devices"]["modbus"]["starts"] = 1
+
+
+def stop_the_devices_clock(changed: Item) -> None:
+    for one in changed["samples"][0]["device"]:
+        one["t_ns"] = 0
+
+
+def deliver_an_hour_late(changed: Item) -> None:
+    for one in changed["samples"][0]["device"]:
+        one["t_ns"] += 3600 * 10**9
+
+
+def reorder_the_entries(changed: Item) -> None:
+    first, second = changed["samples"][0]["device"][:2]
+    first["t_ns"], second["t_ns"] = second["t_ns"], first["t_ns"]
+
+
+def take_the_repetition_of_another_day(changed: Item) -> None:
+    sample = changed["samples"][0]
+    move(sample, ns=-86400 * 10**9)
+
+
+def look_before_the_call(changed: Item) -> None:
+    early = changed["samples"][0]["observations"][1]
+    early["asked_ns"] -= 10**8
+    early["seen_ns"] -= 10**8
+
+
+def go_on_after_the_end(changed: Item) -> None:
+    changed["ended_ns"] = changed["began_ns"] + 1
+
+
+def name_another_device(changed: Item) -> None:
+    changed["devices"]["modbus"]["device"] = "modbus@ro"
 
 
 def change_the_title(changed: Item) -> None:
@@ -318,7 +383,7 @@ SENTENCES = {
     remove_a_pair_and_number_again: "one write of [40] to holding_registers 1, it saw 0' (not_written_once), the record",
     change_an_image: "M3 repetition 1: the stored history shows '1/holding_registers/1 should hold 40, the device",
     touch_another_cell: "'1/holding_registers/2 should hold 0, the device holds 1' (device_differs), the record says",
-    break_an_image: "M3: the images of the devices cannot be restored (KeyError('9/holding_registers/1'))",
+    break_an_image: "M3 repetition 1: it cannot be judged (KeyError('9/holding_registers/1'))",
     change_a_value_that_was_read: "values should be [40], the reply says [39]' (wrong_value), the record says nothing",
     change_an_output: f"M3 repetition 1, call 2 ({READ}): the stored history shows outputs",
     lose_a_member_of_the_envelope: "meta: 'endpoint' is a required property\" (envelope_schema), the record says nothing",
@@ -334,12 +399,20 @@ SENTENCES = {
     fail_the_item: 'M3: the stored history shows status "PASS", the record says "FAIL"',
     claim_nothing: "M3: the record says NOT_APPLICABLE, the subject claims modbus.write_holding and modbus.read_holding",
     lose_the_repetition: "M3: the history ends after 0 repetitions and does not say why",
-    lose_the_warm_up: "M3: the history ends after 1 repetitions and does not say why",
+    forget_what_came_before: "M3: the journal of modbus should have the entries 0 to 0, it has []",
+    move_the_sequence_numbers: "M3: the journal of modbus should have the entries 0 to 1000, it has [1000]",
+    say_that_nobody_called_it: "M3: modbus was not left alone since the last item that had it",
+    forget_a_restart: "M3: modbus was started again 1 time(s) before, the items before show 0",
+    stop_the_devices_clock: "M3 repetition 1: entry 5 of the journal of modbus is not of its time: 0 ns is not between",
+    deliver_an_hour_late: "M3 repetition 1: entry 5 of the journal of modbus is not of its time",
+    reorder_the_entries: "M3 repetition 1: entry 6 of the journal of modbus is not of its time",
+    take_the_repetition_of_another_day: "M3 repetition 1: image of modbus is not of its time",
+    look_before_the_call: "M3 repetition 1: image of modbus is not of its time",
+    go_on_after_the_end: "M3: it went on until 10000000199901000 ns, but ended at 9999999999000001 ns",
+    name_another_device: "M3: the run has no device 'modbus@ro' for modbus",
+    lose_the_warm_up: "M3: the history ends after 0 repetitions and does not say why",
     change_the_warm_up: "M3: the stored history shows 'warmup: read_multiple_holding_registers(address=1, count=1): values",
     add_noise: "M3: the stored history shows \"modbus: 1 line(s) on stdout that are no MCP message, the first: 'hello'\"",
-    give_it_more_time: "M3: deadline_s is 60.0, with M3 it is 5.0",
-    take_a_claim_back: 'M3: unclaimed is ["write_holding"], with the subject it is []',
-    read_the_output_elsewhere: "M3: the binding of read_holding is [",
     change_the_title: "M3: the stored history shows title",
 }
 
@@ -359,9 +432,8 @@ def failing() -> Item:
     sample["ok"] = False
     sample["calls"][1] |= {"ok": False, "outputs": {"values": [41]}}
     sample["calls"][1]["envelope"]["data"]["values"] = [41]
-    sample["findings"] = [
-        {"code": "wrong_value", "message": f"{READ}(address=1, count=1): values should be [40], the reply says [41]"}
-    ]
+    message = f"{READ}(address=1, count=1): values should be [40], the reply says [41]"
+    sample["findings"] = [finding("wrong_value", message)]
     for one in sample["calls"]:
         text = {"type": "text", "text": json.dumps(one["envelope"])}
         result = {"content": [text], "structuredContent": one["envelope"], "isError": False}
@@ -399,23 +471,20 @@ def test_frames_that_were_cut_off_are_believed_with_their_faults() -> None:
     cut = sample["calls"][0]
     cut["frames"]["response"] = cut["frames"]["response"][:100] + "… (90000 bytes)"
     assert rejudge(run(failed)) == []
-    fault = {
-        "code": "no_text",
-        "message": f"{WRITE}(address=1, value=40): no text",
-        "requirement": None,
-        "evidence": None,
-    }
+    fault = finding("no_text", f"{WRITE}(address=1, value=40): no text")
     cut["frames"]["faults"].append(fault)
     assert "no text' (no_text), the record says nothing of it" in "\n".join(rejudge(run(failed)))
 
 
 def test_a_run_of_another_suite_is_not_judged() -> None:
-    assert "judge it again with the version of the kit that made it" in rejudge(run(item(), digest="sha256:0"))[0]
+    assert (
+        "judge it again with the version of the kit that made it"
+        in rejudge(run(item(), digest="sha256:" + "0" * 64))[0]
+    )
 
 
 def test_less_repetitions_than_demanded_are_found_out() -> None:
-    record = run(item())
-    record["settings"]["repetitions"]["normal"] = 30
+    record = run(item(), repetitions={"normal": 30})
     assert rejudge(record) == ["M3: 1 repetitions were planned, the settings demand 30"]
 
 
@@ -425,8 +494,8 @@ def test_an_item_that_nobody_knows_is_named() -> None:
 
 def test_an_item_is_stopped_for_the_reason_that_is_stored() -> None:
     stopped = item() | {"samples": [], "status": "FAIL", "planned": 3}
-    stopped["history"]["ended"] = {"fault_of": "subject", "code": "cannot_start", "message": "no such command"}
-    stopped["findings"] = [{"code": "cannot_start", "message": "no such command"}]
+    stopped["ended"] = {"fault_of": "subject", "code": "cannot_start", "message": "no such command"}
+    stopped["findings"] = [finding("cannot_start", "no such command")]
     assert rejudge(run(stopped)) == []
     stopped["findings"] = []
     assert "'no such command' (cannot_start), the record says nothing of it" in "\n".join(rejudge(run(stopped)))
@@ -439,10 +508,126 @@ def test_what_an_interrupted_item_has_is_judged() -> None:
     assert rejudge(run(interrupted)) == ["M3 repetition 1: the stored history shows ok true, the record says false"]
 
 
-def test_a_history_of_another_shape_is_refused_in_a_sentence() -> None:
-    broken = item()
-    del broken["history"]["around"]
-    assert rejudge(run(broken)) == ["M3: the stored history cannot be read (KeyError('around'))"]
+# -- from item to item ---------------------------------------------------------------------------------------------------
+
+
+def move(part: dict[str, Any], *, seq: int = 0, ns: int = 0) -> None:
+    """Move calls, entries and looks of a repetition."""
+    for spoken in part["calls"]:
+        spoken["sent_ns"] += ns
+        spoken["received_ns"] += ns
+    for one in part["device"]:
+        one["seq"] += seq
+        one["t_ns"] += ns
+        if one["answers"] is not None:
+            one["answers"] += seq
+    for seen in part["observations"]:
+        seen["asked_ns"] += ns
+        seen["seen_ns"] += ns
+        for what in {"journal", "end"} & seen.keys():
+            seen[what] += seq
+
+
+def shift(changed: Item, *, seq: int = 0, ns: int = 0) -> None:
+    """Move an item in the device's journal and in time, as a forger would who is careful within an item."""
+    found = changed["devices"]["modbus"]
+    found["begin"] += seq
+    for name in ("asked_ns", "seen_ns"):
+        found[name] += ns
+    for one in found["before"]:
+        one["seq"] += seq
+        one["t_ns"] += ns
+    changed["began_ns"] += ns
+    changed["ended_ns"] += ns
+    for part in (*changed["around"], *changed["samples"]):
+        move(part, seq=seq, ns=ns)
+
+
+HOUR_NS = 3600 * 10**9
+
+
+def following() -> Item:
+    """The same item an hour later: nothing reached the device in between."""
+    later = item()
+    later["devices"]["modbus"] |= {"before": [], "quiet": True}
+    shift(later, seq=8, ns=HOUR_NS)
+    return later
+
+
+def test_items_of_one_run_follow_one_another() -> None:
+    assert rejudge(run(item(), following())) == []
+
+
+def test_the_order_of_the_items_in_the_file_does_not_matter() -> None:
+    assert rejudge(run(following(), item())) == []
+
+
+def a_write_between() -> Item:
+    """An item before which a command came although nobody had asked for one; the item says so."""
+    later = following()
+    late = entry(9, "request", 6, address=1, quantity=1, values=[7], state_changing=True)
+    found = later["devices"]["modbus"]
+    found["before"] = [{**{name: value for name, value in late.items() if name != "protocol"}}]
+    found["before"][0]["t_ns"] = found["asked_ns"] - 10
+    found["begin"] += 1
+    for part in (*later["around"], *later["samples"]):
+        move(part, seq=1)
+    message = (
+        "modbus: before this item, when nobody called the adapter: "
+        "the device should have seen no state-changing request, it saw 1"
+    )
+    later["findings"] = [finding("wrote", message, "WR-004")]
+    return later | {"status": "FAIL"}
+
+
+def test_what_came_between_two_items_is_judged_again() -> None:
+    assert rejudge(run(item(), a_write_between())) == []
+
+
+def lose_what_came_between(first: Item, second: Item) -> None:
+    second["devices"]["modbus"]["before"] = []
+    second |= {"status": "PASS", "findings": []}
+
+
+def close_the_gap(first: Item, second: Item) -> None:
+    lose_what_came_between(first, second)
+    second["devices"]["modbus"]["begin"] = 9
+
+
+def say_that_somebody_called(first: Item, second: Item) -> None:
+    second["devices"]["modbus"]["quiet"] = False
+    second |= {"status": "PASS", "findings": []}
+
+
+def take_an_item_of_yesterday(first: Item, second: Item) -> None:
+    shift(second, ns=-24 * HOUR_NS)
+
+
+def take_an_item_of_another_hour(first: Item, second: Item) -> None:
+    shift(second, ns=HOUR_NS)
+    second["devices"]["modbus"]["before"][0]["t_ns"] -= 24 * HOUR_NS
+
+
+SPLICED = {
+    lose_what_came_between: "M3: the journal of modbus should have the entries 9 to 9, it has []",
+    close_the_gap: "M3 warmup: the journal of modbus should have the entries 9 to 13, it has [10, 11, 12, 13]",
+    say_that_somebody_called: "M3: modbus was left alone since the last item that had it",
+    take_an_item_of_yesterday: "M3: modbus was not left alone since the last item that had it",
+    take_an_item_of_another_hour: "M3: entry 9 of the journal of modbus is not of its time",
+}
+
+
+@pytest.mark.parametrize("change", SPLICED, ids=lambda change: change.__name__)
+def test_items_that_were_not_of_one_run_are_found_out(change: Callable[[Item, Item], None]) -> None:
+    first, second = item(), a_write_between()
+    change(first, second)
+    assert SPLICED[change] in "\n".join(rejudge(run(first, second)))
+
+
+def test_an_item_that_begins_before_the_one_before_it_has_ended_is_found_out() -> None:
+    second = following()
+    shift(second, ns=-HOUR_NS + 10**8)
+    assert "M3: it began before the item before it had ended" in rejudge(run(item(), second))
 
 
 @pytest.mark.parametrize(
@@ -460,12 +645,17 @@ def test_images_come_back_as_they_were(change: Callable[[dict[str, Any]], Any]) 
     first = {"cells": [1, 2], "flags": {"on": True}, "nodes": {"a": {"value": 1}}}
     second = copy.deepcopy(first)
     change(second)
-    images = Images()
-    kept = [images.keep("modbus", image) for image in (first, second, first, copy.deepcopy(second))]
-    assert kept == [0, 1, 0, 1]
-    assert list(map(repr, restored_images(images.kept))) == list(map(repr, [first, second]))
+    kept: Images = {}
+    members = [keep_image(kept, "modbus", image) for image in (first, second, first, copy.deepcopy(second))]
+    seen: Images = {}
+    restored = [restore_image(seen, "modbus", json.loads(json.dumps(dict([member])))) for member in members]
+    assert list(map(repr, restored)) == list(map(repr, [first, second, first, second]))
 
 
 def test_images_of_two_devices_are_kept_apart() -> None:
-    images = Images()
-    assert [images.keep("modbus", {"a": 1}), images.keep("modbus@ro", {"a": 1})] == [0, 1]
+    kept: Images = {}
+    assert [keep_image(kept, name, {"a": 1})[0] for name in ("modbus", "modbus@ro", "modbus")] == [
+        "image",
+        "image",
+        "changes",
+    ]

@@ -7,8 +7,9 @@ from typing import Any
 
 import pytest
 
+from pytest_otmcp.session.exchange import Exchange
 from pytest_otmcp.subject.model import Answering, ErrorRule, OutcomeRule, OutputRule
-from pytest_otmcp.trial.reply import Reply, Wire, observe, performed
+from pytest_otmcp.trial.reply import Expectation, Reply, observe, replace_outputs
 
 PROSE = Answering(form="text", errors=(ErrorRule(text="[Uu]nknown|0x02", code="illegal_address"),))
 STRUCTURED = Answering(form="structured")
@@ -18,27 +19,25 @@ def observed(
     message: dict[str, Any] | bytes | None, answering: Answering = PROSE, *, listed: bool = True, **more: Any
 ) -> Reply:
     response = message if isinstance(message, bytes) or message is None else json.dumps(message).encode()
-    wire = Wire(
+    exchange = Exchange(
+        tool="write",
+        arguments={"value": 5},
         request=b"{}",
         response=response,
-        sent_ns=0,
         received_ns=None if response is None else more.pop("received_ns", 1_000_000),
         failure=more.pop("failure", None),
         client_complaint=more.pop("client_complaint", None),
     )
-    return observe(
-        wire,
+    expected = Expectation(
         adapter="modbus",
         variant="rw" if listed else "ro",
         operation=more.pop("operation", "write_holding"),
-        tool="write",
-        arguments={"value": 5},
-        role="task",
         deadline_s=1.0,
         answering=answering,
         outputs=more.pop("outputs", {}),
         listed=listed,
     )
+    return observe(exchange, expected)
 
 
 def result(text: str, *, is_error: bool = False, structured: Any = None) -> dict[str, Any]:
@@ -65,7 +64,7 @@ def test_a_tool_that_the_read_only_session_does_not_list_is_a_guard(
     reply = observed(answer, answering, listed=False)
     assert (reply.success, reply.error_code, codes(reply)) == (False, "writes_disabled", [])
     assert reply.native is False
-    assert reply.as_record()["listed"] is False
+    assert reply.listed is False
 
 
 def test_a_tool_that_is_not_listed_and_works_nevertheless_is_no_guard() -> None:
@@ -83,7 +82,7 @@ def test_an_answer_of_its_own_becomes_an_envelope_that_says_so() -> None:
     assert reply.envelope is not None
     assert reply.envelope["meta"]["synthesised"] is True
     assert reply.envelope["error"]["outcome"] == "unknown"
-    assert reply.as_record()["native"] is False
+    assert reply.native is False
 
 
 def test_what_an_operation_reads_cannot_have_been_applied() -> None:
@@ -116,16 +115,15 @@ def test_a_success_that_admits_to_be_none_is_a_fault(answer: dict[str, Any]) -> 
 
 def test_a_function_that_takes_a_dry_run_for_a_refusal_is_believed() -> None:
     echo = result("DRY RUN: would write 5")
-    refused, found = observed(echo), observed(echo)
-    performed(refused, {}, ("writes_disabled", "DRY RUN: would write 5"))
+    refused = replace_outputs(observed(echo), {}, ("writes_disabled", "DRY RUN: would write 5"))
     assert (refused.success, refused.error_code, codes(refused)) == (False, "writes_disabled", [])
-    performed(found, {"value": 5}, None)
+    found = replace_outputs(observed(echo), {"value": 5}, None)
     assert (found.success, found.outputs, codes(found)) == (True, {"value": 5}, ["not_from_the_device"])
 
 
 def test_what_a_function_made_of_no_answer_does_not_count() -> None:
     reply = observed(None, failure="timeout")
-    performed(reply, {"value": 5}, None)
+    assert replace_outputs(reply, {"value": 5}, None) is reply
     assert (reply.envelope, reply.outputs, codes(reply)) == (None, {}, ["no_reply"])
 
 
@@ -137,7 +135,7 @@ def test_what_a_function_made_of_no_answer_does_not_count() -> None:
 def test_a_text_that_only_python_takes_for_json_is_no_document(text: str) -> None:
     reply = observed(result(text), Answering(form="json"), outputs={"value": OutputRule(path="value")})
     assert reply.outputs == {"value": None}
-    json.dumps(reply.as_record(), allow_nan=False)
+    json.dumps([reply.envelope, reply.outputs], allow_nan=False)
 
 
 @pytest.mark.parametrize(
@@ -211,4 +209,4 @@ def test_no_answer_is_odd_enough_to_break_the_kit(form: str, listed: bool) -> No
     for message in messages:
         reply = observed(message, answering, listed=listed, outputs=rules)
         assert reply.success in (True, False, None)
-        json.dumps(reply.as_record(), allow_nan=False)
+        json.dumps([reply.envelope, reply.outputs], allow_nan=False)

@@ -11,6 +11,7 @@ import pytest
 from pytest_otmcp.protocols.mqtt import oracle as oracle
 from pytest_otmcp.protocols.mqtt.sparkplug_decoder import DATA_TYPES, decode_message, decode_payload, parse_topic
 
+from ..feeding import fed
 from .journals import Entry, entry, numbered
 
 # -- protobuf by hand: https://protobuf.dev/programming-guides/encoding/ ------------------------------------
@@ -195,7 +196,10 @@ def ddata(seq: int = 2, value: float = 21.0, **fields: Any) -> Entry:
 
 
 def broken(*entries: Entry) -> list[tuple[str | None, str]]:
-    return [(finding.requirement, finding.message) for finding in oracle.sparkplug_sequence(numbered(*entries))]
+    return [
+        (finding.requirement, finding.message)
+        for finding in fed(oracle.SparkplugSequence(), numbered(*entries)).findings
+    ]
 
 
 def test_a_proper_session_has_no_findings() -> None:
@@ -297,8 +301,8 @@ def test_who_publishes_as_a_node_it_is_not_is_found() -> None:
 
 def test_only_the_chosen_edge_node_is_judged() -> None:
     entries = numbered(connect(), ddata())
-    assert oracle.sparkplug_sequence(entries, "g", "e") != []
-    assert oracle.sparkplug_sequence(entries, "g", "another") == []
+    assert fed(oracle.SparkplugSequence("g", "e"), entries).findings != []
+    assert fed(oracle.SparkplugSequence("g", "another"), entries).findings == []
 
 
 # -- one value --------------------------------------------------------------------------------------------

@@ -14,7 +14,8 @@ import pytest
 
 from pytest_otmcp.errors import UsageError
 from pytest_otmcp.protocols.registry import protocols
-from pytest_otmcp.subject import Binding, Function, Subject, load_subject, reference_subject
+from pytest_otmcp.subject import Adapter, Binding, Function, Subject, load_subject, reference_subject
+from pytest_otmcp.subject.claims import Claims
 
 MINIMAL = """
 [subject]
@@ -28,6 +29,11 @@ command = ["adapter"]
 FOREIGN = f"""{LAUNCH}
 answer = "text"
 """
+
+
+def why_not(adapter: Adapter, facet: str) -> str | None:
+    """Why the adapter does not claim a facet."""
+    return Claims.of_subject({adapter.protocol: adapter}).why_not(f"{adapter.protocol}.{facet}")
 
 
 def load(tmp_path: Path, text: str) -> Subject:
@@ -129,8 +135,8 @@ def test_one_operation_may_be_several_tools(tmp_path: Path) -> None:
 def test_a_facet_that_is_not_claimed_has_a_reason(tmp_path: Path) -> None:
     text = FOREIGN + 'unclaimed = { guard = "has no read-only mode", ping = "no such tool" }\nbind = {}\n'
     adapter = load(tmp_path, text).adapters["modbus"]
-    assert adapter.why_not_claimed("guard") == "has no read-only mode"
-    assert adapter.why_not_claimed("read_input") is None
+    assert why_not(adapter, "guard") == "has no read-only mode"
+    assert why_not(adapter, "read_input") is None
     assert adapter.why_not_testable("read_input") == "no tool is bound to the operation 'read_input'"
 
 
@@ -150,16 +156,16 @@ arguments = {{ topic = "$filter" }}
 
 def test_who_needs_a_new_session_does_not_claim_recovery(tmp_path: Path) -> None:
     adapter = load(tmp_path, LAUNCH + 'recovery = "new_session"\n').adapters["modbus"]
-    assert adapter.why_not_claimed("recovery") == "needs a new session after an outage"
+    assert why_not(adapter, "recovery") == "needs a new session after an outage"
 
 
 @pytest.mark.parametrize(("role", "claimed"), [("edge", True), ("host", False), ("none", False)])
 def test_only_an_edge_node_claims_births_and_data(tmp_path: Path, role: str, claimed: bool) -> None:
     text = f'{MINIMAL}[adapter.mqtt]\ncommand = ["adapter"]\nsparkplug = "{role}"\n'
     adapter = load(tmp_path, text).adapters["mqtt"]
-    assert (adapter.why_not_claimed("device_data") is None) == claimed
-    assert (adapter.why_not_claimed("device_birth") is None) == claimed
-    assert adapter.why_not_claimed("publish") is None
+    assert (why_not(adapter, "device_data") is None) == claimed
+    assert (why_not(adapter, "device_birth") is None) == claimed
+    assert why_not(adapter, "publish") is None
 
 
 def test_deviations_have_a_last_day(tmp_path: Path) -> None:

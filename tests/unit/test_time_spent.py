@@ -9,37 +9,31 @@ from collections.abc import Iterator
 
 import pytest
 
+from pytest_otmcp.session.exchange import Exchange
 from pytest_otmcp.subject.model import Answering
 from pytest_otmcp.trial.gc_pause import settled, uncollected
 from pytest_otmcp.trial.repetition import Repetition
-from pytest_otmcp.trial.reply import Reply, Wire, observe
+from pytest_otmcp.trial.reply import Expectation, Reply, observe
 
 
-def reply(asked: int, sent: int, received: int | None, returned: int, *, role: str = "task") -> Reply:
+def reply(asked: int, sent: int, received: int | None, returned: int) -> Reply:
     """A call with these times, in milliseconds."""
-    wire = Wire(
+    exchange = Exchange(
+        tool="ping",
+        arguments={},
         request=b"{}",
         response=None if received is None else b'{"jsonrpc": "2.0", "id": 1, "result": {"content": []}}',
         sent_ns=sent * 1_000_000,
         received_ns=None if received is None else received * 1_000_000,
         failure="timeout" if received is None else None,
-        client_complaint=None,
         asked_ns=asked * 1_000_000,
         returned_ns=returned * 1_000_000,
     )
-    return observe(
-        wire,
-        adapter="modbus",
-        variant="rw",
-        operation="ping",
-        tool="ping",
-        arguments={},
-        role=role,
-        deadline_s=1.0,
-        answering=Answering(form="text"),
-        outputs={},
-        listed=True,
+    answering = Answering(form="text")
+    expected = Expectation(
+        adapter="modbus", variant="rw", operation="ping", deadline_s=1.0, answering=answering, outputs={}
     )
+    return observe(exchange, expected)
 
 
 @pytest.fixture
@@ -49,7 +43,7 @@ def repetition() -> Repetition:
 
 def test_a_call_is_the_wires_and_the_clients_time(repetition: Repetition) -> None:
     repetition.ledger.add(reply(0, 10, 30, 35), {})
-    repetition.ledger.add(reply(100, 101, 103, 107, role="warmup"), {})
+    repetition.ledger.add(reply(100, 101, 103, 107), {}, "warmup")
     assert repetition.calls_s() == (pytest.approx(0.022), pytest.approx(0.020))
     assert repetition.duration_ms == pytest.approx(20)
 

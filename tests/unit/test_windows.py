@@ -7,9 +7,11 @@ import json
 from collections.abc import Iterator
 from typing import Any
 
+from pytest_otmcp.session.exchange import Exchange
 from pytest_otmcp.subject.model import Answering
+from pytest_otmcp.trial.cursor import JournalCursor
 from pytest_otmcp.trial.repetition import Repetition
-from pytest_otmcp.trial.reply import Reply, Wire, observe
+from pytest_otmcp.trial.reply import Expectation, Reply, observe
 from pytest_otmcp.trial.rig import Rig
 
 S = 1_000_000_000
@@ -21,36 +23,28 @@ class Scripted(Rig):
     accepting_ns = 0
 
     def __init__(self, *answers: tuple[bool, float, float]) -> None:
-        super().__init__("modbus", "rw")
+        super().__init__("modbus", "rw", JournalCursor("modbus"))
         self._answers: Iterator[tuple[bool, float, float]] = iter(answers)
 
-    async def _perform(self, operation: str, role: str, inputs: Any) -> Reply:
+    async def _perform(self, operation: str, inputs: Any) -> Reply:
         success, sent, received = next(self._answers)
-        wire = Wire(
+        exchange = Exchange(
+            tool=operation,
+            arguments={},
             request=b"{}",
             response=json.dumps(
                 {"jsonrpc": "2.0", "id": 1, "result": {"content": [], "isError": not success}}
             ).encode(),
             sent_ns=int(sent * S),
             received_ns=int(received * S),
-            failure=None,
-            client_complaint=None,
             asked_ns=int(sent * S),
             returned_ns=int(received * S),
         )
-        return observe(
-            wire,
-            adapter="modbus",
-            variant="rw",
-            operation=operation,
-            tool=operation,
-            arguments={},
-            role=role,
-            deadline_s=10.0,
-            answering=Answering(form="text"),
-            outputs={},
-            listed=True,
+        answering = Answering(form="text")
+        expected = Expectation(
+            adapter="modbus", variant="rw", operation=operation, deadline_s=10.0, answering=answering, outputs={}
         )
+        return observe(exchange, expected)
 
     async def _reconnecting(self) -> None:
         pass

@@ -16,6 +16,7 @@ __all__ = [
     "exception_sent",
     "image_holds",
     "no_state_changing_request",
+    "nothing_changed_by",
     "only_changed",
     "request_count",
     "some_exchange",
@@ -27,6 +28,7 @@ some_exchange = _WITNESS.answered
 exactly_one_request = _WITNESS.exactly_one
 request_count = _WITNESS.request_count
 no_state_changing_request = _WITNESS.nothing_changed
+nothing_changed_by = _WITNESS.nothing_changed_by
 only_changed = _WITNESS.only_changed
 
 

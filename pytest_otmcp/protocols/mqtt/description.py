@@ -9,7 +9,8 @@ from .decoder import MqttConversation, packet_length
 from .entries import describe
 from .external import EXTERNAL
 from .operations import OPERATIONS
-from .oracle import no_command
+from .oracle import Publications, Subscriptions, no_command
+from .sparkplug_oracle import SparkplugSequence
 
 __all__ = ["PROTOCOL"]
 
@@ -56,5 +57,6 @@ PROTOCOL = OtProtocol(
     packages=("paho-mqtt", "protobuf"),
     colour=Colour(light="#009e73", dark="#2fc79a"),
     external=EXTERNAL,
+    session_oracles=(Publications, Subscriptions, SparkplugSequence),
     always=True,
 )

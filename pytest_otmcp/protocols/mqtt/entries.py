@@ -8,7 +8,9 @@ from typing import Any, TypedDict, cast
 
 from ..journal import Entries, JournalEntry
 
-__all__ = ["Filter", "MqttEntry", "adapter_packets", "as_mqtt", "describe", "payload_of", "shown"]
+__all__ = ["Filter", "FirstPackets", "MqttEntry", "adapter_packets", "as_mqtt", "describe", "payload_of", "shown"]
+
+_MOST_SHOWN = 10
 
 
 class Filter(TypedDict, total=False):
@@ -76,12 +78,37 @@ def payload_of(message: Mapping[str, Any]) -> bytes:
     return base64.b64decode(message.get("payload") or "")
 
 
-def shown(entries: Entries, limit: int = 10) -> str:
+class FirstPackets:
+    """Counts packets and keeps the first of them for a finding's evidence.
+
+    Attributes:
+        count: how many there were.
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._first: list[MqttEntry] = []
+
+    def add(self, packet: MqttEntry) -> None:
+        """Count a packet."""
+        self.count += 1
+        if len(self._first) < _MOST_SHOWN:
+            self._first.append(packet)
+
+    def shown(self) -> str:
+        """Describe the first packets, and say how many more there are."""
+        if not self.count:
+            return "no packet"
+        more = self.count - len(self._first)
+        return "; ".join(map(describe, self._first)) + (f"; … {more} more" if more else "")
+
+
+def shown(entries: Entries) -> str:
     """Describe the adapter's packets, for a finding's evidence."""
-    packets = [describe(entry) for entry in adapter_packets(entries)]
-    if not packets:
-        return "no packet"
-    return "; ".join(packets[:limit]) + (f"; … {len(packets) - limit} more" if len(packets) > limit else "")
+    packets = FirstPackets()
+    for packet in adapter_packets(entries):
+        packets.add(packet)
+    return packets.shown()
 
 
 def describe(entry: JournalEntry) -> str:

@@ -9,10 +9,14 @@ from __future__ import annotations
 from ...core.finding import Finding
 from ..journal import Entries, JournalEntry
 from ..oracle import Witness
-from .entries import MqttEntry, adapter_packets, as_mqtt, describe, payload_of, shown
-from .sparkplug_oracle import ddata_metric, sparkplug_sequence
+from ..session_oracle import SessionOracle
+from .entries import FirstPackets, MqttEntry, adapter_packets, as_mqtt, describe, payload_of, shown
+from .sparkplug_oracle import SparkplugSequence, ddata_metric
 
 __all__ = [
+    "Publications",
+    "SparkplugSequence",
+    "Subscriptions",
     "ddata_metric",
     "delivered",
     "exchange",
@@ -21,8 +25,6 @@ __all__ = [
     "no_packet",
     "published_once",
     "session_stays_up",
-    "sparkplug_sequence",
-    "subscribed",
 ]
 
 _WITNESS = Witness(noun="the broker", describe=describe)
@@ -35,41 +37,72 @@ _COMMANDS = "control/"
 exchange = _WITNESS.answered
 
 
-def subscribed(entries: Entries, *, filter: str, qos: int | None, client_id: str | None = None) -> list[Finding]:
-    """The adapter is subscribed to this filter, granted with this QoS (None is any), on a connection that still lives."""
-    requests: dict[tuple[int, int], list[str]] = {}
-    last: dict[int, int] = {}
-    for entry in adapter_packets(entries, client_id=client_id):
-        connection = entry["connection"]
-        key = (connection, entry.get("packet_id", 0))
-        if entry["kind"] == "SUBSCRIBE" and entry["direction"] == "in":
-            requests[key] = [wanted["filter"] for wanted in entry["filters"]]
-        elif entry["kind"] == "SUBACK" and entry["direction"] == "out":
-            codes = zip(requests.get(key, []), entry["reason_codes"], strict=False)
-            for wanted, code in codes:
-                if wanted == filter:
-                    last[connection] = code
-        elif entry["kind"] == "DISCONNECTED" or (
-            entry["kind"] == "UNSUBSCRIBE" and filter in [wanted["filter"] for wanted in entry["filters"]]
-        ):
-            last.pop(connection, None)
-    granted = list(last.values())
-    if qos in granted or (qos is None and any(code <= _HIGHEST_QOS for code in granted)):
-        return []
-    if granted:
-        problem = f"it answered with reason code {granted[0]:#04x}"
-    elif requests:
-        problem = f"it saw SUBSCRIBE for {sorted(requests.values())} without that being granted"
-    else:
-        problem = "it saw no SUBSCRIBE"
-    return [
-        Finding(
-            code="not_subscribed",
-            message=f"the broker should have granted {filter!r}{'' if qos is None else f' at QoS {qos}'}, {problem}",
-            requirement="MQT-002",
-            evidence=shown(entries),
-        )
-    ]
+class Subscriptions(SessionOracle):
+    """The topic filters to which the adapter is subscribed."""
+
+    def __init__(self, client_id: str | None = None) -> None:
+        self._client_id = client_id
+        self._first = FirstPackets()
+        self._waiting: dict[tuple[int, int], list[str]] = {}
+        self._asked: set[tuple[str, ...]] = set()
+        self._granted: dict[str, dict[int, int]] = {}
+
+    def feed(self, entry: JournalEntry) -> None:
+        """Note what is asked for and what is granted, for each connection that lives."""
+        for packet in adapter_packets([entry], client_id=self._client_id):
+            self._first.add(packet)
+            connection = packet["connection"]
+            key = (connection, packet.get("packet_id", 0))
+            if packet["kind"] == "SUBSCRIBE" and packet["direction"] == "in":
+                self._waiting[key] = [wanted["filter"] for wanted in packet["filters"]]
+                self._asked.add(tuple(self._waiting[key]))
+            elif packet["kind"] == "SUBACK" and packet["direction"] == "out":
+                for wanted, code in zip(self._waiting.pop(key, []), packet["reason_codes"], strict=False):
+                    self._granted.setdefault(wanted, {})[connection] = code
+            elif packet["kind"] == "UNSUBSCRIBE":
+                for unwanted in packet["filters"]:
+                    self._granted.get(unwanted["filter"], {}).pop(connection, None)
+            elif packet["kind"] == "DISCONNECTED":
+                for connections in self._granted.values():
+                    connections.pop(connection, None)
+                self._waiting = {key: wanted for key, wanted in self._waiting.items() if key[0] != connection}
+
+    def granted(self, filter: str, *, qos: int | None) -> list[Finding]:
+        """The adapter is subscribed to this filter, granted with this QoS (None is any), on a connection that still lives."""
+        codes = list(self._granted.get(filter, {}).values())
+        if qos in codes or (qos is None and any(code <= _HIGHEST_QOS for code in codes)):
+            return []
+        if codes:
+            problem = f"it answered with reason code {codes[0]:#04x}"
+        elif self._asked:
+            problem = f"it saw SUBSCRIBE for {sorted(map(list, self._asked))} without that being granted"
+        else:
+            problem = "it saw no SUBSCRIBE"
+        wanted = f"{filter!r}{'' if qos is None else f' at QoS {qos}'}"
+        return [
+            Finding(
+                code="not_subscribed",
+                message=f"the broker should have granted {wanted}, {problem}",
+                requirement="MQT-002",
+                evidence=self._first.shown(),
+            )
+        ]
+
+
+class Publications(SessionOracle):
+    """What the adapter published, and what it sent that cannot be told from that."""
+
+    def __init__(self) -> None:
+        self._first = FirstPackets()
+
+    def feed(self, entry: JournalEntry) -> None:
+        """Note a PUBLISH."""
+        for packet in _packets([entry], "PUBLISH", "in", None):
+            self._first.add(packet)
+
+    def none(self) -> list[Finding]:
+        """Nothing was published in the whole life of the session."""
+        return _unexpected("PUBLISH", "in", self._first)
 
 
 def delivered(entries: Entries, *, topic: str, payload: bytes, client_id: str | None = None) -> list[Finding]:
@@ -152,20 +185,30 @@ def _is_command(entry: JournalEntry) -> bool:
 
 def no_packet(entries: Entries, kind: str, *, direction: str = "in", client_id: str | None = None) -> list[Finding]:
     """No packet of this kind, not even a malformed one."""
-    packets = [
+    found = FirstPackets()
+    for packet in _packets(entries, kind, direction, client_id):
+        found.add(packet)
+    return _unexpected(kind, direction, found)
+
+
+def _packets(entries: Entries, kind: str, direction: str, client_id: str | None) -> list[MqttEntry]:
+    return [
         entry
         for entry in adapter_packets(entries, None, direction, client_id)
         if entry["kind"] == kind or (entry["kind"] == "malformed" and entry.get("packet") in (None, kind))
     ]
-    if not packets:
+
+
+def _unexpected(kind: str, direction: str, packets: FirstPackets) -> list[Finding]:
+    if not packets.count:
         return []
     who = "from" if direction == "in" else "to"
     return [
         Finding(
             code="unexpected_packet",
-            message=f"the broker should have seen no {kind} {who} the adapter, it saw {len(packets)}",
+            message=f"the broker should have seen no {kind} {who} the adapter, it saw {packets.count}",
             requirement="ERR-006",
-            evidence=shown(packets),
+            evidence=packets.shown(),
         )
     ]
 

@@ -11,11 +11,12 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from ...core.finding import Finding
-from ..journal import Entries
+from ..journal import Entries, JournalEntry
+from ..session_oracle import SessionOracle
 from .entries import MqttEntry, adapter_packets, payload_of, shown
 from .sparkplug_decoder import DATA_TYPES, NAMESPACE, Topic, decode_message, decode_payload, parse_topic
 
-__all__ = ["ddata_metric", "sparkplug_sequence"]
+__all__ = ["SparkplugSequence", "ddata_metric"]
 
 _BD_SEQ = "bdSeq"
 _REBIRTH = "Node Control/Rebirth"
@@ -95,13 +96,19 @@ def _type_name(datatype: int | None) -> str:
 
 def _messages(entries: Entries, client_id: str | None) -> Iterator[tuple[MqttEntry, Mapping[str, Any]]]:
     for entry in adapter_packets(entries, "PUBLISH", "in", client_id):
-        # A will is published by the broker, on the client's behalf.
-        if str(entry.get("topic")).startswith(NAMESPACE + "/") and not entry.get("will_sent"):
-            message = decode_message(entry["topic"], payload_of(entry))
-            if message is not None:
-                yield entry, message
-            elif not entry["topic"].startswith(f"{NAMESPACE}/STATE/"):
-                yield entry, {"error": "the topic is not spBv1.0/group/type/edge_node[/device]"}
+        if (message := _message(entry)) is not None:
+            yield entry, message
+
+
+def _message(entry: MqttEntry) -> Mapping[str, Any] | None:
+    """Decode a PUBLISH as a Sparkplug message; None when it is none."""
+    # A will is published by the broker, on the client's behalf.
+    if not str(entry.get("topic")).startswith(NAMESPACE + "/") or entry.get("will_sent"):
+        return None
+    message: Mapping[str, Any] | None = decode_message(entry["topic"], payload_of(entry))
+    if message is None and not entry["topic"].startswith(f"{NAMESPACE}/STATE/"):
+        return {"error": "the topic is not spBv1.0/group/type/edge_node[/device]"}
+    return message
 
 
 def _declared(message: Mapping[str, Any]) -> Declared:
@@ -114,36 +121,52 @@ def _declared(message: Mapping[str, Any]) -> Declared:
     return declared
 
 
-def sparkplug_sequence(
-    entries: Entries,
-    group: str | None = None,
-    edge_node: str | None = None,
-    client_id: str | None = None,
-) -> list[Finding]:
+class SparkplugSequence(SessionOracle):
     """Each of the adapter's connections keeps the rules of an edge node.
 
     Will with NDEATH and bdSeq, bdSeq counted from connection to connection, NBIRTH first, DBIRTH before DDATA, one
     sequence number for all, QoS 0, not retained, data only of metrics that a birth declared. An adapter that publishes
-    as an edge node without having been born as one impersonates it, and is found out by the same rules.
+    as an edge node without having been born as one impersonates it, and is found out by the same rules. Of a connection
+    whose CONNECT was not seen nothing is said.
 
     Args:
-        entries: must begin before the connections do; of a connection whose CONNECT is missing nothing is said.
         group, edge_node: only this edge node; None for all.
+        client_id: only this client; None for all.
+
+    Attributes:
+        findings: the first few faults.
     """
-    findings: list[Finding] = []
-    sessions: dict[int, _Session] = {}
-    deaths: dict[str, int] = {}
-    for entry in adapter_packets(entries, "CONNECT", "in", client_id):
-        sessions[entry["connection"]] = session = _Session(entry)
-        findings += session.check_count(deaths)
-    for entry, message in _messages(entries, client_id):
-        session_or_none = sessions.get(entry["connection"])
-        topic = parse_topic(entry["topic"])
-        if topic is not None and (group not in (None, topic.group) or edge_node not in (None, topic.edge_node)):
-            continue
-        if session_or_none is not None:
-            findings += session_or_none.check(entry, topic, message)
-    return findings[:_MOST_FINDINGS]
+
+    def __init__(self, group: str | None = None, edge_node: str | None = None, client_id: str | None = None) -> None:
+        self._node = (group, edge_node)
+        self._client_id = client_id
+        self._connections: dict[int, _Session] = {}
+        self._deaths: dict[str, int] = {}
+        self.findings: list[Finding] = []
+
+    def feed(self, entry: JournalEntry) -> None:
+        """Judge the next packet by what the connection's packets before it said."""
+        for packet in adapter_packets([entry], client_id=self._client_id):
+            room = _MOST_FINDINGS - len(self.findings)
+            self.findings += list(self._check(packet))[:room]
+
+    def _check(self, packet: MqttEntry) -> Iterator[Finding]:
+        connection = packet["connection"]
+        if packet["kind"] == "DISCONNECTED":
+            self._connections.pop(connection, None)
+        elif packet["direction"] != "in":
+            return
+        elif packet["kind"] == "CONNECT":
+            self._connections[connection] = session = _Session(packet)
+            yield from session.check_count(self._deaths)
+        elif packet["kind"] == "PUBLISH" and connection in self._connections:
+            message = _message(packet)
+            if message is None:
+                return
+            topic = parse_topic(packet["topic"])
+            group, edge_node = self._node
+            if topic is None or (group in (None, topic.group) and edge_node in (None, topic.edge_node)):
+                yield from self._connections[connection].check(packet, topic, message)
 
 
 class _Session:

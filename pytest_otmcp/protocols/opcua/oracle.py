@@ -26,6 +26,7 @@ __all__ = [
     "image_holds",
     "names_and_ids_agree",
     "no_state_changing_service",
+    "nothing_changed_by",
     "only_changed",
     "read_from_device",
     "result_status",
@@ -35,6 +36,7 @@ __all__ = [
 _WITNESS = Witness(noun="the server", describe=describe, holds_value=holds_value)
 
 no_state_changing_service = _WITNESS.nothing_changed
+nothing_changed_by = _WITNESS.nothing_changed_by
 only_changed = _WITNESS.only_changed
 
 

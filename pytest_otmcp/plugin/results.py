@@ -1,0 +1,84 @@
+"""What the process that executed an item tells the controller of it: plain data, however many repetitions there were."""
+
+from __future__ import annotations
+
+import statistics
+from array import array
+from collections import Counter
+from typing import TypedDict
+
+from ..record.consistency import tool_calls
+from ..record.schema import AdapterFacts, Device, Finding, ItemBody, Role, Sample
+
+__all__ = ["FailedSample", "ItemResult", "Measured", "Tally", "WorkerFacts"]
+
+_FAILED_KEPT = 2
+
+
+class FailedSample(TypedDict):
+    """A repetition that failed, for the failure message of the item."""
+
+    repetition: int
+    findings: list[Finding]
+
+
+class Measured(TypedDict):
+    """What the samples of an item came to; ``failed`` has the first that failed."""
+
+    samples: int
+    passed: int
+    median_ms: float | None
+    tool_calls: dict[Role, int]
+    failed: list[FailedSample]
+
+
+class ItemResult(TypedDict):
+    """An item, and the file in which its samples are."""
+
+    item: ItemBody
+    measured: Measured
+    spool: str
+
+
+class WorkerFacts(TypedDict):
+    """What is known of a process that executes items: its adapters, its devices, and how its time was spent in seconds."""
+
+    adapters: dict[str, AdapterFacts]
+    devices: dict[str, Device]
+    spent: dict[str, float]
+
+
+class Tally:
+    """Counts the samples of one item as they come.
+
+    Args:
+        suite: of the item.
+    """
+
+    def __init__(self, suite: str) -> None:
+        self._suite = suite
+        self._durations = array("d")
+        self._passed = 0
+        self._calls: Counter[Role] = Counter()
+        self._failed: list[FailedSample] = []
+
+    def add(self, sample: Sample) -> None:
+        """Count a sample."""
+        self._durations.append(sample["duration_ms"])
+        self._passed += sample["ok"]
+        self._calls += tool_calls(self._suite, sample["calls"])
+        if not sample["ok"] and len(self._failed) < _FAILED_KEPT:
+            self._failed.append({"repetition": sample["repetition"], "findings": sample["findings"]})
+
+    def measured(self, item: ItemBody) -> Measured:
+        """Return what the samples came to; tool calls around them are counted, too."""
+        calls = self._calls.copy()
+        for part in item["around"]:
+            calls += tool_calls(self._suite, part["calls"])
+        return {
+            "samples": len(self._durations),
+            "passed": self._passed,
+            "median_ms": statistics.median(self._durations) if self._durations else None,
+            "tool_calls": dict(calls),
+            "failed": self._failed,
+        }

@@ -1,0 +1,46 @@
+"""A run record as reports and certificates need it: in memory, but not every call of every repetition. Pure.
+
+Every sample keeps what is counted (``ok``, duration, phases, findings, and of each call its role and error code). Whole are the
+first sample of an item, and the first of each kind of failure: the ones that are shown.
+"""
+
+from __future__ import annotations
+
+from typing import cast
+
+from .reader import StoredItem, StoredRun
+from .schema import Call, Item, Run, Sample
+
+__all__ = ["condensed"]
+
+_KINDS_KEPT = 10
+"""Kinds of failure of one item whose first sample is kept whole."""
+
+
+def condensed(run: StoredRun) -> Run:
+    """Return the run with those samples whole that reports show."""
+    shared: dict[tuple[object, ...], Call] = {}
+    items = [_item(item, shared) for item in run.items()]
+    return cast(Run, {**run.header, "schema": run.version, "items": items, "footer": run.footer})
+
+
+def _item(item: StoredItem, shared: dict[tuple[object, ...], Call]) -> Item:
+    kinds: set[tuple[str, ...]] = set()
+    samples = []
+    for sample in item.samples():
+        kind = tuple(sorted({f"{finding['code']} {finding['requirement']}" for finding in sample["findings"]}))
+        if kind in kinds or len(kinds) > _KINDS_KEPT:
+            samples.append(_thin(sample, shared))
+        else:
+            kinds.add(kind)
+            samples.append(sample)
+    return cast(Item, {**item.head, "samples": samples})
+
+
+def _thin(sample: Sample, shared: dict[tuple[object, ...], Call]) -> Sample:
+    calls = []
+    for call in sample["calls"]:
+        # Thousands of calls are alike in what is counted.
+        told = (call["role"], call["error_code"], call["ok"])
+        calls.append(shared.setdefault(told, cast(Call, dict(zip(("role", "error_code", "ok"), told, strict=True)))))
+    return {**sample, "calls": calls, "device": [], "observations": []}

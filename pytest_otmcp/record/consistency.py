@@ -1,0 +1,121 @@
+"""What a run record must not contradict itself in: counts, identifiers, times, and its judgement. Pure.
+
+The checks take one sample at a time, so that a record of any length can be checked.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from datetime import datetime
+
+from ..core.matrix import SUITES
+from ..core.verdict import Status, Verdict, decide
+from .schema import ROLES, Call, Footer, Header, Item, ItemHead, Role, Sample
+
+__all__ = ["Contradiction", "RunChecker", "count_calls", "tool_calls"]
+
+
+class Contradiction(Exception):
+    """A record contradicts itself; the message says in what."""
+
+
+def tool_calls(suite: str, calls: Iterable[Call]) -> Counter[Role]:
+    """Count the tool calls of an item by role.
+
+    The paper's count of tool calls leaves the recovery suite out, and so does the role ``task`` here.
+    """
+    return Counter("recovery" if suite == "recovery" and call["role"] == "task" else call["role"] for call in calls)
+
+
+def count_calls(items: Iterable[Item]) -> dict[Role, int]:
+    """Count the tool calls of these items by role."""
+    calls: Counter[Role] = Counter(dict.fromkeys(ROLES, 0))
+    for item in items:
+        for part in (*item["around"], *item["samples"]):
+            calls.update(tool_calls(item["suite"], part["calls"]))
+    return dict(calls)
+
+
+class RunChecker:
+    """Checks a record of the right shape, item by item."""
+
+    def __init__(self, header: Header) -> None:
+        self._header = header
+        self._statuses: dict[str, Status] = {}
+        self._samples = 0
+        self._calls: Counter[Role] = Counter()
+        for moment in (header["environment"]["started_at"], header["environment"]["finished_at"]):
+            _check_instant(moment, "the record")
+
+    def item(self, item: ItemHead, samples: Iterable[Sample]) -> Iterator[Sample]:
+        """Check an item while its samples pass through.
+
+        Raises:
+            Contradiction: it does not fit, to itself or to the run.
+        """
+        name = item["id"]
+        self._check_head(item)
+        for part in item["around"]:
+            self._calls += tool_calls(item["suite"], part["calls"])
+        count, good = 0, True
+        for sample in samples:
+            if sample["repetition"] != count or count >= item["planned"]:
+                raise Contradiction(f"the repetitions of {name} are not the first of {item['planned']}")
+            if sample["ok"] and sample["findings"]:
+                raise Contradiction(f"a repetition of {name} is called ok, but has findings")
+            count, good = count + 1, good and sample["ok"]
+            self._calls += tool_calls(item["suite"], sample["calls"])
+            yield sample
+        self._samples += count
+        if item["status"] == Status.PASS and (item["findings"] or count < item["planned"] or not good):
+            raise Contradiction(f"{name} is called PASS, but not everything of it passed")
+
+    def _check_head(self, item: ItemHead) -> None:
+        name = item["id"]
+        if name in self._statuses:
+            raise Contradiction(f"an item occurs twice: {name}")
+        self._statuses[name] = Status(item["status"])
+        if item["suite"] not in SUITES:
+            raise Contradiction(f"{name} has the unknown suite {item['suite']!r}")
+        if item["run_id"] != self._header["run_id"]:
+            raise Contradiction(f"{name} is of another run: its run_id is {item['run_id']}")
+        if item["ended_ns"] < item["began_ns"]:
+            raise Contradiction(f"{name} ended before it began")
+        for moment in (item["started_at"], item["finished_at"]):
+            _check_instant(moment, name)
+        # The header of a run that did not end does not know its devices yet.
+        sealed = self._header["environment"]["finished_at"] is not None
+        for at, device in item["devices"].items():
+            if sealed and device["device"] not in self._header["devices"]:
+                raise Contradiction(f"{name} has the device {device['device']!r} as {at}, the run has no such device")
+
+    def footer(self, footer: Footer) -> None:
+        """Check the footer, after all items.
+
+        Raises:
+            Contradiction: it counts otherwise, or says better than the items.
+        """
+        counted = {
+            "items": len(self._statuses),
+            "samples": self._samples,
+            "tool_calls": {role: self._calls[role] for role in ROLES},
+        }
+        for what, found in counted.items():
+            stated = footer.get(what)
+            if stated is not None and stated != found:
+                raise Contradiction(f"the footer counts {stated} {what}, there are {found}")
+        if footer["complete"] and "digest" not in footer:
+            raise Contradiction("a complete record without a digest")
+        claimed = footer.get("verdict")
+        if claimed == Verdict.CONFORMANT and decide(self._statuses, self._statuses.keys()) != Verdict.CONFORMANT:
+            raise Contradiction("the footer says CONFORMANT, the items do not")
+
+
+def _check_instant(moment: str | None, where: str) -> None:
+    if moment is None:
+        return
+    try:
+        datetime.fromisoformat(moment)
+    except ValueError:
+        raise Contradiction(f"{where} has the time {moment!r}, which no clock shows") from None

@@ -1,0 +1,269 @@
+"""Reads a run record with suspicion, one sample at a time. Pure but for the file.
+
+A record is copied to a private file first and read from there, so that what was checked is what is read afterwards. A record of
+``otmcp-run/2`` is read line by line, as :mod:`pytest_otmcp.record.writer` has laid it out: one that was formatted anew is refused,
+as its digest would be. A record of ``otmcp-run/1`` is read as a whole and shown in the shape of today.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO, cast
+
+from ..core.strict_json import parse_strict
+from . import version1
+from .consistency import Contradiction, RunChecker
+from .schema import SCHEMA, Footer, Header, Item, ItemHead, Run, Sample, ShapeError, check
+from .writer import ITEMS_LINE
+
+__all__ = ["RecordError", "StoredItem", "StoredRun", "load", "open_record"]
+
+_FIRST_LINE = b'{"schema": "' + SCHEMA.encode() + b'",\n'
+_HEAD_ENDS = b'"samples": [\n'
+_BLOCK = 1 << 20
+
+
+class RecordError(Exception):
+    """A run record that cannot be believed; the message says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """Where an item is in the file: its head's line, and its samples' lines."""
+
+    begin: int
+    samples: int
+    count: int
+
+
+class StoredItem:
+    """An item of a record; its samples are read when they are wanted."""
+
+    def __init__(self, head: ItemHead, source: Iterable[Sample] | tuple[BinaryIO, _Part]) -> None:
+        self.head = head
+        self._source = source
+
+    def samples(self) -> Iterator[Sample]:
+        """Return its samples, from the first."""
+        if not isinstance(self._source, tuple):
+            yield from self._source
+            return
+        file, part = self._source
+        at = part.samples
+        for _ in range(part.count):
+            # Two items may be read in turns.
+            file.seek(at)
+            line = file.readline()
+            at = file.tell()
+            yield cast(Sample, parse_strict(line.rstrip(b",\n")))
+
+
+class StoredRun:
+    """A record that has been checked: header, footer, and items in the order of the file.
+
+    Attributes:
+        version: of the file's schema; header and items are in the shape of today whatever it is.
+        sha256: of the file's bytes.
+    """
+
+    def __init__(
+        self,
+        header: Header,
+        footer: Footer,
+        items: list[Item] | tuple[BinaryIO, list[_Part]],
+        *,
+        version: str,
+        sha256: str,
+    ) -> None:
+        self.header = header
+        self.footer = footer
+        self.version = version
+        self.sha256 = sha256
+        self._items = items
+
+    @classmethod
+    def of(cls, run: Run) -> StoredRun:
+        """Take a record that is in memory already; nothing is checked."""
+        return cls(run, run["footer"], run["items"], version=SCHEMA, sha256="")
+
+    def items(self) -> Iterator[StoredItem]:
+        """Return the items, from the first."""
+        if isinstance(self._items, list):
+            for item in self._items:
+                yield StoredItem(item, item["samples"])
+            return
+        file, parts = self._items
+        for part in parts:
+            file.seek(part.begin)
+            yield StoredItem(_item_head(file.readline()), (file, part))
+
+
+@contextmanager
+def open_record(path: Path, *, allow_incomplete: bool = False) -> Iterator[StoredRun]:
+    """Open a run record; it can be read as long as the context lasts.
+
+    Args:
+        path: the file.
+        allow_incomplete: accept a record whose footer says that it is not complete, and one that was torn while an
+            item was written: that item is left out.
+
+    Raises:
+        RecordError: no record, an unfinished one, or one that contradicts itself; one sentence.
+    """
+    with tempfile.TemporaryFile(prefix="otmcp-") as private:
+        try:
+            digest = hashlib.sha256()
+            with path.open("rb") as source:
+                while block := source.read(_BLOCK):
+                    digest.update(block)
+                    private.write(block)
+            run = _read(private, digest.hexdigest(), allow_incomplete=allow_incomplete)
+            if not run.footer["complete"] and not allow_incomplete:
+                raise RecordError(f"the run is incomplete: {run.footer['reason']}")
+        except OSError as error:
+            raise RecordError(f"{path}: cannot be read ({error.strerror})") from None
+        except ValueError as reason:
+            raise RecordError(f"{path}: not strict JSON: {reason}") from None
+        except (RecordError, ShapeError, Contradiction) as reason:
+            raise RecordError(f"{path}: {reason}") from None
+        yield run
+
+
+def load(path: Path, *, allow_incomplete: bool = False) -> Run:
+    """Read a whole run record into memory; see :func:`open_record`."""
+    with open_record(path, allow_incomplete=allow_incomplete) as run:
+        items = [cast(Item, {**item.head, "samples": list(item.samples())}) for item in run.items()]
+        header = {**run.header, "schema": run.version}
+        return cast(Run, {**header, "items": items, "footer": run.footer})
+
+
+def _read(file: BinaryIO, sha256: str, *, allow_incomplete: bool) -> StoredRun:
+    file.seek(0)
+    if file.readline() == _FIRST_LINE:
+        scanner = _Scanner(file, allow_incomplete=allow_incomplete)
+        scanner.scan()
+        return StoredRun(scanner.header, scanner.footer, (file, scanner.parts), version=SCHEMA, sha256=sha256)
+    file.seek(0)
+    content = file.read()
+    run = version1.parse(content, allow_incomplete=allow_incomplete)
+    if isinstance(run, dict) and run.get("schema") == SCHEMA:
+        raise RecordError("the file was formatted anew: a record is read in the lines in which the kit wrote it")
+    if not isinstance(run, dict) or run.get("schema") != version1.SCHEMA:
+        raise RecordError(f"not a run record of schema {SCHEMA} or {version1.SCHEMA}")
+    version1.check_digest(run)
+    today = check(version1.upgraded(run), Run, "the record")
+    checker = RunChecker(today)
+    for item in today["items"]:
+        for _ in checker.item(item, item["samples"]):
+            pass
+    checker.footer(today["footer"])
+    return StoredRun(today, today["footer"], today["items"], version=version1.SCHEMA, sha256=sha256)
+
+
+class _Scanner:
+    """Reads the lines of a record once, checks them, and notes where its items are."""
+
+    header: Header
+    footer: Footer
+
+    def __init__(self, file: BinaryIO, *, allow_incomplete: bool) -> None:
+        self._file = file
+        self._torn_is_well = allow_incomplete
+        self._digest = hashlib.sha256()
+        self.parts: list[_Part] = []
+
+    def scan(self) -> None:
+        """Read everything.
+
+        Raises:
+            ValueError: no strict JSON in the lines of a record.
+            ShapeError, Contradiction: it cannot be believed.
+        """
+        self._file.seek(0)
+        self._read_header()
+        checker = RunChecker(self.header)
+        try:
+            if self._read_items(checker):
+                self._read_footer()
+        except ValueError:
+            if not self._torn_is_well:
+                raise
+            self.footer = {"complete": False, "reason": "the run did not end", "items": len(self.parts)}
+            return
+        checker.footer(self.footer)
+
+    def _line(self) -> bytes:
+        line = self._file.readline()
+        if not line.endswith(b"\n"):
+            raise ValueError("the file ends in the midst of a line" if line else "the file ends before its footer")
+        self._digest.update(line)
+        return line
+
+    def _read_header(self) -> None:
+        lines = []
+        while (line := self._line()) != ITEMS_LINE:
+            lines.append(line)
+        text = b"".join(lines)
+        if not text.endswith(b",\n"):
+            raise ValueError("the header does not end where the items begin")
+        self.header = check(parse_strict(text[:-2] + b"}"), Header, "the record")
+
+    def _read_items(self, checker: RunChecker) -> bool:
+        begin, line = self._file.tell(), self._line()
+        if line == b"\n":
+            line, more = self._line(), False
+        else:
+            more = True
+        while more:
+            head = check(_item_head(line), ItemHead, f"item {len(self.parts) + 1}")
+            samples = self._file.tell()
+            count = 0
+            for _ in checker.item(head, self._read_samples(head["id"])):
+                count += 1
+            self.parts.append(_Part(begin, samples, count))
+            more = self._another_item
+            begin, line = self._file.tell(), self._line()
+        if line != b" ],\n":
+            raise ValueError(f"{line[:40]!r} where the items should end")
+        return True
+
+    def _read_samples(self, name: str) -> Iterator[Sample]:
+        another: bool | None = None
+        while (line := self._line()) not in (b"  ]}\n", b"  ]},\n"):
+            if another is False:
+                raise ValueError(f"a comma is missing between two samples of {name}")
+            another = line.endswith(b",\n")
+            yield check(parse_strict(line[: -2 if another else -1]), Sample, f"a sample of {name}")
+        if another:
+            raise ValueError(f"a comma after the last sample of {name}")
+        self._another_item = line == b"  ]},\n"
+
+    def _read_footer(self) -> None:
+        line, digest = self._line(), self._digest.hexdigest()
+        text = line.removeprefix(b' "footer": ')
+        if text.endswith(b",\n"):
+            last = self._file.readline()
+            if not last.endswith(b"}}\n"):
+                raise ValueError("the file ends in the midst of a line")
+            self.footer = check(
+                parse_strict(text[:-2] + b"," + last.rstrip(b"\n").removesuffix(b"}")), Footer, "the footer"
+            )
+            if self.footer.get("digest") != f"sha256:{digest}":
+                raise Contradiction("the digest does not match: the file has been changed")
+        else:
+            self.footer = check(parse_strict(text.rstrip(b"\n").removesuffix(b"}")), Footer, "the footer")
+        if self._file.read(1):
+            raise ValueError("something follows the footer")
+
+
+def _item_head(line: bytes) -> ItemHead:
+    if not line.startswith(b"  {") or not line.endswith(_HEAD_ENDS):
+        raise ValueError(f"{line[:40]!r} where an item should begin")
+    head = parse_strict(line.rstrip(b"\n") + b"]}")
+    del head["samples"]
+    return cast(ItemHead, head)

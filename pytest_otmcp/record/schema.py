@@ -1,0 +1,564 @@
+"""The shape of a run record, ``otmcp-run/2``: the one definition of its members. Pure.
+
+The classes below are static types, the check of every record that is read (:func:`check`), and the JSON Schema beside this
+module (``python -m pytest_otmcp.record.json_schema``). ``docs/run-record.md`` explains the members to authors of other tools.
+
+Times that end in ``_ns`` are of one clock, the machine's monotonic one, in every process of a run. A member that a reader does
+not know is no fault: later versions of the kit, and protocols of third parties, may add some.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Final, Literal, NotRequired, TypedDict, TypeVar
+
+import msgspec
+
+__all__ = [
+    "ROLES",
+    "SCHEMA",
+    "AdapterFacts",
+    "Around",
+    "Call",
+    "Change",
+    "Device",
+    "DeviceEntry",
+    "Ended",
+    "Environment",
+    "Finding",
+    "Footer",
+    "Frames",
+    "FreshSession",
+    "Header",
+    "Item",
+    "ItemBody",
+    "ItemDevice",
+    "ItemHead",
+    "JournalEntry",
+    "Kit",
+    "Observation",
+    "Phases",
+    "Protocol",
+    "Role",
+    "Run",
+    "Sample",
+    "SessionRemark",
+    "SessionStart",
+    "Settings",
+    "ShapeError",
+    "State",
+    "StoredBinding",
+    "Subject",
+    "check",
+]
+
+SCHEMA: Final = "otmcp-run/2"
+
+# An end of text that Python's and ECMAScript's regular expressions agree upon: "$" of the former matches before a line feed.
+_END = r"(?![\s\S])"
+
+Name = Annotated[str, msgspec.Meta(pattern=r"^(?![\s\S]*[\u0000-\u001f\u007f-\u009f])", max_length=1000)]
+"""A text that is printed in one line: it holds no control characters."""
+Digest = Annotated[str, msgspec.Meta(pattern=rf"^sha256:[0-9a-f]{{64}}{_END}")]
+RunId = Annotated[str, msgspec.Meta(pattern=rf"^[0-9a-f]{{32}}{_END}")]
+Instant = Annotated[
+    str,
+    msgspec.Meta(
+        pattern=rf"^[0-9]{{4}}-[01][0-9]-[0-3][0-9]T[0-2][0-9]:[0-5][0-9]:[0-6][0-9](\.[0-9]+)?(Z|[+-][0-9]{{2}}:[0-9]{{2}}){_END}"
+    ),
+]
+"""A time of the wall clock as RFC 3339 has it."""
+Count = Annotated[int, msgspec.Meta(ge=0)]
+Nanoseconds = Annotated[int, msgspec.Meta(ge=0)]
+Deadline = Annotated[float, msgspec.Meta(gt=0, le=300)]
+Factor = Annotated[float, msgspec.Meta(gt=0)]
+
+Role = Literal["task", "control", "setup", "warmup", "recovery"]
+"""What a call, or an execution of steps, was for. Only calls of the role ``task`` count for the benchmark."""
+ROLES: tuple[Role, ...] = ("task", "control", "setup", "warmup", "recovery")
+State = Literal["PASS", "FAIL", "NOT_APPLICABLE", "NOT_TESTABLE", "KIT_ERROR", "INTERRUPTED"]
+
+
+class Protocol(TypedDict):
+    """A protocol of the run. Distribution, version and digest name the package that judges a protocol which is not the kit's own."""
+
+    key: str
+    name: Name
+    distribution: Name | None
+    version: Name | None
+    digest: Digest | None
+
+
+class Kit(TypedDict):
+    """What ran and judged: the kit, its suite (``suite_digest``), everything that judges (``digest``)."""
+
+    name: Name
+    version: Name
+    digest: Digest
+    suite_digest: Digest
+    protocols: list[Protocol]
+
+
+class Deviation(TypedDict):
+    """A failure that the vendor knows of; ``expires`` is the last day on which it is excused."""
+
+    item: str
+    reason: str
+    expires: str
+
+
+class StoredOutputRule(TypedDict):
+    """Where an output is in an answer; see the subject file."""
+
+    path: str | None
+    regex: str | None
+    split: str | None
+    strip: str | None
+    convert: str | None
+    then: str | None
+    wrap: bool
+
+
+class StoredOutcomeRule(TypedDict):
+    """What an answer that looks like this means; see the subject file."""
+
+    success: bool
+    is_error: bool | None
+    text: str | None
+    path: str | None
+
+
+class StoredErrorRule(TypedDict):
+    """Which code a failure with this text has; see the subject file."""
+
+    text: str
+    code: str
+
+
+class StoredAnswering(TypedDict):
+    """How answers are read; see the subject file."""
+
+    form: str
+    outcome: list[StoredOutcomeRule]
+    errors: list[StoredErrorRule]
+
+
+class StoredBinding(TypedDict):
+    """How one tool performs an operation, or one case of it; see the subject file."""
+
+    tool: str
+    resource: bool
+    blocking: bool
+    arguments: dict[str, Any]
+    outputs: dict[str, StoredOutputRule]
+    answering: StoredAnswering
+    when: dict[str, Any]
+    offset: dict[str, float]
+    names: dict[str, dict[str, Any]]
+    convert: dict[str, str]
+
+
+class AdapterFacts(TypedDict):
+    """One adapter under test: what its subject file says, and how its server introduced itself.
+
+    ``unclaimed``: facet to the reason why it is not claimed. ``blocking``: operations whose call waits for what it answers.
+    ``lacks``: optional inputs that no tool takes. ``probes``: what is asked for where something must be refused.
+    ``bindings``: every operation that was used; None for one that a Python function performs. ``unmet``: requirements of the
+    envelope that its own answers do not meet. ``unjudged``: outputs that the subject file does not say where to find.
+    The members of the server are None when no session was ever opened.
+    """
+
+    command: list[str]
+    envelope: Literal["native", "synthesised"]
+    recovery: str
+    deadline_s: Deadline
+    unclaimed: dict[str, str]
+    blocking: list[str]
+    lacks: list[str]
+    probes: dict[str, Any]
+    bindings: dict[str, list[StoredBinding] | None]
+    unjudged: list[str]
+    unmet: list[str]
+    server_name: Name | None
+    server_version: Name | None
+    protocol_version: Name | None
+    tools: Count | None
+
+
+class Subject(TypedDict):
+    """Who was tested; ``adapters`` by key of their protocol."""
+
+    name: Name
+    version: Name
+    digest: Digest
+    deviations: list[Deviation]
+    adapters: dict[str, AdapterFacts]
+
+
+class Environment(TypedDict):
+    """Where and when; ``finished_at`` is None as long as the run goes on, and for ever when it was killed."""
+
+    python: str
+    platform: str
+    cpu_count: Count | None
+    packages: dict[str, str | None]
+    started_at: Instant
+    finished_at: Instant | None
+
+
+class Settings(TypedDict):
+    """What was asked for. ``narrowed``: what of it says less than a full run, a sentence each."""
+
+    subject: str | None
+    reps: Count
+    repetitions: dict[str, Count]
+    seed: int
+    era: str
+    time_scale: Factor
+    suites: list[str]
+    xdist_workers: Count
+    narrowed: list[str]
+
+
+class Endpoint(TypedDict):
+    """Where adapters reached a device: a port of a host, or the path of a pseudo terminal."""
+
+    name: str
+    kind: Literal["tcp", "udp", "pty"]
+    host: str
+    port: Count
+    path: str
+
+
+class Device(TypedDict):
+    """One device of the run: which adapter variant had it, in which process of pytest, and where it listened.
+
+    ``endpoints``: the main one first. ``placeholders``: what ``{host}``, ``{port}`` and ``{url}`` of the subject file stood for.
+    ``first``: sequence number at which its journal begins to be the run's; 0 for a device that the run itself has started.
+    """
+
+    protocol: str
+    variant: str
+    worker: str
+    endpoints: list[Endpoint]
+    placeholders: dict[str, str]
+    first: Count
+
+
+class Finding(TypedDict):
+    """One fault of the adapter. ``cause``: what found the same cause first, None when this did; only MUST turns an item red."""
+
+    code: str
+    message: str
+    requirement: str | None
+    evidence: str | None
+    strength: Literal["MUST", "SHOULD"]
+    cause: str | None
+
+
+class Frames(TypedDict):
+    """The frames of a call, cut off after 16 KiB each; ``complaint`` is the official client's, ``faults`` are the reply's own."""
+
+    request: str
+    response: str | None
+    failure: str | None
+    complaint: str | None
+    faults: list[Finding]
+
+
+class Call(TypedDict):
+    """One tool call.
+
+    ``operation`` and ``inputs``: what the steps asked for; ``tool`` and ``arguments``: what the subject file makes of it.
+    ``group``: calls of the same number were made at the same time. ``frames``: where the envelope does not say it all.
+    """
+
+    role: Role
+    adapter: str
+    variant: str
+    operation: str
+    inputs: dict[str, Any]
+    tool: str
+    arguments: dict[str, Any]
+    group: Count
+    sent_ns: Nanoseconds
+    received_ns: Nanoseconds | None
+    latency_ms: float | None
+    ok: bool
+    envelope: dict[str, Any] | None
+    native: bool
+    listed: bool
+    outputs: dict[str, Any]
+    error_code: str | None
+    frames_sha256: str
+    frames: NotRequired[Frames]
+
+
+class JournalEntry(TypedDict):
+    """One thing that reached a device, or that it sent; a protocol adds members of its own.
+
+    ``seq``: sequence number, from 0 since the device was started, without gaps. ``connection``: its number, 0 for none.
+    ``direction``: ``in`` for what the device received, ``out`` for what it sent. ``kind``: what it is, in the protocol's words.
+    ``origin``: who caused it: a ``client`` of the device, the ``plant``'s own simulation, or the ``kit``. ``request``: a client
+    asks the plant for something; keeping a session alive is no request. ``state_changing``: a request that may change the
+    plant. ``answers``: ``seq`` of the request that this entry answers, or None.
+    """
+
+    seq: Count
+    t_ns: Nanoseconds
+    connection: Count
+    direction: Literal["in", "out"]
+    kind: str
+    origin: Literal["client", "plant", "kit"]
+    request: bool
+    state_changing: bool
+    answers: Count | None
+
+
+class DeviceEntry(JournalEntry):
+    """A journal entry and the device that has it; no ``variant`` is the one with writes enabled."""
+
+    protocol: str
+    variant: NotRequired[str]
+
+
+class Started(TypedDict):
+    """A device that was started again: how long it took, and when it accepted connections."""
+
+    ms: float
+    accepting_ns: Nanoseconds
+
+
+SessionStart = tuple[Count, Count]
+"""Number of a session among those of its adapter, and the sequence number of the device's journal at which it began."""
+
+
+class FreshSession(TypedDict):
+    """A session that replaced another one.
+
+    ``opened``: sequence number of the device's journal at which it began. ``ended``: how the process before it ended, None when
+    there was none, after ``seconds``.
+    """
+
+    spawned_ns: Nanoseconds
+    opened: Count
+    ended: str | None
+    seconds: float
+
+
+Change = tuple[list[str | int], Any]
+"""A place in a device image, and its value there."""
+
+
+class Observation(TypedDict):
+    """One look at a device, between ``asked_ns`` and ``seen_ns``; ``at`` names the adapter: its protocol, with ``@ro`` for the one with writes disabled.
+
+    It has one further member, which says what was seen without repeating what the record has elsewhere:
+
+    ``session``: the adapter has another session. ``journal``: the slice, up to before the
+    entry of this number. ``session_journal``: the entries from the first to before the second number. ``followed``: the session
+    oracles have seen everything before this number. ``wait``: so many entries had matched when the waiting was over. ``image``:
+    a device image; ``changes``: what differs in one from the last whole image of the device. ``stop``: the device was stopped,
+    milliseconds; ``start``: it was started, its journal counts from 0 again. ``fresh_session``: the session was replaced.
+    ``end``: the slice ends before this number, the next one begins there.
+    """
+
+    at: str
+    asked_ns: Nanoseconds
+    seen_ns: Nanoseconds
+    session: NotRequired[SessionStart]
+    journal: NotRequired[Count]
+    session_journal: NotRequired[tuple[Count, Count]]
+    followed: NotRequired[Count]
+    wait: NotRequired[Count]
+    image: NotRequired[dict[str, Any]]
+    changes: NotRequired[list[Change]]
+    stop: NotRequired[float]
+    start: NotRequired[Started]
+    fresh_session: NotRequired[FreshSession]
+    end: NotRequired[Count]
+
+
+class Phases(TypedDict):
+    """Phases of a recovery trial in milliseconds; None for what did not happen."""
+
+    warm_call: float | None
+    stop: float | None
+    detect: float | None
+    restart: float | None
+    same_session: float | None
+    same_session_attempts: Count
+    same_session_ok: bool
+    fresh_session: float | None
+    fresh_session_ok: bool
+
+
+class Sample(TypedDict):
+    """One repetition: its calls, what its devices saw (``device``), what was looked at, and what was found."""
+
+    repetition: Count
+    ok: bool
+    duration_ms: float
+    calls: list[Call]
+    device: list[DeviceEntry]
+    observations: list[Observation]
+    findings: list[Finding]
+    phases: Phases | None
+
+
+class Around(TypedDict):
+    """Set-up, warm-up or closing checks: executed like a repetition, but none; its findings are the item's."""
+
+    role: Role
+    calls: list[Call]
+    device: list[DeviceEntry]
+    observations: list[Observation]
+
+
+class ItemDevice(TypedDict):
+    """A device as an item found it.
+
+    ``device``: its name in the run's ``devices``. ``begin``: sequence number at which the item began, seen between ``asked_ns``
+    and ``seen_ns``. ``starts``: how often the device had been started again before. ``before``: the entries from the end of the
+    last item that had the device to this one. ``quiet``: nobody called the adapter meanwhile. ``session``: its session, None when
+    there was none yet.
+    """
+
+    device: str
+    begin: Count
+    asked_ns: Nanoseconds
+    seen_ns: Nanoseconds
+    accepting_ns: Nanoseconds
+    starts: Count
+    before: list[JournalEntry]
+    quiet: bool
+    session: SessionStart | None
+
+
+class SessionRemark(TypedDict):
+    """What was remarkable about a session apart from its replies, at the item's inspection of this number."""
+
+    inspection: Count
+    protocol: str
+    overflow: bool
+    died: str | None
+    unknown_ids: list[str]
+    stray_lines: Count
+    first_stray: str
+
+
+class Ended(TypedDict):
+    """Why an item ended before its time, and whose fault that was."""
+
+    fault_of: Literal["subject", "binding", "kit"]
+    code: str
+    message: str
+
+
+class RequirementRow(TypedDict):
+    """What an item says about one requirement of the catalogue."""
+
+    id: str
+    status: str
+
+
+class ItemBody(TypedDict):
+    """What a trial knows of its item, without the samples.
+
+    ``began_ns``, ``ended_ns``: of its ``worker``, whose items follow one another. ``devices``: by the adapter's name in
+    observations.
+    """
+
+    id: str
+    suite: str
+    family: str
+    title: str
+    capabilities: list[str]
+    requirements: list[str]
+    status: State
+    reason: str | None
+    planned: Count
+    worker: str
+    started_at: Instant
+    finished_at: Instant
+    began_ns: Nanoseconds
+    ended_ns: Nanoseconds
+    findings: list[Finding]
+    requirement_rows: list[RequirementRow]
+    timing_ms: dict[str, float]
+    devices: dict[str, ItemDevice]
+    around: list[Around]
+    sessions: list[SessionRemark]
+    ended: Ended | None
+
+
+class ItemHead(ItemBody):
+    """An item without its samples. ``run_id``: of the run, again. ``order``: its place in the suite."""
+
+    run_id: RunId
+    order: Count
+
+
+class Item(ItemHead):
+    """One item of the suite."""
+
+    samples: list[Sample]
+
+
+class Footer(TypedDict):
+    """Counts and verdict. Of a run that did not end there is only what is not optional here."""
+
+    complete: bool
+    reason: str | None
+    items: Count
+    samples: NotRequired[Count]
+    tool_calls: NotRequired[dict[Role, Count]]
+    verdict: NotRequired[str]
+    deviations: NotRequired[dict[str, list[str]]]
+    elapsed_s: NotRequired[float]
+    breakdown_s: NotRequired[dict[str, float]]
+    timing_valid: NotRequired[bool]
+    digest: NotRequired[Digest]
+
+
+class Header(TypedDict):
+    """A run record without items and footer."""
+
+    schema: Literal["otmcp-run/2"]
+    run_id: RunId
+    kit: Kit
+    subject: Subject
+    environment: Environment
+    settings: Settings
+    devices: dict[str, Device]
+
+
+class Run(Header):
+    """A run record: everything that the kit's reports, tables and certificates are made from."""
+
+    items: list[Item]
+    footer: Footer
+
+
+class ShapeError(Exception):
+    """A value has another shape than its definition; the message says where."""
+
+
+T = TypeVar("T")
+
+
+def check(value: object, shape: type[T], where: str) -> T:
+    """Check a value, as read from JSON, against a class of this module; return it as it is.
+
+    Args:
+        where: how the value is called in the error.
+
+    Raises:
+        ShapeError: it has another shape.
+    """
+    try:
+        msgspec.convert(value, shape)
+    except msgspec.ValidationError as error:
+        reason, _, place = str(error).partition(" - at `$")
+        raise ShapeError(f"{where}{place.rstrip('`')}: {reason[:1].lower()}{reason[1:]}") from None
+    # What msgspec returns is a copy without the members that it does not know.
+    return value  # type: ignore[return-value]

@@ -1,0 +1,167 @@
+"""Writes a run record as the run goes. Pure but for the file.
+
+The file is one JSON document, laid out in lines so that it can be written, read and sealed piece by piece, however long the run:
+a line for each member of the header, a line for each item without its samples, a line for each sample, a line for the footer,
+and a last one for the digest, which is the SHA-256 of every byte before that line.
+
+It is valid JSON after every item: the footer says ``"complete": false`` until the run is over. An item costs one write over that
+footer; a write that is torn by a kill leaves whole lines, which the reader finds again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from .schema import Footer, Header, ItemHead, Sample
+
+__all__ = ["ITEMS_LINE", "RunWriter", "SampleSpool", "dump", "laid_out"]
+
+ITEMS_LINE = b' "items": [\n'
+_BLOCK = 1 << 20
+
+
+def dump(value: object) -> bytes:
+    """Return a value as one line of JSON.
+
+    A lone surrogate, which no UTF-8 has and no strict reader takes, may come from a device's topic or node name: it becomes a
+    question mark.
+    """
+    return json.dumps(value, ensure_ascii=False, allow_nan=False).encode("utf-8", "replace")
+
+
+def laid_out(samples: Iterable[Sample]) -> Iterator[bytes]:
+    """Return samples as the record has them in its item."""
+    for index, sample in enumerate(samples):
+        yield (b",\n   " if index else b"\n   ") + dump(sample)
+
+
+class SampleSpool:
+    """Keeps the samples of one item in a file of its own while the item runs, laid out as in the record.
+
+    Args:
+        path: the file; made with the first sample.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._count = 0
+
+    def add(self, sample: Sample) -> None:
+        """Append a sample."""
+        with self.path.open("ab") as file:
+            file.write((b",\n   " if self._count else b"\n   ") + dump(sample))
+        self._count += 1
+
+    @staticmethod
+    def read(path: Path) -> Iterator[bytes]:
+        """Return what a spool of another process holds, in blocks."""
+        if path.is_file():
+            with path.open("rb") as file:
+                yield from _blocks(file.fileno(), 0, path.stat().st_size)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Written:
+    order: int
+    begin: int
+    end: int
+
+
+class RunWriter:
+    """Writes a run record item by item.
+
+    Args:
+        path: the file, replaced when it exists.
+        header: everything but items and footer, as far as it is known.
+    """
+
+    def __init__(self, path: Path, header: Header) -> None:
+        self._path = path
+        self._items: list[_Written] = []
+        head = _head(header)
+        self._end = len(head)
+        path.write_bytes(head + _unfinished(0))
+
+    def append(self, item: ItemHead, samples: Iterable[bytes]) -> None:
+        """Add an item; the file is a valid record of an unfinished run when this returns.
+
+        Args:
+            samples: laid out, see :func:`laid_out`.
+
+        Raises:
+            OSError: it could not be written; the file is what it was before.
+        """
+        head = (b",\n" if self._items else b"") + b"  " + dump(item)[:-1] + b', "samples": ['
+        # Unbuffered: a torn write leaves whole lines before it.
+        with self._path.open("r+b", buffering=0) as file:
+            descriptor = file.fileno()
+            try:
+                at = _write(descriptor, self._end, head)
+                for block in samples:
+                    at = _write(descriptor, at, block)
+                end = _write(descriptor, at, b"\n  ]}")
+                _write(descriptor, end, _unfinished(len(self._items) + 1))
+            except OSError:
+                footer = _unfinished(len(self._items))
+                _write(descriptor, self._end, footer)
+                file.truncate(self._end + len(footer))
+                raise
+        begin = self._end + (2 if self._items else 0)
+        self._items.append(_Written(order=item["order"], begin=begin, end=end))
+        self._end = end
+
+    def finish(self, header: Header, footer: Footer) -> None:
+        """Seal the record: header and footer as they are now known, items in the suite's order, in place in one step."""
+        fresh = self._path.with_suffix(".json.new")
+        digest = hashlib.sha256()
+        try:
+            with fresh.open("wb") as target, self._path.open("rb") as source:
+                for block in self._sealed(source.fileno(), header, footer):
+                    digest.update(block)
+                    target.write(block)
+                target.write(b' "digest": ' + dump("sha256:" + digest.hexdigest()) + b"}}\n")
+            os.replace(fresh, self._path)
+        except OSError:
+            fresh.unlink(missing_ok=True)
+            raise
+
+    def _sealed(self, source: int, header: Header, footer: Footer) -> Iterator[bytes]:
+        yield _head(header)
+        for index, item in enumerate(sorted(self._items, key=lambda item: item.order)):
+            if index:
+                yield b",\n"
+            yield from _blocks(source, item.begin, item.end)
+        yield b'\n ],\n "footer": ' + dump(footer)[:-1] + b",\n"
+
+
+def _head(header: Header) -> bytes:
+    members = b",\n ".join(dump(name) + b": " + dump(value) for name, value in header.items())
+    return b"{" + members + b",\n" + ITEMS_LINE
+
+
+def _unfinished(items: int) -> bytes:
+    footer: Footer = {"complete": False, "reason": "the run did not end", "items": items}
+    return b'\n ],\n "footer": ' + dump(footer) + b"}\n"
+
+
+def _write(descriptor: int, at: int, content: bytes) -> int:
+    os.lseek(descriptor, at, os.SEEK_SET)
+    rest = memoryview(content)
+    while rest:
+        rest = rest[os.write(descriptor, rest) :]
+    return at + len(content)
+
+
+def _blocks(descriptor: int, begin: int, end: int) -> Iterator[bytes]:
+    os.lseek(descriptor, begin, os.SEEK_SET)
+    while begin < end:
+        block = os.read(descriptor, min(_BLOCK, end - begin))
+        if not block:
+            raise OSError("the file has been cut off")
+        begin += len(block)
+        yield block

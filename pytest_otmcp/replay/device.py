@@ -1,0 +1,96 @@
+"""The devices of a stored run: their journals must be one chain over all items, in the order of time. Pure.
+
+Between two items a device's journal goes on where the last item left it, unless the device was started again. Within an item
+every look at a device says when it was asked for and when its answer was there: whatever the look shows happened before the
+answer, whatever it does not show happened after the question.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ..record.schema import Device, ItemDevice, JournalEntry, SessionStart
+from ..trial.cursor import JournalCursor
+from .reply import HistoryError
+
+__all__ = ["DeviceHistory"]
+
+
+class DeviceHistory:
+    """One device through all items of a run.
+
+    Attributes:
+        name: in the run record.
+        facts: as the record has them.
+        cursor: where its adapter is in its journal.
+        unknown: the last item ended before its time, or could not be judged again: what happened since is not known.
+    """
+
+    def __init__(self, name: str, facts: Device) -> None:
+        self.name = name
+        self.facts = facts
+        self.cursor = JournalCursor(facts["protocol"], facts["first"])
+        self.unknown = False
+        self._floor_ns = 0
+        self._last_ns = 0
+
+    def enter(self, found: ItemDevice) -> None:
+        """Begin an item.
+
+        Raises:
+            HistoryError: the item does not begin where the one before it ended.
+        """
+        cursor = self.cursor
+        unknown, self.unknown = self.unknown, False
+        quiet = cursor.quiet
+        if found["starts"] != cursor.starts and not unknown:
+            raise HistoryError(
+                f"{self.name} was started again {found['starts']} time(s) before, the items before show {cursor.starts}"
+            )
+        while cursor.starts < found["starts"]:
+            cursor.restart()
+        if found["quiet"] != quiet and not unknown:
+            raise HistoryError(f"{self.name} was {'' if quiet else 'not '}left alone since the last item that had it")
+        self.has_session(found["session"])
+        if unknown:
+            cursor.next = max(cursor.next, found["begin"] - len(found["before"]))
+        self.looked(found["before"], found["begin"], found["seen_ns"])
+        self.take(found["before"], found["begin"], found["asked_ns"])
+
+    def has_session(self, session: SessionStart | None) -> None:
+        """Begin a session, if this is another one than before."""
+        if session is not None and (self.cursor.session is None or session[0] != self.cursor.session[0]):
+            number, seq = session
+            self.cursor.open_session(seq, number)
+
+    def looked(self, entries: Sequence[JournalEntry], until: int, seen_ns: int) -> None:
+        """Check what a look at the journal showed: the slice from the last one's end to before ``until``.
+
+        Raises:
+            HistoryError: there is a gap, or something happened out of its time.
+        """
+        begin = self.cursor.next
+        found = [entry["seq"] for entry in entries]
+        if len(found) != until - begin or any(seq != begin + index for index, seq in enumerate(found)):
+            wanted = f"{begin} to {until - 1}" if until > begin else "none"
+            raise HistoryError(f"the journal of {self.name} should have the entries {wanted}, it has {_listed(found)}")
+        last_ns = max(self._last_ns, self._floor_ns)
+        for entry in entries:
+            if not last_ns <= entry["t_ns"] <= seen_ns:
+                raise HistoryError(
+                    f"entry {entry['seq']} of the journal of {self.name} is not of its time: {entry['t_ns']} ns is not "
+                    f"between {last_ns} and {seen_ns}"
+                )
+            last_ns = entry["t_ns"]
+
+    def take(self, entries: Sequence[JournalEntry], until: int, asked_ns: int) -> None:
+        """Take a slice: what comes after it came after it was asked for."""
+        self.cursor.take(entries, until)
+        self._floor_ns = max(self._floor_ns, asked_ns)
+        if entries:
+            self._last_ns = entries[-1]["t_ns"]
+
+
+def _listed(numbers: Sequence[int]) -> str:
+    shown = ", ".join(map(str, numbers[:8]))
+    return f"[{shown}{', …' if len(numbers) > 8 else ''}]"

@@ -1,0 +1,98 @@
+"""Matches the frames that a session's transport sees to the calls that caused them; keeps what belongs to none."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from mcp.types import (
+    JSONRPCError,
+    JSONRPCMessage,
+    JSONRPCNotification,
+    JSONRPCRequest,
+    JSONRPCResponse,
+    jsonrpc_message_adapter,
+)
+from pydantic import ValidationError
+
+__all__ = ["MAX_STRAY_LINES", "META_KEY", "FrameRecorder", "Measurement"]
+
+META_KEY = "pytest-otmcp/exchange"
+"""Ties a frame to the call that caused it, also when several run at once. ``_meta`` is the place the specification gives
+for such keys (basic, "General fields"), and servers must ignore unknown ones."""
+
+MAX_STRAY_LINES = 1000
+_KEPT_STRAY_LINES = 5
+
+
+@dataclass(slots=True)
+class Measurement:
+    """The frames of one call as far as they have passed; see :class:`~pytest_otmcp.session.exchange.Exchange`."""
+
+    request: bytes = b""
+    response: bytes | None = None
+    sent_ns: int = 0
+    received_ns: int | None = None
+
+
+@dataclass(slots=True)
+class FrameRecorder:
+    """Matches frames to the calls that caused them.
+
+    Attributes:
+        stray_count, stray: lines that are no MCP message: how many, and the first few.
+        unknown_ids: ids of responses to requests that were never sent.
+        overflow: a message longer than the kit accepts arrived.
+    """
+
+    stray_count: int = 0
+    stray: list[bytes] = field(default_factory=list)
+    unknown_ids: list[str] = field(default_factory=list)
+    overflow: bool = False
+    _pending: dict[int, Measurement] = field(default_factory=dict)
+    _by_request_id: dict[Any, Measurement] = field(default_factory=dict)
+    _known_ids: set[Any] = field(default_factory=set)
+    _tokens: itertools.count[int] = field(default_factory=lambda: itertools.count(1))
+
+    def begin(self, measurement: Measurement) -> int:
+        """Expect the frames of a call; the token goes into its request's ``_meta`` under :data:`META_KEY`."""
+        token = next(self._tokens)
+        self._pending[token] = measurement
+        return token
+
+    def end(self, token: int) -> None:
+        """Stop expecting the frames of a call."""
+        self._pending.pop(token, None)
+
+    def sent(self, now: int, frame: bytes, identifier: Any, params: Mapping[str, Any] | None) -> None:
+        """Note that a request is about to be written."""
+        self._known_ids.add(identifier)
+        token = ((params or {}).get("_meta") or {}).get(META_KEY)
+        measurement = self._pending.get(token) if isinstance(token, int) else None
+        if measurement is not None:
+            self._by_request_id[identifier] = measurement
+            measurement.request = frame
+            measurement.sent_ns = now
+
+    def received(self, now: int, frame: bytes) -> JSONRPCMessage | ValidationError | None:
+        """Note that a frame was read; return the message it holds, what is wrong with it, or None for what a client has
+        no use for."""
+        try:
+            message = jsonrpc_message_adapter.validate_json(frame)
+        except ValidationError as error:
+            self.stray_count += 1
+            if len(self.stray) < _KEPT_STRAY_LINES:
+                self.stray.append(frame)
+            return error
+        if isinstance(message, JSONRPCResponse | JSONRPCError):
+            measurement = self._by_request_id.pop(message.id, None)
+            if measurement is not None:
+                measurement.response = frame
+                measurement.received_ns = now
+            elif message.id not in self._known_ids and len(self.unknown_ids) < _KEPT_STRAY_LINES:
+                self.unknown_ids.append(repr(message.id))
+        elif not isinstance(message, JSONRPCRequest | JSONRPCNotification):
+            return None
+        return message

@@ -1,0 +1,60 @@
+"""What a subject claims: the one place that answers whether a facet is claimed, of a subject file and of a run record. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass
+
+from ..protocols.registry import protocols
+from ..record.schema import AdapterFacts
+from .model import Adapter
+
+__all__ = ["Claims"]
+
+
+@dataclass(frozen=True, slots=True)
+class _AdapterClaims:
+    unclaimed: Mapping[str, str]
+    waiting: Collection[str]
+
+
+@dataclass(frozen=True, slots=True)
+class Claims:
+    """The claims of a subject's adapters; facets are named with their protocol, such as ``modbus.guard``."""
+
+    _adapters: Mapping[str, _AdapterClaims]
+
+    @classmethod
+    def of_subject(cls, adapters: Mapping[str, Adapter]) -> Claims:
+        """Take the claims of a subject file."""
+        return cls({key: _AdapterClaims(adapter.unclaimed, adapter.blocking) for key, adapter in adapters.items()})
+
+    @classmethod
+    def of_record(cls, adapters: Mapping[str, AdapterFacts]) -> Claims:
+        """Take the claims that a run record states in ``subject.adapters``."""
+        return cls({key: _AdapterClaims(facts["unclaimed"], facts["blocking"]) for key, facts in adapters.items()})
+
+    def has_adapter(self, protocol: str) -> bool:
+        """The subject has an adapter for this protocol."""
+        return protocol in self._adapters
+
+    def why_not(self, facet: str) -> str | None:
+        """Return the reason why a facet is not claimed; None when it is. An optional input goes with its operation."""
+        protocol, _, name = facet.partition(".")
+        if protocol not in self._adapters:
+            return f"the subject has no adapter for {protocols()[protocol].name}"
+        unclaimed = self._adapters[protocol].unclaimed
+        return unclaimed.get(name, unclaimed.get(name.partition(".")[0]))
+
+    def has(self, facet: str) -> bool:
+        """The facet is claimed."""
+        return self.why_not(facet) is None
+
+    def required(self, needs: Iterable[str]) -> list[str]:
+        """Resolve the facets that a task needs into those that a subject claims or not."""
+        found: list[str] = []
+        for need in needs:
+            protocol, _, name = need.partition(".")
+            waiting = self._adapters[protocol].waiting if protocol in self._adapters else ()
+            found += [f"{protocol}.{real}" for real in protocols()[protocol].required_facets(name, waiting)]
+        return list(dict.fromkeys(found))

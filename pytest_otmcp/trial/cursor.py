@@ -1,0 +1,104 @@
+"""Where an adapter is in the journal of its device: what has been taken, and what its session's oracles have seen. Pure.
+
+The same object serves a bench and the judging of a stored run again: journals are looked at in the same order in both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TypeVar
+
+from ..protocols.registry import protocols
+from ..protocols.session_oracle import SessionOracle
+from ..record.schema import SessionStart
+from .ledger import Entry
+
+__all__ = ["JournalCursor", "Oracle"]
+
+Oracle = TypeVar("Oracle", bound=SessionOracle)
+
+
+class JournalCursor:
+    """Position of one adapter in the journal of its device.
+
+    Args:
+        protocol: of the adapter; its description names the session oracles.
+        first: sequence number at which the journal begins for it.
+
+    Attributes:
+        next: sequence number at which the next slice begins.
+        fed: sequence number before which the session's oracles have seen everything.
+        released: sequence number before which the device has forgotten everything.
+        starts: how often the device was started again.
+        connected: that session is open.
+        looked_through: everything before ``next`` has been looked at, and since then nobody has called the adapter.
+    """
+
+    def __init__(self, protocol: str, first: int = 0) -> None:
+        self._kinds = protocols()[protocol].session_oracles
+        self._oracles: dict[type[SessionOracle], SessionOracle] = {}
+        self.next = first
+        self.fed = first
+        self.released = first
+        self.starts = 0
+        self._sessions = 0
+        self._began: int | None = None
+        self.connected = False
+        self.looked_through = False
+
+    @property
+    def quiet(self) -> bool:
+        """What comes from ``next`` on, comes by itself."""
+        return self.connected and self.looked_through
+
+    @property
+    def session(self) -> SessionStart | None:
+        """Number of the adapter's last session, and the sequence number at which it began; None when there was none."""
+        return None if self._began is None else (self._sessions, self._began)
+
+    def open_session(self, seq: int, number: int | None = None) -> None:
+        """Begin a session at this sequence number; by default it is the next one."""
+        self._sessions = self._sessions + 1 if number is None else number
+        self._began = seq
+        self.connected = True
+        self._oracles = {kind: kind() for kind in self._kinds}
+
+    def close_session(self) -> None:
+        """End the session; its oracles still answer for it."""
+        self.connected = False
+
+    def restart(self) -> None:
+        """Begin a journal that counts from 0 again, as a device that was started has it."""
+        self.starts += 1
+        self.next = self.fed = self.released = 0
+        if self._began is not None:
+            self._began = 0
+            self._oracles = {kind: kind() for kind in self._kinds}
+
+    @property
+    def began(self) -> int:
+        """Sequence number at which the adapter's session began in what is still to be taken."""
+        return max(self.next, self._began or 0)
+
+    def feed(self, entries: Iterable[Entry], until: int) -> None:
+        """Show the session's oracles the entries that they have not seen, which are all before ``until``."""
+        for entry in entries:
+            if self._began is not None and entry["seq"] >= max(self.fed, self._began):
+                for oracle in self._oracles.values():
+                    oracle.feed(entry)
+        self.fed = max(self.fed, until)
+
+    def take(self, entries: Iterable[Entry], until: int) -> None:
+        """Take a slice: the next one begins where this one ends."""
+        self.feed(entries, until)
+        self.next = until
+
+    def oracle(self, kind: type[Oracle]) -> Oracle:
+        """Return the session's oracle of this kind, which has seen everything before ``fed``.
+
+        Raises:
+            LookupError: the protocol does not name it, or there never was a session.
+        """
+        found = self._oracles[kind]
+        assert isinstance(found, kind)
+        return found

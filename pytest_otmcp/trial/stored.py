@@ -1,0 +1,79 @@
+"""Calls and findings of a repetition as ``run.json`` has them."""
+
+from __future__ import annotations
+
+import hashlib
+
+from ..core.finding import Finding
+from ..record.schema import Call, Frames
+from ..record.schema import Finding as StoredFinding
+from ..session.exchange import Exchange
+from .ledger import Judged, Ledger
+
+__all__ = ["stored_calls", "stored_finding"]
+
+_KEPT_OF_A_FRAME = 16_384
+"""Bytes: an adapter may send megabytes, again and again; the record has the digest of all of them."""
+
+
+def stored_calls(ledger: Ledger) -> list[Call]:
+    """Return the calls of a repetition.
+
+    The envelope of a good reply says what its frames said. Where there is more to see, a fault or an answer that is no
+    envelope, the frames are kept.
+    """
+    return [_call(call, with_frames=bool(ledger.findings) or not call.reply.native) for call in ledger.calls]
+
+
+def _call(judged: Judged, *, with_frames: bool) -> Call:
+    reply, exchange = judged.reply, judged.reply.exchange
+    stored: Call = {
+        "role": judged.role,
+        "adapter": reply.adapter,
+        "variant": reply.variant,
+        "operation": reply.operation,
+        "tool": reply.tool,
+        "arguments": dict(reply.arguments),
+        "latency_ms": None if reply.latency_ms is None else round(reply.latency_ms, 4),
+        "ok": bool(judged.ok) and not reply.faults,
+        "envelope": reply.envelope,
+        "native": reply.native,
+        "listed": reply.listed,
+        "outputs": reply.outputs,
+        "error_code": reply.error_code,
+        "frames_sha256": hashlib.sha256(exchange.request + b"\n" + (exchange.response or b"")).hexdigest(),
+        "inputs": dict(judged.inputs),
+        "group": judged.group,
+        "sent_ns": exchange.sent_ns,
+        "received_ns": exchange.received_ns,
+    }
+    if with_frames:
+        stored["frames"] = _frames(reply.faults, exchange)
+    return stored
+
+
+def _frames(faults: tuple[Finding, ...], exchange: Exchange) -> Frames:
+    return {
+        "request": _frame(exchange.request),
+        "response": None if exchange.response is None else _frame(exchange.response),
+        "failure": exchange.failure,
+        "complaint": exchange.client_complaint,
+        "faults": [stored_finding(fault) for fault in faults],
+    }
+
+
+def _frame(frame: bytes) -> str:
+    text = frame[:_KEPT_OF_A_FRAME].decode("utf-8", "backslashreplace")
+    return text if len(frame) <= _KEPT_OF_A_FRAME else f"{text}… ({len(frame)} bytes)"
+
+
+def stored_finding(finding: Finding) -> StoredFinding:
+    """Return a finding."""
+    return {
+        "code": finding.code,
+        "message": finding.message,
+        "requirement": finding.requirement,
+        "evidence": finding.evidence,
+        "strength": finding.strength,
+        "cause": finding.cause,
+    }

@@ -1,0 +1,93 @@
+"""Writes run records for tests: what a run left, or what a forger would make of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, cast
+
+from pytest_otmcp.record.consistency import count_calls
+from pytest_otmcp.record.schema import Footer, Header, ItemHead, Run
+from pytest_otmcp.record.writer import RunWriter, laid_out
+
+__all__ = ["header_of", "run_of", "store"]
+
+_NOT_HEADER = ("items", "footer")
+_DIGEST = "sha256:" + "0" * 64
+
+
+def header_of(run: Mapping[str, Any]) -> Header:
+    """The record without items and footer."""
+    return cast(Header, {name: value for name, value in run.items() if name not in _NOT_HEADER})
+
+
+def store(path: Path, run: Mapping[str, Any], *, recount: bool = False) -> Path:
+    """Write a record as the kit would, with the digest that belongs to it.
+
+    Args:
+        recount: give the footer the counts that belong to the items, as a careful forger would.
+    """
+    writer = RunWriter(path, header_of(run))
+    for item in run["items"]:
+        head = {name: value for name, value in item.items() if name != "samples"}
+        writer.append(cast(ItemHead, head), laid_out(item["samples"]))
+    footer = {name: value for name, value in run["footer"].items() if name != "digest"}
+    if recount:
+        footer |= {
+            "items": len(run["items"]),
+            "samples": sum(len(item["samples"]) for item in run["items"]),
+            "tool_calls": count_calls(run["items"]),
+        }
+    writer.finish(header_of(run), cast(Footer, footer))
+    return path
+
+
+def run_of(
+    items: Iterable[Mapping[str, Any]],
+    *,
+    adapters: Mapping[str, Any],
+    devices: Mapping[str, Any],
+    suite_digest: str = _DIGEST,
+    seed: int = 0,
+    time_scale: float = 1.0,
+    repetitions: Mapping[str, int] | None = None,
+) -> Run:
+    """A record of these items of trials, in memory, as judging again needs it."""
+    run_id = "0" * 32
+    listed = [{**item, "run_id": run_id, "order": order} for order, item in enumerate(items)]
+    record = {
+        "schema": "otmcp-run/2",
+        "run_id": run_id,
+        "kit": {
+            "name": "pytest-otmcp",
+            "version": "0",
+            "digest": _DIGEST,
+            "suite_digest": suite_digest,
+            "protocols": [],
+        },
+        "subject": {"name": "x", "version": "0", "digest": _DIGEST, "deviations": [], "adapters": dict(adapters)},
+        "environment": {
+            "python": "3",
+            "platform": "Linux",
+            "cpu_count": None,
+            "packages": {},
+            "started_at": "2026-11-21T07:03:43Z",
+            "finished_at": "2026-11-21T07:04:43Z",
+        },
+        "settings": {
+            "subject": None,
+            "reps": 1,
+            "repetitions": dict(repetitions or {}),
+            "seed": seed,
+            "era": "auto",
+            "time_scale": time_scale,
+            "suites": ["normal", "fault", "stress", "recovery"],
+            "xdist_workers": 0,
+            "broker": "embedded",
+            "narrowed": [],
+        },
+        "devices": dict(devices),
+        "items": listed,
+        "footer": {"complete": True, "reason": None, "items": len(listed)},
+    }
+    return cast(Run, record)

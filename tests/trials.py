@@ -1,0 +1,44 @@
+"""Runs tasks on a bench for tests, and makes a record of what came of them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from pytest_otmcp.record.reader import StoredRun
+from pytest_otmcp.record.schema import Run, Sample, check
+from pytest_otmcp.suite.catalogue import suite_digest
+from pytest_otmcp.trial.bench import Bench
+from pytest_otmcp.trial.live_driver import LiveDriver
+from pytest_otmcp.trial.task import Task
+from pytest_otmcp.trial.trial import Trial
+
+from .stored_runs import run_of
+
+__all__ = ["as_read", "measured", "recorded"]
+
+
+async def measured(bench: Bench, task: Task, repetitions: int = 1) -> dict[str, Any]:
+    """Run a task; the item with its samples."""
+    samples: list[Sample] = []
+    item = await Trial(LiveDriver(bench, task, seed=0), task, repetitions, keep=samples.append).run()
+    return {**item, "samples": samples}
+
+
+def recorded(bench: Bench, items: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
+    """The record of these items, as long as their bench has not been closed; as if read from a file."""
+    record = run_of(
+        items,
+        adapters=bench.adapters(),
+        devices=bench.devices(),
+        suite_digest=suite_digest(),
+        time_scale=bench.options.time_scale,
+    )
+    restored: dict[str, Any] = json.loads(json.dumps(record, allow_nan=False))
+    return restored
+
+
+def as_read(record: Mapping[str, Any]) -> StoredRun:
+    """A record in memory, checked as one that was read."""
+    return StoredRun.of(check(record, Run, "the record"))
