@@ -47,6 +47,10 @@ def run(args: argparse.Namespace) -> int:
         f"verified: {told['subject'][0]['name']} is {told['predicate']['otmcp']['verdict']}; {counts['passed']} of "
         f"{counts['planned']} repetitions passed in {counts['items']} items, and judging them again found the same"
     )
+    if judges := [
+        entry["name"] for entry in told["predicate"]["configuration"] if entry["name"].startswith("protocol ")
+    ]:
+        print(f"judged by other packages than the kit, too: {', '.join(judges)}")
     print("the certificate is not signed: who ran the kit, and at which adapter, it cannot prove")
     return 0
 
@@ -81,7 +85,7 @@ def _derived(told: Any, run: StoredRun, certificate_path: Path, record_path: Pat
         raise Refusal(f"refused: {certificate_path} is about another run.json than {record_path}")
     _check_kit(record_path, run.header["kit"])
     record = condensed(run)
-    tasks = tasks_by_id()
+    tasks = tasks_by_id(run.header["subject"]["adapters"])
     try:
         _refuse(f"{record_path} earns no certificate", objections(record, tasks))
         expected = certificate(record, run.sha256, tasks)
@@ -124,12 +128,28 @@ def _check_kit(path: Path, judged_by: Kit) -> None:
 
     found = tuple(judged_by.get(name) for name in ("version", "suite_digest", "digest"))
     if found == (__version__, suite_digest(), kit_digest()):
+        _check_protocols(path, judged_by)
         return
     if found[0] == __version__:
         why = f"a pytest-otmcp {__version__} with other files than this one (one of the two has been changed)"
     else:
         why = f"pytest-otmcp {found[0]}, and this is {__version__}; install that version to judge it again"
     raise Refusal(f"refused: {path} was judged by {why}")
+
+
+def _check_protocols(path: Path, judged_by: Kit) -> None:
+    """Compare the protocols of other packages that judged the run with those that are installed here."""
+    from ..protocols.registry import protocols
+
+    for entry in judged_by["protocols"]:
+        if entry["digest"] is None:
+            continue
+        package = f"the protocol {entry['key']!r} of {entry['distribution']} {entry['version']}"
+        installed = protocols().get(entry["key"])
+        if installed is None or installed.origin is None:
+            raise Refusal(f"refused: {path} was judged by {package}; install it to judge the run again")
+        if installed.origin.digest != entry["digest"]:
+            raise Refusal(f"refused: {path} was judged by {package} with other files than those installed here")
 
 
 def _refuse(what: str, reasons: list[str]) -> None:

@@ -179,7 +179,11 @@ class RunRecorder:
                 "version": __version__,
                 "suite_digest": suite_digest(),
                 "digest": kit_digest(),
-                "protocols": [_protocol(protocol) for protocol in protocols().values()],
+                "protocols": [
+                    _protocol(protocol)
+                    for protocol in protocols().values()
+                    if protocol.always or protocol.key in self._subject.adapters
+                ],
             },
             "subject": {
                 "name": printable(self._subject.name),

@@ -25,8 +25,11 @@ __all__ = ["altered_task", "changed_files", "replaced_functions"]
 _KIT = Path(__file__).resolve().parents[1]
 _LIBRARY = Path(hashlib.__file__).resolve().parent
 _PACKAGE = __package__.partition(".")[0]
-_ROOMS_WITHOUT_JUDGEMENT = tuple(f"{_PACKAGE}.{room}" for room in ("cli", "onboarding", "report"))
-"""Rooms of the kit that show results or help with a subject file; every other room takes part in a judgement."""
+_ROOMS_WITHOUT_JUDGEMENT = tuple(
+    f"{_PACKAGE}.{room}" for room in ("cli", "onboarding", "report", "conformance", "mocks", "reference_adapters")
+)
+"""Rooms that show results or help with a subject file, and those that a wheel has inside of the kit's folder: tasks are compared
+with their declarations, and the others run in processes of their own. Every other room takes part in a judgement."""
 
 
 def changed_files() -> list[str]:

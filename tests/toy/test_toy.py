@@ -103,18 +103,35 @@ def test_a_subject_without_toys_has_no_items_of_them(run: Run, tmp_path: Path) -
 @pytest.mark.long
 def test_a_certificate_names_the_protocols_of_third_parties(run: Run, tmp_path: Path) -> None:
     subject(tmp_path)
-    done = run("pytest_otmcp.cli", "certify")
+    done = run("pytest_otmcp.cli", "certify", "--out", "reports/latest")
     assert done.returncode == 0, done.stdout + done.stderr
-    verified = run("pytest_otmcp.cli", "verify", "reports/latest/certificate.json")
+    verified = run("pytest_otmcp.cli", "verify", "reports/latest/certificate.json", "reports/latest/run.json")
     assert verified.returncode == 0, verified.stdout + verified.stderr
-    strangers = record(tmp_path)["kit"]["protocols"]
+    strangers = [entry for entry in record(tmp_path)["kit"]["protocols"] if entry["digest"]]
     assert [(entry["key"], entry["distribution"], entry["version"]) for entry in strangers] == [
         ("toy", "otmcp-toy", "1.0"),
         ("toyudp", "otmcp-toy", "1.0"),
     ]
-    assert all(entry["digest"].startswith("sha256:") for entry in strangers)
-    certificate = (tmp_path / "reports/latest/certificate.json").read_text(encoding="utf-8")
-    assert strangers[0]["digest"] in certificate
+    told = json.loads((tmp_path / "reports/latest/certificate.json").read_text(encoding="utf-8"))
+    judges = {entry["name"]: entry["digest"] for entry in told["predicate"]["configuration"]}
+    assert judges["protocol toy: otmcp-toy 1.0"] == {"sha256": strangers[0]["digest"].removeprefix("sha256:")}
+    assert "protocol toyudp: otmcp-toy 1.0" in verified.stdout
+    elsewhere = subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "pytest_otmcp.cli",
+            "verify",
+            "reports/latest/certificate.json",
+            "reports/latest/run.json",
+        ],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert elsewhere.returncode == 1
+    assert "was judged by the protocol 'toy' of otmcp-toy 1.0; install it to judge the run again" in elsewhere.stderr
 
 
 TAPPED = """
