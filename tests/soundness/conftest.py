@@ -19,7 +19,6 @@ from pytest_otmcp.subject import Adapter, Subject, load_subject, reference_subje
 from pytest_otmcp.suite.catalogue import tasks_by_id
 from pytest_otmcp.trial.adapter_under_test import AdapterUnderTest, BenchOptions
 from pytest_otmcp.trial.bench import Bench
-from pytest_otmcp.trial.cursor import JournalCursor
 from pytest_otmcp.trial.task import Task
 from tests.trials import as_read, measured, recorded
 from tests.warm_start import WarmStart
@@ -44,43 +43,30 @@ def plant(loop: LoopThread) -> Iterator[Plant]:
     loop.run(shared.close())
 
 
-@pytest.fixture(scope="session")
-def genuine(loop: LoopThread, plant: Plant, warm_start: WarmStart) -> Iterator[Bench]:
-    """The reference adapters, started once, for tasks that need others beside the one under test."""
-    bench = Bench(warm_start.subject(reference_subject()), BenchOptions(), plant)
-    yield bench
-    loop.run(bench.close())
-
-
 class AmongGenuine(Bench):
-    """A bench on which only the adapter of one protocol is under test."""
+    """A bench on which only the adapter of one protocol is under test; the others have all the time that they usually have.
 
-    def __init__(self, subject: Subject, plant: Plant, protocol: str, genuine: Bench, time_scale: float) -> None:
+    They end with the bench: what connects to a device again after an outage would be taken for the next adapter there.
+    """
+
+    def __init__(self, subject: Subject, plant: Plant, protocol: str, time_scale: float) -> None:
         super().__init__(subject, BenchOptions(time_scale=time_scale), plant)
         self._protocol = protocol
-        self._genuine = genuine
-        self._shared: dict[str, AdapterUnderTest] = {}
+        self._genuine = Bench(subject, BenchOptions(), plant)
 
     async def station(self, name: str) -> AdapterUnderTest:
-        reference = await self._genuine.station(name)
-        if name not in self._shared:
-            # Other tests had the device as well; what they did is none of this one's.
-            reference.first = await reference.device.mark()
-            reference.cursor = JournalCursor(reference.adapter.protocol, reference.first)
-            reference.cursor.open_session(reference.first)
-            self._shared[name] = reference
-        if name.partition("@")[0] != self._protocol:
-            return reference
-        # Two at the same device would be taken for one.
-        await reference.close()
-        del self._shared[name]
-        return await super().station(name)
+        under_test = name.partition("@")[0] == self._protocol
+        return await (super() if under_test else self._genuine).station(name)
+
+    async def close(self) -> None:
+        await self._genuine.close()
+        await super().close()
 
     def adapters(self) -> dict[str, AdapterFacts]:
-        return {station.adapter.protocol: station.facts() for station in self._shared.values()} | super().adapters()
+        return self._genuine.adapters() | super().adapters()
 
     def devices(self) -> dict[str, Device]:
-        return {name: station.device_facts() for name, station in self._shared.items()} | super().devices()
+        return self._genuine.devices() | super().devices()
 
 
 Results = dict[str, dict[str, Any]]
@@ -99,7 +85,7 @@ async def perform(bench: Bench, tasks: list[Task]) -> Results:
 
 
 @pytest.fixture
-def judge(loop: LoopThread, plant: Plant, genuine: Bench, warm_start: WarmStart) -> Judge:
+def judge(loop: LoopThread, plant: Plant, warm_start: WarmStart) -> Judge:
     """``judge(protocol, program, mode, …)``: every task that needs the protocol, once, with that adapter replaced.
 
     A ``command`` is started as it is, a program warm.
@@ -112,7 +98,7 @@ def judge(loop: LoopThread, plant: Plant, genuine: Bench, warm_start: WarmStart)
         tasks: str | None = None,
         time_scale: float = 1.0,
     ) -> Results:
-        reference = reference_subject()
+        reference = warm_start.subject(reference_subject())
         replaced = reference.adapters[protocol]
         if command is None:
             command = (*warm_start.python, str(HERE / program[0]), *program[1:])
@@ -120,7 +106,7 @@ def judge(loop: LoopThread, plant: Plant, genuine: Bench, warm_start: WarmStart)
         adapters: dict[str, Adapter] = {**reference.adapters, protocol: replace(replaced, variants=variants)}
         subject = Subject(name="defective", version="0", adapters=adapters, source=HERE)
         chosen = [task for task in tasks_by_id().values() if protocol in task.adapters and _wanted(task, tasks)]
-        return loop.run(perform(AmongGenuine(subject, plant, protocol, genuine, time_scale), chosen))
+        return loop.run(perform(AmongGenuine(subject, plant, protocol, time_scale), chosen))
 
     return run
 
