@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Any
 
 from ..core.matrix import SUITES
 from ..core.statistics import lower_bound, proportion_interval
@@ -50,7 +49,7 @@ _LIMITS = [
 Tasks = Mapping[str, Task]
 
 
-def certificate(run: Run, run_sha256: str, tasks: Tasks) -> dict[str, Any]:
+def certificate(run: Run, run_sha256: str, tasks: Tasks) -> dict[str, object]:
     """The certificate of a run without :func:`~pytest_otmcp.certificate.eligibility.objections`.
 
     Args:
@@ -109,7 +108,7 @@ def _digest_set(digest: str) -> dict[str, str]:
     return {algorithm: value}
 
 
-def _adapter(protocol: str, facts: AdapterFacts, run: Run, tasks: Tasks) -> dict[str, Any]:
+def _adapter(protocol: str, facts: AdapterFacts, run: Run, tasks: Tasks) -> dict[str, object]:
     claims = Claims.of_record(run["subject"]["adapters"])
     earned, not_exercised, not_claimed = {}, [], {}
     for name in protocols()[protocol].facets:
@@ -136,7 +135,7 @@ def _adapter(protocol: str, facts: AdapterFacts, run: Run, tasks: Tasks) -> dict
     }
 
 
-def _counts(run: Run) -> dict[str, Any]:
+def _counts(run: Run) -> dict[str, object]:
     items = run["items"]
     return {
         "confidence": _CONFIDENCE,
@@ -148,7 +147,7 @@ def _counts(run: Run) -> dict[str, Any]:
     }
 
 
-def _item_counts(item: Item) -> dict[str, Any]:
+def _item_counts(item: Item) -> dict[str, object]:
     good, planned = sum(sample["ok"] for sample in item["samples"]), item["planned"]
     least, interval = lower_bound(good, planned, _CONFIDENCE), proportion_interval(good, planned, _CONFIDENCE)
     assert least is not None
@@ -185,7 +184,7 @@ def _not_applicable(run: Run, tasks: Tasks) -> dict[str, str]:
     }
 
 
-def differences(found: Any, expected: Any, where: str = "") -> Iterator[str]:
+def differences(found: object, expected: object, where: str = "") -> Iterator[str]:
     """Where two JSON documents differ, one sentence for each place: what the first says, and what it should say."""
     if isinstance(found, dict) and isinstance(expected, dict):
         for name in {**expected, **found}:
@@ -204,6 +203,6 @@ def differences(found: Any, expected: Any, where: str = "") -> Iterator[str]:
         yield f"{where} is {_short(found)}, from the run follows {_short(expected)}"
 
 
-def _short(value: Any) -> str:
+def _short(value: object) -> str:
     text = repr(value)
     return text if len(text) <= 80 else f"{text[:77]}..."

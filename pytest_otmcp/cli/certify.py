@@ -190,7 +190,7 @@ def _conclude(out: Path, ended: int) -> int:
 def _write(out: Path, statement: dict[str, Any]) -> None:
     from ..certificate.badge import badge, badge_svg
 
-    def dumped(document: dict[str, Any]) -> str:
+    def dumped(document: dict[str, object]) -> str:
         return json.dumps(document, indent=1, ensure_ascii=False) + "\n"
 
     (out / "badge.json").write_text(dumped(badge(statement)), encoding="utf-8")

@@ -74,7 +74,7 @@ def verify(certificate_path: Path, record_path: Path) -> dict[str, Any]:
         raise Refusal(f"refused: {reason}") from None
 
 
-def _derived(told: Any, run: StoredRun, certificate_path: Path, record_path: Path) -> dict[str, Any]:
+def _derived(told: object, run: StoredRun, certificate_path: Path, record_path: Path) -> dict[str, Any]:
     from ..certificate.eligibility import objections
     from ..certificate.statement import certificate, differences
     from ..record.condensed import condensed

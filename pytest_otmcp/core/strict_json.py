@@ -19,7 +19,7 @@ def parse_strict(text: bytes | str) -> Any:
             member name, a lone surrogate.
     """
 
-    def refuse_constant(name: str) -> Any:
+    def refuse_constant(name: str) -> object:
         raise ValueError(f"{name} is no JSON number")
 
     def finite(digits: str) -> float:
@@ -28,7 +28,7 @@ def parse_strict(text: bytes | str) -> Any:
             raise ValueError(f"{digits} is beyond the range of a double")
         return number
 
-    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    def unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
         members = dict(pairs)
         if len(members) != len(pairs):
             names = [name for name, _ in pairs]
@@ -52,7 +52,7 @@ def parse_strict(text: bytes | str) -> Any:
     return value
 
 
-def _refuse_surrogates(value: Any) -> None:
+def _refuse_surrogates(value: object) -> None:
     if isinstance(value, str) and any("\ud800" <= character <= "\udfff" for character in value):
         raise ValueError("a string holds a lone surrogate")
     if isinstance(value, Mapping):
@@ -64,7 +64,7 @@ def _refuse_surrogates(value: Any) -> None:
             _refuse_surrogates(member)
 
 
-def same_json(one: Any, other: Any) -> bool:
+def same_json(one: object, other: object) -> bool:
     """Tell whether two values are equal as JSON: ``1`` equals ``1.0``, but ``true`` is not ``1``."""
     if isinstance(one, bool) or isinstance(other, bool):
         return one is other

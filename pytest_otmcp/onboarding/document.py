@@ -40,7 +40,7 @@ class Draft:
     transport_url: str | None
     native: bool
     proposals: Mapping[str, Proposal]
-    connect: tuple[str, Mapping[str, Any]] | None
+    connect: tuple[str, Mapping[str, object]] | None
     tools: Sequence[str]
     errors: Mapping[str, Sequence[str]]
     left: list[str] = field(default_factory=list)
@@ -102,7 +102,7 @@ def _answer_rules(draft: Draft, form: str) -> list[str]:
     lines = [f"answer = {_value(form)}"]
     proven = [proposal for proposal in draft.proposals.values() if proposal.proven]
     successes = [proposal.good for proposal in proven if proposal.good is not None]
-    outcome: list[dict[str, Any]] = []
+    outcome: list[dict[str, object]] = []
     errors: list[dict[str, str]] = []
     for proposal in proven:
         if proposal.bad is None:
@@ -131,7 +131,7 @@ def _is_error(message: Mapping[str, Any]) -> bool:
     return "error" in message or (message.get("result") or {}).get("isError") is True
 
 
-def _rules(name: str, rules: Sequence[Mapping[str, Any]]) -> list[str]:
+def _rules(name: str, rules: Sequence[Mapping[str, object]]) -> list[str]:
     return [f"{name} = [", *(f"  {_value(dict(rule))}," for rule in rules), "]"]
 
 
@@ -175,7 +175,7 @@ def _binding(draft: Draft, operation: str, form: str) -> list[str]:
     return [*comments, *(f"# {line}" for line in (head, *body))]
 
 
-def _output(rule: Mapping[str, Any]) -> Any:
+def _output(rule: Mapping[str, object]) -> object:
     return rule["path"] if set(rule) == {"path"} else dict(rule)
 
 
@@ -184,7 +184,7 @@ def _shortened(text: str, width: int = 200) -> str:
     return text if len(text) <= width else text[:width] + " ..."
 
 
-def _value(value: Any) -> str:
+def _value(value: object) -> str:
     """Write a value as TOML, tables inline."""
     if isinstance(value, bool):
         return "true" if value else "false"

@@ -85,7 +85,7 @@ async def draft(adapter: Adapter, pack: Pack, device: MockDevice, say: Callable[
     finally:
         await under_test.close()
     goods = [proposal.good for proposal in proposals.values() if proposal.proven and proposal.good is not None]
-    results = [good["result"] for good in goods if isinstance(good.get("result"), dict)]
+    results = [result for good in goods if isinstance(result := good.get("result"), dict)]
     native = bool(results) and not any(check_result(result) for result in results)
     return Draft(
         protocol=adapter.protocol,

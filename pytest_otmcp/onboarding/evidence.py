@@ -26,11 +26,11 @@ class Found:
     """
 
     form: str
-    rule: Mapping[str, Any]
+    rule: Mapping[str, object]
 
 
 def find(
-    message: Mapping[str, Any], expected: Any, forms: Sequence[str] = ("structured", "json", "text")
+    message: Mapping[str, object], expected: object, forms: Sequence[str] = ("structured", "json", "text")
 ) -> Found | None:
     """Find where ``expected`` (a value, or a list of them) is; the rule has been tried on the answer."""
     for form in forms:
@@ -44,7 +44,7 @@ def find(
     return None
 
 
-def _same(found: Any, expected: Any) -> bool:
+def _same(found: object, expected: object) -> bool:
     if isinstance(expected, list):
         return isinstance(found, list) and len(found) == len(expected) and all(map(_same, found, expected))
     if isinstance(expected, bool) or isinstance(found, bool):
@@ -54,7 +54,7 @@ def _same(found: Any, expected: Any) -> bool:
     return bool(found == expected)
 
 
-def _rules(document: Any, expected: Any) -> Iterator[dict[str, Any]]:
+def _rules(document: object, expected: object) -> Iterator[dict[str, Any]]:
     if isinstance(document, str):
         yield from _in_text(document, expected)
         return
@@ -73,7 +73,7 @@ def _rules(document: Any, expected: Any) -> Iterator[dict[str, Any]]:
                 yield {"path": path, **rule}
 
 
-def _places(value: Any, path: str) -> Iterator[tuple[str, Any]]:
+def _places(value: object, path: str) -> Iterator[tuple[str, object]]:
     """Yield the JMESPath of every value, also through all elements of a list of objects."""
     if path:
         yield path, value
@@ -92,7 +92,7 @@ def _places(value: Any, path: str) -> Iterator[tuple[str, Any]]:
             yield "[0]", inner
 
 
-def _in_text(text: str, expected: Any) -> Iterator[dict[str, Any]]:
+def _in_text(text: str, expected: object) -> Iterator[dict[str, object]]:
     if isinstance(expected, list):
         kind = _kind(expected[0]) if expected else "string"
         yield {"split": ",", "as": kind}
@@ -114,13 +114,13 @@ def _in_text(text: str, expected: Any) -> Iterator[dict[str, Any]]:
         yield {"regex": before + pattern, "as": kind}
 
 
-def _kind(value: Any) -> str:
+def _kind(value: object) -> str:
     if isinstance(value, bool):
         return "bool"
     return {int: "int", float: "float"}.get(type(value), "string")
 
 
-def lists_in(message: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, dict[str, Any], list[Any]]]:
+def lists_in(message: Mapping[str, object], prefix: str) -> Iterator[tuple[str, dict[str, Any], list[Any]]]:
     """Yield every list of texts in an answer with its form and its rule, as it is and without ``prefix``."""
     for form in ("structured", "json"):
         document = read_answer(message, form)[0]
@@ -151,8 +151,8 @@ _FAILING_PATHS = (
 
 
 def failure_rules(
-    failure: Mapping[str, Any], successes: Sequence[Mapping[str, Any]], form: str
-) -> list[dict[str, Any]]:
+    failure: Mapping[str, object], successes: Sequence[Mapping[str, object]], form: str
+) -> list[dict[str, object]]:
     """Return outcome rules that tell this failed answer from the successful ones; none when ``isError`` already does."""
     document, text, is_error = read_answer(failure, form)
     if is_error:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import random
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 from ..core.strict_json import parse_strict
 from ..plant.mock_device import MockDevice
@@ -44,9 +43,9 @@ class Proposal:
     evidence: list[str]
     offset: dict[str, int] = field(default_factory=dict)
     form: str | None = None
-    outputs: dict[str, Mapping[str, Any]] = field(default_factory=dict)
-    good: Mapping[str, Any] | None = None
-    bad: Mapping[str, Any] | None = None
+    outputs: dict[str, Mapping[str, object]] = field(default_factory=dict)
+    good: Mapping[str, object] | None = None
+    bad: Mapping[str, object] | None = None
     bad_code: str | None = None
 
 
@@ -60,7 +59,7 @@ class Shown:
         words: the answer, or why there is none, in a few words.
     """
 
-    message: Mapping[str, Any] | None
+    message: Mapping[str, object] | None
     entries: Sequence[JournalEntry]
     words: str
 
@@ -74,7 +73,7 @@ class Experimenter:
     """
 
     def __init__(
-        self, adapter: AdapterUnderTest, device: MockDevice, late: Mapping[str, Any] | None = None, seed: int = 0
+        self, adapter: AdapterUnderTest, device: MockDevice, late: Mapping[str, object] | None = None, seed: int = 0
     ) -> None:
         """Take an adapter that is pointed at the device.
 
@@ -102,7 +101,7 @@ class Experimenter:
             return Proposal(guess=guess, proven=False, evidence=[f"not tried: no idea what to give for {lacking}"])
         return await experiment(self, guess)
 
-    async def call(self, guess: Guess, offset: Mapping[str, int], **inputs: Any) -> Shown:
+    async def call(self, guess: Guess, offset: Mapping[str, int], **inputs: object) -> Shown:
         """Call the guessed tool and read what reached the device."""
         adapter = self._adapter
         binding = Binding(
@@ -142,7 +141,7 @@ class Experimenter:
         evidence = [f"the device saw {seen}" if proven else f"the device saw {seen or 'nothing of it'}; {shown.words}"]
         return Proposal(guess=guess, proven=proven, evidence=evidence, offset=dict(offset or {}), good=shown.message)
 
-    async def provoke(self, proposal: Proposal, code: str, **inputs: Any) -> None:
+    async def provoke(self, proposal: Proposal, code: str, **inputs: object) -> None:
         """Call the tool so that it has to fail, for the rules that tell failures.
 
         Args:
@@ -151,7 +150,7 @@ class Experimenter:
         failing = await self.call(proposal.guess, proposal.offset, **inputs)
         proposal.bad, proposal.bad_code = failing.message, code
 
-    def locate(self, proposal: Proposal, output: str, expected: Any) -> None:
+    def locate(self, proposal: Proposal, output: str, expected: object) -> None:
         """Look in the answer for a value that the device is known to have given."""
         found = None if proposal.good is None else find(proposal.good, expected)
         if found is None:
@@ -161,7 +160,7 @@ class Experimenter:
         proposal.outputs[output] = found.rule
         proposal.evidence.append(f"the value {str(expected)[:60]} of the device was found there")
 
-    def locate_echo(self, proposal: Proposal, output: str, expected: Any) -> None:
+    def locate_echo(self, proposal: Proposal, output: str, expected: object) -> None:
         """Look for a value that an answer may repeat: only where a structure says that it is one, not in a sentence."""
         found = None if proposal.good is None else find(proposal.good, expected, ("structured", "json"))
         if found is not None and set(found.rule) == {"path"} and found.form == (proposal.form or found.form):
@@ -181,6 +180,6 @@ async def reach(experimenter: Experimenter, guess: Guess) -> Proposal:
     return Proposal(guess=guess, proven=exchanged, evidence=evidence, good=shown.message)
 
 
-def _words(message: Mapping[str, Any]) -> str:
+def _words(message: Mapping[str, object]) -> str:
     _, text, is_error = read_answer(message, "text")
     return f"it {'failed' if is_error else 'answered'}: {' '.join(text.split())[:160]!r}"

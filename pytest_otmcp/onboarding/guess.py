@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import islice, product
-from typing import Any
 
 __all__ = ["Guess"]
 
@@ -27,7 +26,7 @@ class Guess:
     operation: str
     tool: str
     score: float
-    arguments: Mapping[str, Any]
+    arguments: Mapping[str, object]
     convert: Mapping[str, str]
     missing: tuple[str, ...]
     trials: Mapping[str, tuple[str, ...]]

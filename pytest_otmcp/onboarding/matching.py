@@ -27,13 +27,13 @@ _CONNECTIONS = ("tcp:{host}:{port}", "{host}:{port}", "tcp://{host}:{port}", "{u
 """How required arguments of these names may want to be told where the device is."""
 
 
-def guess_tools(pack: Pack, operation: str, tools: Mapping[str, Mapping[str, Any]]) -> list[Guess]:
+def guess_tools(pack: Pack, operation: str, tools: Mapping[str, Mapping[str, object]]) -> list[Guess]:
     """Guess the tools that may perform the operation, likeliest first."""
     found = [guess for name, tool in tools.items() if (guess := _guess(pack, operation, name, tool)) is not None]
     return sorted(found, key=lambda guess: (-guess.score, guess.tool))
 
 
-def guess_connect(tools: Mapping[str, Mapping[str, Any]]) -> Guess | None:
+def guess_connect(tools: Mapping[str, Mapping[str, object]]) -> Guess | None:
     """Guess the tool that has to be called before all others, by its name and its arguments."""
     for name, tool in tools.items():
         words = _words(name)
@@ -58,7 +58,7 @@ def _properties(tool: Mapping[str, Any]) -> Mapping[str, Any]:
     return properties if isinstance(properties, dict) else {}
 
 
-def _resolved(value: Any, definitions: Mapping[str, Any], depth: int) -> Any:
+def _resolved(value: object, definitions: Mapping[str, object], depth: int) -> object:
     """Replace the local references of a schema, as deep as arguments of tools are nested."""
     if depth > 8:
         return value
@@ -142,7 +142,7 @@ def _arguments(
     return arguments, convert
 
 
-def _named(names: tuple[str, ...], properties: Mapping[str, Any], taken: Mapping[str, Any]) -> str | None:
+def _named(names: tuple[str, ...], properties: Mapping[str, object], taken: Mapping[str, object]) -> str | None:
     """Find the property that has the first of these names that any has."""
     free = [key for key in properties if key not in taken]
     return next((key for name in names for key in free if key.lower() == name), None)
@@ -158,7 +158,7 @@ def _batch(pack: Pack, inputs: Inputs, properties: Mapping[str, Any], convert: d
     return {}
 
 
-def _template(pack: Pack, name: str, inputs: Inputs, schema: Mapping[str, Any], convert: dict[str, str]) -> Any:
+def _template(pack: Pack, name: str, inputs: Inputs, schema: Mapping[str, object], convert: dict[str, str]) -> object:
     kinds = _kinds(schema)
     if "array" in kinds and name not in pack.lists and not kinds & {"string", "integer", "number"}:
         items = schema.get("items") or {}
@@ -199,11 +199,11 @@ def _choice(hints: Hints, schema: Mapping[str, Any]) -> str | None:
     )
 
 
-def _constant(pack: Pack, key: str) -> Any:
+def _constant(pack: Pack, key: str) -> object:
     return next((value for pattern, value in pack.constants.items() if re.match(pattern, key, re.IGNORECASE)), None)
 
 
-def _endpoint(key: str, schema: Mapping[str, Any]) -> str | None:
+def _endpoint(key: str, schema: Mapping[str, object]) -> str | None:
     kinds = _kinds(schema)
     for pattern, placeholder in _ENDPOINT:
         if re.match(pattern, key, re.IGNORECASE):

@@ -6,7 +6,6 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
-from typing import Any
 
 from ..core.errors import UsageError
 from ..protocols.registry import protocols
@@ -57,9 +56,9 @@ class Pack:
     operations: Mapping[str, Hints]
     arguments: Mapping[str, str]
     lists: frozenset[str] = frozenset()
-    constants: Mapping[str, Any] = field(default_factory=dict)
+    constants: Mapping[str, object] = field(default_factory=dict)
     names: tuple[str, ...] = ()
-    late: Mapping[str, Any] | None = None
+    late: Mapping[str, object] | None = None
     errors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     causes: tuple[KnownCause, ...] = ()
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 from ..core.errors import KitError
 from ..protocols.journal import JournalEntry
@@ -84,7 +84,7 @@ class Device(Protocol):
     async def close(self) -> None:
         """End it for good."""
 
-    async def image(self) -> dict[str, Any]:
+    async def image(self) -> dict[str, object]:
         """Return what the device really holds.
 
         Raises:
@@ -109,7 +109,7 @@ class Device(Protocol):
         ...
 
     async def wait(
-        self, since: int, match: Mapping[str, Any], *, timeout_s: float, count: int = 1
+        self, since: int, match: Mapping[str, object], *, timeout_s: float, count: int = 1
     ) -> list[JournalEntry]:
         """Return the entries from ``since`` on that have all fields of ``match``: as soon as there are ``count`` of them, or
         those that there are when the time is over.
@@ -122,7 +122,7 @@ class Device(Protocol):
     async def forget(self, before: int) -> None:
         """Release the entries before ``before`` for good: they have been read."""
 
-    async def poke(self, **params: Any) -> None:
+    async def poke(self, **params: object) -> None:
         """Set a value out of band."""
 
     async def reset(self) -> None:

@@ -37,7 +37,7 @@ class _Control:
         self._writer = writer
         self._name = name
         self._ids = itertools.count(1)
-        self._waiting: dict[int, asyncio.Future[dict[str, Any]]] = {}
+        self._waiting: dict[int, asyncio.Future[dict[str, object]]] = {}
         self._pump = asyncio.create_task(self._read(), name=f"otmcp-control-{name}")
 
     async def _read(self) -> None:
@@ -52,7 +52,7 @@ class _Control:
                 waiting.set_exception(KitError(f"the {self._name} mock closed its control channel"))
         self._waiting.clear()
 
-    async def ask(self, op: str, *, answer_within_s: float = _ANSWER_TIMEOUT_S, **fields: Any) -> dict[str, Any]:
+    async def ask(self, op: str, *, answer_within_s: float = _ANSWER_TIMEOUT_S, **fields: object) -> dict[str, Any]:
         if self._pump.done():
             raise KitError(f"the {self._name} mock closed its control channel (asked for {op!r})")
         number = next(self._ids)
@@ -142,7 +142,7 @@ class MockDevice:
         if not line:
             stderr = (await self._stderr).decode("utf-8", "replace").strip() if self._stderr else ""
             raise KitError(f"the {self._name} mock ended unexpectedly: {stderr[-800:] or 'nothing on stderr'}")
-        event: dict[str, Any] = json.loads(line)
+        event: dict[str, object] = json.loads(line)
         if event.get("event") != expected:
             raise KitError(f"the {self._name} mock said {event} where {expected!r} was expected")
         return event
@@ -200,7 +200,7 @@ class MockDevice:
 
     # -- witness ------------------------------------------------------------------------------------------
 
-    async def ask(self, op: str, *, answer_within_s: float = _ANSWER_TIMEOUT_S, **fields: Any) -> dict[str, Any]:
+    async def ask(self, op: str, *, answer_within_s: float = _ANSWER_TIMEOUT_S, **fields: object) -> dict[str, Any]:
         """Send one request on the control channel and return its answer.
 
         Raises:
@@ -237,7 +237,7 @@ class MockDevice:
         await self.ask("forget", before=before)
 
     async def wait(
-        self, since: int, match: Mapping[str, Any], *, timeout_s: float, count: int = 1
+        self, since: int, match: Mapping[str, object], *, timeout_s: float, count: int = 1
     ) -> list[JournalEntry]:
         """Return the entries from ``since`` on that have all fields of ``match``: as soon as there are ``count`` of them, or
         those that there are when the time is over.
@@ -257,11 +257,11 @@ class MockDevice:
         entries: list[JournalEntry] = answer["entries"]
         return entries
 
-    async def poke(self, **params: Any) -> None:
+    async def poke(self, **params: object) -> None:
         """Set a value out of band."""
         await self.ask("poke", params=params)
 
-    async def fault(self, *rules: Mapping[str, Any]) -> None:
+    async def fault(self, *rules: Mapping[str, object]) -> None:
         """Replace the fault plan; no rules clears it."""
         await self.ask("fault", rules=[dict(rule) for rule in rules])
 

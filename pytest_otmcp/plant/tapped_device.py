@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from typing import Any
 
 from ..core.errors import KitError
 from ..protocols.journal import JournalEntry
@@ -100,7 +99,7 @@ class TappedDevice:
 
     # -- witness ------------------------------------------------------------------------------------------
 
-    async def image(self) -> dict[str, Any]:
+    async def image(self) -> dict[str, object]:
         """Refuse: only a mock can be asked what it holds.
 
         Raises:
@@ -131,7 +130,7 @@ class TappedDevice:
         self.tap.journal.forget(before)
 
     async def wait(
-        self, since: int, match: Mapping[str, Any], *, timeout_s: float, count: int = 1
+        self, since: int, match: Mapping[str, object], *, timeout_s: float, count: int = 1
     ) -> list[JournalEntry]:
         """Return the entries from ``since`` on that have all fields of ``match``: as soon as there are ``count`` of them, or
         those that there are when the time is over.
@@ -144,7 +143,7 @@ class TappedDevice:
         check_kept(since, journal.first)
         return entries
 
-    async def poke(self, **params: Any) -> None:
+    async def poke(self, **params: object) -> None:
         """Refuse: how to change a device past the tap is a matter of its protocol.
 
         Raises:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import platform
 import secrets
+import shutil
 import time
 from collections import Counter
 from collections.abc import Iterable, Mapping
@@ -78,6 +79,8 @@ class RunRecorder:
         self._begun = begun
         self._started = datetime.now(UTC)
         self._writer: RunWriter | None = None
+        # Samples that a run left which was killed.
+        shutil.rmtree(settings.report_dir / SPOOLS, ignore_errors=True)
         # A deviation that no item can have is said now, not after the run.
         judge_deviations(subject.deviations, {}, required, self._started.date())
 

@@ -186,7 +186,7 @@ class Interference:
             for file in _find_own_plugins(self._config, getattr(item.ihook, hook)):
                 self.note(f"{file} has a hook around the items: {hook}")
 
-    def _locate(self, function: Any) -> str:
+    def _locate(self, function: object) -> str:
         """Return where a function is defined: file and line for one of the repository, else its module."""
         code, root = getattr(function, "__code__", None), self._config.rootpath
         if code is None or not Path(code.co_filename).is_relative_to(root):

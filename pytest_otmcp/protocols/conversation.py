@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol
+from typing import Literal, Protocol
 
 __all__ = ["Conversation", "Direction", "Message", "Outstanding"]
 
@@ -33,7 +33,7 @@ class Message:
 
     direction: Direction
     kind: str
-    fields: Mapping[str, Any] = field(default_factory=dict)
+    fields: Mapping[str, object] = field(default_factory=dict)
     request: bool = False
     state_changing: bool = False
     answers: Message | None = None

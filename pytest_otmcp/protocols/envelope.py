@@ -44,7 +44,7 @@ def _validator() -> Any:
 
 
 def check_result(
-    result: Mapping[str, Any],
+    result: Mapping[str, object],
     *,
     measured_latency_ms: float | None = None,
     injected_delay_ms: float = 0.0,
@@ -59,7 +59,7 @@ def check_result(
     return list(_faults(result, measured_latency_ms, injected_delay_ms))
 
 
-def _faults(result: Mapping[str, Any], measured_ms: float | None, delay_ms: float) -> Iterator[Finding]:
+def _faults(result: Mapping[str, object], measured_ms: float | None, delay_ms: float) -> Iterator[Finding]:
     envelope = result.get("structuredContent")
     if not isinstance(envelope, dict):
         yield Finding(
@@ -111,11 +111,11 @@ def _reason(fault: Any) -> str:
     return str(fault.message)
 
 
-def _not_finite(value: Any, path: str = "") -> str | None:
+def _not_finite(value: object, path: str = "") -> str | None:
     if isinstance(value, float):
         return None if math.isfinite(value) else path
     if isinstance(value, dict):
-        members: Iterable[tuple[Any, Any]] = value.items()
+        members: Iterable[tuple[object, object]] = value.items()
     elif isinstance(value, list):
         members = enumerate(value)
     else:
@@ -149,7 +149,7 @@ def _renderings(result: Mapping[str, Any], envelope: Mapping[str, Any]) -> Itera
         )
 
 
-def _error_faults(error: Mapping[str, Any]) -> Iterator[Finding]:
+def _error_faults(error: Mapping[str, object]) -> Iterator[Finding]:
     code = error.get("code")
     entry = registry().get(code) if isinstance(code, str) else None
     if entry is None and not str(code).startswith("x_"):
@@ -186,7 +186,7 @@ def _error_faults(error: Mapping[str, Any]) -> Iterator[Finding]:
         )
 
 
-def _meta_faults(meta: Mapping[str, Any], measured_ms: float | None, delay_ms: float) -> Iterator[Finding]:
+def _meta_faults(meta: Mapping[str, object], measured_ms: float | None, delay_ms: float) -> Iterator[Finding]:
     claimed = meta.get("latency_ms")
     if isinstance(claimed, int | float) and not isinstance(claimed, bool):
         # The adapter's clock runs inside the kit's span.
@@ -231,7 +231,7 @@ def _is_utc(text: str) -> bool:
     return True
 
 
-def _contradictions(meta: Mapping[str, Any], error: Mapping[str, Any]) -> Iterator[Finding]:
+def _contradictions(meta: Mapping[str, object], error: Mapping[str, object]) -> Iterator[Finding]:
     """What ``attempts: 0`` rules out: nothing left the process, so nothing came back and nothing can have happened."""
     if meta.get("attempts") != 0:
         return

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..record.schema import JournalEntry
+from ..core.journal_entry import JournalEntry
 
 __all__ = ["Entries", "Image", "JournalEntry"]
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from ..core.finding import Finding
 from ..core.strict_json import same_json
@@ -22,12 +21,12 @@ _MOST_SHOWN = 8
 _MOST_FINDINGS = 5
 
 
-def has(entry: Mapping[str, Any], **fields: Any) -> bool:
+def has(entry: Mapping[str, object], **fields: object) -> bool:
     """The entry has all these fields with these values."""
     return all(name in entry and entry[name] == value for name, value in fields.items())
 
 
-def requests(entries: Entries, **fields: Any) -> list[JournalEntry]:
+def requests(entries: Entries, **fields: object) -> list[JournalEntry]:
     """The entries that ask the plant for something and have these fields."""
     return [entry for entry in entries if entry["request"] and has(entry, **fields)]
 
@@ -37,7 +36,7 @@ def state_changing(entries: Entries) -> list[JournalEntry]:
     return [entry for entry in entries if entry["state_changing"]]
 
 
-def _any_equal(image: Image, point: str, held: Any, wanted: Any) -> bool:
+def _any_equal(image: Image, point: str, held: object, wanted: object) -> bool:
     return same_json(held, wanted)
 
 
@@ -53,7 +52,7 @@ class Witness:
 
     noun: str
     describe: Callable[[JournalEntry], str]
-    holds_value: Callable[[Image, str, Any, Any], bool] = _any_equal
+    holds_value: Callable[[Image, str, object, object], bool] = _any_equal
 
     def seen(self, entries: Entries) -> str:
         """Describe the requests among the entries, for a finding's evidence."""
@@ -77,7 +76,7 @@ class Witness:
             )
         ]
 
-    def request_count(self, entries: Entries, *, count: int, **fields: Any) -> list[Finding]:
+    def request_count(self, entries: Entries, *, count: int, **fields: object) -> list[Finding]:
         """``count`` requests with these fields reached the device."""
         found = len(requests(entries, **fields))
         if found == count:
@@ -92,7 +91,7 @@ class Witness:
             )
         ]
 
-    def exactly_one(self, entries: Entries, **fields: Any) -> list[Finding]:
+    def exactly_one(self, entries: Entries, **fields: object) -> list[Finding]:
         """Exactly one request with these fields reached the device."""
         return self.request_count(entries, count=1, **fields)
 
@@ -150,7 +149,7 @@ class Witness:
             )
         ]
 
-    def no_duplicates(self, entries: Entries, *, identity: Callable[[JournalEntry], Any]) -> list[Finding]:
+    def no_duplicates(self, entries: Entries, *, identity: Callable[[JournalEntry], object]) -> list[Finding]:
         """No request that may change the plant reached the device twice.
 
         Args:
@@ -168,18 +167,20 @@ class Witness:
             if count > 1
         ][:_MOST_FINDINGS]
 
-    def holds(self, image: Image, expected: Mapping[str, Any]) -> list[Finding]:
+    def holds(self, image: Image, expected: Mapping[str, object]) -> list[Finding]:
         """The device's points hold these values."""
         return self._differing(image, expected, dict.fromkeys(expected, "WR-001"))
 
-    def only_changed(self, before: Image, after: Image, expected: Mapping[str, Any]) -> list[Finding]:
+    def only_changed(self, before: Image, after: Image, expected: Mapping[str, object]) -> list[Finding]:
         """Between two images these points got these values; every other one is as it was, and none is gone."""
         old = before["points"]
         points = {**dict.fromkeys(after["points"]), **old, **expected}
         requirements = {point: "WR-001" if point in expected else "WR-002" for point in points}
         return self._differing(after, points, requirements)
 
-    def _differing(self, image: Image, expected: Mapping[str, Any], requirements: Mapping[str, str]) -> list[Finding]:
+    def _differing(
+        self, image: Image, expected: Mapping[str, object], requirements: Mapping[str, str]
+    ) -> list[Finding]:
         findings = []
         held = image["points"]
         for point in sorted(expected):

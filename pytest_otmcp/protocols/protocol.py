@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 from ..core.finding import Finding
 from .conversation import Conversation
@@ -191,7 +190,7 @@ class OtProtocol:
     recognise: re.Pattern[str]
     colour: Colour
     composites: Mapping[str, Composite] = field(default_factory=dict)
-    probes: Mapping[str, Any] = field(default_factory=dict)
+    probes: Mapping[str, object] = field(default_factory=dict)
     choices: tuple[Choice, ...] = ()
     framing: Framing | None = None
     onboarding: str | None = None

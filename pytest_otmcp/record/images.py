@@ -14,7 +14,7 @@ Images = dict[str, dict[str, Any]]
 """The last image in full of each device, by the adapter's name."""
 
 
-def keep_image(images: Images, at: str, image: dict[str, Any]) -> tuple[str, Any]:
+def keep_image(images: Images, at: str, image: dict[str, object]) -> tuple[str, object]:
     """Return the member of an observation for an image: ``image``, or ``changes`` since the last one in full."""
     full = images.get(at)
     # An image with other members has nothing in common with the one in full that would be worth keeping.
@@ -43,9 +43,9 @@ def restore_image(images: Images, at: str, seen: Mapping[str, Any]) -> dict[str,
     return image
 
 
-def _changes(old: Any, new: Any, path: list[str | int]) -> Iterable[Change]:
+def _changes(old: object, new: object, path: list[str | int]) -> Iterable[Change]:
     """``(path, value)`` for every place whose value is another one; a place that gained or lost members is one."""
-    steps: Iterable[Any]
+    steps: Iterable[object]
     if isinstance(old, dict) and isinstance(new, dict) and old.keys() == new.keys():
         steps = old
     elif isinstance(old, list) and isinstance(new, list) and len(old) == len(new):

@@ -13,6 +13,8 @@ from typing import Annotated, Any, Final, Literal, NotRequired, TypedDict, TypeV
 
 import msgspec
 
+from ..core.journal_entry import JournalEntry
+
 __all__ = [
     "ROLES",
     "SCHEMA",
@@ -291,27 +293,6 @@ class Call(TypedDict):
     error_code: str | None
     frames_sha256: str
     frames: NotRequired[Frames]
-
-
-class JournalEntry(TypedDict):
-    """One thing that reached a device, or that it sent; a protocol adds members of its own.
-
-    ``seq``: sequence number, from 0 since the device was started, without gaps. ``connection``: its number, 0 for none.
-    ``direction``: ``in`` for what the device received, ``out`` for what it sent. ``kind``: what it is, in the protocol's words.
-    ``origin``: who caused it: a ``client`` of the device, the ``plant``'s own simulation, or the ``kit``. ``request``: a client
-    asks the plant for something; keeping a session alive is no request. ``state_changing``: a request that may change the
-    plant. ``answers``: ``seq`` of the request that this entry answers, or None.
-    """
-
-    seq: Count
-    t_ns: Nanoseconds
-    connection: Count
-    direction: Literal["in", "out"]
-    kind: str
-    origin: Literal["client", "plant", "kit"]
-    request: bool
-    state_changing: bool
-    answers: Count | None
 
 
 class DeviceEntry(JournalEntry):

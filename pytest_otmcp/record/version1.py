@@ -78,14 +78,14 @@ def upgraded(run: Old) -> Run:
             raise Contradiction(f"the record has no valid {name!r}")
     if not isinstance(run["items"], list) or not all(isinstance(item, dict) for item in run["items"]):
         raise Contradiction("the record has no valid 'items'")
-    environment: dict[str, Any] = {
+    environment: dict[str, object] = {
         "python": "",
         "platform": "",
         "cpu_count": None,
         "packages": {},
         "started_at": _NO_TIME,
     }
-    settings: dict[str, Any] = {
+    settings: dict[str, object] = {
         "subject": None,
         "reps": 0,
         "repetitions": {},
@@ -115,7 +115,14 @@ def upgraded(run: Old) -> Run:
 
 def _adapter(facts: Old) -> dict[str, Any]:
     unknown = {"server_name": None, "server_version": None, "protocol_version": None, "tools": None}
-    empty: dict[str, Any] = {"command": [], "unclaimed": {}, "blocking": [], "lacks": [], "unjudged": [], "unmet": []}
+    empty: dict[str, object] = {
+        "command": [],
+        "unclaimed": {},
+        "blocking": [],
+        "lacks": [],
+        "unjudged": [],
+        "unmet": [],
+    }
     told = {"envelope": "native", "recovery": "", "deadline_s": 300.0, "probes": {}, "bindings": {}}
     return {**unknown, **empty, **told, **facts}
 

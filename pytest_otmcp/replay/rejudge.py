@@ -213,6 +213,6 @@ def _differing(where: str, found: Said, said: Said, names: Sequence[str]) -> Ite
             yield f"{where}: the stored history shows {name} {_short(found[name])}, the record says {_short(said[name])}"
 
 
-def _short(value: Any) -> str:
+def _short(value: object) -> str:
     text = json.dumps(value, ensure_ascii=False)
     return text if len(text) <= 200 else text[:200] + "…"

@@ -126,7 +126,7 @@ def _exchange(call: Mapping[str, Any]) -> Exchange | None:
     )
 
 
-def _frame(envelope: Mapping[str, Any]) -> bytes:
+def _frame(envelope: Mapping[str, object]) -> bytes:
     result = {
         "content": [{"type": "text", "text": json.dumps(envelope)}],
         "structuredContent": envelope,

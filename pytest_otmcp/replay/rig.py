@@ -116,7 +116,7 @@ class RecordedRepetition:
         self._clock.passed(seen["asked_ns"], seen["seen_ns"], f"{what} of {at}", together=together)
         return seen
 
-    def call(self, at: ReplayItemState, operation: str, inputs: Mapping[str, Any], *, together: bool) -> Call:
+    def call(self, at: ReplayItemState, operation: str, inputs: Mapping[str, object], *, together: bool) -> Call:
         """The call that the steps ask for: the next one, or, of concurrent ones, one of the next."""
         asked = f"{at.name} {operation}({_listed(inputs)})"
         if not self.calls:
@@ -140,7 +140,7 @@ class RecordedRepetition:
             self._clock.passed(call["sent_ns"], received_ns, f"the call of {call['tool']}", together=together)
 
 
-def _listed(inputs: Mapping[str, Any]) -> str:
+def _listed(inputs: Mapping[str, object]) -> str:
     return ", ".join(f"{name}={value!r}" for name, value in inputs.items())
 
 
@@ -219,7 +219,7 @@ class ReplayRig(Rig):
         self._place.history.looked(entries, end, seen_ns)
         return entries
 
-    async def _perform(self, operation: str, inputs: Mapping[str, Any]) -> Reply:
+    async def _perform(self, operation: str, inputs: Mapping[str, object]) -> Reply:
         call = self._past.call(self._place, operation, inputs, together=self._ledger.together)
         return recorded_reply(
             call,
@@ -232,7 +232,7 @@ class ReplayRig(Rig):
         seen = self._seen("journal")
         return self._until(seen["journal"], seen["seen_ns"])
 
-    async def wait_for(self, *, timeout_s: float, count: int = 1, **match: Any) -> list[Entry]:
+    async def wait_for(self, *, timeout_s: float, count: int = 1, **match: object) -> list[Entry]:
         seen = self._seen("wait")
         found = [
             entry
@@ -258,11 +258,11 @@ class ReplayRig(Rig):
         end = seen["followed"]
         self._cursor.feed(self._until(end, seen["seen_ns"]), end)
 
-    async def image(self) -> dict[str, Any]:
+    async def image(self) -> dict[str, object]:
         seen = self._seen("image", "changes")
         return restore_image(self._place.images, self.name, cast(Mapping[str, Any], seen))
 
-    async def poke(self, **params: Any) -> None:
+    async def poke(self, **params: object) -> None:
         pass
 
     async def tick(self, steps: int) -> None:

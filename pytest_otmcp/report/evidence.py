@@ -12,6 +12,7 @@ from typing import Any
 
 from markupsafe import escape
 
+from ..record.schema import Finding
 from . import Item, Run, command
 from .exchange import Event, conversation
 from .text import clipped
@@ -51,7 +52,7 @@ class Evidence:
 
     title: str
     command: str
-    findings: list[dict[str, Any]]
+    findings: list[dict[str, object]]
     more_findings: int
     events: list[Event | int]
 
@@ -86,7 +87,7 @@ def failures(run: Run) -> list[Failure]:
     return found
 
 
-def findings_of(item: Item) -> list[Mapping[str, Any]]:
+def findings_of(item: Item) -> list[Finding]:
     """Return all findings of an item: its repetitions' and its own."""
     return [*(finding for sample in item["samples"] for finding in sample["findings"]), *item["findings"]]
 

@@ -69,7 +69,7 @@ class Event:
     more: tuple[tuple[str, str], ...] = ()
 
 
-def conversation(calls: Sequence[Mapping[str, Any]], entries: Iterable[Mapping[str, Any]]) -> list[Event | int]:
+def conversation(calls: Sequence[Mapping[str, object]], entries: Iterable[Mapping[str, object]]) -> list[Event | int]:
     """Return the events in their order; a number stands for so many that are left out."""
     # Envelopes and frames of what went wrong are wanted more than those of how it began.
     ranked = sorted(range(len(calls)), key=lambda index: (calls[index]["ok"], index))
@@ -103,7 +103,7 @@ def _at(event: Event, at: int | None, begun: int) -> Event:
     return event if at in (None, _NEVER) else replace(event, at_ms=(at - begun) / 1e6)
 
 
-def _whole(value: Any) -> int | None:
+def _whole(value: object) -> int | None:
     return value if isinstance(value, int) else None
 
 
@@ -145,7 +145,7 @@ def _call(call: Mapping[str, Any], *, detailed: bool) -> list[tuple[int | None, 
     return [(sent, request), (received, reply)]
 
 
-def _answer(call: Mapping[str, Any], frames: Mapping[str, Any]) -> tuple[str, str]:
+def _answer(call: Mapping[str, object], frames: Mapping[str, object]) -> tuple[str, str]:
     latency = call.get("latency_ms")
     if latency is None:
         return "no reply", str(frames.get("failure") or "").replace("_", " ")
@@ -160,11 +160,11 @@ def _answer(call: Mapping[str, Any], frames: Mapping[str, Any]) -> tuple[str, st
     return str(call.get("error_code") or "failure"), f"{clipped(str(message or ''), _SHORT)}, {after}"
 
 
-def _more(wanted: bool, *pairs: tuple[str, Any]) -> tuple[tuple[str, str], ...]:
+def _more(wanted: bool, *pairs: tuple[str, object]) -> tuple[tuple[str, str], ...]:
     return tuple((name, clipped(str(text), _LONG)) for name, text in pairs if wanted and text is not None)
 
 
-def _entry(entry: Mapping[str, Any]) -> Event:
+def _entry(entry: Mapping[str, object]) -> Event:
     who = f"{entry.get('protocol', '')} device, connection {entry.get('connection')}"
     if entry.get("variant"):
         who += " (writes disabled)"
@@ -181,14 +181,14 @@ def _entry(entry: Mapping[str, Any]) -> Event:
     )
 
 
-def _title(entry: Mapping[str, Any]) -> str:
+def _title(entry: Mapping[str, object]) -> str:
     protocol = protocols().get(str(entry.get("protocol")))
     if protocol is None or protocol.title is None:
         return str(entry.get("kind"))
     return protocol.title(cast(JournalEntry, entry))
 
 
-def _fact(key: str, value: Any) -> str:
+def _fact(key: str, value: object) -> str:
     if key == "payload" and isinstance(value, str):
         try:
             text = base64.b64decode(value, validate=True).decode()
@@ -198,5 +198,5 @@ def _fact(key: str, value: Any) -> str:
     return value if isinstance(value, str) else _json(value)
 
 
-def _json(value: Any, indent: int | None = None) -> str:
+def _json(value: object, indent: int | None = None) -> str:
     return json.dumps(value, ensure_ascii=False, indent=indent)

@@ -111,7 +111,7 @@ def _resource(name: str) -> str:
     return (resources.files(__package__) / name).read_text(encoding="utf-8")
 
 
-def _shown(value: Any) -> Any:
+def _shown(value: object) -> Any:
     if not isinstance(value, str) or isinstance(value, Markup):
         return value
     return printable(clipped(value, _LONGEST), keep="\n\t")

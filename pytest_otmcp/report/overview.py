@@ -110,7 +110,7 @@ def requirements(run: Run) -> list[tuple[str, dict[str, Cell]]]:
     """
     found: dict[str, dict[str, dict[str, str]]] = {}
     for item in run["items"]:
-        broken = {finding["requirement"] for finding in findings_of(item) if finding.get("requirement")}
+        broken = {requirement for finding in findings_of(item) if (requirement := finding["requirement"])}
         for name in [*item.get("requirements", ()), *sorted(broken)]:
             state = "violated" if name in broken else "passed" if item["status"] == "PASS" else "not shown"
             if item["status"] == "NOT_APPLICABLE":
@@ -233,7 +233,7 @@ def facts(run: Run) -> list[tuple[str, str]]:
     return [(name, str(value)) for name, value in known.items() if value]
 
 
-def _flat(value: Any) -> str:
+def _flat(value: object) -> str:
     if isinstance(value, Mapping):
         return " ".join(f"{name} {inner}" for name, inner in value.items())
     return " ".join(map(str, value)) if isinstance(value, list) else str(value)

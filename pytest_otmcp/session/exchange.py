@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 __all__ = ["Exchange", "joined"]
 
@@ -27,7 +26,7 @@ class Exchange:
     """
 
     tool: str
-    arguments: Mapping[str, Any]
+    arguments: Mapping[str, object]
     request: bytes = b""
     response: bytes | None = None
     sent_ns: int = 0
@@ -43,7 +42,7 @@ class Exchange:
         return None if self.received_ns is None else (self.received_ns - self.sent_ns) / 1e6
 
 
-def joined(exchanges: Sequence[Exchange], arguments: Mapping[str, Any]) -> Exchange:
+def joined(exchanges: Sequence[Exchange], arguments: Mapping[str, object]) -> Exchange:
     """Take the exchanges of one operation as one: from the first request to the last reply.
 
     Args:

@@ -52,8 +52,8 @@ class FrameRecorder:
     unknown_ids: list[str] = field(default_factory=list)
     overflow: bool = False
     _pending: dict[int, Measurement] = field(default_factory=dict)
-    _by_request_id: dict[Any, Measurement] = field(default_factory=dict)
-    _known_ids: set[Any] = field(default_factory=set)
+    _by_request_id: dict[object, Measurement] = field(default_factory=dict)
+    _known_ids: set[object] = field(default_factory=set)
     _tokens: itertools.count[int] = field(default_factory=lambda: itertools.count(1))
 
     def begin(self, measurement: Measurement) -> int:

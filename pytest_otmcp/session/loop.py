@@ -12,7 +12,7 @@ import threading
 from collections.abc import Coroutine
 from concurrent.futures import CancelledError, Future
 from contextvars import Context
-from typing import Any, TypeVar
+from typing import TypeVar
 
 __all__ = ["LoopThread"]
 
@@ -40,7 +40,7 @@ class LoopThread:
             asyncio.set_event_loop(None)
             self._loop.close()
 
-    def run(self, work: Coroutine[Any, Any, T]) -> T:
+    def run(self, work: Coroutine[object, object, T]) -> T:
         """Run ``work`` on the loop and return its result.
 
         When the waiting thread is interrupted (Ctrl-C), the work is cancelled and gets time to clean up before the
@@ -58,18 +58,18 @@ class LoopThread:
             raise KeyboardInterrupt from None
 
     @staticmethod
-    async def _signal_end(work: Coroutine[Any, Any, T], finished: threading.Event) -> T:
+    async def _signal_end(work: Coroutine[object, object, T], finished: threading.Event) -> T:
         try:
             return await work
         finally:
             finished.set()
 
-    def _submit(self, work: Coroutine[Any, Any, T]) -> Future[T]:
+    def _submit(self, work: Coroutine[object, object, T]) -> Future[T]:
         # The work runs in a context of its own: the context of a test would tell anyio that this is trio's thread, or hand
         # a vendor's variables to the sessions of the kit.
         return Context().run(asyncio.run_coroutine_threadsafe, work, self._loop)
 
-    async def wait(self, work: Coroutine[Any, Any, T]) -> T:
+    async def wait(self, work: Coroutine[object, object, T]) -> T:
         """Run ``work`` on the loop and await its result from any other event loop, asyncio's or trio's.
 
         When the waiting task is cancelled, the work is cancelled too, except under trio: it has no futures to cancel, so

@@ -14,7 +14,7 @@ import time
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 from mcp import Client, MCPError
 from mcp.types import RequestParamsMeta
@@ -68,8 +68,8 @@ class McpSession:
         self._client: Client | None = None
         self._owner: asyncio.Task[None] | None = None
         self._closing = asyncio.Event()
-        self.tools: dict[str, dict[str, Any]] = {}
-        self.state: dict[str, Any] = {}
+        self.tools: dict[str, dict[str, object]] = {}
+        self.state: dict[str, object] = {}
         self.server_name = ""
         self.server_version = ""
         self.protocol_version = ""
@@ -169,7 +169,7 @@ class McpSession:
 
     # -- calls --------------------------------------------------------------------------------------------
 
-    async def call(self, tool: str, arguments: Mapping[str, Any], *, timeout_s: float) -> Exchange:
+    async def call(self, tool: str, arguments: Mapping[str, object], *, timeout_s: float) -> Exchange:
         """Call a tool and return the recorded exchange; no outcome of the call is an exception."""
         asked = dict(arguments)
         return await self._exchange(
@@ -190,7 +190,7 @@ class McpSession:
     async def _exchange(
         self,
         tool: str,
-        arguments: Mapping[str, Any],
+        arguments: Mapping[str, object],
         request: Callable[[Client, RequestParamsMeta], Awaitable[object]],
     ) -> Exchange:
         measured = Measurement()

@@ -57,13 +57,13 @@ class Answer:
     """
 
     success: bool
-    document: Any
+    document: object
     text: str
     code: str | None = None
     admission: str | None = None
 
 
-def read_answer(message: Mapping[str, Any], form: str) -> tuple[Any, str, bool]:
+def read_answer(message: Mapping[str, object], form: str) -> tuple[Any, str, bool]:
     """Return document, text and ``isError`` of a JSON-RPC response."""
     result = message.get("result")
     if not isinstance(result, dict):
@@ -87,7 +87,7 @@ def read_answer(message: Mapping[str, Any], form: str) -> tuple[Any, str, bool]:
     return text, text, is_error
 
 
-def _json_or(text: str, otherwise: Any) -> Any:
+def _json_or(text: str, otherwise: object) -> Any:
     try:
         return _from_json(text)
     except ValueError:
@@ -106,7 +106,7 @@ def _from_json(text: str) -> Any:
         raise ValueError("nested too deeply") from None
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> Any:
     """Return the value if JSON can say it; records hold nothing else.
 
     Raises:
@@ -116,7 +116,7 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def interpret(message: Mapping[str, Any], answering: Answering) -> Answer:
+def interpret(message: Mapping[str, object], answering: Answering) -> Answer:
     """Read the answer in a JSON-RPC response ``message``."""
     document, text, is_error = read_answer(message, answering.form)
     success = not is_error
@@ -138,12 +138,12 @@ def interpret(message: Mapping[str, Any], answering: Answering) -> Answer:
     return Answer(success=False, document=document, text=failure, code=code)
 
 
-def _is_true(value: Any) -> bool:
+def _is_true(value: object) -> bool:
     # As JMESPath defines it: zero is true, an empty string, list or object is not.
     return not (value is None or value is False or value == "" or value == [] or value == {})
 
 
-def _search(path: str, document: Any) -> Any:
+def _search(path: str, document: object) -> Any:
     try:
         return jmespath.search(path, document)
     except jmespath.exceptions.JMESPathError:
@@ -151,13 +151,13 @@ def _search(path: str, document: Any) -> Any:
         return None
 
 
-def _admission(document: Any, text: str) -> str | None:
+def _admission(document: object, text: str) -> str | None:
     if match := _ADMISSION.search(_without_payload(document, text)):
         return match[0]
     return next((f"{name} is {value!r}" for name, value in _members(document) if _admits(name, value)), None)
 
 
-def _without_payload(document: Any, text: str) -> str:
+def _without_payload(document: object, text: str) -> str:
     # Of a JSON document only the keys speak for the adapter: a message or a node may have any text for a name.
     if isinstance(document, Mapping) and list(document) == ["result"]:
         # The SDKs wrap a result that is no object, a sentence for instance, in this way.
@@ -166,13 +166,13 @@ def _without_payload(document: Any, text: str) -> str:
     return text if document is None or isinstance(document, str) else ""
 
 
-def _admits(name: str, value: Any) -> bool:
+def _admits(name: str, value: object) -> bool:
     return (name in _ADMITTING_KEYS and value is True) or (
         name == "source" and value in ("cache", "demo", "simulation")
     )
 
 
-def _members(value: Any) -> Iterator[tuple[str, Any]]:
+def _members(value: object) -> Iterator[tuple[str, Any]]:
     if isinstance(value, Mapping):
         for name, member in value.items():
             yield name, member
@@ -200,7 +200,7 @@ def synthesised(answer: Answer, *, protocol: str, operation: str, writes: bool) 
 
 
 def synthesised_from_outputs(
-    outputs: Mapping[str, Any], refused: tuple[str, str] | None, *, protocol: str, operation: str
+    outputs: Mapping[str, object], refused: tuple[str, str] | None, *, protocol: str, operation: str
 ) -> dict[str, Any]:
     """Make an envelope for the outputs of a binding function; ``refused`` is the code and the adapter's words."""
     code, text = refused or (None, "")
@@ -210,12 +210,12 @@ def synthesised_from_outputs(
     )
 
 
-def extract(rules: Mapping[str, OutputRule], document: Any) -> dict[str, Any]:
+def extract(rules: Mapping[str, OutputRule], document: object) -> dict[str, Any]:
     """Return the outputs of a document; an output that is not where its rule says is None."""
     return {name: _output(rule, document) for name, rule in rules.items()}
 
 
-def _output(rule: OutputRule, document: Any) -> Any:
+def _output(rule: OutputRule, document: object) -> Any:
     value = document if rule.path is None else _search(rule.path, document)
     if value is None:
         return None

@@ -16,7 +16,7 @@ from .model import Adapter
 __all__ = ["check_bindings"]
 
 
-def check_bindings(adapter: Adapter, tools: Mapping[str, Mapping[str, Any]]) -> list[str]:
+def check_bindings(adapter: Adapter, tools: Mapping[str, Mapping[str, object]]) -> list[str]:
     """Return the contradictions between the bindings and ``tools`` (name to entry in ``tools/list``), a sentence each."""
     found: list[str] = []
     claims = Claims.of_subject({adapter.protocol: adapter})
@@ -58,7 +58,7 @@ def _compare(
             yield f"{where}.arguments: the tool {tool!r} requires {argument!r}"
 
 
-def _is_open(schema: Mapping[str, Any]) -> bool:
+def _is_open(schema: Mapping[str, object]) -> bool:
     """Tell whether a tool takes more arguments than its schema names, or the schema names none at all."""
     extra = schema.get("additionalProperties")
     return (

@@ -31,7 +31,7 @@ def read_bindings(bind: Mapping[str, Any], key: str, answering: Answering) -> di
     return {name: _cases(entry, f"{key}.{name}", answering) for name, entry in bind.items()}
 
 
-def _cases(entry: dict[str, Any] | list[dict[str, Any]], key: str, answering: Answering) -> tuple[Binding, ...]:
+def _cases(entry: dict[str, object] | list[dict[str, object]], key: str, answering: Answering) -> tuple[Binding, ...]:
     if isinstance(entry, dict):
         return (_binding(entry, key, answering),)
     for index, case in enumerate(entry[:-1]):

@@ -58,7 +58,7 @@ class ToolAnswer:
     """
 
     text: str
-    structured: Any
+    structured: object
     is_error: bool
 
 
@@ -70,12 +70,12 @@ class Tools(Protocol):
         state: kept from call to call for as long as the session lasts, for handles and their like.
     """
 
-    state: dict[str, Any]
+    state: dict[str, object]
     host: str
     port: int
     url: str
 
-    async def call(self, tool: str, /, **arguments: Any) -> ToolAnswer:
+    async def call(self, tool: str, /, **arguments: object) -> ToolAnswer:
         """Call a tool of the adapter."""
 
     async def read_resource(self, uri: str) -> ToolAnswer:
@@ -101,7 +101,7 @@ def load_functions(path: Path, protocol: str, key: str) -> dict[str, Function]:
         raise UsageError(f"{key}: {path}: there is no such file") from None
     except Exception as error:
         raise UsageError(f"{key}: {path} cannot be imported: {type(error).__name__}: {error}") from None
-    functions: dict[str, Callable[..., Any]] = {
+    functions: dict[str, Callable[..., object]] = {
         name: value
         for name, value in vars(module).items()
         if inspect.isfunction(value) and value.__module__ == module.__name__ and not name.startswith("_")
@@ -109,7 +109,7 @@ def load_functions(path: Path, protocol: str, key: str) -> dict[str, Function]:
     return {name: _checked(name, function, protocol, f"{key}: {path}") for name, function in functions.items()}
 
 
-def _checked(name: str, function: Callable[..., Any], protocol: str, where: str) -> Function:
+def _checked(name: str, function: Callable[..., object], protocol: str, where: str) -> Function:
     operation = protocols()[protocol].operations.get(name)
     if operation is None:
         known = ", ".join(protocols()[protocol].operations)
@@ -127,7 +127,7 @@ def _checked(name: str, function: Callable[..., Any], protocol: str, where: str)
     return Function(name=name, call=function)
 
 
-def checked_outputs(function: Function, protocol: str, returned: Any) -> Mapping[str, Any]:
+def checked_outputs(function: Function, protocol: str, returned: object) -> Mapping[str, Any]:
     """Return the outputs that a function returned, if the operation's needed ones are among them.
 
     Raises:

@@ -55,7 +55,7 @@ class Refusal(Exception):
         super().__init__(f"{key}: {message}" if key else message)
 
 
-def toml_type(value: Any) -> str:
+def toml_type(value: object) -> str:
     """Name the type of a value in TOML's words."""
     if value is None:
         return "nothing"
@@ -68,7 +68,7 @@ def toml_type(value: Any) -> str:
     return {dict: "a table", list: "a list", str: "a string", bool: "a boolean"}.get(type(value), "a number")
 
 
-def nearest(name: Any, known: Iterable[str]) -> str:
+def nearest(name: object, known: Iterable[str]) -> str:
     """Say which of the known names is the nearest; all of them where none is near."""
     names = list(known)
     near = difflib.get_close_matches(str(name), names, 1)
@@ -79,7 +79,7 @@ class Kind(ABC):
     """What values are right."""
 
     @abstractmethod
-    def read(self, value: Any, key: str) -> Any:
+    def read(self, value: object, key: str) -> Any:
         """Return the value, checked, with the defaults of its tables filled in.
 
         Args:
@@ -111,7 +111,7 @@ class Scalar(Kind):
     described: Mapping[str, Any]
     shown: Callable[[Any], str] = toml_type
 
-    def read(self, value: Any, key: str) -> Any:
+    def read(self, value: object, key: str) -> Any:
         if not self.accepts(value):
             raise Refusal(key, f"expected {self.expected}, found {self.shown(value)}")
         return value
@@ -120,12 +120,12 @@ class Scalar(Kind):
         return dict(self.described)
 
 
-def _is_number(value: Any) -> bool:
+def _is_number(value: object) -> bool:
     # JSON's true is no number, Python's is.
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
-def _is_strings(value: Any) -> bool:
+def _is_strings(value: object) -> bool:
     return isinstance(value, list) and all(isinstance(part, str) for part in value)
 
 
@@ -139,7 +139,7 @@ def strings(meaning: str, *, filled: bool = False) -> Scalar:
     )
 
 
-def _shown_list(value: Any) -> str:
+def _shown_list(value: object) -> str:
     if not isinstance(value, list):
         return toml_type(value)
     wrong = [part for part in value if not isinstance(part, str)]
@@ -187,7 +187,7 @@ class Expression(Kind):
     language: str
     compile: Callable[[str], object]
 
-    def read(self, value: Any, key: str) -> Any:
+    def read(self, value: object, key: str) -> Any:
         if not isinstance(value, str) or not value:
             raise Refusal(key, f"expected {self.language} in a string, found {toml_type(value)}")
         try:
@@ -210,7 +210,7 @@ class OneOf(Kind):
 
     known: tuple[str, ...]
 
-    def read(self, value: Any, key: str) -> Any:
+    def read(self, value: object, key: str) -> Any:
         if value is None:
             raise Refusal(key, f"expected one of {', '.join(self.known)}, found nothing")
         if not isinstance(value, str) or value not in self.known:

@@ -166,7 +166,7 @@ class Binding:
     resource: bool = False
     blocking: bool = False
 
-    def fill(self, inputs: Mapping[str, Any], endpoint: Mapping[str, str]) -> dict[str, Any]:
+    def fill(self, inputs: Mapping[str, object], endpoint: Mapping[str, str]) -> dict[str, Any]:
         """Return the tool's arguments for these inputs."""
         prepared = {name: self._prepared(name, value) for name, value in inputs.items()}
         filled: dict[str, Any] = replace_template(self.arguments, prepared, endpoint)
@@ -183,7 +183,7 @@ class Binding:
             value = _CONVERSIONS[self.convert[name]](value)
         return value
 
-    def fits(self, inputs: Mapping[str, Any]) -> bool:
+    def fits(self, inputs: Mapping[str, object]) -> bool:
         """Tell whether this binding is for these inputs."""
         return all(inputs.get(name) == value for name, value in self.when.items())
 
@@ -192,7 +192,7 @@ class Binding:
         return name in placeholders(self.arguments)
 
 
-def _text(value: Any) -> str:
+def _text(value: object) -> str:
     return value if isinstance(value, str) else json.dumps(value)
 
 
@@ -207,7 +207,7 @@ _CONVERSIONS: Mapping[str, Callable[[Any], Any]] = {
 }
 
 
-def replace_template(template: Any, inputs: Mapping[str, Any], endpoint: Mapping[str, str]) -> Any:
+def replace_template(template: object, inputs: Mapping[str, object], endpoint: Mapping[str, str]) -> Any:
     """Return a template with inputs and endpoint filled in."""
     if isinstance(template, str):
         return inputs[template[1:]] if template.startswith("$") else replace_placeholders(template, endpoint)
@@ -218,7 +218,7 @@ def replace_template(template: Any, inputs: Mapping[str, Any], endpoint: Mapping
     return template
 
 
-def placeholders(template: Any) -> set[str]:
+def placeholders(template: object) -> set[str]:
     """Return the names of the inputs that a template has a place for."""
     if isinstance(template, str):
         return {template[1:]} if template.startswith("$") else set()

@@ -17,13 +17,13 @@ class Template(Kind):
 
     inputs: tuple[str, ...]
 
-    def read(self, value: Any, key: str) -> Any:
+    def read(self, value: object, key: str) -> Any:
         if not isinstance(value, dict):
             raise Refusal(key, f"expected a table, found {toml_type(value)}")
         self._check(value, key)
         return value
 
-    def _check(self, value: Any, key: str) -> None:
+    def _check(self, value: object, key: str) -> None:
         if isinstance(value, str) and value.startswith("$") and value[1:] not in self.inputs:
             known = ", ".join(f"${name}" for name in self.inputs) or "none"
             raise Refusal(key, f"{value} is no input of this operation; its inputs are: {known}")
@@ -44,7 +44,7 @@ class MapOf(Kind):
 
     kind: Kind
 
-    def read(self, value: Any, key: str) -> Any:
+    def read(self, value: object, key: str) -> Any:
         if not isinstance(value, dict):
             raise Refusal(key, f"expected a table, found {toml_type(value)}")
         return {name: self.kind.read(member, f"{key}.{name}") for name, member in value.items()}
@@ -67,7 +67,7 @@ class ListOf(Kind):
     expected: str
     least: int = 0
 
-    def read(self, value: Any, key: str) -> Any:
+    def read(self, value: object, key: str) -> Any:
         if not isinstance(value, list) or len(value) < self.least:
             raise Refusal(key, f"expected {self.expected}, found {toml_type(value)}")
         return [self.kind.read(member, f"{key}[{index}]") for index, member in enumerate(value)]
@@ -85,7 +85,7 @@ class ByType(Kind):
     kind: Kind
     otherwise: Kind
 
-    def read(self, value: Any, key: str) -> Any:
+    def read(self, value: object, key: str) -> Any:
         return (self.kind if isinstance(value, self.type) else self.otherwise).read(value, key)
 
     def schema(self, definitions: Definitions) -> dict[str, Any]:
@@ -99,7 +99,7 @@ class Named(Kind):
     name: str
     kind: Kind
 
-    def read(self, value: Any, key: str) -> Any:
+    def read(self, value: object, key: str) -> Any:
         return self.kind.read(value, key)
 
     def schema(self, definitions: Definitions) -> dict[str, Any]:
@@ -121,7 +121,7 @@ class Key:
 
     kind: Kind
     meaning: str
-    default: Any = None
+    default: object = None
     required: bool = False
 
     def schema(self, definitions: Definitions) -> dict[str, Any]:
@@ -141,10 +141,10 @@ class Rule:
         described: the rule in JSON Schema.
     """
 
-    holds: Callable[[Mapping[str, Any]], bool]
+    holds: Callable[[Mapping[str, object]], bool]
     objection: str
     at: str = ""
-    described: Mapping[str, Any]
+    described: Mapping[str, object]
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +159,7 @@ class Table(Kind):
     keys: Mapping[str, Key]
     rules: tuple[Rule, ...] = ()
 
-    def read(self, value: Any, key: str) -> Any:
+    def read(self, value: object, key: str) -> Any:
         """Return the members in the order of the file, then the defaults of those that the file lacks."""
         if not isinstance(value, dict):
             raise Refusal(key, f"expected a table, found {toml_type(value)}")
@@ -179,7 +179,7 @@ class Table(Kind):
         return members
 
     def schema(self, definitions: Definitions) -> dict[str, Any]:
-        schema: dict[str, Any] = {
+        schema: dict[str, object] = {
             "type": "object",
             "properties": {name: key.schema(definitions) for name, key in self.keys.items()},
             "additionalProperties": False,

@@ -11,7 +11,7 @@ import tempfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, TypedDict, cast
+from typing import TypedDict, cast
 
 from .. import __version__
 from ..core.errors import KitError, SubjectError, UsageError
@@ -119,7 +119,7 @@ class AdapterUnderTest:
         self.variant = variant
         self.device = device
         self.session: McpSession | None = None
-        self.tools: Mapping[str, Mapping[str, Any]] | None = None
+        self.tools: Mapping[str, Mapping[str, object]] | None = None
         self.unmet: set[str] = set()
         self._options = options
         self._start_failure: SubjectError | None = None
@@ -275,7 +275,7 @@ class AdapterUnderTest:
 
     # -- calls --------------------------------------------------------------------------------------------
 
-    async def call(self, operation: str, *, session: McpSession | None = None, **inputs: Any) -> Reply:
+    async def call(self, operation: str, *, session: McpSession | None = None, **inputs: object) -> Reply:
         """Perform an abstract operation through the adapter's own tools.
 
         Args:
@@ -330,9 +330,9 @@ class AdapterUnderTest:
         if isinstance(result, dict) and isinstance(result.get("result"), dict):
             self.unmet |= {fault.requirement for fault in check_result(result["result"]) if fault.requirement}
 
-    async def _perform(self, function: Function, session: McpSession, inputs: dict[str, Any]) -> Reply:
+    async def _perform(self, function: Function, session: McpSession, inputs: dict[str, object]) -> Reply:
         tools = _Tools(self, session)
-        outputs: Mapping[str, Any] = {}
+        outputs: Mapping[str, object] = {}
         refusal: Refused | None = None
         try:
             outputs = checked_outputs(function, self.adapter.protocol, await function.call(tools, **inputs))
@@ -373,7 +373,7 @@ class _Tools:
         self._session = session
         self._timeout_s = 1.2 * station.deadline_s
 
-    async def call(self, tool: str, /, **arguments: Any) -> ToolAnswer:
+    async def call(self, tool: str, /, **arguments: object) -> ToolAnswer:
         return self._answer(await self._session.call(tool, arguments, timeout_s=self._timeout_s))
 
     async def read_resource(self, uri: str) -> ToolAnswer:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from ..core.finding import Finding
 from ..core.strict_json import same_json
@@ -17,7 +16,7 @@ from .reply import Reply
 __all__ = ["failed", "succeeded"]
 
 
-def succeeded(reply: Reply, **outputs: Any) -> list[Finding]:
+def succeeded(reply: Reply, **outputs: object) -> list[Finding]:
     """The call claims success and its outputs equal ``outputs``.
 
     An output that the subject's binding does not know how to find is not judged here; the device still is.
@@ -46,7 +45,7 @@ def failed(
     reply: Reply,
     *codes: str,
     outcome: str | Sequence[str] | None = None,
-    trace: Mapping[str, Any] | None = None,
+    trace: Mapping[str, object] | None = None,
 ) -> list[Finding]:
     """The call is refused in an envelope, with one of ``codes``.
 
@@ -104,12 +103,12 @@ def failed(
     return findings
 
 
-def _member(value: Any, name: str) -> Any:
+def _member(value: object, name: str) -> object:
     # That an envelope's members are no objects has been reported as such.
     return value.get(name) if isinstance(value, Mapping) else None
 
 
-def _contains(found: Any, expected: Any) -> bool:
+def _contains(found: object, expected: object) -> bool:
     if isinstance(expected, Mapping):
         return isinstance(found, Mapping) and all(
             name in found and _contains(found[name], value) for name, value in expected.items()
@@ -128,6 +127,6 @@ def _outcome(reply: Reply) -> str:
     return "no success"
 
 
-def _shown(value: Any) -> str:
+def _shown(value: object) -> str:
     text = json.dumps(value, ensure_ascii=False, default=repr)
     return text if len(text) <= 400 else text[:400] + "…"

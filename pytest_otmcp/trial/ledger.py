@@ -30,7 +30,7 @@ class Judged:
     """
 
     reply: Reply
-    inputs: Mapping[str, Any]
+    inputs: Mapping[str, object]
     role: Role
     group: int
     ok: bool | None = None
@@ -60,7 +60,7 @@ class Ledger:
         self._group = 0
         self._together = False
 
-    def add(self, reply: Reply, inputs: Mapping[str, Any], role: Role | None = None) -> None:
+    def add(self, reply: Reply, inputs: Mapping[str, object], role: Role | None = None) -> None:
         """Note a reply and its faults."""
         if not self._together:
             self._group += 1

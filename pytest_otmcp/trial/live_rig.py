@@ -124,7 +124,7 @@ class LiveRig(Rig):
     def _observing(self) -> AbstractContextManager[None]:
         return self._bench.spent.on("observing the device")
 
-    def _noted(self, seen: Mapping[str, Any], asked_ns: int) -> None:
+    def _noted(self, seen: Mapping[str, object], asked_ns: int) -> None:
         observation = {"at": self.name, "asked_ns": asked_ns, "seen_ns": time.monotonic_ns(), **seen}
         self._ledger.observed(cast(Observation, observation))
 
@@ -154,7 +154,7 @@ class LiveRig(Rig):
         self._noted({"journal": journal.next}, asked_ns)
         return journal.entries
 
-    async def wait_for(self, *, timeout_s: float, count: int = 1, **match: Any) -> list[Entry]:
+    async def wait_for(self, *, timeout_s: float, count: int = 1, **match: object) -> list[Entry]:
         asked_ns = time.monotonic_ns()
         with self._observing():
             scaled = timeout_s * self._ledger.time_scale
@@ -173,7 +173,7 @@ class LiveRig(Rig):
         self._cursor.feed(journal.entries, journal.next)
         self._noted({"followed": journal.next}, asked_ns)
 
-    async def image(self) -> dict[str, Any]:
+    async def image(self) -> dict[str, object]:
         asked_ns = time.monotonic_ns()
         with self._observing():
             image = await self.device.image()
@@ -181,7 +181,7 @@ class LiveRig(Rig):
         self._noted({kind: kept}, asked_ns)
         return image
 
-    async def poke(self, **params: Any) -> None:
+    async def poke(self, **params: object) -> None:
         with self._observing():
             await self.device.poke(**params)
 

@@ -51,7 +51,7 @@ class Repetition:
         # The same seed gives the same nonces, whatever else ran before.
         self.rng = random.Random(f"{seed}/{task_id}/{role}/{rep}")
         self.phases: Phases | None = None
-        self.notes: dict[str, Any] = {}
+        self.notes: dict[str, object] = {}
         self._at = {(at.protocol, at.variant): at for at in places}
         for at in self.all:
             at.join(self.ledger)
@@ -73,7 +73,7 @@ class Repetition:
 
     # -- collecting ---------------------------------------------------------------------------------------
 
-    async def in_order(self, *calls: Coroutine[Any, Any, Reply]) -> list[Reply]:
+    async def in_order(self, *calls: Coroutine[object, object, Reply]) -> list[Reply]:
         """Perform calls one after the other."""
         replies = []
         for index, call in enumerate(calls):
@@ -85,7 +85,7 @@ class Repetition:
                 raise
         return replies
 
-    async def together(self, *calls: Coroutine[Any, Any, Reply]) -> list[Reply]:
+    async def together(self, *calls: Coroutine[object, object, Reply]) -> list[Reply]:
         """Perform calls concurrently; their time counts once, from the first request to the last reply."""
         with self.ledger.one_group():
             replies = await asyncio.gather(*calls, return_exceptions=True)
@@ -110,11 +110,11 @@ class Repetition:
 
     # -- judging ------------------------------------------------------------------------------------------
 
-    def succeeds(self, reply: Reply, **outputs: Any) -> None:
+    def succeeds(self, reply: Reply, **outputs: object) -> None:
         """Expect success with these outputs."""
         self.judge(reply, oracle.succeeded(reply, **outputs))
 
-    def must_succeed(self, reply: Reply, **outputs: Any) -> None:
+    def must_succeed(self, reply: Reply, **outputs: object) -> None:
         """Expect success with these outputs; without it the repetition ends here."""
         if not self.judge(reply, oracle.succeeded(reply, **outputs)):
             raise EndedError
@@ -123,7 +123,7 @@ class Repetition:
         """Expect a refusal with one of these codes; see :func:`pytest_otmcp.trial.expectations.failed`."""
         self.judge(reply, oracle.failed(reply, *codes, **expected))
 
-    def one_of(self, reply: Reply, output: str, *values: Any) -> None:
+    def one_of(self, reply: Reply, output: str, *values: object) -> None:
         """Expect an output to be one of several values, where concurrency makes each of them right."""
         found = reply.outputs.get(output)
         if reply.success and not any(same_json(value, found) for value in values):

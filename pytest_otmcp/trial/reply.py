@@ -56,8 +56,8 @@ class Reply:
     variant: str
     operation: str
     exchange: Exchange
-    envelope: dict[str, Any] | None
-    outputs: dict[str, Any]
+    envelope: dict[str, object] | None
+    outputs: dict[str, object]
     faults: tuple[Finding, ...] = ()
     native: bool = True
     listed: bool = True
@@ -122,7 +122,7 @@ def observe(exchange: Exchange, expected: Expectation) -> Reply:
     # A tool that the session does not list has no envelope to be judged: what was answered is read like prose.
     native = expected.answering.native and expected.listed
     envelope, faults = _read_envelope(exchange, message) if native else _read_answer(exchange, message, expected)
-    outputs: dict[str, Any] = {}
+    outputs: dict[str, object] = {}
     if envelope is not None:
         own = expected.answering.native
         outputs = extract(expected.outputs, envelope if own else read_answer(message, expected.answering.form)[0])
@@ -135,7 +135,7 @@ def observe(exchange: Exchange, expected: Expectation) -> Reply:
     )
 
 
-def replace_outputs(reply: Reply, outputs: Mapping[str, Any], refused: tuple[str, str] | None) -> Reply:
+def replace_outputs(reply: Reply, outputs: Mapping[str, object], refused: tuple[str, str] | None) -> Reply:
     """Replace the outputs of a reply, and what follows from them, by what the user's binding function returned.
 
     Args:
@@ -156,7 +156,7 @@ Reading = tuple[dict[str, Any] | None, list[Finding]]
 """The envelope, and what is wrong with it."""
 
 
-def _read_envelope(exchange: Exchange, message: Mapping[str, Any]) -> Reading:
+def _read_envelope(exchange: Exchange, message: Mapping[str, object]) -> Reading:
     result = message.get("result")
     label = _label(exchange)
     if not isinstance(result, dict):
@@ -175,7 +175,7 @@ def _read_envelope(exchange: Exchange, message: Mapping[str, Any]) -> Reading:
     return (structured if isinstance(structured, dict) else None), faults
 
 
-def _read_answer(exchange: Exchange, message: Mapping[str, Any], expected: Expectation) -> Reading:
+def _read_answer(exchange: Exchange, message: Mapping[str, object], expected: Expectation) -> Reading:
     """Make an envelope from an answer that has none, by the rules of the subject file."""
     answer = interpret(message, expected.answering)
     if not expected.listed and not answer.success:
@@ -195,7 +195,7 @@ def _read_answer(exchange: Exchange, message: Mapping[str, Any], expected: Expec
     return envelope, [fault]
 
 
-def _client_faults(exchange: Exchange, message: Mapping[str, Any]) -> list[Finding]:
+def _client_faults(exchange: Exchange, message: Mapping[str, object]) -> list[Finding]:
     if exchange.client_complaint is None or "result" not in message:
         return []
     return [

@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 from ..core.finding import Finding
 from ..record.schema import DeviceEntry, Role
@@ -19,6 +19,8 @@ from .ledger import Entry, Ledger
 from .reply import Reply
 
 __all__ = ["EndedError", "Entry", "FreshSession", "Rig", "place_name"]
+
+T = TypeVar("T")
 
 
 def place_name(protocol: str, variant: str) -> str:
@@ -88,13 +90,13 @@ class Rig(ABC):
     def accepts_input(self, operation: str, name: str) -> bool:
         """The operation can be given this optional input."""
 
-    def expected_if_accepted(self, operation: str, name: str, value: Any) -> Any:
+    def expected_if_accepted(self, operation: str, name: str, value: T) -> T | None:
         """Return ``value`` if the tool accepts this optional input, else None: the device may have seen any value."""
         return value if self.accepts_input(operation, name) else None
 
     # -- what the steps of a task do ----------------------------------------------------------------------
 
-    async def call(self, operation: str, *, role: Role | None = None, **inputs: Any) -> Reply:
+    async def call(self, operation: str, *, role: Role | None = None, **inputs: object) -> Reply:
         """Perform an operation; see :meth:`pytest_otmcp.trial.bench.AdapterUnderTest.call`."""
         reply = await self._perform(operation, inputs)
         self._ledger.add(reply, inputs, role)
@@ -181,7 +183,7 @@ class Rig(ABC):
         """What reached the device, and what it answered, since this repetition began."""
 
     @abstractmethod
-    async def wait_for(self, *, timeout_s: float, count: int = 1, **match: Any) -> list[Entry]:
+    async def wait_for(self, *, timeout_s: float, count: int = 1, **match: object) -> list[Entry]:
         """The journal entries of this repetition that match, as soon as there are ``count``, or when time is over."""
 
     @abstractmethod
@@ -194,11 +196,11 @@ class Rig(ABC):
         return self._cursor.oracle(kind)
 
     @abstractmethod
-    async def image(self) -> dict[str, Any]:
+    async def image(self) -> dict[str, object]:
         """What the device really holds."""
 
     @abstractmethod
-    async def poke(self, **params: Any) -> None:
+    async def poke(self, **params: object) -> None:
         """Set a value out of band."""
 
     @abstractmethod
@@ -218,7 +220,7 @@ class Rig(ABC):
         """The journal since the repetition began; the next repetition's slice begins where this one ends."""
 
     @abstractmethod
-    async def _perform(self, operation: str, inputs: Mapping[str, Any]) -> Reply: ...
+    async def _perform(self, operation: str, inputs: Mapping[str, object]) -> Reply: ...
 
     @abstractmethod
     async def _feed(self) -> None:

@@ -284,6 +284,30 @@ def test_a_bug_that_an_adapter_reports_is_shown_with_its_last_words(
     assert rejudge(run) == []
 
 
+def test_a_device_need_not_keep_what_the_record_has(warm_start: WarmStart) -> None:
+    loop, plant = LoopThread(), Plant()
+
+    async def run() -> tuple[Record, int, int]:
+        bench, task = Bench(warm_start.subject(reference_subject()), BenchOptions(), plant), tasks_by_id()["S7"]
+        try:
+            # Fifty calls a repetition: a hundred entries.
+            item = await measured(bench, task, 12)
+            device = await plant.device("modbus")
+            return recorded(bench, [item]), await device.first(), await device.mark()
+        finally:
+            await bench.close()
+
+    try:
+        record, first, following = loop.run(run())
+    finally:
+        loop.run(plant.close())
+        loop.close()
+    assert following > 1200
+    assert following - first < 1200
+    assert record["items"][0]["status"] == "PASS"
+    assert rejudge(record) == []
+
+
 def test_a_recovery_trial_without_a_first_success_ends_there(bench_of: Callable[..., Record]) -> None:
     run = bench_of(program(ROGUE, "not-json"), "R-modbus")
     (item,) = run["items"]

@@ -216,7 +216,7 @@ def test_the_same_fault_is_shown_once_however_often_it_happened() -> None:
 def test_faults_of_other_kinds_are_shown_each() -> None:
     failed = written_twice(5)
     for index in range(1, 5):
-        failed["samples"][index]["findings"][0] = {"code": f"kind_{index}", "message": f"another {index}"}
+        failed["samples"][index]["findings"][0] = finding(f"kind_{index}", f"another {index}")
     shown = Page(page(run([failed]))).text
     assert all(f"another {index}" in shown for index in (1, 2))
     assert "another 3" not in shown

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-from typing import Any
 
 from ..evidence import find
 from ..experimenter import Experimenter, Proposal, reach
@@ -70,7 +69,7 @@ async def _device_data(experimenter: Experimenter, guess: Guess) -> Proposal:
     return await _report(experimenter, guess, "DDATA", {})
 
 
-async def _report(experimenter: Experimenter, guess: Guess, kind: str, further: dict[str, Any]) -> Proposal:
+async def _report(experimenter: Experimenter, guess: Guess, kind: str, further: dict[str, object]) -> Proposal:
     metric = {"name": "temperature", "value": 20.5, **further}
     shown = await experimenter.call(guess, {}, device="device-1", metrics=[metric])
     seen = any(f"/{kind}/" in str(entry.get("topic")) and entry["direction"] == "in" for entry in shown.entries)

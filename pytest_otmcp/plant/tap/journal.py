@@ -13,7 +13,7 @@ import itertools
 import time
 from collections import deque
 from collections.abc import Mapping
-from typing import Any, Literal, cast
+from typing import Literal, cast
 from weakref import WeakKeyDictionary
 
 from ...protocols.conversation import Conversation, Direction, Message
@@ -67,7 +67,7 @@ class TapJournal:
         for _ in range(min(before, self.next) - self.first):
             self._entries.popleft()
 
-    async def wait(self, seq: int, match: Mapping[str, Any], count: int, timeout_s: float) -> list[JournalEntry]:
+    async def wait(self, seq: int, match: Mapping[str, object], count: int, timeout_s: float) -> list[JournalEntry]:
         """Return the entries from ``seq`` on whose fields equal ``match``: as soon as there are ``count`` of them, or
         those that there are after ``timeout_s`` seconds."""
         waiter = _Waiter(match, count)
@@ -96,7 +96,7 @@ class TapJournal:
         kind: str,
         *,
         origin: Literal["client", "kit"] = "client",
-        **fields: Any,
+        **fields: object,
     ) -> None:
         """Record something that is no frame."""
         self._catch_up()
@@ -136,7 +136,7 @@ class TapJournal:
 class _Waiter:
     """Collects the entries that one ``wait`` asks for."""
 
-    def __init__(self, match: Mapping[str, Any], count: int) -> None:
+    def __init__(self, match: Mapping[str, object], count: int) -> None:
         self._match = dict(match)
         self._count = count
         self.found: list[JournalEntry] = []

@@ -54,7 +54,7 @@ class ModbusConversation:
         transaction, _, _, unit = _HEADER.unpack_from(frame)
         pdu = frame[7:]
         key = (transaction, unit, pdu[0] & 0x7F)
-        fields: dict[str, Any] = {"unit": unit, "transaction_id": transaction}
+        fields: dict[str, object] = {"unit": unit, "transaction_id": transaction}
         if direction == "in":
             message = Message(
                 direction="in",
@@ -70,9 +70,9 @@ class ModbusConversation:
         return [Message(direction="out", kind="response", fields=fields, answers=asked)]
 
 
-def _request(pdu: bytes) -> dict[str, Any]:
+def _request(pdu: bytes) -> dict[str, object]:
     function = pdu[0]
-    fields: dict[str, Any] = {"function": function}
+    fields: dict[str, object] = {"function": function}
     words = struct.unpack_from(f">{min(len(pdu) - 1, 8) // 2}H", pdu, 1)
     if function in READ_BITS | READ_REGISTERS | {WRITE_COILS, WRITE_REGISTERS} and len(words) >= 2:
         fields["address"], fields["quantity"] = words[:2]

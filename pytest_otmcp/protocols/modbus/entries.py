@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import cast
 
 from ..journal import JournalEntry
 
@@ -66,7 +66,7 @@ def describe(entry: JournalEntry) -> str:
     return text + (f" values {request['values']}" if request.get("values") else "")
 
 
-def points(table: str, address: int, values: list[Any], *, unit: int = 1) -> dict[str, Any]:
+def points(table: str, address: int, values: list[object], *, unit: int = 1) -> dict[str, object]:
     """Name the points of an image that hold these values, one after the other from ``address``.
 
     Args:

@@ -32,7 +32,7 @@ nothing_changed_by = _WITNESS.nothing_changed_by
 only_changed = _WITNESS.only_changed
 
 
-def exactly_one_write(entries: Entries, table: str, *, address: int, values: list[Any]) -> list[Finding]:
+def exactly_one_write(entries: Entries, table: str, *, address: int, values: list[object]) -> list[Finding]:
     """One request that may change the device reached it, and it was this write: with a single or a multiple function."""
     functions = (6, 16) if table == "holding_registers" else (5, 15)
 

@@ -191,7 +191,7 @@ class MqttConversation:
         self.client_id = fields.get("properties", {}).get("assigned_client_identifier") or self.client_id
         return [self._message(direction, kind, {"client_id": self.client_id, **fields})]
 
-    def _message(self, direction: Direction, kind: str, fields: dict[str, Any]) -> Message:
+    def _message(self, direction: Direction, kind: str, fields: dict[str, object]) -> Message:
         packet_id = fields.get("packet_id")
         if direction == "out":
             asked = self._outstanding.take((_ANSWERS[kind], packet_id)) if kind in _ANSWERS else None
@@ -216,7 +216,7 @@ class MqttConversation:
             return self._connect(reader)
         if kind == "CONNACK":
             present = reader.integer(1) == 1
-            fields: dict[str, Any] = {"session_present": present, "reason_codes": [reader.integer(1)]}
+            fields: dict[str, object] = {"session_present": present, "reason_codes": [reader.integer(1)]}
             return fields | self._properties(reader)
         if kind in _ACKNOWLEDGEMENTS:
             fields = {"packet_id": reader.integer(2)}
@@ -248,7 +248,7 @@ class MqttConversation:
         if flags & 1:
             raise MalformedError("the reserved flag of CONNECT is set")
         self._level = level
-        fields: dict[str, Any] = {
+        fields: dict[str, object] = {
             "protocol_level": level,
             "clean_start": bool(flags & 2),
             "keepalive": reader.integer(2),
@@ -294,11 +294,11 @@ class MqttConversation:
         }
 
     def _subscription(self, kind: str, reader: _Reader) -> dict[str, Any]:
-        fields: dict[str, Any] = {"packet_id": reader.integer(2), **self._properties(reader)}
+        fields: dict[str, object] = {"packet_id": reader.integer(2), **self._properties(reader)}
         if kind in ("SUBACK", "UNSUBACK"):
             # In 3.1.1 UNSUBACK has no payload.
             return fields | {"reason_codes": list(reader.rest())}
-        filters: list[dict[str, Any]] = []
+        filters: list[dict[str, object]] = []
         while reader.more():
             text = reader.string()
             if kind == "UNSUBSCRIBE":
@@ -315,7 +315,7 @@ class MqttConversation:
 
 
 def _message(topic: str, payload: bytes) -> dict[str, Any]:
-    fields: dict[str, Any] = {"payload": base64.b64encode(payload).decode()}
+    fields: dict[str, object] = {"payload": base64.b64encode(payload).decode()}
     if sparkplug := decode_message(topic, payload):
         fields["sparkplug"] = sparkplug
     return fields

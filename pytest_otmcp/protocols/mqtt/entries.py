@@ -44,7 +44,7 @@ class MqttEntry(JournalEntry, total=False):
     filters: list[Filter]
     reason_codes: list[int]
     packet_id: int
-    will: Mapping[str, Any] | None
+    will: Mapping[str, object] | None
     clean_start: bool
     will_sent: bool
     reason: str

@@ -94,13 +94,13 @@ def _type_name(datatype: int | None) -> str:
     return DATA_TYPES[datatype] if datatype is not None and datatype < len(DATA_TYPES) else str(datatype)
 
 
-def _messages(entries: Entries, client_id: str | None) -> Iterator[tuple[MqttEntry, Mapping[str, Any]]]:
+def _messages(entries: Entries, client_id: str | None) -> Iterator[tuple[MqttEntry, Mapping[str, object]]]:
     for entry in adapter_packets(entries, "PUBLISH", "in", client_id):
         if (message := _message(entry)) is not None:
             yield entry, message
 
 
-def _message(entry: MqttEntry) -> Mapping[str, Any] | None:
+def _message(entry: MqttEntry) -> Mapping[str, object] | None:
     """Decode a PUBLISH as a Sparkplug message; None when it is none."""
     # A will is published by the broker, on the client's behalf.
     if not str(entry.get("topic")).startswith(NAMESPACE + "/") or entry.get("will_sent"):
@@ -185,7 +185,7 @@ class _Session:
         self._nodes: dict[tuple[str, str], _EdgeNode] = {}
 
     @property
-    def bd_seq(self) -> Any:
+    def bd_seq(self) -> object:
         """The will's bdSeq, or None."""
         return next((metric["value"] for metric in self.death["metrics"] if metric["name"] == _BD_SEQ), None)
 
@@ -200,7 +200,7 @@ class _Session:
             yield _rule("SPB-006", text, topic)
         deaths[topic] = self.bd_seq
 
-    def check(self, entry: MqttEntry, topic: Topic | None, message: Mapping[str, Any]) -> Iterator[Finding]:
+    def check(self, entry: MqttEntry, topic: Topic | None, message: Mapping[str, object]) -> Iterator[Finding]:
         if topic is None or "error" in message:
             yield _rule("SPB-001", f"the payload does not decode: {message['error']}", entry)
             return
@@ -235,7 +235,7 @@ class _Session:
             yield _rule("SPB-006", "the connection must begin with a clean session", entry)
 
 
-def _command(entry: MqttEntry, topic: Topic, message: Mapping[str, Any]) -> Iterator[Finding]:
+def _command(entry: MqttEntry, topic: Topic, message: Mapping[str, object]) -> Iterator[Finding]:
     if message["seq"] is not None:
         yield _rule("SPB-010", f"{topic.type} must carry no seq, it carries {message['seq']}", entry)
     if entry["qos"] != 0 or entry["retain"]:
@@ -249,7 +249,7 @@ class _EdgeNode:
         self._seq: int | None = None
         self._declared: dict[str | None, Declared] = {}
 
-    def check(self, entry: MqttEntry, topic: Topic, message: Mapping[str, Any]) -> Iterator[Finding]:
+    def check(self, entry: MqttEntry, topic: Topic, message: Mapping[str, object]) -> Iterator[Finding]:
         kind, device = topic.type, topic.device
         if kind == "NDEATH":
             self._seq, self._declared = None, {}

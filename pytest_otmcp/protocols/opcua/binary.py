@@ -80,7 +80,7 @@ class BinaryReader:
         data = self.byte_string()
         return None if data is None else data.decode("utf-8", "replace")
 
-    def array(self, element: Callable[[], Any]) -> list[Any] | None:
+    def array(self, element: Callable[[], object]) -> list[Any] | None:
         """Read an array; length -1 is null."""
         count = self.unpack("i")
         if count == -1:
@@ -196,7 +196,7 @@ class BinaryReader:
             value = self._nested(lambda: self._scalar(number))
         return VARIANT_TYPES[number], value
 
-    def _nested(self, read: Callable[[], Any]) -> Any:
+    def _nested(self, read: Callable[[], object]) -> Any:
         # Section 5.1.5: a decoder has to bear 100 levels at most; nothing a plant sends needs more than these.
         if self._depth >= _DEEPEST:
             raise MalformedError("the message is nested too deeply")
@@ -210,7 +210,7 @@ class BinaryReader:
         if number in _NUMBERS:
             value = self.unpack(_NUMBERS[number])
             return _finite(value) if isinstance(value, float) else value
-        readers: dict[int, Callable[[], Any]] = {
+        readers: dict[int, Callable[[], object]] = {
             0: lambda: None,
             1: lambda: self.unpack("B") != 0,
             12: self.string,

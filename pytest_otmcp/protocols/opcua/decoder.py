@@ -183,7 +183,7 @@ class OpcUaConversation:
 
 def _connection_message(kind: str, direction: Direction, reader: BinaryReader) -> Message:
     """Read a message of the OPC UA Connection Protocol (OPC 10000-6, section 7.1.2)."""
-    fields: dict[str, Any] = {}
+    fields: dict[str, object] = {}
     if kind in ("HEL", "ACK"):
         reader.take(20)
     if kind == "HEL":

@@ -82,7 +82,7 @@ def describe(entry: JournalEntry) -> str:
     return f"{entry['kind']} {', '.join(node_ids(entry)[:4])}".strip()
 
 
-def holds_value(image: Image, node: str, held: Any, wanted: Any) -> bool:
+def holds_value(image: Image, node: str, held: object, wanted: object) -> bool:
     """The node holds the wanted value, or the nearest one that its data type can hold."""
     if image["variables"].get(node, {}).get("data_type") == "Float" and isinstance(wanted, float):
         # The nearest number of four bytes is all that such a node can hold.

@@ -53,7 +53,7 @@ def children_of(image: Image, name: str) -> dict[str, str]:
     }
 
 
-def names_and_ids_agree(ids: Any, names: Any, expected: Mapping[str, str]) -> list[Finding]:
+def names_and_ids_agree(ids: object, names: object, expected: Mapping[str, str]) -> list[Finding]:
     """A browse result holds these nodes, each with its own name; a namespace prefix of a name (``2:``) is accepted.
 
     An adapter whose answers have no names gives None for them, and is judged by the nodes alone.
@@ -146,7 +146,7 @@ def result_status(entries: Entries, kind: str, symbol: str) -> list[Finding]:
     ]
 
 
-def exactly_one_write(entries: Entries, node: str, value: Any) -> list[Finding]:
+def exactly_one_write(entries: Entries, node: str, value: object) -> list[Finding]:
     """One Write reached the server, of this value to this node and of nothing but the value, and was accepted."""
 
     def problem(entry: JournalEntry) -> tuple[str, str] | None:
@@ -189,7 +189,7 @@ def image_holds(image: Image, node: str, value: Any) -> list[Finding]:
     return _WITNESS.holds(image, {node: value})
 
 
-def complete_enumeration(ids: Any, image: Image) -> list[Finding]:
+def complete_enumeration(ids: object, image: Image) -> list[Finding]:
     """An enumeration lists every data variable of the plant, each once."""
     listed = [str(node) for node in ids] if isinstance(ids, list) else []
     missing = sorted(set(image["variables"]) - set(listed))

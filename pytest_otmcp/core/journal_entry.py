@@ -1,0 +1,28 @@
+"""The contract of journal entries: every witness writes them, every record keeps them. Pure."""
+
+from __future__ import annotations
+
+from typing import Literal, TypedDict
+
+__all__ = ["JournalEntry"]
+
+
+class JournalEntry(TypedDict):
+    """One thing that reached a device, or that it sent; a protocol adds members of its own.
+
+    ``seq``: sequence number, from 0 since the device was started, without gaps. ``connection``: its number, 0 for none.
+    ``direction``: ``in`` for what the device received, ``out`` for what it sent. ``kind``: what it is, in the protocol's words.
+    ``origin``: who caused it: a ``client`` of the device, the ``plant``'s own simulation, or the ``kit``. ``request``: a client
+    asks the plant for something; keeping a session alive is no request. ``state_changing``: a request that may change the
+    plant. ``answers``: ``seq`` of the request that this entry answers, or None.
+    """
+
+    seq: int
+    t_ns: int
+    connection: int
+    direction: Literal["in", "out"]
+    kind: str
+    origin: Literal["client", "plant", "kit"]
+    request: bool
+    state_changing: bool
+    answers: int | None
