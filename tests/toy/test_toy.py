@@ -94,6 +94,15 @@ def test_a_toy_that_says_written_and_wrote_nothing_is_found_out_by_its_device(ru
         assert codes == {"not_written_once", "device_differs"}, item["id"]
 
 
+def test_a_write_when_the_session_begins_is_found_at_its_end(run: Run, tmp_path: Path) -> None:
+    subject(tmp_path, manner="greets")
+    done = run("pytest", "--otmcp-reps=2", "-p", "no:cacheprovider", "-k", "T1 or T2 or U2")
+    assert done.returncode == 1, done.stdout + done.stderr
+    found = {item["id"]: [finding["code"] for finding in item["findings"]] for item in record(tmp_path)["items"]}
+    # Only the guard is broken: the same write with writes enabled came before anything was asked for.
+    assert found == {"T1": [], "T2": ["wrote"], "U2": ["wrote"]}
+
+
 def test_a_subject_without_toys_has_no_items_of_them(run: Run, tmp_path: Path) -> None:
     done = run("pytest", "--collect-only", "-q", "--pyargs", "pytest_otmcp.conformance")
     assert "test_normal[M1]" in done.stdout

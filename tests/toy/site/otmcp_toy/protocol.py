@@ -9,6 +9,7 @@ from otmcp_toy.wire import ToyConversation, line_length
 from pytest_otmcp.protocols.journal import JournalEntry
 from pytest_otmcp.protocols.oracle import Witness
 from pytest_otmcp.protocols.protocol import Colour, Framing, Operation, OtProtocol
+from pytest_otmcp.protocols.session_oracle import StateChanges
 
 __all__ = ["TOY", "TOY_UDP", "WITNESS"]
 
@@ -38,6 +39,7 @@ TOY = OtProtocol(
     tasks="otmcp_toy.tasks",
     recognise=re.compile(r"\btoy\b"),
     colour=Colour(light="#888888", dark="#aaaaaa"),
+    session_oracles=(StateChanges,),
 )
 
 TOY_UDP = replace(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from otmcp_toy.protocol import WITNESS
 from pytest_otmcp.protocols.journal import JournalEntry
+from pytest_otmcp.protocols.session_oracle import StateChanges
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.rig import Rig
 
@@ -49,6 +50,6 @@ async def guarded(run: Repetition, toy_ro: Rig | None) -> None:
     await toy_ro.close_session()
     run.witnessed(
         WITNESS.answered(await toy_ro.journal()),
-        WITNESS.nothing_changed(await toy_ro.session_journal()),
+        WITNESS.nothing_changed((await toy_ro.follow(StateChanges)).first),
         WITNESS.only_changed(before, await toy_ro.image(), {}),
     )
