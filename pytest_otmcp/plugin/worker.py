@@ -83,14 +83,14 @@ class Run:
 
     def _stations(self) -> list[str]:
         """Adapter variants that the tasks will need; the read-write ones also where no task applies, to look at their tools."""
-        from ..trial.applicability import applicability, stations
+        from ..trial.applicability import applicability, participants
 
         adapters = self.subject.adapters
         wanted = {name for task in self.tasks for name in task.adapters if name in adapters}
         # Few tasks have a read-only variant. Where another process may get them, it is started with the first of them.
         for task in self.tasks if self._worker is None else ():
             if applicability(task, adapters) is None:
-                wanted |= set(stations(task, adapters))
+                wanted |= set(participants(task, adapters))
         return sorted(wanted)
 
     def execute(self, task: Task) -> ItemResult:

@@ -14,7 +14,7 @@ from ..subject.model import READ_ONLY
 from ..trial.adapter_under_test import NoBindingError
 from ..trial.driver import ItemHistory, SessionFacts
 from ..trial.repetition import Repetition
-from ..trial.rig import EndedError, place_name
+from ..trial.rig import EndedError, adapter_name
 from ..trial.task import Steps, Task, execute
 from .device import DeviceHistory
 from .reply import UNREADABLE, HistoryError
@@ -64,7 +64,7 @@ class ReplayDriver:
         self._samples = item.samples()
         self._repetitions = 0
         self._around = list(item.head["around"])
-        self._places: list[ReplayItemState] = []
+        self._states: list[ReplayItemState] = []
         self._inspections = 0
         self._ended = item.head["ended"]
 
@@ -88,8 +88,8 @@ class ReplayDriver:
             device = self._devices.get(found["device"])
             if device is None or protocol not in self._adapters or name != _rig_name(device):
                 raise HistoryError(f"the run has no device {found['device']!r} for {name}")
-            place = ReplayItemState(self._adapters[protocol], device, found)
-            self._places.append(place)
+            state = ReplayItemState(self._adapters[protocol], device, found)
+            self._states.append(state)
             try:
                 self._clock.passed(found["asked_ns"], found["seen_ns"], f"the first look at {name}", together=False)
                 device.enter(found)
@@ -97,14 +97,14 @@ class ReplayDriver:
                 problems.append(str(problem))
         if problems:
             raise HistoryError("; ".join(problems))
-        missing = sorted(set(self._task.adapters) - {place.name for place in self._places})
+        missing = sorted(set(self._task.adapters) - {state.name for state in self._states})
         if missing and not self._ended:
             raise HistoryError(f"{' and '.join(missing)} did not take part")
         await self.open_sessions()
 
     def before(self) -> Sequence[tuple[str, Entries]]:
         """What had reached the devices while nobody called their adapters."""
-        return [(place.protocol, place.found["before"]) for place in self._places if place.found["quiet"]]
+        return [(state.protocol, state.found["before"]) for state in self._states if state.found["quiet"]]
 
     def repetition(self, rep: int, role: Role) -> Repetition:
         """The next execution of steps that is stored."""
@@ -128,7 +128,7 @@ class ReplayDriver:
             role,
             seed=self._seed,
             time_scale=self._time_scale,
-            places=[ReplayRig(place, past, part["device"]) for place in self._places],
+            rigs=[ReplayRig(state, past, part["device"]) for state in self._states],
         )
 
     def _end(self) -> Exception:
@@ -145,8 +145,8 @@ class ReplayDriver:
 
     async def perform(self, repetition: Repetition, steps: Steps) -> None:
         """Take the steps through the history."""
-        for place in self._places:
-            place.history.cursor.looked_through = False
+        for state in self._states:
+            state.history.cursor.looked_through = False
         try:
             try:
                 await execute(steps, repetition)
@@ -166,8 +166,8 @@ class ReplayDriver:
         for at in repetition.all:
             if isinstance(at, ReplayRig):
                 at.leave()
-        for place in self._places:
-            place.history.cursor.looked_through = True
+        for state in self._states:
+            state.history.cursor.looked_through = True
 
     async def inspect(self) -> list[SessionFacts]:
         """What was remarkable then; or how the item ended, when that was after its last steps."""
@@ -177,8 +177,8 @@ class ReplayDriver:
 
     async def end_sessions(self) -> list[SessionFacts]:
         """What was remarkable then."""
-        for place in self._places:
-            place.history.cursor.close_session()
+        for state in self._states:
+            state.history.cursor.close_session()
         return self._inspected()
 
     def _inspected(self) -> list[SessionFacts]:
@@ -198,14 +198,14 @@ class ReplayDriver:
 
     async def open_sessions(self) -> None:
         """Have sessions again; where one is another than before, the next repetition says so."""
-        for place in self._places:
-            place.history.cursor.connected = True
+        for state in self._states:
+            state.history.cursor.connected = True
 
     async def close(self) -> None:
         """End the read-only session, as a bench does."""
-        for place in self._places:
-            if place.variant == READ_ONLY:
-                place.history.cursor.close_session()
+        for state in self._states:
+            if state.variant == READ_ONLY:
+                state.history.cursor.close_session()
 
     def leave(self, *, judged: bool) -> None:
         """The item is over.
@@ -245,4 +245,4 @@ class ReplayDriver:
 
 
 def _rig_name(device: DeviceHistory) -> str:
-    return place_name(device.facts["protocol"], device.facts["variant"])
+    return adapter_name(device.facts["protocol"], device.facts["variant"])

@@ -61,7 +61,7 @@ def recorded_reply(
     Args:
         call: as ``run.json`` has it.
         cases: how the subject performs the operation; None for a Python function.
-        endpoint, deadline_s: of the station.
+        endpoint, deadline_s: of the adapter under test.
 
     Raises:
         HistoryError: the call cannot have been like that.

@@ -15,7 +15,7 @@ from ..subject.claims import Claims
 from ..subject.model import READ_WRITE, Binding
 from ..trial.ledger import Ledger
 from ..trial.reply import Reply
-from ..trial.rig import Entry, FreshSession, Rig, place_name
+from ..trial.rig import Entry, FreshSession, Rig, adapter_name
 from .device import DeviceHistory
 from .reply import HistoryError, recorded_reply
 
@@ -87,7 +87,7 @@ class ReplayItemState:
         self.found = found
         self.protocol = adapter.protocol
         self.variant = history.facts["variant"]
-        self.name = place_name(self.protocol, self.variant)
+        self.name = adapter_name(self.protocol, self.variant)
         self.accepting_ns = found["accepting_ns"]
         self.images: Images = {}
         self.running = True
@@ -147,40 +147,40 @@ def _listed(inputs: Mapping[str, object]) -> str:
 class ReplayRig(Rig):
     """An adapter at its device in one repetition of the past. Nothing is done, nothing is waited for."""
 
-    def __init__(self, place: ReplayItemState, past: RecordedRepetition, device: Iterable[DeviceEntry]) -> None:
-        super().__init__(place.protocol, place.variant, place.history.cursor)
-        self._place = place
+    def __init__(self, state: ReplayItemState, past: RecordedRepetition, device: Iterable[DeviceEntry]) -> None:
+        super().__init__(state.protocol, state.variant, state.history.cursor)
+        self._state = state
         self._past = past
         self._unread = [
             cast(Entry, {name: value for name, value in entry.items() if name not in ("protocol", "variant")})
             for entry in device
-            if (entry["protocol"], entry.get("variant", READ_WRITE)) == (place.protocol, place.variant)
+            if (entry["protocol"], entry.get("variant", READ_WRITE)) == (state.protocol, state.variant)
         ]
 
     def join(self, ledger: Ledger) -> None:
         super().join(ledger)
         if self._past.next_is(self.name, "session"):
-            self._place.history.has_session(self._seen("session")["session"])
+            self._state.history.has_session(self._seen("session")["session"])
 
     def claims(self, facet: str) -> bool:
-        return self._place.adapter.claims.has(f"{self.protocol}.{facet}")
+        return self._state.adapter.claims.has(f"{self.protocol}.{facet}")
 
     def blocks(self, operation: str) -> bool:
-        return operation in self._place.adapter.facts["blocking"]
+        return operation in self._state.adapter.facts["blocking"]
 
     def probe(self, name: str) -> Any:
-        return self._place.adapter.facts["probes"][name]
+        return self._state.adapter.facts["probes"][name]
 
     def accepts_input(self, operation: str, name: str) -> bool:
-        return f"{operation}.{name}" not in self._place.adapter.facts["lacks"]
+        return f"{operation}.{name}" not in self._state.adapter.facts["lacks"]
 
     @property
     def running(self) -> bool:
-        return self._place.running
+        return self._state.running
 
     @property
     def accepting_ns(self) -> int:
-        return self._place.accepting_ns
+        return self._state.accepting_ns
 
     def finish(self) -> None:
         """The steps are over: so must this repetition's history be.
@@ -198,7 +198,7 @@ class ReplayRig(Rig):
             raise HistoryError(f"the journal of {self.name} has {len(self._unread)} entries beyond its end")
 
     def leave(self) -> None:
-        """Bring the place to where the next repetition begins, also when this one could not be taken to its end."""
+        """Bring the state to where the next repetition begins, also when this one could not be taken to its end."""
         cursor = self._cursor
         for seen in self._past.observations:
             if seen["at"] == self.name:
@@ -208,7 +208,7 @@ class ReplayRig(Rig):
                     cursor.open_session(seen["fresh_session"]["opened"])
                 elif "end" in seen:
                     cursor.next = cursor.fed = seen["end"]
-        self._place.running = True
+        self._state.running = True
 
     def _seen(self, what: str, *others: str) -> Observation:
         return self._past.observation(self.name, what, *others, together=self._ledger.together)
@@ -216,16 +216,16 @@ class ReplayRig(Rig):
     def _until(self, end: int, seen_ns: int) -> list[Entry]:
         """The slice of this repetition up to the entry before ``end``."""
         entries = self._unread[: max(0, end - self._cursor.next)]
-        self._place.history.looked(entries, end, seen_ns)
+        self._state.history.looked(entries, end, seen_ns)
         return entries
 
     async def _perform(self, operation: str, inputs: Mapping[str, object]) -> Reply:
-        call = self._past.call(self._place, operation, inputs, together=self._ledger.together)
+        call = self._past.call(self._state, operation, inputs, together=self._ledger.together)
         return recorded_reply(
             call,
-            cases=self._place.adapter.bindings.get(operation),
-            endpoint=self._place.history.facts["placeholders"],
-            deadline_s=self._place.adapter.deadline_s,
+            cases=self._state.adapter.bindings.get(operation),
+            endpoint=self._state.history.facts["placeholders"],
+            deadline_s=self._state.adapter.deadline_s,
         )
 
     async def journal(self) -> list[Entry]:
@@ -260,7 +260,7 @@ class ReplayRig(Rig):
 
     async def image(self) -> dict[str, object]:
         seen = self._seen("image", "changes")
-        return restore_image(self._place.images, self.name, cast(Mapping[str, Any], seen))
+        return restore_image(self._state.images, self.name, cast(Mapping[str, Any], seen))
 
     async def poke(self, **params: object) -> None:
         pass
@@ -278,12 +278,12 @@ class ReplayRig(Rig):
         self._cursor.close_session()
 
     async def _stop(self) -> float:
-        self._place.running = False
+        self._state.running = False
         return self._seen("stop")["stop"]
 
     async def start_device(self) -> float:
         started = self._seen("start")["start"]
-        self._place.running, self._place.accepting_ns = True, started["accepting_ns"]
+        self._state.running, self._state.accepting_ns = True, started["accepting_ns"]
         self._cursor.restart()
         return started["ms"]
 
@@ -297,5 +297,5 @@ class ReplayRig(Rig):
         end = seen["end"]
         entries = self._until(end, seen["seen_ns"])
         self._unread = self._unread[len(entries) :]
-        self._place.history.take(entries, end, seen["asked_ns"])
+        self._state.history.take(entries, end, seen["asked_ns"])
         return entries

@@ -364,14 +364,14 @@ class _NoAnswerError(Exception):
 class _Tools:
     """What a function of the bindings file is given: the adapter's tools, every exchange recorded."""
 
-    def __init__(self, station: AdapterUnderTest, session: McpSession) -> None:
-        self.host = station.device.host
-        self.port = station.device.port
-        self.url = station.endpoint["url"]
+    def __init__(self, under_test: AdapterUnderTest, session: McpSession) -> None:
+        self.host = under_test.device.host
+        self.port = under_test.device.port
+        self.url = under_test.endpoint["url"]
         self.state = session.state
         self.exchanges: list[Exchange] = []
         self._session = session
-        self._timeout_s = 1.2 * station.deadline_s
+        self._timeout_s = 1.2 * under_test.deadline_s
 
     async def call(self, tool: str, /, **arguments: object) -> ToolAnswer:
         return self._answer(await self._session.call(tool, arguments, timeout_s=self._timeout_s))

@@ -10,10 +10,10 @@ from ..protocols.protocol import GUARD
 from ..protocols.registry import protocols
 from ..subject.claims import Claims
 from ..subject.model import READ_ONLY, Adapter
-from .rig import place_name
+from .rig import adapter_name
 from .task import Task
 
-__all__ = ["applicability", "stations"]
+__all__ = ["applicability", "participants"]
 
 
 def applicability(task: Task, adapters: Mapping[str, Adapter]) -> tuple[Status, str] | None:
@@ -36,8 +36,8 @@ def applicability(task: Task, adapters: Mapping[str, Adapter]) -> tuple[Status, 
     return None
 
 
-def stations(task: Task, adapters: Mapping[str, Adapter]) -> list[str]:
+def participants(task: Task, adapters: Mapping[str, Adapter]) -> list[str]:
     """The adapter variants that take part in a task that applies: ``protocol``, or ``protocol@ro`` for the read-only one."""
     claims = Claims.of_subject(adapters)
-    guarded = [place_name(name, READ_ONLY) for name in task.guards if claims.has(f"{name}.{GUARD}")]
+    guarded = [adapter_name(name, READ_ONLY) for name in task.guards if claims.has(f"{name}.{GUARD}")]
     return [*task.adapters, *guarded]

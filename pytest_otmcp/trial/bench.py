@@ -1,4 +1,4 @@
-"""The test bench: one station per adapter variant at the devices of a plant, and where the time went.
+"""The test bench: one adapter under test per variant at the devices of a plant, and where the time went.
 
 The bench starts what is asked for and ends its sessions; it does not know tasks and does not judge.
 """
@@ -33,7 +33,7 @@ class Bench:
         self.options = options
         self.spent = TimeSpent()
         self._plant = plant
-        self._stations: dict[str, AdapterUnderTest] = {}
+        self._adapters: dict[str, AdapterUnderTest] = {}
 
     async def prepare(self, names: Iterable[str]) -> None:
         """Start devices and adapters, all at once.
@@ -60,41 +60,41 @@ class Bench:
             raise
 
     async def _open(self, name: str) -> None:
-        station = await self.station(name)
-        await station.open()
+        under_test = await self.adapter(name)
+        await under_test.open()
 
-    async def station(self, name: str) -> AdapterUnderTest:
-        """The station of an adapter variant, ``protocol`` or ``protocol@ro``; its session is not opened.
+    async def adapter(self, name: str) -> AdapterUnderTest:
+        """Return the adapter under test of this name, ``protocol`` or ``protocol@ro``; its session is not opened.
 
         The read-only variant gets a device of its own: what reaches that device during the whole life of a session
         can then be nobody else's doing.
         """
         device = await self._plant.device(name)
-        if name not in self._stations:
+        if name not in self._adapters:
             protocol, _, variant = name.partition("@")
             adapter = self.subject.adapters[protocol]
             first = await device.first()
-            self._stations.setdefault(
+            self._adapters.setdefault(
                 name, AdapterUnderTest(adapter, variant or READ_WRITE, device, self.options, first=first)
             )
-        return self._stations[name]
+        return self._adapters[name]
 
     def drift(self) -> list[str]:
         """Contradictions between the subject file and the tools that the adapters list, a sentence each."""
         found = []
-        for station in self._stations.values():
+        for under_test in self._adapters.values():
             # The read-only variant need not have every tool.
-            if station.variant == READ_WRITE and station.tools is not None:
-                found += check_bindings(station.adapter, station.tools)
+            if under_test.variant == READ_WRITE and under_test.tools is not None:
+                found += check_bindings(under_test.adapter, under_test.tools)
         return found
 
     def adapters(self) -> dict[str, AdapterFacts]:
         """What is known of the adapters, as ``run.json`` has it under ``subject.adapters``."""
         facts: dict[str, AdapterFacts] = {}
-        for station in self._stations.values():
-            key = station.adapter.protocol
-            own = station.facts()
-            if station.variant == READ_WRITE or key not in facts:
+        for under_test in self._adapters.values():
+            key = under_test.adapter.protocol
+            own = under_test.facts()
+            if under_test.variant == READ_WRITE or key not in facts:
                 # The server is that of the variant that works; both variants use the subject's one set of bindings.
                 own["bindings"] |= facts[key]["bindings"] if key in facts else {}
                 own["unmet"] = sorted({*own["unmet"], *(facts[key]["unmet"] if key in facts else ())})
@@ -105,10 +105,12 @@ class Bench:
 
     def devices(self) -> dict[str, Device]:
         """The devices that adapters had so far, as ``run.json`` has them."""
-        return {station.device_name: station.device_facts() for station in self._stations.values()}
+        return {under_test.device_name: under_test.device_facts() for under_test in self._adapters.values()}
 
     async def close(self) -> None:
         """End every session."""
         with self.spent.on("adapter starts"):
-            await asyncio.gather(*(station.close() for station in self._stations.values()), return_exceptions=True)
-        self._stations.clear()
+            await asyncio.gather(
+                *(under_test.close() for under_test in self._adapters.values()), return_exceptions=True
+            )
+        self._adapters.clear()

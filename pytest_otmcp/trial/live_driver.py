@@ -1,4 +1,4 @@
-"""A bench as the stage of a trial: live adapters at live devices, and what has to be kept of them for judging again."""
+"""The driver of a trial on a bench: live adapters at live devices, and what has to be kept of them for judging again."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from ..protocols.journal import Entries
 from ..record.schema import Role, SessionRemark
 from ..subject.model import READ_ONLY
 from .adapter_under_test import NoBindingError
-from .applicability import applicability, stations
+from .applicability import applicability, participants
 from .bench import Bench
 from .driver import ItemHistory, SessionFacts
 from .gc_pause import uncollected
 from .live_rig import LiveItemState, LiveRig
 from .repetition import Repetition
-from .rig import EndedError, place_name
+from .rig import EndedError, adapter_name
 from .task import Steps, Task, execute
 
 __all__ = ["LiveDriver"]
 
 
 class LiveDriver:
-    """The stations of a bench that a task needs.
+    """Runs a task with the live adapters and devices of a bench that it needs.
 
     Args:
         bench: has been prepared.
@@ -40,7 +40,7 @@ class LiveDriver:
         self._task = task
         self._seed = seed
         self._before = dict(bench.spent.seconds)
-        self._places: list[LiveItemState] = []
+        self._states: list[LiveItemState] = []
         self._sessions: list[SessionRemark] = []
         self._started = datetime.now(UTC)
         self._began_ns = time.monotonic_ns()
@@ -57,17 +57,17 @@ class LiveDriver:
     async def prepare(self) -> None:
         """Reset the devices and open the sessions."""
         with self.spent("plant start"):
-            for name in stations(self._task, self._bench.subject.adapters):
-                self._places.append(LiveItemState(await self._bench.station(name)))
-        for place in self._places:
-            await place.station.device.reset()
-            await place.enter()
+            for name in participants(self._task, self._bench.subject.adapters):
+                self._states.append(LiveItemState(await self._bench.adapter(name)))
+        for state in self._states:
+            await state.under_test.device.reset()
+            await state.enter()
         await self.open_sessions()
 
     def before(self) -> Sequence[tuple[str, Entries]]:
         """What reached the devices while nobody called their adapters."""
         return [
-            (place.station.adapter.protocol, place.found["before"]) for place in self._places if place.found["quiet"]
+            (state.under_test.adapter.protocol, state.found["before"]) for state in self._states if state.found["quiet"]
         ]
 
     def repetition(self, rep: int, role: Role) -> Repetition:
@@ -78,13 +78,13 @@ class LiveDriver:
             role,
             seed=self._seed,
             time_scale=self._bench.options.time_scale,
-            places=[LiveRig(place, self._bench) for place in self._places],
+            rigs=[LiveRig(state, self._bench) for state in self._states],
         )
 
     async def perform(self, repetition: Repetition, steps: Steps) -> None:
         """Execute the steps and take the journals."""
-        for place in self._places:
-            place.station.cursor.looked_through = False
+        for state in self._states:
+            state.under_test.cursor.looked_through = False
         try:
             with uncollected():
                 await execute(steps, repetition)
@@ -100,8 +100,8 @@ class LiveDriver:
             self._bench.spent.move("kit", "MCP client", in_client)
         with self.spent("observing the device"):
             await repetition.close_journals()
-        for place in self._places:
-            place.station.cursor.looked_through = True
+        for state in self._states:
+            state.under_test.cursor.looked_through = True
         for at in repetition.all:
             if isinstance(at, LiveRig):
                 at.add_last_words()
@@ -114,20 +114,20 @@ class LiveDriver:
         """A call that hangs may spread to the next ones: everybody starts afresh, and says how it ended."""
         found = await self._inspect(ending=True)
         with self.spent("adapter starts"):
-            for place in self._places:
-                await place.station.close()
+            for state in self._states:
+                await state.under_test.close()
         return found
 
     async def _inspect(self, *, ending: bool) -> list[SessionFacts]:
         self._inspections += 1
         found = []
-        for place in self._places:
-            session = place.station.session
+        for state in self._states:
+            session = state.under_test.session
             if session is None:
                 continue
             lines, first = session.stray_output()
             facts = SessionFacts(
-                protocol=place.station.adapter.protocol, stray_lines=lines, first_stray=first[0] if lines else ""
+                protocol=state.under_test.adapter.protocol, stray_lines=lines, first_stray=first[0] if lines else ""
             )
             if ending:
                 died = session.died and not session.overflow
@@ -145,15 +145,15 @@ class LiveDriver:
     async def open_sessions(self) -> None:
         """Open those that are not, or broke."""
         with self.spent("adapter starts"):
-            for place in self._places:
-                await place.station.open()
+            for state in self._states:
+                await state.under_test.open()
 
     async def close(self) -> None:
         """End the read-only session: its device belongs to this item alone."""
         with self.spent("adapter starts"):
-            for place in self._places:
-                if place.station.variant == READ_ONLY:
-                    await place.station.close()
+            for state in self._states:
+                if state.under_test.variant == READ_ONLY:
+                    await state.under_test.close()
 
     def timing_ms(self) -> Mapping[str, float]:
         """Milliseconds by what they were spent on."""
@@ -172,9 +172,9 @@ class LiveDriver:
             began_ns=self._began_ns,
             ended_ns=time.monotonic_ns(),
             devices={
-                place_name(place.station.adapter.protocol, place.station.variant): place.found
-                for place in self._places
-                if place.entered
+                adapter_name(state.under_test.adapter.protocol, state.under_test.variant): state.found
+                for state in self._states
+                if state.entered
             },
             sessions=self._sessions,
         )

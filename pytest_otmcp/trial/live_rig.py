@@ -35,21 +35,21 @@ class LiveItemState:
         told_session: what the record of the item says so far about where the adapter's session began.
     """
 
-    def __init__(self, station: AdapterUnderTest) -> None:
-        self.station = station
-        self.claims = Claims.of_subject({station.adapter.protocol: station.adapter})
+    def __init__(self, under_test: AdapterUnderTest) -> None:
+        self.under_test = under_test
+        self.claims = Claims.of_subject({under_test.adapter.protocol: under_test.adapter})
         self.images: Images = {}
         self.told_session: SessionStart | None = None
         self._found: ItemDevice | None = None
 
     async def enter(self) -> None:
         """Take what reached the device since the last item that had it."""
-        device, cursor = self.station.device, self.station.cursor
+        device, cursor = self.under_test.device, self.under_test.cursor
         asked_ns = time.monotonic_ns()
         journal = await device.journal(cursor.next)
         seen_ns = time.monotonic_ns()
         self._found = {
-            "device": self.station.device_name,
+            "device": self.under_test.device_name,
             "begin": journal.next,
             "asked_ns": asked_ns,
             "seen_ns": seen_ns,
@@ -65,9 +65,9 @@ class LiveItemState:
 
     async def release(self) -> None:
         """Let the device forget what has been taken, now and then: it need not keep what the record has."""
-        cursor = self.station.cursor
+        cursor = self.under_test.cursor
         if cursor.next - cursor.released >= _RELEASED_AT_ONCE:
-            await self.station.device.forget(cursor.next)
+            await self.under_test.device.forget(cursor.next)
             cursor.released = cursor.next
 
     @property
@@ -85,33 +85,33 @@ class LiveItemState:
 class LiveRig(Rig):
     """An adapter under test at its device. Every look at the device is noted with the repetition."""
 
-    def __init__(self, place: LiveItemState, bench: Bench) -> None:
-        station = place.station
-        super().__init__(station.adapter.protocol, station.variant, station.cursor)
-        self.station = station
-        self.device = station.device
-        self._place = place
+    def __init__(self, state: LiveItemState, bench: Bench) -> None:
+        under_test = state.under_test
+        super().__init__(under_test.adapter.protocol, under_test.variant, under_test.cursor)
+        self.under_test = under_test
+        self.device = under_test.device
+        self._state = state
         self._bench = bench
         self._bugs: list[tuple[Finding, McpSession]] = []
 
     def join(self, ledger: Ledger) -> None:
         super().join(ledger)
         session = self._cursor.session
-        if session is not None and session != self._place.told_session:
-            self._place.told_session = session
+        if session is not None and session != self._state.told_session:
+            self._state.told_session = session
             self._noted({"session": list(session)}, time.monotonic_ns())
 
     def claims(self, facet: str) -> bool:
-        return self._place.claims.has(f"{self.protocol}.{facet}")
+        return self._state.claims.has(f"{self.protocol}.{facet}")
 
     def blocks(self, operation: str) -> bool:
-        return operation in self.station.adapter.blocking
+        return operation in self.under_test.adapter.blocking
 
     def probe(self, name: str) -> Any:
-        return self.station.adapter.probes[name]
+        return self.under_test.adapter.probes[name]
 
     def accepts_input(self, operation: str, name: str) -> bool:
-        return f"{operation}.{name}" not in self.station.adapter.missing_inputs()
+        return f"{operation}.{name}" not in self.under_test.adapter.missing_inputs()
 
     @property
     def running(self) -> bool:
@@ -129,10 +129,10 @@ class LiveRig(Rig):
         self._ledger.observed(cast(Observation, observation))
 
     async def _perform(self, operation: str, inputs: Mapping[str, Any]) -> Reply:
-        reply = await self.station.call(operation, **inputs)
-        if self.station.session is not None:
+        reply = await self.under_test.call(operation, **inputs)
+        if self.under_test.session is not None:
             bugs = [fault for fault in reply.faults if fault.code == "internal_error"]
-            self._bugs += [(bug, self.station.session) for bug in bugs]
+            self._bugs += [(bug, self.under_test.session) for bug in bugs]
         return reply
 
     def add_last_words(self) -> None:
@@ -177,7 +177,7 @@ class LiveRig(Rig):
         asked_ns = time.monotonic_ns()
         with self._observing():
             image = await self.device.image()
-        kind, kept = keep_image(self._place.images, self.name, image)
+        kind, kept = keep_image(self._state.images, self.name, image)
         self._noted({kind: kept}, asked_ns)
         return image
 
@@ -199,10 +199,10 @@ class LiveRig(Rig):
         since = self._cursor.next
         seen = len(await self.device.wait(since, {"kind": "CONNECTED"}, timeout_s=0.0))
         await self.device.wait(since, {"kind": "CONNECTED"}, timeout_s=0.05, count=seen + 1)
-        if self.station.adapter.recovery == "connect_step":
+        if self.under_test.adapter.recovery == "connect_step":
             # It may fail as long as the device is not ready; then the call after it fails as well, and says so.
             with self._bench.spent.on("tool calls"):
-                await self.station.connect()
+                await self.under_test.connect()
 
     async def _stop(self) -> float:
         begun = time.monotonic_ns()
@@ -217,7 +217,7 @@ class LiveRig(Rig):
         with self._bench.spent.on("endpoint restarts"):
             await self.device.start()
         self._cursor.restart()
-        self._place.told_session = self._cursor.session
+        self._state.told_session = self._cursor.session
         took_ms = (self.device.accepting_ns - begun) / 1e6
         self._noted({"start": {"ms": took_ms, "accepting_ns": self.device.accepting_ns}}, begun)
         return took_ms
@@ -226,28 +226,28 @@ class LiveRig(Rig):
         begun = time.monotonic_ns()
         # Like the restarts of endpoints this is what is measured, not what measuring costs.
         with self._bench.spent.on("fresh sessions"):
-            session = self.station.session
+            session = self.under_test.session
             report = await session.close() if session is not None else None
-            await self.station.open()
-        assert self.station.session is not None
+            await self.under_test.open()
+        assert self.under_test.session is not None
         fresh = FreshSession(
-            spawned_ns=self.station.session.spawned_ns,
+            spawned_ns=self.under_test.session.spawned_ns,
             opened=self._cursor.began,
             ended=None if report is None else report.how,
             seconds=0.0 if report is None else report.seconds,
         )
-        self._place.told_session = self._cursor.session
+        self._state.told_session = self._cursor.session
         self._noted({"fresh_session": asdict(fresh)}, begun)
         return fresh
 
     async def close_session(self) -> None:
         with self._bench.spent.on("adapter starts"):
-            await self.station.close()
+            await self.under_test.close()
 
     async def take_slice(self) -> list[Entry]:
         asked_ns = time.monotonic_ns()
         journal = await self.device.journal(self._cursor.next)
         self._cursor.take(journal.entries, journal.next)
         self._noted({"end": journal.next}, asked_ns)
-        await self._place.release()
+        await self._state.release()
         return journal.entries

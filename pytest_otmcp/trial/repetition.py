@@ -32,7 +32,7 @@ class Repetition:
         role: what calls count as when the steps do not say otherwise.
         seed: of the run.
         time_scale: factor on windows and deadlines.
-        places: every adapter at its device that the task has.
+        rigs: every adapter at its device that the task has.
 
     Attributes:
         rng: random numbers that only depend on the arguments above.
@@ -42,7 +42,7 @@ class Repetition:
     """
 
     def __init__(
-        self, task_id: str, rep: int, role: Role, *, seed: int, time_scale: float, places: Iterable[Rig]
+        self, task_id: str, rep: int, role: Role, *, seed: int, time_scale: float, rigs: Iterable[Rig]
     ) -> None:
         self.rep = rep
         self.role = role
@@ -52,7 +52,7 @@ class Repetition:
         self.rng = random.Random(f"{seed}/{task_id}/{role}/{rep}")
         self.phases: Phases | None = None
         self.notes: dict[str, object] = {}
-        self._at = {(at.protocol, at.variant): at for at in places}
+        self._at = {(at.protocol, at.variant): at for at in rigs}
         for at in self.all:
             at.join(self.ledger)
 

@@ -18,12 +18,12 @@ from .cursor import JournalCursor, Oracle
 from .ledger import Entry, Ledger
 from .reply import Reply
 
-__all__ = ["EndedError", "Entry", "FreshSession", "Rig", "place_name"]
+__all__ = ["EndedError", "Entry", "FreshSession", "Rig", "adapter_name"]
 
 T = TypeVar("T")
 
 
-def place_name(protocol: str, variant: str) -> str:
+def adapter_name(protocol: str, variant: str) -> str:
     """How a task names an adapter that it has."""
     return protocol if variant == READ_WRITE else f"{protocol}@{variant}"
 
@@ -64,7 +64,7 @@ class Rig(ABC):
     def __init__(self, protocol: str, variant: str, cursor: JournalCursor) -> None:
         self.protocol = protocol
         self.variant = variant
-        self.name = place_name(protocol, variant)
+        self.name = adapter_name(protocol, variant)
         self._ledger: Ledger
         self._cursor = cursor
 

@@ -54,9 +54,9 @@ class AmongGenuine(Bench):
         self._protocol = protocol
         self._genuine = Bench(subject, BenchOptions(), plant)
 
-    async def station(self, name: str) -> AdapterUnderTest:
+    async def adapter(self, name: str) -> AdapterUnderTest:
         under_test = name.partition("@")[0] == self._protocol
-        return await (super() if under_test else self._genuine).station(name)
+        return await (super() if under_test else self._genuine).adapter(name)
 
     async def close(self) -> None:
         await self._genuine.close()

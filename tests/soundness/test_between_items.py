@@ -33,10 +33,10 @@ def test_a_command_that_comes_between_two_items_is_found(
         try:
             outage = await measured(bench, tasks["S10"])
             # Nobody looks at the device now.
-            station = await bench.station("modbus")
+            under_test = await bench.adapter("modbus")
             await asyncio.to_thread(trigger.write_bytes, b"")
             write = {"kind": "request", "function": 6}
-            assert await station.device.wait(station.cursor.next, write, timeout_s=60.0)
+            assert await under_test.device.wait(under_test.cursor.next, write, timeout_s=60.0)
             results = {"S10": outage, following: await measured(bench, tasks[following])}
             return results, recorded(bench, results.values())
         finally:

@@ -147,11 +147,11 @@ async def test_an_adapter_is_told_all_endpoints_where_it_is_launched_and_asked_t
     adapter = load_subject(subject).adapters["modbus"]
     assert adapter.connect is not None
     async with running("thirdparty.latches") as device:
-        station = AdapterUnderTest(adapter, "rw", device, BenchOptions())
+        under_test = AdapterUnderTest(adapter, "rw", device, BenchOptions())
         _, datagram, line = device.endpoints.values()
-        launch = adapter.variants["rw"].for_endpoint({**station.endpoint, "python": "python"})
+        launch = adapter.variants["rw"].for_endpoint({**under_test.endpoint, "python": "python"})
         assert launch.command == ("python", line.path)
         assert launch.env["AT"] == f"{device.host}:{device.port} {datagram.port}"
-        assert replace_template(adapter.connect.arguments, {}, station.endpoint) == {
+        assert replace_template(adapter.connect.arguments, {}, under_test.endpoint) == {
             **{"line": line.path, "port": datagram.port, "at": f"modbus+tcp://{device.host}:{device.port}"},
         }

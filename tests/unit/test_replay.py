@@ -87,9 +87,9 @@ CONNECTED = {**entry(0, "connected", 0), "t_ns": BEGIN_NS - 10**6, "answers": No
 
 def adapter() -> dict[str, Any]:
     """What a record says of the reference adapter: nothing is started for it."""
-    station = AdapterUnderTest(reference_subject().adapters["modbus"], "rw", MockDevice("modbus"), BenchOptions())
-    station.used = {"write_holding": None, "read_holding": None}
-    return {**station.facts(), "tools": 17}
+    under_test = AdapterUnderTest(reference_subject().adapters["modbus"], "rw", MockDevice("modbus"), BenchOptions())
+    under_test.used = {"write_holding": None, "read_holding": None}
+    return {**under_test.facts(), "tools": 17}
 
 
 DEVICE = {

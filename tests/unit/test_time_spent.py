@@ -38,7 +38,7 @@ def reply(asked: int, sent: int, received: int | None, returned: int) -> Reply:
 
 @pytest.fixture
 def repetition() -> Repetition:
-    return Repetition("M1", 0, "task", seed=0, time_scale=1.0, places=[])
+    return Repetition("M1", 0, "task", seed=0, time_scale=1.0, rigs=[])
 
 
 def test_a_call_is_the_wires_and_the_clients_time(repetition: Repetition) -> None:

@@ -59,7 +59,7 @@ Scripted.__abstractmethods__ = frozenset()
 
 def at(*answers: tuple[bool, float, float]) -> Scripted:
     scripted = Scripted(*answers)
-    Repetition("S10", 0, "task", seed=0, time_scale=1.0, places=[scripted])
+    Repetition("S10", 0, "task", seed=0, time_scale=1.0, rigs=[scripted])
     return scripted
 
 
