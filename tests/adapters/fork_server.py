@@ -6,7 +6,8 @@ standard streams; the answers are the process id, and later the exit code. A for
 as if it had been started.
 
 In a forked adapter SIGUSR1 moves the event loop's clock on by :data:`STEP_S`, so that a time-out elapses when the test says
-so: no test waits for it, and no pause of the machine can make a call time out that should not.
+so: no test waits for it, and no pause of the machine can make a call time out that should not. The clock moves only once the
+loop has dealt with what its threads were doing: a time-out that follows on a blocking call has begun by then.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ import socket
 import sys
 import time
 import traceback
-from asyncio import BaseEventLoop
+from asyncio import BaseEventLoop, Future
 from collections.abc import Mapping
 from typing import Any, NoReturn
 
@@ -37,13 +38,27 @@ class _Clock:
 
     def __init__(self) -> None:
         self._ahead_s = 0.0
+        self._in_threads: set[Future[Any]] = set()
 
     def install(self) -> None:
-        BaseEventLoop.time = lambda loop: time.monotonic() + self._ahead_s  # type: ignore[method-assign]
-        signal.signal(signal.SIGUSR1, self._move_on)
+        run_in_executor = BaseEventLoop.run_in_executor
 
-    def _move_on(self, number: int, frame: Any) -> None:
-        self._ahead_s += STEP_S
+        def noted(loop: BaseEventLoop, *call: Any) -> Future[Any]:
+            future = run_in_executor(loop, *call)
+            self._in_threads.add(future)
+            future.add_done_callback(self._in_threads.discard)
+            return future
+
+        BaseEventLoop.run_in_executor = noted  # type: ignore[method-assign, assignment]
+        BaseEventLoop.time = lambda loop: time.monotonic() + self._ahead_s  # type: ignore[method-assign]
+        signal.signal(signal.SIGUSR1, lambda number, frame: self._move_on())
+
+    def _move_on(self) -> None:
+        if self._in_threads:
+            # The task that awaits the thread is told of its end in the same round of the loop: it goes on before the next one.
+            next(iter(self._in_threads)).add_done_callback(lambda ended: ended.get_loop().call_soon(self._move_on))
+        else:
+            self._ahead_s += STEP_S
 
 
 def _run(command: list[str], env: Mapping[str, str], streams: list[int]) -> NoReturn:
