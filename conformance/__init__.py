@@ -1,1 +1,1 @@
-"""What is required: the benchmark's tasks, one module a suite."""
+"""What is required: the benchmark's tasks, a module for each protocol, one for what crosses them."""

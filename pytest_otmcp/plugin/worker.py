@@ -60,7 +60,7 @@ class Run:
             from ..session.loop import LoopThread
             from ..trial.gc_pause import settled
 
-            wanted = self._stations()
+            wanted = self._adapters_needed()
             self._loop, self._plant = LoopThread(), Plant(self.settings.external)
             with settled():
                 self._loop.run(self._plant.launch(wanted))
@@ -81,7 +81,7 @@ class Run:
                 raise UsageError(f"{self.subject.source}: " + "; ".join(drift))
         return self._loop, self._bench
 
-    def _stations(self) -> list[str]:
+    def _adapters_needed(self) -> list[str]:
         """Adapter variants that the tasks will need; the read-write ones also where no task applies, to look at their tools."""
         from ..trial.applicability import applicability, participants
 

@@ -1,4 +1,4 @@
-"""The stored history of an item as the stage of a trial: what happened is looked up, nothing is done."""
+"""Carries out a trial on the stored history of an item: looks up what happened and does nothing."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""History first, judgement after: judges a run record again, from nothing but what it stores.
+"""Judges a run record again, from nothing but what it stores.
 
 Every item's own steps run once more, with the stored calls, journals and images in the place of adapters and devices
-(``recorded_stage``); what they find must be what the record says. What is believed in doing so is said in
-``recorded_reply``; believed as well are the facts about processes (stray output, how they ended), durations of stops and
-starts, and a fault of adapter or kit that ended an item before its time.
+(``driver``); what they find must be what the record says. ``reply`` says what is believed in doing so. Believed as well are
+the facts about processes (stray output, how they ended), durations of stops and starts, and a fault of adapter or kit that
+ended an item before its time.
 """
 
 from __future__ import annotations

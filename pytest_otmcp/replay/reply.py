@@ -1,4 +1,4 @@
-"""A reply again, from what a run record has of it. Pure.
+"""Rebuilds a reply from what a run record has of it, without I/O.
 
 What is judged again, and what is believed:
 

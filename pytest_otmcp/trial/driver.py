@@ -1,6 +1,7 @@
-"""Where a trial takes place: on a bench, or on the stored history of a run that took place on one.
+"""The interface between a trial and what carries it out.
 
-A trial decides what happens and what it means; a stage makes it happen, or looks up what happened.
+A trial decides what happens and what it means. A driver makes it happen on a bench (``live_driver``), or looks up what
+happened in the stored history of a run (``replay.driver``).
 """
 
 from __future__ import annotations
@@ -103,7 +104,7 @@ class TrialDriver(Protocol):
         """The item is over."""
 
     def timing_ms(self) -> Mapping[str, float]:
-        """Milliseconds by what they were spent on, since this stage was made."""
+        """Milliseconds by what they were spent on, since this driver was made."""
 
     def history(self) -> ItemHistory:
         """What the item has to keep of this driver, so that it can be judged again."""

@@ -1,4 +1,4 @@
-"""Judges replies against what a task expects. The device's half of every judgement is in ``witness/``.
+"""Judges replies against what a task expects. The oracles of ``protocols`` judge what reached the device.
 
 Pure: functions from observations to findings, no state, no I/O; a stored history can be judged again.
 """

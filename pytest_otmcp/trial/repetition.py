@@ -1,6 +1,6 @@
 """One execution of a task's steps, and everything it showed.
 
-The judging itself is done by the pure functions of ``oracle`` and ``witness``; a repetition only collects what they say.
+``expectations`` and the oracles of ``protocols`` judge; a repetition only collects their findings.
 It does not know whether it runs on a bench or on stored history: see :class:`~pytest_otmcp.trial.rig.Rig`.
 """
 

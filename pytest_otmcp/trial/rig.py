@@ -1,7 +1,7 @@
 """One adapter at its device, as the steps of a repetition see it.
 
-What is judged here does not depend on whether adapter and device are there: :class:`Rig` is the same for a bench
-(``bench_stage``) and for the stored history of a run (``replay``), which say how each thing is done.
+A task's steps are judged in the same way whether adapter and device run or not: :class:`Rig` is extended by ``live_rig``,
+which uses the running ones, and by ``replay.rig``, which reads the stored history of a run.
 """
 
 from __future__ import annotations
@@ -32,8 +32,10 @@ _NOTICING_PAUSE_S = 0.05
 
 
 class EndedError(Exception):
-    """What the rest of a repetition needs did not come about, such as an answer: it would say nothing, or only wait for
-    one deadline after the other."""
+    """The repetition ends here: something that its next steps need, such as an answer, did not come.
+
+    Those steps would show nothing, or only wait for one deadline after the other.
+    """
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,7 +99,7 @@ class Rig(ABC):
     # -- what the steps of a task do ----------------------------------------------------------------------
 
     async def call(self, operation: str, *, role: Role | None = None, **inputs: object) -> Reply:
-        """Perform an operation; see :meth:`pytest_otmcp.trial.bench.AdapterUnderTest.call`."""
+        """Perform an operation; see :meth:`pytest_otmcp.trial.adapter_under_test.AdapterUnderTest.call`."""
         reply = await self._perform(operation, inputs)
         self._ledger.add(reply, inputs, role)
         if not reply.answered:
@@ -188,7 +190,10 @@ class Rig(ABC):
 
     @abstractmethod
     async def session_journal(self) -> list[Entry]:
-        """The entries of this repetition since the adapter's session was opened."""
+        """Return the entries of this repetition since the adapter's session was opened.
+
+        A session that has served earlier repetitions did more than that: :meth:`follow` judges all of it.
+        """
 
     async def follow(self, kind: type[Oracle]) -> Oracle:
         """Return the session oracle of this kind, which has seen everything that the session did at the device so far."""
