@@ -1,4 +1,4 @@
-"""What all tests have in common: the long ones are left out unless they are asked for, and adapters can be started warm."""
+"""Hooks and fixtures of all tests: long tests are left out unless asked for, and adapters can be started warm."""
 
 from __future__ import annotations
 
