@@ -1,1 +1,1 @@
-"""What the adapters cost, measured against floors of the same run: ``pytest benchmarks``. See docs/performance.md."""
+"""Benchmarks of the adapters' cost, against floors of the same run: ``pytest benchmarks``. See docs/performance.md."""

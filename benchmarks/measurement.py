@@ -1,4 +1,4 @@
-"""Interleaved rounds, medians, and the ratios that have a target."""
+"""The measurement in interleaved rounds, the medians, and the ratios that have a target."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from .probes import NAMES, Probe
 __all__ = ["ENUMERATION_SERVICES", "Ratio", "measure", "ratios", "table"]
 
 ENUMERATION_SERVICES = 6
-"""So many service calls an enumeration may make."""
+"""The largest number of service calls that an enumeration may make."""
 
 _ROUNDS = 480
 _PAUSE_S = 0.001
-"""Before each call, so that nobody is still busy with the one before it."""
+"""The pause before each call, so that no process is still busy with the previous call."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,7 +26,7 @@ class Ratio:
     """A ratio of medians of one run.
 
     Attributes:
-        probe: whose ratio it is.
+        probe: the probe whose ratio it is.
         formula: what is divided by what.
         target: what it should not exceed; None for a control, whose ratio is 1 if costs add up.
     """
@@ -38,19 +38,19 @@ class Ratio:
 
     @property
     def verdict(self) -> str:
-        """In words."""
+        """The comparison with the target, in words."""
         if self.target is None:
             return "control"
         return "target met" if self.value <= self.target else "target missed"
 
 
 def measure(probes: Mapping[str, Probe]) -> dict[str, list[int]]:
-    """Nanoseconds of every call of every probe.
+    """Measure the nanoseconds of every call of every probe.
 
     Every round makes one call of each probe, in a new order and after the same pause. So every call finds the machine as
-    the others have left it: processes that have slept, caches that are not its own. That is how a tool is called, and
-    only so costs add up: what is called over and over in a batch is several times faster, a small program more than a
-    large one.
+    the other calls have left it: the processes have slept, and the caches hold the data of others. A tool is called in
+    such a situation, and only in it do costs add up: a probe that is called over and over in a batch is several times
+    faster, and a small program gains more than a large one.
     """
     order = list(probes)
     shuffle = random.Random(1).shuffle
@@ -69,11 +69,11 @@ def measure(probes: Mapping[str, Probe]) -> dict[str, list[int]]:
 
 
 def ratios(samples: Mapping[str, list[int]]) -> list[Ratio]:
-    """The ratios that have a target, and their controls."""
+    """Return the ratios that have a target, and their controls."""
     median = {name: statistics.median(values) for name, values in samples.items()}
 
     def exchange(name: str) -> float:
-        # What the exchange adds to the answer of a program that does nothing else.
+        # The difference is what the exchange adds to the answer of a program that does nothing else.
         return median[name] - median["floor"]
 
     found = []
@@ -89,7 +89,7 @@ def ratios(samples: Mapping[str, list[int]]) -> list[Ratio]:
 
 
 def table(samples: Mapping[str, list[int]], services: list[str]) -> str:
-    """Medians, ratios and the service calls of an enumeration, for the terminal."""
+    """Format the medians, the ratios and the service calls of an enumeration for the terminal."""
     lines = ["", f"{'microseconds':<64}{'median':>8}{'p95':>8}"]
     for name, values in samples.items():
         p95 = statistics.quantiles(values, n=20)[-1]

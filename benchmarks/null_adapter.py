@@ -1,7 +1,7 @@
-"""A tool that does nothing on the adapters' own skeleton: what every adapter call costs before its protocol begins.
+"""A tool that does nothing on the adapters' own skeleton: the cost of every adapter call before its protocol begins.
 
 As ``python -m benchmarks.null_adapter EXCHANGE HOST PORT`` the tool makes one bare exchange: an adapter that checks
-nothing, keeps no record and reports nothing. It is the control of the sum that adapters are held against.
+nothing, keeps no record and reports nothing. It is the control of the sum that adapters are compared with.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A tool that does nothing on the SDK's high-level server and stdio transport: what a plain SDK server costs."""
+"""A tool that does nothing on the SDK's high-level server and stdio transport: the cost of a plain SDK server."""
 
 from __future__ import annotations
 

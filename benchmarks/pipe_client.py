@@ -1,4 +1,4 @@
-"""A JSON-RPC client on two pipes and nothing else, so that what is measured is the server and not a client library."""
+"""A JSON-RPC client on two pipes and nothing else, so that the server is measured and not a client library."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class PipeClient:
 
     Args:
         arguments: module and its arguments.
-        env: what the server's environment has besides the allow-list.
+        env: variables of the server's environment besides those of the allow-list.
     """
 
     def __init__(self, *arguments: str, env: Mapping[str, str] | None = None) -> None:
@@ -52,11 +52,11 @@ class PipeClient:
         self._id = 0
 
     def discover(self) -> None:
-        """The handshake: wait until the server answers."""
+        """Make the handshake: wait until the server answers."""
         self._request("server/discover", {})
 
     def call(self, tool: str, arguments: Mapping[str, Any]) -> int:
-        """Call a tool; nanoseconds from the request's write to its response line having been read.
+        """Call a tool; return the nanoseconds from the writing of the request until its response line has been read.
 
         Raises:
             RuntimeError: the call did not succeed; a failure must not be measured as a fast success.
@@ -67,7 +67,7 @@ class PipeClient:
         return took_ns
 
     def exchange(self) -> int:
-        """Have a raw client make its exchange; nanoseconds as of :meth:`call`."""
+        """Have a raw client make its exchange; return the nanoseconds as :meth:`call` does."""
         return self._request("exchange", {})[1]
 
     def _request(self, method: str, params: Mapping[str, Any]) -> tuple[dict[str, Any], int]:
@@ -79,7 +79,7 @@ class PipeClient:
         self._in.write(frame)
         data = b""
         while not data.endswith(b"\n"):
-            # Costs two microseconds, and a server that hangs cannot hang the run.
+            # select costs two microseconds; because of it, a server that hangs cannot hang the run.
             if not select.select([source], [], [], _PATIENCE_S)[0]:
                 raise RuntimeError(f"{self._name}: no answer to {method} within {_PATIENCE_S:g} s{self._said()}")
             piece = os.read(source, 1 << 16)

@@ -1,4 +1,4 @@
-"""What is measured: each probe is a function that makes one call and returns the nanoseconds that it took."""
+"""The probes of the benchmarks: each is a function that makes one call and returns the nanoseconds that it took."""
 
 from __future__ import annotations
 
@@ -36,18 +36,18 @@ NAMES = {
 """The probes and what each of them does."""
 
 _DEVICES = ("modbus", "mqtt", "opcua")
-"""The devices, and the raw exchanges with them that adapters are held against and that have a control."""
+"""The devices; also the names of the raw exchanges that adapters are compared with and that have a control."""
 
 _WARM_UP = 20
-"""Calls before anything counts: connecting, lazy imports, specialised bytecode."""
+"""The calls of each probe before anything counts: connecting, lazy imports, specialised bytecode."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bench:
-    """Everything running.
+    """Everything that runs for a measurement.
 
     Attributes:
-        probes: by the names of :data:`NAMES`.
+        probes: the probes, by the names of :data:`NAMES`.
         enumeration_services: the kinds of the service requests that the OPC UA device saw during one O4 call.
     """
 
@@ -97,7 +97,7 @@ def bench() -> Iterator[Bench]:
         for probe in probes.values():
             for _ in range(_WARM_UP):
                 probe()
-        # Counted on the connected session: connecting is not part of an enumeration.
+        # The service calls are counted on the connected session: connecting is not part of an enumeration.
         mark = runner.run(opcua.mark())
         probes["O4"]()
         entries = runner.run(opcua.journal(mark)).entries

@@ -1,8 +1,8 @@
 """A bare protocol client in a process of its own: ``python -m benchmarks.raw_client EXCHANGE HOST PORT``.
 
 It makes one exchange for every line on its standard input, and then answers. So it is in an adapter's situation: a pipe
-wakes it, the device has slept, too, and both compete with the caller for the processors. ``nothing`` exchanges nothing:
-that is the floor, two processes and two pipes.
+wakes it, the device has slept too, and both compete with the caller for the processors. The exchange ``nothing`` does
+nothing: it is the floor, two processes and two pipes.
 """
 
 from __future__ import annotations
@@ -94,14 +94,14 @@ EXCHANGES: dict[str, Callable[[str, int], Awaitable[Exchange]]] = {
     "mqtt_exchange": _mqtt_exchange,
     "opcua": _opcua,
 }
-"""Connect to a host and port, and return what makes one exchange."""
+"""Functions that connect to a host and port, and return a function that makes one exchange."""
 
 
 async def _serve(name: str, host: str, port: int) -> None:
     exchange = await EXCHANGES[name](host, port)
     loop, lines = asyncio.get_running_loop(), asyncio.StreamReader()
     await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(lines), sys.stdin)
-    # A floor pays for no collector.
+    # The floor must not include the time of the garbage collector.
     gc.disable()
     while line := await lines.readline():
         request = json.loads(line)

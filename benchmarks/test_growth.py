@@ -1,8 +1,8 @@
-"""What a repetition costs when many came before it, and how much memory a long run takes. Run with ``pytest benchmarks/test_growth.py``.
+"""The cost of a repetition after many others, and the memory of a long run: ``pytest benchmarks/test_growth.py``.
 
-Each item runs alone, with few repetitions and with many, in a pytest of its own. Nothing here asserts a time; memory, and that
-every repetition passes whatever their number, do not depend on the machine's load. All items take hours, most of them for the
-fresh sessions of the recovery suite: choose with ``-k "M2 or Q4"``.
+Each item runs alone, with few repetitions and with many, in a pytest of its own. No time is asserted. The memory is,
+and so is that every repetition passes whatever their number: neither depends on the machine's load. All items take hours,
+most of them for the fresh sessions of the recovery suite: choose with ``-k "M2 or Q4"``.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ from pytest_otmcp.suite.catalogue import tasks_by_id
 FEW, MANY = 30, 1000
 MOST_MEMORY_MB = 300
 SOME = 100
-"""Repetitions at the beginning and at the end of a run whose times are compared."""
+"""The number of repetitions at the beginning and at the end of a run whose times are compared."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measured:
-    """One run of one item.
+    """The measurements of one run of one item.
 
     Attributes:
-        repetitions: how many were made.
-        passed: how many of them passed.
-        first_ms, last_ms: time of the first and of the last ones, from the end of one to the end of the next: their lower
-            quartile, because what other programs take from the machine comes and goes.
-        memory_mb: the most that pytest, or a process that it waited for, had in memory.
+        repetitions: the number of repetitions that were made.
+        passed: the number of those that passed.
+        first_ms, last_ms: time of the first and of the last repetitions, from the end of one to the end of the next:
+            the lower quartile, because the load of other programs on the machine comes and goes.
+        memory_mb: the largest memory of pytest or of a process that it waited for.
     """
 
     repetitions: int
@@ -46,7 +46,7 @@ class Measured:
 
 
 def run(item: str, reps: int, directory: Path) -> Measured:
-    """Run an item alone."""
+    """Run an item alone and measure the run."""
     command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-q", "--pyargs", "pytest_otmcp.conformance"]
     command += [f"--otmcp-reps={reps}", f"--otmcp-report-dir={directory}", "-k", f"[{item}]"]
     with subprocess.Popen(command, cwd=directory, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:

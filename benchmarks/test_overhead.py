@@ -1,6 +1,6 @@
-"""What an adapter call costs beside a call that does nothing and the bare protocol. Run with ``pytest benchmarks``.
+"""The cost of an adapter call, beside a call that does nothing and the bare protocol. Run with ``pytest benchmarks``.
 
-Nothing here asserts a time. What is asserted is what no machine's load can change: how many service calls the device saw.
+No time is asserted. The number of service calls that the device saw is asserted: no machine's load can change it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What both the adapters' tools and the raw clients are asked to do, so that it is the same."""
+"""The work of the adapters' tools and of the raw clients, defined once so that both do the same."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What is required: the benchmark's tasks, a module for each protocol, one for what crosses them."""
+"""The conformance suite: the benchmark's tasks, one module for each protocol and one for tasks on several protocols."""

@@ -1,7 +1,7 @@
-"""The fault suite: requests that must be refused, in words an assistant can act on, with nothing changed.
+"""The fault suite: requests that must be refused, in words on which an assistant can act, with nothing changed.
 
-A well-formed error is the point. An adapter that is dead, lacks the tool, prints a traceback or answers with nothing
-does not pass: the envelope must name the fault, and the device must show that it was met, or never reached.
+The tasks require a well-formed error. An adapter that is dead, lacks the tool, prints a traceback or answers with nothing
+does not pass: the envelope must name the fault, and the device must show that the faulty request, or no request, reached it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The normal suite: tasks that any adapter for a plant must get right, judged at the device."""
+"""The normal suite: tasks that any adapter for a plant must perform correctly, judged at the device."""
 
 from __future__ import annotations
 

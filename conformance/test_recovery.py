@@ -1,4 +1,4 @@
-"""The recovery suite: one outage per trial, and how long it takes until the assistant can work again."""
+"""The recovery suite: one outage per trial, and the time until the assistant can work again."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """The stress suite: concurrent calls, fifty calls in a row, and an endpoint that goes away in the middle.
 
-The restart tasks have three phases and all three are asserted: the read before works, the read during the outage fails as
-an envelope within its deadline, the read after works. Afterwards a command is given during an outage: it has to fail, and
-must not be delivered when the endpoint is back.
+The restart tasks have three phases and all three are asserted: the read before the outage works, the read during the outage
+fails with an envelope within its deadline, the read after it works. Then a command is given during an outage: it must fail,
+and must not be delivered when the endpoint is back.
 """
 
 from __future__ import annotations

@@ -23,8 +23,8 @@ def main() -> int:
     parser.add_argument("protocol", metavar="PROTOCOL", help=f"{known}, or the dotted name of a module with a mock")
     parser.add_argument("arguments", nargs=argparse.REMAINDER, metavar="OPTION", help="an option of this mock")
     options = parser.parse_args()
-    # The collector would look at everything that is built now again and again and find nothing, half of the time that it
-    # takes.
+    # The collector would search everything that is built now again and again and find nothing; this would be half of
+    # the time that the building takes.
     gc.disable()
     try:
         package = load(options.protocol)

@@ -2,11 +2,11 @@
 
 A request is ``{"id": 1, "op": "image"}``; its answer ``{"id": 1, "ok": true, "result": {…}}`` or
 ``{"id": 1, "ok": false, "error": "one sentence"}``. Any number of clients may be connected; requests may be pipelined and
-are done one after the other; only a ``wait`` does not delay those behind it.
+are executed one after the other; only a ``wait`` does not delay the requests after it.
 
 ======================================================  ========================================================
 ``ready``                                               ``{"protocol", "port", "pid"}``
-``image``                                               what the device really holds
+``image``                                               the values that the device really holds
 ``poke {params}``                                       set a value out of band
 ``fault {rules}``                                       replace the fault plan; ``{"hits": […]}`` of the old one
 ``reset``                                               start-up values, no faults
@@ -41,7 +41,7 @@ T = TypeVar("T")
 
 
 class ControlServer:
-    """Serves the control channel of one device."""
+    """The server of the control channel of one device."""
 
     def __init__(self, device: Device) -> None:
         self._device = device
@@ -96,7 +96,7 @@ class ControlServer:
         except ValueError as error:
             line = json.dumps({**answer, "error": str(error)})
         except Exception as error:
-            # A bug of the device. The client has to be told; the channel goes on.
+            # This is a bug of the device. The client has to be told; the channel goes on.
             traceback.print_exc()
             line = json.dumps({**answer, "error": f"the device failed: {type(error).__name__}: {error}"})
         writer.write(line.encode() + b"\n")
@@ -144,9 +144,9 @@ class ControlServer:
         return {}
 
     async def _journal(self, request: Request) -> dict[str, Any]:
-        # A message that reached this machine before the question is on the journal before the answer, also when the process
-        # had to wait for the processor and found both at once: a connection takes some turns from its acceptance to its
-        # first request.
+        # A message that reached this machine before this request must be in the journal before the answer, also when
+        # the process had to wait for the processor and found both at once: a connection takes some turns of the loop
+        # from its acceptance to its first request.
         for _ in range(_TURNS):
             await asyncio.sleep(0)
         journal = self._device.journal

@@ -1,8 +1,8 @@
 """The Unix socket of a device's control channel, in a directory that only this user can enter.
 
-A process that reaches the control channel can change what the device testifies. Therefore it is no port, which every
-process of the machine and every container that shares the network could find and use. Its path is told in the ready
-line alone: it is in no command line, in no environment and not in the kernel's list of sockets (``/proc/net/unix``).
+A process that reaches the control channel can change what the device reports. Therefore the channel is no port, which
+every process of the machine and every container that shares the network could find and use. Only the ready line has its
+path: it is in no command line, in no environment and not in the kernel's list of sockets (``/proc/net/unix``).
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ import tempfile
 __all__ = ["ControlSocket"]
 
 _LONGEST = 107
-"""Bytes of a path that fit into sun_path, which has 108 and ends with a zero."""
+"""Longest path in bytes: sun_path has 108 bytes and ends with a zero."""
 
 
 class ControlSocket:
-    """A private directory with room for one listening socket; the socket may be made anew as often as needed.
+    """A private directory for one listening socket; the socket may be made again as often as needed.
 
     Attributes:
         path: where clients connect.
@@ -31,7 +31,7 @@ class ControlSocket:
     """
 
     def __init__(self) -> None:
-        # A path of TMPDIR may be longer than a socket's may be, as those of build systems and pytest often are.
+        # The path of TMPDIR may be too long for a socket; those of build systems and pytest often are.
         for parent in (tempfile.gettempdir(), "/tmp"):  # noqa: S108  (mkdtemp makes a directory of mode 0700 in it)
             directory = tempfile.mkdtemp(prefix="otmcp-", dir=parent)
             self.path = os.path.join(directory, "control")
@@ -42,11 +42,11 @@ class ControlSocket:
         raise OSError(errno.ENAMETOOLONG, "no temporary directory has a path short enough for a control socket")
 
     def listen(self) -> socket.socket:
-        """Return a listening socket at the path; there may be none yet, or none any more."""
+        """Return a listening socket at the path; no other socket may exist there."""
         listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         directory = os.open(self._directory, os.O_RDONLY | os.O_DIRECTORY)
         try:
-            # The kernel lists a socket under the name that it was bound to, and shows the list to everybody.
+            # The kernel lists a socket under the name that it was bound to, and every process can read the list.
             listener.bind(f"/proc/self/fd/{directory}/{os.path.basename(self.path)}")
             listener.listen()
         except BaseException:
@@ -57,7 +57,7 @@ class ControlSocket:
         return listener
 
     def clear(self) -> None:
-        """Remove the socket of a device that is gone: it leads nowhere, and the next device needs its name."""
+        """Remove the socket of a device that has ended: nothing listens on it, and the next device needs its name."""
         with contextlib.suppress(FileNotFoundError):
             os.unlink(self.path)
 

@@ -39,10 +39,10 @@ class Device(ABC):
 
     @abstractmethod
     def image(self) -> dict[str, Any]:
-        """Return a JSON-safe dump of what the device really holds.
+        """Return a JSON-safe copy of the values that the device really holds.
 
-        Its member ``points`` is flat and there for every protocol: the name of each value that the plant holds, in the
-        protocol's own addressing, and the value. The other members are the protocol's own.
+        Its member ``points`` is flat and exists for every protocol: it maps the name of each value that the plant
+        holds, in the protocol's own addressing, to the value. The other members are the protocol's own.
         """
 
     @abstractmethod
@@ -50,7 +50,7 @@ class Device(ABC):
         """Set a value out of band.
 
         Raises:
-            ValueError: the parameters name nothing that exists; the message says what.
+            ValueError: the parameters name something that does not exist; the message says what.
         """
 
     @abstractmethod
@@ -71,7 +71,7 @@ class Device(ABC):
 
 
 class Simulation:
-    """Ticks a device once a second until paused; one tick or reset at a time."""
+    """The clock that ticks a device once a second until paused; one tick or reset at a time."""
 
     def __init__(self, device: Device) -> None:
         self._device = device
@@ -88,7 +88,7 @@ class Simulation:
         task, self._task = self._task, None
         if task is None:
             return
-        # While this holds the turn the task is between ticks, so none is cut in half.
+        # While this method holds the lock the task is between ticks, so no tick is cut short.
         async with self._turn:
             task.cancel()
             with contextlib.suppress(asyncio.CancelledError):
@@ -114,5 +114,5 @@ class Simulation:
             try:
                 await self.tick(1)
             except Exception as error:
-                # A plant that silently stands still would be taken for a paused one.
+                # Without a report a plant whose ticks fail would be taken for a paused plant.
                 loop.call_exception_handler({"message": "a tick of the simulation failed", "exception": error})

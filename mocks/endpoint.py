@@ -1,4 +1,4 @@
-"""The endpoints of a device: what it declares, and what it is given to serve on."""
+"""The endpoints of a device: their declaration, and the open endpoint on which it serves."""
 
 from __future__ import annotations
 

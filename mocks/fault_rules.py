@@ -1,4 +1,4 @@
-"""Fault plans: rules that say what a device does wrong with which request. The first rule that fits applies.
+"""Fault plans: rules that say which fault a device applies to which request. The first rule that fits applies.
 
 A rule arrives as ``{condition: value, …, "times": n, "action": {action: value, …}}``. A protocol describes its conditions and
 actions as tables of fields; reading and counting is the same for all.
@@ -21,7 +21,7 @@ class Field:
 
     Attributes:
         accepts: tells whether the field can have a value.
-        expected: what it can have, for the sentence that refuses another.
+        expected: description of the values that it can have, for the sentence that refuses another value.
     """
 
     accepts: Callable[[Any], bool]
@@ -29,13 +29,13 @@ class Field:
 
 
 def integer(lowest: int, highest: int = sys.maxsize) -> Field:
-    """Return a field for whole numbers; true and false are none."""
+    """Return a field for whole numbers; true and false are not accepted."""
     expected = f"an integer from {lowest}" + (f" to {highest}" if highest < sys.maxsize else "")
     return Field(accepts=lambda value: type(value) is int and lowest <= value <= highest, expected=expected)
 
 
 def number(lowest: float = -math.inf, highest: float = math.inf) -> Field:
-    """Return a field for numbers; true and false are none."""
+    """Return a field for numbers; true and false are not accepted."""
     bounds = f" from {lowest:g} to {highest:g}" if math.isfinite(highest) else ""
     return Field(
         accepts=lambda value: type(value) in (int, float) and lowest <= value <= highest, expected=f"a number{bounds}"
@@ -57,7 +57,7 @@ class Table:
 
     Attributes:
         conditions: fields that say which requests a rule is about; ``times``, how often it applies, is always one.
-        actions: fields that say what is done to them.
+        actions: fields that say what is done to these requests.
         example: an action, for the sentence that refuses a rule without one.
         required: conditions that every rule has to have.
         one_action: a rule has exactly one action.
@@ -70,7 +70,7 @@ class Table:
     one_action: bool = False
 
     def read(self, source: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the values of a rule, conditions and actions together. A null is left out, as if it had not been said.
+        """Return the values of a rule, conditions and actions together. A null is left out, as if it were missing.
 
         Raises:
             ValueError: there is no action, an unknown name, or a value that the name cannot have.
@@ -108,7 +108,7 @@ class Plan(Generic[R]):
     """Rules in order, with a count of how often each was applied.
 
     Attributes:
-        hits: how often, by rule.
+        hits: number of applications, by rule.
     """
 
     def __init__(self, rules: Sequence[R]) -> None:

@@ -1,4 +1,4 @@
-"""The journal of a device: every request and answer in order, with waiting for entries to come.
+"""The journal of a device: every request and answer in order; a client can wait for later entries.
 
 Every entry of every protocol has the fields of :class:`JournalEntry`. A protocol adds fields of its own; its package says
 which (``modbus.pdu``, ``mqtt.describe``, ``opcua.session``).
@@ -30,9 +30,9 @@ class JournalEntry(TypedDict):
         direction: ``in`` for a message that the device received and for the state of a connection, ``out`` for a
             message that it sent.
         kind: the type of the message, in the protocol's words.
-        request: this entry asks the plant for something. Session keeping is no request where the protocol separates
-            the two, and a message of the plant's own clients or of the kit never is.
-        state_changing: this entry may change the plant; only a request can.
+        request: True when this message asks the plant for something. Session keeping is no request where the protocol
+            separates the two, and a message of the plant's own clients or of the kit never is one.
+        state_changing: True when this message may change the plant; only a request can.
         answers: sequence number of the entry that this message answers; None for an unsolicited message.
         origin: whose connection it is: ``client`` (a client from outside), ``plant`` (a simulated part of the plant that
             is a client of its own device), ``kit`` (a poke of the kit that the protocol shows as a message).
@@ -53,16 +53,16 @@ Entry = dict[str, Any]
 """The fields of a :class:`JournalEntry` and those of the protocol, JSON-safe."""
 
 _CAPACITY = 200_000
-"""A bound against floods. Entries that were read are to be released with :meth:`Journal.forget`."""
+"""A limit against floods. Entries that were read are to be released with :meth:`Journal.forget`."""
 
 
 class Journal:
-    """An append-only record. Sequence numbers begin at 0 and are never reused; the oldest entries give way when the
+    """An append-only record. Sequence numbers begin at 0 and are never reused; the oldest entries are dropped when the
     capacity is reached, and are counted.
 
     Attributes:
         next: sequence number that the next entry will get.
-        dropped: how many entries gave way at the capacity before they were released.
+        dropped: number of entries that were dropped before they were released.
     """
 
     def __init__(self, capacity: int = _CAPACITY) -> None:
@@ -127,8 +127,8 @@ class Journal:
             self._entries.popleft()
 
     async def wait(self, seq: int, match: Mapping[str, Any], count: int, timeout_s: float) -> list[Entry]:
-        """Return the entries from ``seq`` on whose fields equal ``match``: as soon as there are ``count`` of them, or
-        those that there are after ``timeout_s`` seconds."""
+        """Wait for entries from ``seq`` on whose fields equal ``match``; return them as soon as there are ``count``, or
+        those found after ``timeout_s`` seconds."""
         waiter = _Waiter(match, count)
         for entry in self.since(seq):
             waiter.offer(entry)
@@ -142,7 +142,7 @@ class Journal:
 
 
 class _Waiter:
-    """Collects the entries that one ``wait`` asks for."""
+    """A collector of the entries that one ``wait`` asks for."""
 
     def __init__(self, match: Mapping[str, Any], count: int) -> None:
         self._match = dict(match)

@@ -1,7 +1,7 @@
-"""Runs a mock: a launcher process that stays, and device processes that come and go.
+"""The launcher of a mock: one launcher process that lives on, and device processes that are started and killed.
 
-A stopped device must really be gone: its process killed, its connections dead, its port refusing. So that a start
-takes milliseconds nevertheless, the launcher imports and prepares everything once and forks the devices. It keeps the
+A stopped device must really be gone: its process killed, its connections broken, its port refusing. So that a start
+takes only milliseconds, the launcher imports and prepares everything once and forks the devices. It keeps the
 addresses of the device over restarts (see ``reservation``).
 
 Standard output carries one JSON object per line, standard input one word per line:
@@ -17,8 +17,8 @@ Standard output carries one JSON object per line, standard input one word per li
 ``{"event": "died", "port", "exit"}`` tells that a device ended by itself; ``start`` is understood afterwards.
 ``{"event": "error", "message"}`` answers any other word. End of input ends everything.
 
-Two pipes tie the processes together, so that neither outlives the other unnoticed, however it ends: the device reads
-end-of-file from the *life* pipe when the launcher is gone, the launcher from the *death* pipe when the device is.
+Two pipes connect the processes, so that each notices the end of the other, however it ends: the device reads
+end-of-file from the *life* pipe when the launcher has ended, the launcher from the *death* pipe when the device has.
 """
 
 from __future__ import annotations
@@ -49,13 +49,13 @@ _END_SIGNALS = (signal.SIGTERM, signal.SIGINT)
 
 
 def run(name: str, package: MockPackage, host: str, port: int) -> int:
-    """Serve until standard input closes; returns the exit code. The garbage collector is off in the launcher.
+    """Serve until standard input closes and return the exit code. The garbage collector is off in the launcher.
 
     Args:
-        name: what the package was asked for as, for the ready event.
+        name: name under which the package was requested, for the ready event.
         package: the mock.
         host: address of all ports.
-        port: of the first endpoint, 0 for a free one; the other endpoints have free ones.
+        port: that of the first endpoint, 0 for a free one; the other endpoints have free ports.
 
     Raises:
         OSError: a port cannot be bound, or another program serves on it.
@@ -67,13 +67,13 @@ def run(name: str, package: MockPackage, host: str, port: int) -> int:
             kept.callback(reservation.close)
             reservations[endpoint.name] = reservation
         package.warm()
-        # What is frozen is not copied page by page by the devices' collectors.
+        # The devices' garbage collectors do not touch frozen objects, so their memory pages are not copied.
         gc.freeze()
         return _run(name, package, reservations)
 
 
 def _run(name: str, package: MockPackage, reservations: Mapping[str, Reservation]) -> int:
-    # Signals arrive where the launcher waits, and nowhere else: not between a fork and the note of its process id.
+    # Signals are handled only where the launcher waits, so never between a fork and the storing of its process id.
     signal.pthread_sigmask(signal.SIG_BLOCK, _END_SIGNALS)
     signal.signal(signal.SIGTERM, _end)
     signal.signal(signal.SIGINT, _end)
@@ -108,7 +108,7 @@ def _interruptible() -> Iterator[None]:
 
 
 class _Launcher:
-    """Does what standard input says with one device process at a time."""
+    """The launcher process: it executes the commands of standard input, with one device process at a time."""
 
     def __init__(
         self, name: str, package: MockPackage, reservations: Mapping[str, Reservation], control: ControlSocket
@@ -130,18 +130,18 @@ class _Launcher:
     def say(self, **event: Any) -> None:
         """Write an event."""
         try:
-            # Unbuffered: nothing may be left behind for a forked device to write again.
+            # The write is unbuffered: a forked device must not inherit buffered text and write it again.
             os.write(_STDOUT, json.dumps(event).encode() + b"\n")
         except BrokenPipeError:
             raise _Ended from None
 
     def serve_commands(self) -> None:
-        """Read commands until standard input closes; notice a device that dies."""
+        """Read commands until standard input closes; report a device that dies."""
         self._selector.register(_STDIN, selectors.EVENT_READ)
         while True:
             with _interruptible():
                 readable = {key.fd for key, _ in self._selector.select()}
-            # Death first: a command may reap the device and reuse the number of its pipe.
+            # The device's death comes first: a command may reap the device and reuse the descriptor of its pipe.
             if self._death in readable:
                 self._device_died()
             if _STDIN in readable and not self._read_commands():
@@ -164,7 +164,7 @@ class _Launcher:
         return bool(chunk)
 
     def start(self) -> None:
-        """Fork a device and tell when it serves."""
+        """Fork a device and report when it serves."""
         death_read, death_write = os.pipe()
         pid = os.fork()
         if pid == 0:
@@ -216,7 +216,7 @@ class _Launcher:
             # Ctrl-C in a terminal reaches the whole group; the launcher decides when a device ends.
             signal.signal(signal.SIGINT, signal.SIG_IGN)
             signal.pthread_sigmask(signal.SIG_UNBLOCK, _END_SIGNALS)
-            # The launcher's commands and events are not the device's; a stray print must not look like an event.
+            # The launcher's commands are not for the device, and a stray print must not look like an event.
             null = os.open(os.devnull, os.O_RDWR)
             os.dup2(null, _STDIN)
             os.close(null)
@@ -229,7 +229,7 @@ class _Launcher:
             traceback.print_exc()
         finally:
             sys.stderr.flush()
-            # Not sys.exit: the launcher's exit handlers are not the device's.
+            # This is not sys.exit: the launcher's exit handlers must not run in the device.
             os._exit(code)
 
 
@@ -240,7 +240,7 @@ async def _serve(
     asyncio.get_running_loop().add_reader(life, ended.set)
     await device.serve({name: reservation.open() for name, reservation in reservations.items()})
     await ControlServer(device).start(control.listen())
-    # The pipe stays open: its end tells of the device's.
+    # The pipe stays open: its end shows the end of the device.
     with contextlib.suppress(BrokenPipeError):  # the launcher is gone already, and the life pipe will tell
         os.write(death, b"\n")
     await ended.wait()

@@ -9,7 +9,7 @@ A mock package offers
 ``create()``   runs in the device process, before its loop, and returns a fresh :class:`~.device.Device`
 =============  ========================================================================================
 
-or, if it is no device that a launcher can stop and start, ``main(arguments)``: a program of its own, which is given the
+or, if it is no device that a launcher can stop and start, ``main(arguments)``: a program of its own, which gets the
 rest of the command line and returns the exit code.
 """
 
@@ -42,11 +42,11 @@ class MockProgram(Protocol):
     """A package that is a program of its own."""
 
     def main(self, arguments: Sequence[str]) -> int:
-        """Run it; returns the exit code."""
+        """Run it and return the exit code."""
 
 
 def built_in() -> list[str]:
-    """Return the names of the packages that are in this one."""
+    """Return the names of the mock packages in this package."""
     room = importlib.import_module(__package__)
     return sorted(module.name for module in pkgutil.iter_modules(room.__path__) if module.ispkg)
 
@@ -55,7 +55,7 @@ def load(name: str) -> MockPackage | MockProgram:
     """Import a mock package: a built-in one by its name, any other by its dotted name.
 
     Raises:
-        ValueError: there is none, or it offers no mock; the message says what is missing.
+        ValueError: there is no such package, or it offers no mock; the message says what is missing.
     """
     if name in built_in():
         module = importlib.import_module(f".{name}", __package__)

@@ -1,7 +1,7 @@
-"""Keeps the addresses of a device while device processes come and go, one class for each kind of endpoint.
+"""The reservation of a device's addresses while device processes start and end; one class for each kind of endpoint.
 
-While no device runs, a TCP port refuses, and a UDP port and a pseudo terminal are silent. What was sent to them
-meanwhile is never executed by the next device: it is discarded just before that one serves.
+While no device runs, a TCP port refuses, and a UDP port and a pseudo terminal are silent. Telegrams that are sent to
+them meanwhile are never executed by the next device: they are discarded just before it serves.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ class Reservation(ABC):
     """The address of one endpoint. The launcher makes it and keeps it; each device process opens it.
 
     Attributes:
-        address: as the ready event tells it.
+        address: the address as in the ready event.
     """
 
     address: dict[str, Any]
 
     @abstractmethod
     def open(self) -> OpenEndpoint:
-        """Return the endpoint for a device to serve on, free of what was sent before. Called in the device process."""
+        """Return the endpoint for a device, free of what was sent before. It is called in the device process."""
 
     @abstractmethod
     def close(self) -> None:
@@ -78,12 +78,12 @@ def _tcp_socket(host: str, port: int, *options: int) -> socket.socket:
 
 
 class _UdpPort(Reservation):
-    """The one socket of the port, which every forked device inherits; while there is none, it is not read.
+    """The only socket of the port, which every forked device inherits; while there is no device, it is not read.
 
-    A second socket on the port, as for TCP, does not do: with SO_REUSEPORT the one that only reserves is given about
-    half of the datagrams (measured: 88 to 113 of 200, each from a port of its own). If it is connected to another
-    address it is given none, but then the kernel answers "port unreachable" for a stopped device. A device that is
-    really gone is silent, and silence is what a client of UDP has to cope with.
+    A second socket on the port, as for TCP, does not work: with SO_REUSEPORT the reserving socket would get about half
+    of the datagrams (measured: 88 to 113 of 200, each from a port of its own). If it were connected to another address
+    it would get none, but then the kernel would answer "port unreachable" for a stopped device. A device that is really
+    gone is silent, and a client of UDP has to cope with this silence.
     """
 
     def __init__(self, host: str, port: int) -> None:
@@ -118,7 +118,7 @@ class _PseudoTerminal(Reservation):
 
     def __init__(self) -> None:
         self._master, self._slave = pty.openpty()
-        # Neither echo nor lines: telegrams are bytes.
+        # Raw mode has no echo and no lines: telegrams are bytes.
         tty.setraw(self._slave)
         self.address = {"kind": "pty", "path": os.ttyname(self._slave)}
 

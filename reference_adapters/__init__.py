@@ -1,5 +1,5 @@
 """Exemplary MCP-to-OT adapters: Modbus, MQTT with Sparkplug B, and OPC UA. Written to be read and copied.
 
-``core`` is what they share and what a new adapter would start from; each protocol package has its connection, its
-conversions and its tools.
+``core`` is the code that they share and that a new adapter would start from; each protocol package has its connection,
+its conversions and its tools.
 """

@@ -1,8 +1,9 @@
-"""What all tests have in common: the long ones are left out unless they are asked for, and adapters can be started warm."""
+"""Hooks and fixtures of all tests: long tests are left out unless asked for, and adapters can be started warm."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import os
+from collections.abc import Generator, Iterator
 
 import pytest
 
@@ -19,8 +20,16 @@ __all__ = [
     "pytest_sessionfinish",
     "pytest_terminal_summary",
     "pytest_testnodedown",
+    "pytest_xdist_auto_num_workers",
     "warm_start",
 ]
+
+
+@pytest.hookimpl(wrapper=True, optionalhook=True)
+def pytest_xdist_auto_num_workers() -> Generator[None, int, int]:
+    """Return two workers for each processor: a test waits for other processes a third of the time."""
+    workers = yield
+    return workers if "PYTEST_XDIST_AUTO_NUM_WORKERS" in os.environ else 2 * workers
 
 
 @pytest.fixture(scope="session")

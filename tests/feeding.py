@@ -1,4 +1,4 @@
-"""Feeds session oracles in tests."""
+"""A function that feeds session oracles in tests."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Oracle = TypeVar("Oracle", bound=SessionOracle)
 
 
 def fed(oracle: Oracle, entries: Iterable[Any]) -> Oracle:
-    """The oracle, after it has seen these entries."""
+    """Feed these entries to the oracle, and return it."""
     for entry in entries:
         oracle.feed(cast(JournalEntry, entry))
     return oracle

@@ -1,7 +1,7 @@
-"""Leaves the long tests out of a test run that does not ask for them, and says how many there are.
+"""Pytest hooks that leave the long tests out of a test run that does not ask for them, and say how many there are.
 
-Long are tests marked ``long``: they need LaTeX, a browser, a foreign broker, packages from an index, a built wheel, or
-30 repetitions of the suite. ``pytest tests -m long`` runs them; ``.ci/run`` runs the others first and then these.
+The long tests are marked ``long``: they need LaTeX, a browser, a foreign broker, packages from an index, a built wheel,
+or 30 repetitions of the suite. ``pytest tests -m long`` runs them; ``.ci/run`` runs the others first and then these.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ __all__ = [
 ]
 
 _LEFT_OUT = pytest.StashKey[int]()
-"""Number of long tests that were left out of this run."""
+"""The number of long tests that were left out of this run."""
 
 _OF_WORKER = "long_tests_left_out"
 

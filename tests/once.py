@@ -1,4 +1,4 @@
-"""Makes what several tests only read once in a test run, whichever of its workers needs it first."""
+"""A cache for things that several tests only read: the first worker that needs a thing makes it, once in a test run."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ __all__ = ["once"]
 
 
 def once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], str]) -> str:
-    """Return what ``make`` returned, which is called once in a test run; other workers wait for it.
+    """Call ``make`` once in a test run and return its result; other workers wait for it.
 
     Args:
-        factory: pytest's; the workers of a test run have a directory in common.
-        name: of what is made.
-        make: is given a directory, and returns what the tests need to know of it.
+        factory: pytest's own; the workers of a test run have a directory in common.
+        name: the name of the thing that is made.
+        make: gets a directory, and returns what the tests need to know of the thing.
     """
     own = factory.getbasetemp()
     directory = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / name

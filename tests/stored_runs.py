@@ -1,4 +1,4 @@
-"""Writes run records for tests: what a run left, or what a forger would make of it."""
+"""Functions that write run records for tests: as a run leaves them, or as a forger would change them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _DIGEST = "sha256:" + "0" * 64
 
 
 def header_of(run: Mapping[str, Any]) -> Header:
-    """The record without items and footer."""
+    """Return the record without items and footer."""
     return cast(Header, {name: value for name, value in run.items() if name not in _NOT_HEADER})
 
 
@@ -52,7 +52,7 @@ def run_of(
     time_scale: float = 1.0,
     repetitions: Mapping[str, int] | None = None,
 ) -> Run:
-    """A record of these items of trials, in memory, as judging again needs it."""
+    """Return a record of these items of trials, in memory, as judging again needs it."""
     run_id = "0" * 32
     listed = [{**item, "run_id": run_id, "order": order} for order, item in enumerate(items)]
     record = {

@@ -1,4 +1,4 @@
-"""Runs tasks on a bench for tests, and makes a record of what came of them."""
+"""Functions for tests that run tasks on a bench and make a record of the results."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ __all__ = ["as_read", "measured", "recorded"]
 
 
 async def measured(bench: Bench, task: Task, repetitions: int = 1) -> dict[str, Any]:
-    """Run a task; the item with its samples."""
+    """Run a task and return the item with its samples."""
     samples: list[Sample] = []
     item = await Trial(LiveDriver(bench, task, seed=0), task, repetitions, keep=samples.append).run()
     return {**item, "samples": samples}
 
 
 def recorded(bench: Bench, items: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
-    """The record of these items, as long as their bench has not been closed; as if read from a file."""
+    """Return the record of these items as if it was read from a file; their bench must not have been closed."""
     record = run_of(
         items,
         adapters=bench.adapters(),
@@ -40,5 +40,5 @@ def recorded(bench: Bench, items: Iterable[Mapping[str, Any]]) -> dict[str, Any]
 
 
 def as_read(record: Mapping[str, Any]) -> StoredRun:
-    """A record in memory, checked as one that was read."""
+    """Check a record in memory as if it was read from a file, and return it."""
     return StoredRun.of(check(record, Run, "the record"))

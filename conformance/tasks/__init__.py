@@ -1,4 +1,4 @@
-"""The tasks of the conformance suite: one module per protocol, one for several protocols at once.
+"""The tasks of the conformance suite: one module for each protocol, one for tasks on several protocols.
 
 A protocol's description names the module of its tasks, so the tasks of a protocol that an installed package registers are
 found the same way.
@@ -20,12 +20,12 @@ MODULES_APART = (f"{__name__}.cross",)
 
 
 def modules() -> tuple[str, ...]:
-    """Dotted names of all modules that declare tasks, in the order of tables and figures."""
+    """Return the dotted names of all modules that declare tasks, in the order of tables and figures."""
     return (*(protocol.tasks for protocol in protocols().values()), *MODULES_APART)
 
 
 def tasks(suite: str | None = None) -> list[Task]:
-    """The tasks of every protocol, of one suite or of all, in the order in which they run."""
+    """Return the tasks of every protocol, of one suite or of all, in the order in which they run."""
     declared = [task for module in modules() for task in import_module(module).TASKS]
     # The sort is stable: tasks without a position of their own come last, in the order of their declaration.
     ordered = sorted(declared, key=lambda task: (SUITES.index(task.suite), task.position or math.inf))

@@ -24,16 +24,16 @@ __all__ = [
 RAPID_CALLS = 50
 
 SETTLING_S = 1.0
-"""The paper's window: how long after the endpoint accepts connections again a call may still fail."""
+"""The paper's window: seconds after the endpoint accepts connections again in which a call may still fail."""
 
 NOTICING_S = 1.0
-"""How long a status may still say "connected" after the connection was cut (requirement REC-002: one keep-alive)."""
+"""Seconds for which a status may still say "connected" after the connection was cut (requirement REC-002: one keep-alive)."""
 
 RECOVERING_S = 5.0
-"""How long the same session is given to recover (requirement REC-001, the bound for level Silver)."""
+"""Seconds that the same session has to recover (requirement REC-001, the bound for level Silver)."""
 
 QUIET_S = 0.25
-"""How long the device is watched, once per item, for a request that must not come."""
+"""Seconds for which the device is watched, once per item, for a request that must not come."""
 
 CONNECTION_FAULTS = ("connect_failed", "connection_lost", "timeout")
 UNCERTAIN = ("not_sent", "unknown")
@@ -53,13 +53,13 @@ async def survive_a_restart(run: Repetition, rig: Rig, operation: str, **inputs:
 async def outage(run: Repetition, rig: Rig, operation: str, witness: Witness, **inputs: Any) -> None:
     """Measure one trial: warm call, outage, failing call, restart, same session, fresh session.
 
-    Two ways back are measured and never mixed: the same session, which the assistant already has, and a fresh session with
-    a process of its own. Times of recovery count from the moment at which the endpoint accepts connections. The device
-    witnesses both.
+    Two ways of recovery are measured and never mixed: the same session, which the assistant already has, and a fresh session
+    with a process of its own. The time of the same session counts from the moment at which the endpoint accepts connections,
+    that of the fresh session from the start of its process. Both are judged at the device.
     """
     warm = await rig.call(operation, **inputs)
     run.must_succeed(warm)
-    # Nothing of what was asked for in other items may come now.
+    # A command that an earlier item asked for must not arrive now.
     run.witnessed(nothing_commanded(rig.protocol, await rig.journal()))
     stop_ms = await rig.stop_device()
     failing = await rig.call_until_failure(operation, window_s=NOTICING_S, **inputs)
@@ -67,7 +67,7 @@ async def outage(run: Repetition, rig: Rig, operation: str, witness: Witness, **
     restart_ms = await rig.start_device()
 
     attempts = []
-    # An adapter that only promises to work in a new session is not asked for more.
+    # An adapter that only claims to work in a new session is not tested in the same session.
     if rig.claims("recovery"):
         attempts = await rig.call_until_success(operation, window_s=RECOVERING_S, **inputs)
         run.succeeds(attempts[-1])

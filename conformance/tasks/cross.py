@@ -1,7 +1,7 @@
 """The tasks on several protocols at once: snapshots and coordinated commands.
 
-Each function is one repetition. It says what the assistant asks for, what the envelope must say, and what the device must
-have seen. Values are different in every repetition, so that no cached or crossed answer can pass.
+Each function is one repetition: the requests of the assistant, the expected envelopes, and the expected observations at the
+devices. Values are different in every repetition, so that no cached or mixed-up answer can pass.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ async def snapshot(run: Repetition, modbus: Rig, mqtt: Rig, opcua: Rig, *, paral
 async def control_sequence(run: Repetition, modbus: Rig, mqtt: Rig, opcua: Rig, *, parallel: bool) -> None:
     pump = "ns=2;s=PumpEnabled"
     payload = json.dumps({"command": "start", "repetition": run.rep, "nonce": run.rng.getrandbits(32)})
-    # Away from the values to be written, so that a write that never happened cannot pass.
+    # The old values differ from those to be written, so that a write that never happened cannot pass.
     await modbus.poke(unit=1, table="holding_registers", address=3, values=[0])
     await opcua.poke(node="PumpEnabled", value=False)
     calls = (

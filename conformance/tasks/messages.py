@@ -1,4 +1,4 @@
-"""Two ways to receive messages: most adapters subscribe and are asked later, some only answer a call that waits."""
+"""Two ways to receive messages: most adapters subscribe and are asked later, some have only a call that waits for messages."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ from pytest_otmcp.trial.rig import Rig
 __all__ = ["collect", "publish_from_kit", "received", "receives", "sync_point"]
 
 COLLECT_S = 2
-"""How long a call that waits for messages is told to wait, on a machine that is not slow."""
+"""Seconds that a call that waits for messages is told to wait, on a machine that is not slow."""
 
 SUBSCRIBING_S = 4.0
-"""How long such a call is given to subscribe; a message that is published earlier cannot be received."""
+"""Seconds that such a call has to subscribe; a message that is published earlier cannot be received."""
 
 Messages = Mapping[str, tuple[str, str]]
 
 
 async def publish_from_kit(mqtt: Rig, topic: str, payload: bytes) -> None:
-    """Let the broker publish a message that does not come from the adapter, QoS 0, not retained."""
+    """Let the broker publish a message of the kit, with QoS 0 and not retained."""
     message = {"topic": topic, "payload": base64.b64encode(payload).decode(), "qos": 0, "retain": False}
     await mqtt.poke(publish=message)
 
 
 async def collect(run: Repetition, mqtt: Rig, messages: Messages) -> list[Reply]:
-    """Ask for the messages on several topic filters at once, and publish one for each when all are subscribed to.
+    """Ask for the messages on several topic filters at once, and publish one for each when all filters are granted.
 
     Args:
         messages: topic filter to topic and payload.
     """
-    # A slow machine is slow to subscribe as well, and that may count as waiting.
+    # A slow machine also subscribes slowly, and that time may count as waiting.
     seconds = math.ceil(COLLECT_S * max(1.0, run.time_scale))
 
     async def publish() -> None:
@@ -52,7 +52,7 @@ async def collect(run: Repetition, mqtt: Rig, messages: Messages) -> list[Reply]
     try:
         replies = await run.together(*calls)
     finally:
-        # Also when there was no reply: nothing is to be published in the midst of the next repetition.
+        # Also when there was no reply: no message may be published during the next repetition.
         await publishing
     for reply, (topic, payload) in zip(replies, messages.values(), strict=True):
         receives(run, mqtt, reply, topic, payload)
@@ -60,7 +60,7 @@ async def collect(run: Repetition, mqtt: Rig, messages: Messages) -> list[Reply]
 
 
 async def sync_point(run: Repetition, mqtt: Rig, filter: str) -> None:
-    """Perform an exchange on the adapter's connection: the adapter has then read what the broker sent before."""
+    """Perform an exchange on the adapter's connection: after it the adapter has read what the broker sent before."""
     if mqtt.claims("info"):
         run.succeeds(await mqtt.call("info", role="control"))
     else:
@@ -68,16 +68,16 @@ async def sync_point(run: Repetition, mqtt: Rig, filter: str) -> None:
 
 
 def receives(run: Repetition, mqtt: Rig, reply: Reply, topic: str, payload: str) -> None:
-    """Expect a message among those that the adapter has received."""
+    """Expect that the message is among those that the adapter has received."""
     filtered = mqtt.accepts_input("messages", "filter")
     run.judge(reply, received(reply, topic, payload, filtered=filtered))
 
 
 def received(reply: Reply, topic: str, payload: str, *, filtered: bool) -> list[Finding]:
-    """The answer holds the message with this payload once, on its topic.
+    """Expect that the answer holds the message with this payload once, on its topic.
 
     Args:
-        filtered: only messages on this topic were asked for, so that there must be no other.
+        filtered: only messages on this topic were asked for, so there must be no other message.
     """
     if findings := succeeded(reply):
         return findings

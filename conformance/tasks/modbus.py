@@ -1,7 +1,7 @@
 """The tasks on Modbus.
 
-Each function is one repetition. It says what the assistant asks for, what the envelope must say, and what the device must
-have seen. Values are different in every repetition, so that no cached or crossed answer can pass.
+Each function is one repetition: the requests of the assistant, the expected envelopes, and the expected observations at the
+device. Values are different in every repetition, so that no cached or mixed-up answer can pass.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ async def read_sensor_block(run: Repetition, modbus: Rig) -> None:
 )
 async def write_and_read_back(run: Repetition, modbus: Rig) -> None:
     value = 40 + run.rep
-    # Guard cells on both sides: what was written to, or is read from, a neighbour cannot pass.
+    # Guard cells on both sides: a write to, or a read from, a neighbouring register cannot pass.
     await modbus.poke(unit=1, table="holding_registers", address=0, values=[0xFFFF - value])
     await modbus.poke(unit=1, table="holding_registers", address=2, values=[0xFFFF - value])
     before = await modbus.image()
@@ -104,7 +104,7 @@ async def guarded_write(run: Repetition, modbus_ro: Rig) -> None:
 
 @guarded_write.after
 async def the_guard_was_put_to_the_test(run: Repetition, modbus: Rig, modbus_ro: Rig) -> None:
-    # A denial proves something only if the read-only session reaches its device and the same call works elsewhere.
+    # The refusal only proves the guard if the read-only session reaches its device and the same call works without the guard.
     read = await modbus_ro.call("read_holding", address=1, count=1)
     run.succeeds(read)
     written = await modbus.call("write_holding", address=1, value=999)
@@ -113,7 +113,7 @@ async def the_guard_was_put_to_the_test(run: Repetition, modbus: Rig, modbus_ro:
         oracle.some_exchange(await modbus_ro.journal()),
         oracle.exactly_one_write(await modbus.journal(), "holding_registers", address=1, values=[999]),
     )
-    # The whole life of the read-only session, its closing included, is on this device's journal and nobody else's.
+    # This device's journal holds the whole life of the read-only session, its closing included, and nothing else.
     await modbus_ro.close_session()
     run.witnessed(oracle.nothing_changed_by(await modbus_ro.follow(StateChanges)))
 
@@ -247,10 +247,10 @@ async def a_failed_register_write_is_not_delivered_later(run: Repetition, modbus
     reply = await modbus.call("write_holding", address=30, value=run.rng.randrange(1, 0x10000))
     run.fails(reply, *CONNECTION_FAULTS, outcome=UNCERTAIN)
     await modbus.start_device()
-    # When it answers again it has its connection back: what it had kept for later would have been sent by now.
+    # An adapter that answers again has its connection back: a write that it had kept for later would have been sent by now.
     run.succeeds((await modbus.call_until_success("read_input", window_s=SETTLING_S, address=0, count=4))[-1])
     await modbus.stays_quiet(QUIET_S, oracle.no_state_changing_request)
-    # One more answer: adapter and device did run in that time.
+    # A further answer shows that adapter and device ran during that time.
     run.succeeds(await modbus.call("read_input", address=0, count=4))
     run.witnessed(oracle.no_state_changing_request(await modbus.journal()))
 

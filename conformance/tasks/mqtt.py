@@ -1,7 +1,7 @@
 """The tasks on MQTT and Sparkplug B.
 
-Each function is one repetition. It says what the assistant asks for, what the envelope must say, and what the device must
-have seen. Values are different in every repetition, so that no cached or crossed answer can pass.
+Each function is one repetition: the requests of the assistant, the expected envelopes, and the expected observations at the
+broker. Values are different in every repetition, so that no cached or mixed-up answer can pass.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ async def subscribe_to_sensors(run: Repetition, mqtt: Rig) -> None:
     reply = await mqtt.call("subscribe", filter="sensors/#", qos=0)
     run.succeeds(reply, granted_qos=0)
     qos = mqtt.expected_if_accepted("subscribe", "qos", 0)
-    # An adapter that holds the subscription already need not ask for it again.
+    # An adapter that has the subscription already need not ask for it again.
     run.witnessed((await mqtt.follow(oracle.Subscriptions)).granted("sensors/#", qos=qos))
     topic, payload = "sensors/temperature", f"nonce-{run.rng.getrandbits(64):016x}".encode()
     await publish_from_kit(mqtt, topic, payload)
@@ -101,7 +101,7 @@ async def guarded_publish(run: Repetition, guarded: Rig | None, operation: str, 
     if guarded is None:
         return
     run.fails(await guarded.call(operation, **inputs), "writes_disabled", outcome="not_sent")
-    # A denial proves something only if the session reaches its broker; the same call works in the task itself.
+    # The refusal only proves the guard if the session reaches its broker; the same call works in the task itself.
     if guarded.claims("info"):
         run.succeeds(await guarded.call("info"))
         run.witnessed(oracle.exchange(await guarded.journal()))

@@ -1,7 +1,7 @@
 """The tasks on OPC UA.
 
-Each function is one repetition. It says what the assistant asks for, what the envelope must say, and what the device must
-have seen. Values are different in every repetition, so that no cached or crossed answer can pass.
+Each function is one repetition: the requests of the assistant, the expected envelopes, and the expected observations at the
+server. Values are different in every repetition, so that no cached or mixed-up answer can pass.
 """
 
 from __future__ import annotations

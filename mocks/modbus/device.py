@@ -1,7 +1,7 @@
 """The Modbus TCP server (MODBUS Messaging on TCP/IP V1.0b) with journal and fault plan.
 
-It is no library's server, because a ground truth may not lose pipelined requests, mix up transaction identifiers or serve
-cells that do not exist, and a journal needs the connection and the bytes.
+It is not a library's server, because a reference must not lose pipelined requests, mix up transaction identifiers or
+serve cells that do not exist, and the journal needs the connection and the bytes.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _GARBAGE = b"\xde\xad\xbe\xef\xff\xff\x00\x01"
 
 
 class ModbusDevice(Device):
-    """Serves unit 1; a request to any other unit gets the gateway exception 0B and changes nothing."""
+    """A device with unit 1; a request to any other unit gets the gateway exception 0B and changes nothing."""
 
     protocol = "modbus"
 
@@ -79,7 +79,7 @@ class ModbusDevice(Device):
 
 
 class _Connection(asyncio.Protocol):
-    """One client. Requests are answered in order, several may arrive in one segment or one in several."""
+    """One client's connection. Requests are answered in order; a segment may hold several, or a part of one."""
 
     def __init__(self, device: ModbusDevice) -> None:
         self._device = device
@@ -99,7 +99,7 @@ class _Connection(asyncio.Protocol):
         self._record("in", "DISCONNECTED")
 
     def pause_writing(self) -> None:
-        # No more requests are read from a client that does not read the answers: they must not pile up.
+        # No more requests are read from a client that does not read its answers: the answers must not accumulate.
         self._transport.pause_reading()
 
     def resume_writing(self) -> None:
@@ -117,8 +117,8 @@ class _Connection(asyncio.Protocol):
         while len(self._buffer) >= 6 and not self._transport.is_closing():
             transaction, protocol, length = struct.unpack_from(">HHH", self._buffer)
             if protocol != 0 or not 2 <= length <= _MAX_LENGTH:
-                # Where the next frame begins cannot be known any more. The guide (section 4.4.2.2) silently discards
-                # such a frame; a witness drops the connection, so that it is not overlooked.
+                # The beginning of the next frame can no longer be known. The guide (section 4.4.2.2) silently discards
+                # such a frame; a witness drops the connection, so that the frame is not overlooked.
                 self._malformed(f"MBAP header: protocol {protocol}, length {length}")
                 self._transport.abort()
                 return
@@ -158,7 +158,7 @@ class _Connection(asyncio.Protocol):
         response: bytes,
         cut: int | None = None,
     ) -> None:
-        """Answer the request of this sequence number with these fields."""
+        """Answer the request that has the sequence number ``asked``."""
         if self._transport.is_closing():
             return
         frame = struct.pack(">HHHB", transaction, 0, len(response) + 1, unit) + response
@@ -191,7 +191,7 @@ class _Connection(asyncio.Protocol):
             self._transport.abort()
             return
         if rule.garbage:
-            # It answers nothing: no client can tell which request it is for.
+            # The entry answers no request: no client can tell which request the bytes are for.
             self._record("out", "garbage", bytes=_GARBAGE.hex())
             self._transport.write(_GARBAGE)
             return

@@ -1,4 +1,4 @@
-"""The fault plan of the Modbus device: which request is answered how."""
+"""The fault plan of the Modbus device: which request gets which fault."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ class Rule:
     Attributes:
         times: applied at most this often, None without limit.
         exception: answer with this exception code; the request is not executed.
-        delay_s: answer that many seconds later; later requests are not held up by it.
+        delay_s: answer this many seconds later; later requests are not delayed by it.
         drop: execute, but do not answer.
         garbage: execute, answer with bytes that are no MBAP frame.
         transaction_id: added to the transaction identifier of the answer.
         answer_unit: unit identifier of the answer.
-        truncate: send only that many bytes of the answer.
+        truncate: send only this many bytes of the answer.
         close, reset: execute, then close the connection, or reset it.
         ack_only: acknowledge a write without doing it.
         answer_values: registers or bits that a successful read answers with, however many were asked for.

@@ -82,7 +82,7 @@ class UnitImage:
         return {name: list(self.table(name)) for name in TABLES}
 
     def tick(self) -> None:
-        """Advance by one second: commands, heater to temperature, pump to pressure and flow, conveyor to production."""
+        """Advance by one second: commands, temperature (heater), pressure and flow (pump), production (conveyor)."""
         self._seconds += 1
         self._execute_commands()
         registers, running = self.holding_registers, self.discrete_inputs[RUNNING]

@@ -1,6 +1,6 @@
-"""Executes Modbus request PDUs on a unit's memory (MODBUS Application Protocol V1.1b3, section 6).
+"""The execution of Modbus request PDUs on a unit's memory (MODBUS Application Protocol V1.1b3, section 6).
 
-Rule: this file knows bytes and memory, no sockets. Every request is answered with a response PDU or an exception; the
+This file handles bytes and memory, no sockets. Every request is answered with a response PDU or an exception; the
 checks come in the order of the specification's state diagrams: function, quantity or value, address, execution.
 """
 
@@ -57,7 +57,7 @@ class IllegalRequest(Exception):
 
 
 def describe(pdu: bytes) -> dict[str, Any]:
-    """Return the request's fields for the journal, as far as its bytes go.
+    """Return the request's fields for the journal, as far as its bytes contain them.
 
     ``address``, ``quantity`` and ``values`` are those of the write in a Read/Write Multiple Registers request, which
     has ``read_address`` and ``read_quantity`` besides. A coil value that is neither FF00 nor 0000 stays a number.
@@ -217,8 +217,8 @@ def _read_write(unit: UnitImage, body: bytes, apply: bool) -> bytes:
 def identify(objects: Mapping[int, bytes], body: bytes) -> bytes:
     """Return the answer to Read Device Identification (section 6.21).
 
-    Its conformity level is 82: basic and regular objects, stream and
-    individual access. A stream that does not fit into one PDU is continued at the object that the answer names.
+    Its conformity level is 82: basic and regular objects, stream and individual access. A stream that does not fit into
+    one PDU is continued at the object that the answer names.
 
     Raises:
         IllegalRequest: 01 for another MEI type, 02 for an unknown object asked for individually, 03 otherwise.
@@ -234,7 +234,7 @@ def identify(objects: Mapping[int, bytes], body: bytes) -> bytes:
         wanted = [first]
     elif code in _CATEGORY_LAST:
         category = [identifier for identifier in sorted(objects) if identifier <= _CATEGORY_LAST[code]]
-        # An object id that is not known restarts the stream at the beginning, says the section.
+        # According to the section, an unknown object id restarts the stream at the beginning.
         wanted = [identifier for identifier in category if first not in category or identifier >= first]
     else:
         raise IllegalRequest(ILLEGAL_DATA_VALUE)

@@ -1,6 +1,6 @@
 """The broker: sessions, delivery of messages, retained messages, wills.
 
-It knows no bytes and no sockets: connections hand it the contents of packets (see ``connection``).
+It handles no bytes and no sockets: connections hand it the contents of packets (see ``connection``).
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _Members = list[tuple[Session, Subscription]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
-    """What the broker concedes to a client; MQTT 5 clients are told in the CONNACK.
+    """The limits of the broker for a client; MQTT 5 clients get them in the CONNACK.
 
     Attributes:
         receive_maximum: QoS 2 messages that may be unreleased at a time.
@@ -57,14 +57,14 @@ class Limits:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Route:
-    """Who subscribes to a topic: each session with its matching subscriptions, and the shared subscriptions."""
+    """The subscribers of a topic: each session with its matching subscriptions, and the shared subscriptions."""
 
     sessions: list[tuple[Session, list[Subscription]]]
     shares: dict[tuple[str, str], _Members]
 
 
 class Broker:
-    """Routes messages between sessions."""
+    """The broker, which routes messages between sessions."""
 
     def __init__(self, journal: Journal, limits: Limits | None = None) -> None:
         self.journal = journal
@@ -108,11 +108,11 @@ class Broker:
         return f"otmcp-assigned-{next(self._assigned)}"
 
     def attach(self, connect: Connect, client_id: str) -> tuple[Session, bool]:
-        """Return the session that a CONNECT opens, and whether it was there before (5: section 3.1.4)."""
+        """Return the session that a CONNECT opens, and whether it existed before (5: section 3.1.4)."""
         session = self.sessions.get(client_id)
         if session is not None and session.outlet is not None:
             session.outlet.take_over()
-        # Taking over may have ended the session.
+        # The take-over of the connection may have ended the session.
         session = self.sessions.get(client_id)
         if session is not None and connect.clean_start:
             self._end(session)
@@ -132,7 +132,7 @@ class Broker:
         return session, present
 
     def detach(self, session: Session, *, publish_will: bool) -> None:
-        """Take the connection from a session: its will and its end become due (5: section 3.1.2.5, 3.1.2.11.2)."""
+        """Take the connection from a session; its will and its expiry become due (5: section 3.1.2.5, 3.1.2.11.2)."""
         session.outlet = None
         if not publish_will:
             session.will = None
@@ -205,7 +205,7 @@ class Broker:
         for session, subscriptions in route.sessions:
             self._deliver(session, subscriptions, message)
         for key, members in route.shares.items():
-            # One member of the group in turn, a connected one if there is any (5: section 4.8.2).
+            # The members of the group take turns, only the connected ones if there are any (5: section 4.8.2).
             present = [member for member in members if member[0].outlet is not None] or members
             turn = self._turns[key] = self._turns.get(key, -1) + 1
             session, subscription = present[turn % len(present)]

@@ -26,13 +26,13 @@ from .wire import Framer, ProtocolViolation
 __all__ = ["Client", "Observer"]
 
 Observer = Callable[[Direction, Packet], None]
-"""Is told every packet with its direction, ``in`` or ``out``."""
+"""Function that is called with every packet and its direction, ``in`` or ``out``."""
 
 _ANSWER_TIMEOUT_S = 5.0
 
 
 class Client(asyncio.Protocol):
-    """Subscribes with QoS 1, publishes with QoS 0 or 1; one subscribe and one ping at a time.
+    """A client that subscribes with QoS 1 and publishes with QoS 0 or 1; one subscribe and one ping at a time.
 
     Attributes:
         closed: set when the connection has ended.
@@ -79,12 +79,12 @@ class Client(asyncio.Protocol):
             raise ConnectionRefusedError(f"the broker refuses a subscription: {answer.reason_codes}")
 
     def publish(self, topic: str, payload: bytes, *, qos: int = 0, retain: bool = False) -> None:
-        """Publish; a QoS 1 acknowledgement is not waited for."""
+        """Publish without waiting for a QoS 1 acknowledgement."""
         packet_id = self._next_id() if qos else 0
         self._send(Publish(topic=topic, payload=payload, qos=qos, retain=retain, packet_id=packet_id))
 
     async def ping(self) -> None:
-        """Return when the broker has handled everything sent so far.
+        """Wait until the broker has handled everything sent so far.
 
         Raises:
             OSError: the connection ends.

@@ -1,7 +1,7 @@
-"""Control packets from and to bytes, for MQTT 3.1.1 and 5 (chapters 2 and 3 of both).
+"""The codec: control packets from and to bytes, for MQTT 3.1.1 and 5 (chapters 2 and 3 of both).
 
-Decoding is strict: what the specification calls malformed raises :class:`~.wire.ProtocolViolation`. Whether a well-formed
-packet is allowed at this point of a conversation is not decided here.
+Decoding is strict: a packet that the specification calls malformed raises :class:`~.wire.ProtocolViolation`. This
+module does not decide whether a well-formed packet is allowed at this point of a conversation.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def decode(first: int, body: bytes, level: int) -> Packet:
     """Return the packet with this first byte of the fixed header and this body.
 
     Args:
-        level: protocol level of the connection, 4 or 5; a CONNECT names its own.
+        level: protocol level of the connection, 4 or 5; a CONNECT has its own level.
 
     Raises:
         ProtocolViolation: the packet is malformed.
@@ -110,7 +110,7 @@ def _packet_id(reader: Reader) -> int:
 
 
 def _reason(kind: PacketType, reader: Reader, level: int) -> tuple[int, Properties]:
-    """Return reason code and properties, which MQTT 5 lets end early and 3.1.1 does not have."""
+    """Return reason code and properties, which may be cut short in MQTT 5 and do not exist in 3.1.1."""
     if level != MQTT_5 or not reader.left:
         return 0, EMPTY
     code = reader.byte()
@@ -214,7 +214,7 @@ def _subscribe(reader: Reader, level: int) -> Subscribe:
 
 
 def _filter(reader: Reader, level: int) -> tuple[str, bool]:
-    """Return a topic filter, and whether it is a shared subscription, which 3.1.1 does not have."""
+    """Return a topic filter, and whether it is a shared subscription; 3.1.1 has none."""
     topic_filter = reader.string()
     share, proper = split_shared(topic_filter) if level == MQTT_5 else (None, topic_filter)
     check_filter(proper)
@@ -280,7 +280,7 @@ def encode(packet: Packet, level: int) -> bytes:
     """Return the bytes of a packet.
 
     Args:
-        level: protocol level of the connection, 4 or 5; a CONNECT goes by its own.
+        level: protocol level of the connection, 4 or 5; a CONNECT has its own level.
     """
     if isinstance(packet, Publish):
         flags = packet.dup << 3 | packet.qos << 1 | packet.retain

@@ -29,11 +29,11 @@ TOPIC_ALIAS_INVALID = 0x94
 V311_UNACCEPTABLE_PROTOCOL = 1
 
 _LINGER_S = 1.0
-"""How long a client may take to read the last packet before the connection is cut."""
+"""Seconds in which a client may read the last packet before the connection is cut."""
 
 
 class Connection(asyncio.Protocol):
-    """Serves one client; see :class:`~.session.Outlet` for what its session asks of it."""
+    """The connection of one client; see :class:`~.session.Outlet` for the methods that its session calls."""
 
     def __init__(self, broker: Broker, origin: Origin = "client") -> None:
         self._broker = broker
@@ -81,7 +81,7 @@ class Connection(asyncio.Protocol):
         frame: tuple[int, bytes] | None = None
         try:
             if self._session is None and not self._held and self._framer.held[:1] not in (b"", b"\x10"):
-                # Not waiting for the length that another protocol's second byte seems to announce.
+                # The broker does not wait for the length that another protocol's second byte seems to announce.
                 raise ProtocolViolation("the first packet is not CONNECT", PROTOCOL_ERROR)
             while self._end_reason is None and not self._held and (frame := self._framer.next()):
                 packet = decode(*frame, self._level)
@@ -91,11 +91,11 @@ class Connection(asyncio.Protocol):
         except ProtocolViolation as violation:
             shown = bytes(frame[:1]) + frame[1] if frame else self._framer.held
             if shown[:1] and shown[0] >> 4 == PacketType.CONNECT:
-                # It may hold a password.
+                # The packet may hold a password.
                 shown = shown[:1]
             self._record("in", "malformed", bytes=shown[:64].hex(), reason=str(violation))
             if isinstance(violation, UnsupportedProtocol) and self._session is None:
-                # In the form of 3.1.1, which a client of any version can read up to the code.
+                # The CONNACK has the form of 3.1.1, which a client of any version can read up to the code.
                 self.send(Connack(session_present=False, reason_code=V311_UNACCEPTABLE_PROTOCOL))
             self.end(str(violation), violation.reason_code)
 
@@ -121,7 +121,7 @@ class Connection(asyncio.Protocol):
             self._write(packet, encode(packet, self._level), describe(packet), answers)
 
     def publish(self, delivery: Delivery, *, dup: bool) -> bool:
-        """Send a PUBLISH; False when the packet is larger than the client accepts [MQTT-3.1.2-24]."""
+        """Send a PUBLISH; return False when the packet is larger than the client accepts [MQTT-3.1.2-24]."""
         message = delivery.message
         topic, properties, alias = message.topic, {}, None
         if self._level == MQTT_5:
@@ -152,7 +152,8 @@ class Connection(asyncio.Protocol):
         return True
 
     def _alias(self, topic: str) -> tuple[str, int | None]:
-        """Return topic name and alias to send: the name alone, both the first time, the alias alone from then on."""
+        """Return the topic name and alias to send: the name alone without an alias, both when the alias is new, later
+        the alias alone."""
         known = self._aliases_out.get(topic)
         if known is not None:
             return "", known
@@ -161,13 +162,13 @@ class Connection(asyncio.Protocol):
         return topic, None
 
     def take_over(self) -> None:
-        """Give way to another connection of the same client [MQTT-3.1.4-3]."""
+        """End this connection because the same client has opened another one [MQTT-3.1.4-3]."""
         self.end("session taken over", SESSION_TAKEN_OVER)
 
     # -- the end ------------------------------------------------------------------------------------------
 
     def end(self, reason: str, reason_code: int | None = None, *, publish_will: bool = True) -> None:
-        """Close the connection, telling an MQTT 5 client why."""
+        """Close the connection and tell an MQTT 5 client the reason."""
         if self._end_reason is not None:
             return
         if reason_code is not None and self._session is not None and self._level == MQTT_5:
@@ -175,8 +176,8 @@ class Connection(asyncio.Protocol):
         self._leave(reason, publish_will=publish_will)
         if self._transport.is_closing():
             return
-        # Closing a socket with unread input resets the connection and may destroy what was just written. Therefore
-        # only this side is closed, until the client closes the other.
+        # Closing a socket with unread input resets the connection and may destroy the bytes just written. Therefore
+        # only this side is closed until the client closes the other.
         with contextlib.suppress(OSError):
             self._transport.write_eof()
         self._timer = self._loop.call_later(_LINGER_S, self._transport.abort)
@@ -251,7 +252,7 @@ class Connection(asyncio.Protocol):
             afterwards()
 
     def _misbehave(self, rule: Rule, asked: int | None, answer: Packet | None, afterwards: Afterwards) -> None:
-        """Answer as the fault plan wants it: late or not at all."""
+        """Apply the fault plan's rule to the answer: late, not at all, or the connection is cut."""
         if rule.close or rule.reset:
             self._cut(reset=rule.reset)
         elif rule.delay_s:
@@ -282,7 +283,7 @@ class Connection(asyncio.Protocol):
         elif rule.close or rule.reset:
             self._cut(reset=rule.reset)
         else:
-            # What the client sends before its CONNACK waits, for ever when there will be none.
+            # Packets that the client sends before its CONNACK wait; they wait for ever when there is no CONNACK.
             self._held = True
             if not rule.no_answer:
                 self._loop.call_later(rule.delay_s, self._accept_late, packet, asked)
@@ -335,5 +336,5 @@ class Connection(asyncio.Protocol):
 
 
 def _granting(packet: Subscribe, qos: int) -> Subscribe:
-    """Return the SUBSCRIBE as if it asked for this QoS: the fault plan grants less."""
+    """Return the SUBSCRIBE with this QoS instead of its own: the fault plan grants less."""
     return replace(packet, requests=tuple(replace(one, qos=qos) for one in packet.requests))

@@ -13,8 +13,8 @@ DISCONNECT, AUTH    reason_codes
 any of MQTT 5       properties, if there are any
 ==================  =====================================================================================
 
-Topics are whole where the wire had an alias. Not packets: CONNECTED, DISCONNECTED (reason), malformed (bytes as hex,
-reason), WILL (a will fired, with or without a receiver).
+Topics are complete, also where the wire had an alias. Not packets: CONNECTED, DISCONNECTED (reason), malformed (bytes
+as hex, reason), WILL (a will fired, with or without a receiver).
 
 The fields that entries of all protocols share (``journal.JournalEntry``) mean here:
 
@@ -62,7 +62,7 @@ REQUESTS = frozenset(
         PacketType.PINGREQ,
     }
 )
-"""Packets of a client that ask the broker for something, see above."""
+"""Packets with which a client asks the broker for something, see above."""
 
 
 def describe_content(topic: str, payload: bytes) -> dict[str, Any]:

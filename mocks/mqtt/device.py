@@ -26,7 +26,7 @@ KIT = "otmcp-kit"
 
 
 class MqttDevice(Device):
-    """Serves MQTT 3.1.1 and 5."""
+    """The broker device, for MQTT 3.1.1 and 5."""
 
     protocol = "mqtt"
 
@@ -41,8 +41,8 @@ class MqttDevice(Device):
         assert isinstance(listener, socket.socket)
         loop = asyncio.get_running_loop()
 
-        # The plant has a listener of its own and is born before clients are let in: what they find does not depend on
-        # who is faster, and they do not wait for the births.
+        # The plant has a listener of its own and publishes its births before clients are accepted: what clients find
+        # does not depend on who is faster, and they do not wait for the births.
         private = await loop.create_server(lambda: Connection(self.broker, origin="plant"), "127.0.0.1", 0)
         host, port = private.sockets[0].getsockname()
         await self.edge_node.start(host, port)
@@ -77,8 +77,8 @@ class MqttDevice(Device):
         }
 
     async def poke(self, params: Mapping[str, Any]) -> None:
-        """Publish a message of the kit, journalled as received on connection 0: ``{"publish": {"topic", "payload" (base64),
-        "qos", "retain"}}``."""
+        """Publish a message of the kit; the journal has it as received on connection 0: ``{"publish": {"topic",
+        "payload" (base64), "qos", "retain"}}``."""
         packet = _publish(params)
         content = describe_content(packet.topic, packet.payload)
         fields = describe_publish(packet, content)

@@ -37,10 +37,10 @@ def _ignore(direction: Direction, packet: Packet) -> None:
 
 
 class EdgeNode:
-    """Connects, publishes births and data, executes commands; connects again when the connection breaks.
+    """An edge node that connects, publishes births and data, executes commands, and connects again after a loss.
 
     Attributes:
-        seq: of the last message; bd_seq: of this connection's birth and death.
+        seq: number of the last message; bd_seq: that of this connection's birth and death.
         controls: last payload by topic below ``control/``, as text.
     """
 
@@ -122,7 +122,7 @@ class EdgeNode:
         await self._client.ping()
 
     async def tick(self) -> None:
-        """Advance the plant by one second; return when the broker has handled what was published."""
+        """Advance the plant by one second; return when the broker has handled the published messages."""
         changed = self.plant.tick()
         if self._client is None:
             return
@@ -142,7 +142,7 @@ class EdgeNode:
         }
 
     def image(self) -> dict[str, Any]:
-        """Return what it holds and where its counters are."""
+        """Return the values that the node holds, and its counters."""
         return {
             "group": GROUP,
             "edge_node": NODE,

@@ -1,4 +1,4 @@
-"""The fault plan of the broker: which packet of a client is answered how."""
+"""The fault plan of the broker: which packet of a client gets which fault."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Rule:
         topic: topic of a PUBLISH, or one of the filters of a SUBSCRIBE or UNSUBSCRIBE.
         times: applied at most this often, None without limit.
         no_answer: handle the packet, but do not answer it; a CONNECT is not handled either.
-        delay_s: handle it and answer that many seconds later; a CONNECT is handled later.
+        delay_s: handle it and answer this many seconds later; a CONNECT is handled later.
         reason_code: refuse with this code and do not handle it; a SUBSCRIBE with 0 to 2 is granted that QoS instead. 3.1.1
             cannot refuse a PUBLISH or UNSUBSCRIBE: they are acknowledged and not handled.
         close, reset: handle it, then close the connection, or reset it; a CONNECT is not handled.

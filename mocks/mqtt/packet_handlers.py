@@ -1,6 +1,6 @@
 """Handlers of the control packets of a client: the conversation rules of chapters 3 and 4, without bytes and sockets.
 
-A packet that a client may not send at this point raises :class:`~.wire.ProtocolViolation`.
+A packet that a client must not send at this point raises :class:`~.wire.ProtocolViolation`.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ RECEIVE_MAXIMUM_EXCEEDED = 0x93
 V311_IDENTIFIER_REJECTED = 2
 
 Afterwards = Callable[[], None] | None
-"""What is to be sent after the answer."""
+"""Function that sends what has to follow the answer, or None."""
 
 
 def accept(broker: Broker, connect: Connect) -> tuple[Session | None, Connack]:
@@ -76,13 +76,13 @@ def supervised_keepalive(broker: Broker, connect: Connect) -> int:
 def handle(
     broker: Broker, session: Session, level: int, packet: Packet, content: Mapping[str, Any]
 ) -> tuple[Packet | None, Afterwards]:
-    """Do what a packet of a connected client asks.
+    """Carry out what a packet of a connected client asks for.
 
     Args:
-        content: how the journal describes a PUBLISH; its subscribers' entries say the same.
+        content: the journal's description of a PUBLISH; the entries of its subscribers have the same one.
 
     Returns:
-        Its answer, if it has one, and what is to be sent after the answer.
+        The packet's answer, if it has one, and the function that sends what has to follow.
     """
     match packet:
         case Publish():
@@ -110,7 +110,7 @@ def _receive(broker: Broker, session: Session, level: int, packet: Publish, cont
         raise ProtocolViolation("a subscription identifier from a client", PROTOCOL_ERROR)
     if packet.qos == 2:
         if packet.packet_id in session.incoming:
-            # Delivered already; only the PUBREC was lost [MQTT-4.3.3-10].
+            # The message was delivered already; only the PUBREC was lost [MQTT-4.3.3-10].
             return Ack(type=PacketType.PUBREC, packet_id=packet.packet_id)
         if level == MQTT_5 and len(session.incoming) >= broker.limits.receive_maximum:
             raise ProtocolViolation("the Receive Maximum is exceeded", RECEIVE_MAXIMUM_EXCEEDED)

@@ -1,4 +1,4 @@
-"""What the simulated plant holds and how it moves: everything is a function of the number of ticks and of commands."""
+"""The values of the simulated plant and their changes: all are functions of the number of ticks and of commands."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _PERIOD = 60
 
 @dataclass(slots=True, kw_only=True)
 class Tag:
-    """One metric of a device. ``datatype`` is a Sparkplug name; ``writable`` ones follow DCMD."""
+    """One metric of a device. ``datatype`` is a Sparkplug name; a ``writable`` metric follows DCMD."""
 
     datatype: str
     value: Any
@@ -61,7 +61,7 @@ class Plant:
         }
 
     def sensors(self) -> dict[str, dict[str, Any]]:
-        """Return the plain sensors, as they are published."""
+        """Return the plain sensors' messages, as they are published."""
         return {
             "temperature": {"value": round(20 + 5 * self._wave(), 3), "unit": "degC"},
             "pressure": {"value": round(1 + 0.2 * self._wave(), 3), "unit": "bar"},
@@ -69,8 +69,8 @@ class Plant:
         }
 
     def command(self, device: str, name: str, datatype: str | None, value: Any) -> Tag | None:
-        """Execute a command; return the tag as it is now, or None when there is none, or it is not writable or of another
-        type."""
+        """Execute a command; return the tag with its new value, or None when there is no such tag, or it is not
+        writable or of another type."""
         tag = self.devices.get(device, {}).get(name)
         if tag is None or not tag.writable or datatype not in (None, tag.datatype) or not tag.accepts(value):
             return None

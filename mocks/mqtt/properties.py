@@ -53,7 +53,7 @@ EMPTY: Properties = {}
 
 
 class Place(IntEnum):
-    """Where properties stand: the number of the packet type, 0 for the will in a CONNECT."""
+    """The place of properties: the number of the packet type, 0 for the will in a CONNECT."""
 
     WILL = 0
     CONNECT = 1
@@ -137,8 +137,8 @@ def decode(reader: Reader, place: Place) -> Properties:
     """Read the property length and the properties.
 
     Raises:
-        ProtocolViolation: an unknown property, one that does not belong here, stands here twice, or has a value that
-            its section excludes.
+        ProtocolViolation: a property is unknown, does not belong here, occurs twice, or has a value that its section
+            excludes.
     """
     length = reader.varint()
     if length == 0:

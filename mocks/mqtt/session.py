@@ -1,7 +1,7 @@
 """The state of a session (5: section 4.1, 3.1.1: section 3.1.2.4): subscriptions, and messages on their way.
 
-A session outlives its connections. It does not know sockets: it hands what is due to an :class:`Outlet`, and keeps it
-while there is none.
+A session outlives its connections. It handles no sockets: it hands messages to an :class:`Outlet`, and keeps them while
+there is none.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ class Message:
 
     Attributes:
         properties: those that travel with the message (5: section 3.3.2.3).
-        publisher: client id it came from.
-        arrived: monotonic seconds.
-        content: how the journal describes topic and payload.
-        will: whether it is one.
+        publisher: client id of its sender.
+        arrived: time of its arrival, in monotonic seconds.
+        content: the journal's description of topic and payload.
+        will: True when it is a will.
     """
 
     topic: str
@@ -53,7 +53,7 @@ class Message:
         return interval is not None and time.monotonic() - self.arrived >= interval
 
     def current_properties(self) -> Properties:
-        """Return the properties, with the whole seconds it waited taken off its expiry interval [MQTT-3.3.2-6]."""
+        """Return the properties, with the expiry interval reduced by the whole seconds waited [MQTT-3.3.2-6]."""
         interval = self.properties.get(Property.MESSAGE_EXPIRY_INTERVAL)
         if interval is None:
             return self.properties
@@ -94,13 +94,13 @@ class Outlet(Protocol):
     receive_maximum: int
 
     def publish(self, delivery: Delivery, *, dup: bool) -> bool:
-        """Send a PUBLISH; False when the packet is larger than the client accepts."""
+        """Send a PUBLISH; return False when the packet is larger than the client accepts."""
 
     def send(self, packet: Ack) -> None:
         """Send an acknowledgement."""
 
     def take_over(self) -> None:
-        """Give way to another connection of the same client."""
+        """End this connection because the same client has opened another one."""
 
 
 class Session:
@@ -109,10 +109,10 @@ class Session:
     Attributes:
         outlet: its connection, if it has one.
         connection, origin: number and origin of its newest connection.
-        expiry_s: how long it lives without a connection; 0 ends with it, infinity never ends.
-        will, will_delay_s: what to publish, and how long after the connection ended.
+        expiry_s: seconds that it lives without a connection; at 0 it ends with the connection, at infinity never.
+        will, will_delay_s: message to publish after the connection has ended, and the delay in seconds.
         incoming: packet identifiers of QoS 2 messages received and not yet released.
-        timers: what is due while there is no connection.
+        timers: timers of the events that are due while there is no connection.
     """
 
     def __init__(self, client_id: str) -> None:
@@ -137,13 +137,13 @@ class Session:
         self.expiry_s = math.inf if interval == 0xFFFFFFFF else float(interval)
 
     def cancel_timers(self) -> None:
-        """Cancel what is due while there is no connection."""
+        """Cancel the events that are due while there is no connection."""
         for timer in self.timers:
             timer.cancel()
         self.timers.clear()
 
     def resume(self, outlet: Outlet) -> None:
-        """Use a connection: send again what was not acknowledged, then what waited [MQTT-4.4.0-1]."""
+        """Use a connection: send the unacknowledged messages again, then those that waited [MQTT-4.4.0-1]."""
         self.outlet = outlet
         self.connection = outlet.number
         self.origin = outlet.origin
@@ -185,7 +185,7 @@ class Session:
                 return
 
     def _free_id(self) -> int:
-        # There is one: at most 65 535 deliveries are in flight, the largest Receive Maximum.
+        # A free identifier exists: at most 65 535 deliveries, the largest Receive Maximum, are in flight.
         while True:
             self._last_id = self._last_id % 65_535 + 1
             if self._last_id not in self._inflight:
@@ -199,7 +199,7 @@ class Session:
             self._unacknowledged -= 1
 
     def acknowledge(self, ack: Ack) -> Ack | None:
-        """Handle a PUBACK, PUBREC or PUBCOMP for a delivery; return the PUBREL that a PUBREC is answered with.
+        """Handle a PUBACK, PUBREC or PUBCOMP for a delivery; return the PUBREL that answers a PUBREC.
 
         Raises:
             ProtocolViolation: it acknowledges a delivery of another QoS.

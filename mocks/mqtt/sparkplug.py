@@ -2,7 +2,7 @@
 
 The descriptors are built at import in a pool of their own: no generated code, no clash with another package's copy of
 the same schema. Names, numbers and types are those of the Eclipse Sparkplug specification (EFSL). Its empty extension
-messages are left out: what they would hold is kept as unknown fields.
+messages are left out: their content is kept as unknown fields.
 """
 
 from __future__ import annotations
@@ -203,7 +203,7 @@ def _metric(metric: Any) -> dict[str, Any]:
 
 
 def _text(value: str | bytes) -> str:
-    # What is not UTF-8 comes as bytes from one implementation of protobuf and raises in another.
+    # One implementation of protobuf gives text that is not UTF-8 as bytes, another raises.
     return value if isinstance(value, str) else value.decode()
 
 

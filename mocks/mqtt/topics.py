@@ -13,7 +13,7 @@ def check_name(topic: str) -> None:
     """Check a topic name: at least one character and no wildcard [MQTT-4.7.3-1, MQTT-3.3.2-2].
 
     Raises:
-        ProtocolViolation: it is none.
+        ProtocolViolation: the text is no topic name.
     """
     if not topic:
         raise ProtocolViolation("the topic name is empty")

@@ -1,6 +1,6 @@
 """The primitive data of MQTT (5: section 1.5, 3.1.1: section 1.5): integers, strings, lengths, and the framing.
 
-This file knows no packet. Bytes that it cannot read are a :class:`ProtocolViolation` of the peer.
+This file handles no packets. Bytes that it cannot read are a :class:`ProtocolViolation` of the peer.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ class ProtocolViolation(Exception):
     """The peer broke the protocol; the connection must be closed (5: section 4.13, 3.1.1: section 4.8).
 
     Attributes:
-        reason_code: what an MQTT 5 DISCONNECT or CONNACK says about it.
+        reason_code: the reason code for it in an MQTT 5 DISCONNECT or CONNACK.
     """
 
     def __init__(self, reason: str, reason_code: int = MALFORMED_PACKET) -> None:
@@ -24,7 +24,7 @@ class ProtocolViolation(Exception):
 
 
 class Reader:
-    """Reads one packet's bytes from front to back; reading beyond the end is a violation."""
+    """A reader of one packet's bytes from front to back; reading beyond the end is a violation."""
 
     __slots__ = ("_at", "_data")
 
@@ -132,10 +132,10 @@ def string(text: str) -> bytes:
 
 
 class Framer:
-    """Cuts a byte stream into packets: fixed header byte and body.
+    """A framer that cuts a byte stream into packets: fixed header byte and body.
 
     Attributes:
-        minimal: whether a remaining length in more bytes than needed is a violation: so in MQTT 5, not in 3.1.1.
+        minimal: True when a remaining length in more bytes than needed is a violation, as in MQTT 5 but not in 3.1.1.
     """
 
     def __init__(self, maximum_packet_size: int | None = None) -> None:
@@ -144,7 +144,7 @@ class Framer:
         self.minimal = False
 
     def feed(self, data: bytes) -> None:
-        """Add what arrived."""
+        """Add bytes that have arrived."""
         self._buffer += data
 
     def next(self) -> tuple[int, bytes] | None:

@@ -18,10 +18,10 @@ _warmed: tuple[PlantServer, Plant] | None = None
 
 
 def warm() -> None:
-    """Build the address space: a second of work that every device forked later inherits. No loop and no thread is left
-    behind, because a fork would not carry them over."""
+    """Build the address space: a second of work whose result every device forked later inherits. No loop and no thread
+    is left behind, because a fork does not copy them."""
     global _warmed  # noqa: PLW0603  (handed from the launcher to the devices it forks)
-    # The library reports refused requests as errors; here they are what is being asked for.
+    # The library logs refused requests as errors; here the refusals are intended.
     logging.getLogger("asyncua").setLevel(logging.CRITICAL)
     _warmed = asyncio.run(_build())
 
@@ -35,7 +35,7 @@ async def _build() -> tuple[PlantServer, Plant]:
 
 
 def create() -> OpcUaDevice:
-    """Return a device on the address space that was warmed."""
+    """Return a device on the address space that :func:`warm` has built."""
     if _warmed is None:
         warm()
     assert _warmed is not None

@@ -1,7 +1,7 @@
 """The View service set of one session: Browse and BrowseNext (OPC 10000-4, 5.9.2, 5.9.3 and 7.9).
 
-asyncua's own Browse knows no continuation points, ignores the ResultMask, and walks the tree of reference types for every
-reference that it looks at.
+asyncua's own Browse has no continuation points, ignores the ResultMask, and searches the tree of reference types for
+every reference that it looks at.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ _DIRECTIONS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Rest:
-    """The references behind a continuation point, and how many of them one page has."""
+    """The references behind a continuation point, and the number of references in one page."""
 
     references: list[ua.ReferenceDescription]
     page: int
 
 
 class Browser:
-    """Browses an address space for one session and keeps its continuation points."""
+    """A browser of an address space for one session, with the session's continuation points."""
 
     _numbers = itertools.count(1)
 
@@ -59,7 +59,7 @@ class Browser:
         """Return the references of one node.
 
         Args:
-            description: what is asked.
+            description: the node and the references asked for.
             most: RequestedMaxReferencesPerNode, 0 for no limit of the client's.
         """
         refusal = self._refusal(description)
@@ -78,7 +78,7 @@ class Browser:
         return self._page(found, min(most or own, own or most))
 
     def next(self, point: bytes, *, release: bool) -> ua.BrowseResult:
-        """Return the next page behind a continuation point, which is used up by this."""
+        """Return the next page behind a continuation point; the point cannot be used again."""
         rest = self._points.pop(bytes(point or b""), None)
         if rest is None:
             return ua.BrowseResult(StatusCode=ua.StatusCode(Codes.BadContinuationPointInvalid))
@@ -140,5 +140,5 @@ def _narrowed(reference: ua.ReferenceDescription, mask: int) -> ua.ReferenceDesc
         fields["DisplayName"] = reference.DisplayName
     if mask & Mask.TypeDefinition and reference.NodeClass in (ua.NodeClass.Object, ua.NodeClass.Variable):
         fields["TypeDefinition"] = reference.TypeDefinition
-    # Without the bit for it the direction is not asked for, and null is false.
+    # Without its bit in the mask the direction is not asked for; its null value is false.
     return ua.ReferenceDescription(IsForward=bool(mask & Mask.IsForward) and reference.IsForward, **fields)

@@ -22,7 +22,7 @@ __all__ = ["OpcUaDevice"]
 
 
 class OpcUaDevice(Device):
-    """Serves ``urn:otmcp:plant`` without security, to every client."""
+    """The server ``urn:otmcp:plant`` without security, for every client."""
 
     protocol = "opcua"
 
@@ -43,7 +43,7 @@ class OpcUaDevice(Device):
 
     def image(self) -> dict[str, Any]:
         """Return the plant's ``variables`` by node id, its ``folders`` by browse name, how often its ``methods`` were
-        performed, what ``clients`` have open; and ``points``: node id to value."""
+        performed, the numbers of objects that ``clients`` have open; and ``points``: node id to value."""
         plant = self._state.plant
         variables = {}
         for node, variable in plant.variables.items():
@@ -70,7 +70,7 @@ class OpcUaDevice(Device):
 
     async def poke(self, params: Mapping[str, Any]) -> None:
         """Set a value: ``{"node": browse name or node id, "value", "status" (symbol, default Good)}``; or add nodes,
-        see :class:`ExtraNodes`: ``{"create": […]}``; or change what the server can take: ``{"limits": {…}}``."""
+        see :class:`ExtraNodes`: ``{"create": […]}``; or change the limits of the server: ``{"limits": {…}}``."""
         if "limits" in params:
             self._state.limits = self._state.limits.changed(params["limits"])
             await self._advertise()

@@ -21,7 +21,7 @@ SESSION_KEEPING = frozenset(
     {"OpenSecureChannel", "CloseSecureChannel", "FindServers", "GetEndpoints"}
     | {"CreateSession", "ActivateSession", "CloseSession", "CreateSubscription", "Publish", "DeleteSubscriptions"}
 )
-"""Services that open, keep and close sessions and subscriptions: they ask nothing of the plant."""
+"""Services that open, keep and close sessions and subscriptions: they do not ask the plant for anything."""
 
 _current: ContextVar[Exchange] = ContextVar("exchange")
 
@@ -32,7 +32,7 @@ def current() -> Exchange:
 
 
 class Exchange:
-    """Begins with a request, ends with its answer.
+    """One service call, from its request to its answer.
 
     Attributes:
         service: its name, OPC 10000-4.
@@ -63,7 +63,7 @@ class Exchange:
             )
 
     async def suffer(self, nodes: Sequence[str] = ()) -> Rule:
-        """Apply the fault plan.
+        """Apply the fault plan to this call and return the rule.
 
         Raises:
             UaStatusCodeError: the call is to be answered with this ServiceFault.

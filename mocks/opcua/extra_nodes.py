@@ -29,12 +29,12 @@ from .values import fits, shape_of, variant
 __all__ = ["ExtraNodes"]
 
 _BITS = {"read": 1, "write": 2}
-# Access rights of everybody and of this user.
+# Access rights of all users, and of this user.
 _ACCESS = {"read_write": (3, 3), "read": (1, 1), "denied": (3, 0), "hidden": (0, 0)}
 
 
 class ExtraNodes:
-    """Adds nodes to a plant and removes them again."""
+    """The nodes that are added to a plant and removed again."""
 
     def __init__(self, server: Server, plant: Plant) -> None:
         self._server = server
@@ -84,7 +84,7 @@ class ExtraNodes:
         self._links.clear()
 
     def _remove(self, node: ua.NodeId) -> None:
-        # Not through the library: for each node it looks through the whole address space.
+        # The library is not used here: for each node it searches the whole address space.
         space = self._server.iserver.aspace
         if node not in space:
             return
@@ -141,7 +141,7 @@ class ExtraNodes:
             await node.write_attribute(attribute, ua.DataValue(ua.Variant(number, width)))
         lengths = ua.Variant(list(dimensions), ua.VariantType.UInt32, is_array=True)
         await node.write_attribute(ua.AttributeIds.ArrayDimensions, ua.DataValue(lengths))
-        # On its way through the library an array forgets that it is one (asyncua 2.1).
+        # The library loses the information that a value is an array (asyncua 2.1), so the value is set again.
         await self._plant.hold(node.nodeid, value)
         if description.get("property"):
             return
@@ -169,7 +169,7 @@ class ExtraNodes:
     async def _reference(self, description: Mapping[str, Any]) -> None:
         source, target = self._known(description["reference"]), self._known(description["to"])
         space = self._server.iserver.aspace
-        # Not through the library, which refuses what closes a circle. Servers with circles exist.
+        # The library is not used here: it refuses references that close a circle, but servers with circles exist.
         for node, other, forward in ((source, target, True), (target, source, False)):
             attributes = space[other].attributes
             reference = ua.ReferenceDescription(

@@ -1,4 +1,4 @@
-"""The fault plan of the OPC UA server: which service call is treated how."""
+"""The fault plan of the OPC UA server: which service call gets which fault."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Rule:
         times: applied at most this often, None without limit.
         status: every item is answered with this status code, by symbol, and not executed.
         service_fault: the whole call is answered with a ServiceFault of this symbol and not executed.
-        delay_s: it is executed that many seconds later; later requests are not held up by it.
+        delay_s: it is executed this many seconds later; later requests are not delayed by it.
         ack_only: a write is acknowledged with Good, and not done.
         clamp: the number that a write stores instead, acknowledged with GoodClamped.
         drop: executed, but not answered.
@@ -63,7 +63,7 @@ class Rule:
 
 
 NOTHING = Rule()
-"""What applies to a call that no rule matches."""
+"""The rule for a call that no rule matches."""
 
 
 class FaultPlan(Plan[Rule]):

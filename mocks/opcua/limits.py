@@ -16,12 +16,13 @@ _Ids = ua.ObjectIds
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
-    """Numbers; 0 is no limit.
+    """The numbers that limit clients; 0 is no limit.
 
     Attributes:
-        references_per_node: of one node in one answer to Browse or BrowseNext, the rest behind a continuation point.
-        continuation_points: that one session may have open.
-        sessions: that may be open at the same time.
+        references_per_node: references of one node in one answer to Browse or BrowseNext; the rest is behind a
+            continuation point.
+        continuation_points: continuation points that one session may have open.
+        sessions: sessions that may be open at the same time.
     """
 
     nodes_per_read: int = 10_000
@@ -33,7 +34,7 @@ class Limits:
     sessions: int = 100
 
     def changed(self, source: Mapping[str, Any]) -> Limits:
-        """Return these limits with those of ``source`` instead.
+        """Return these limits, with those in ``source`` replaced.
 
         Raises:
             ValueError: an unknown name or no number.

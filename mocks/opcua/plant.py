@@ -82,7 +82,7 @@ class Method:
 
 
 class MethodRefusal(Exception):
-    """A call that is answered with a Bad status and was not performed."""
+    """The error for a method call that is answered with a Bad status and not performed."""
 
     def __init__(self, code: int, arguments: Sequence[int] = ()) -> None:
         super().__init__(code)
@@ -90,7 +90,7 @@ class MethodRefusal(Exception):
         self._arguments = arguments
 
     def result(self) -> ua.CallMethodResult:
-        """Return the answer to the client; per argument, where the fault is in an argument (OPC 10000-4, 5.12.2.4)."""
+        """Return the answer to the client, with a status per argument if one is at fault (OPC 10000-4, 5.12.2.4)."""
         return ua.CallMethodResult(
             StatusCode=ua.StatusCode(self._code),
             InputArgumentResults=[ua.StatusCode(code) for code in self._arguments],
@@ -104,7 +104,7 @@ class Plant:
         variables: the data variables by node id.
         folders: browse name to node id.
         methods: the methods by node id.
-        calls: node id of a method to how often it was performed.
+        calls: node id of a method to the number of times that it was performed.
     """
 
     def __init__(self, server: Server) -> None:
@@ -165,7 +165,7 @@ class Plant:
         await self.add_method(self._id(name), self._name(name), method)
 
     async def add_method(self, node: ua.NodeId, name: ua.QualifiedName, method: Method) -> ua.NodeId:
-        """Create the node of a method. Sessions perform it themselves, the library never does."""
+        """Create the node of a method. Sessions perform the method themselves; the library never does."""
         parent = self._server.get_node(method.owner)
         await parent.add_method(node, name, _never, method.inputs, method.outputs)
         self.methods[node] = method
@@ -178,7 +178,7 @@ class Plant:
         """Return the data variable with this browse name or node id.
 
         Raises:
-            ValueError: there is none.
+            ValueError: there is no such variable.
         """
         node = self._id(name)
         if node not in self.variables:
@@ -189,7 +189,7 @@ class Plant:
         return node
 
     def data_value(self, node: ua.NodeId) -> ua.DataValue:
-        """Return what the server holds for a node now."""
+        """Return the value that the server holds for a node now."""
         return self._server.iserver.aspace[node].attributes[ua.AttributeIds.Value].value
 
     def value(self, name: str) -> Any:
@@ -197,7 +197,7 @@ class Plant:
         return self.data_value(self._id(name)).Value.Value
 
     async def put(self, name: str, value: Any, status: int = ua.StatusCodes.Good) -> None:
-        """Set a variable from inside, without a trace in the journal.
+        """Set a variable from inside, without a journal entry.
 
         Raises:
             ValueError: there is no such variable, or the value does not fit its type.
@@ -210,7 +210,7 @@ class Plant:
         await self.hold(node, held, status)
 
     async def hold(self, node: ua.NodeId, value: ua.Variant, status: int = ua.StatusCodes.Good) -> None:
-        """Set a value without a check, with the time of now."""
+        """Set a value without a check, with the present time."""
         now = datetime.now(UTC)
         data = ua.DataValue(value, ua.StatusCode(status), SourceTimestamp=now, ServerTimestamp=now)
         await self._server.iserver.write_attribute_value(node, data)
@@ -232,7 +232,7 @@ class Plant:
         return []
 
     async def _stop_production(self) -> list[Any]:
-        # An emergency stop is left by ResetAlarms only.
+        # Only ResetAlarms ends an emergency stop.
         if not self.value("EmergencyStop"):
             await self.put("Mode", "STOPPED")
         return []
@@ -259,7 +259,7 @@ class Plant:
     # -- dynamics -----------------------------------------------------------------------------------------
 
     async def tick(self) -> None:
-        """Advance by one second: heater and fan to temperature, pump and valve to pressure, flow and level.
+        """Advance by one second: heater and fan change the temperature; pump and valve change pressure, flow and level.
 
         Actuators are only read: what a client wrote stays.
         """
@@ -289,7 +289,7 @@ class Plant:
             await self.put("ProductionCount", (self._number("ProductionCount") + whole) % 2**32)
 
     def _number(self, name: str) -> Any:
-        """Return the number that a variable holds or, if a Bad status or a poke left none, the one it started with."""
+        """Return the number that a variable holds, or its start value if a Bad status or a poke left no number."""
         value = self.value(name)
         usable = value is not None and math.isfinite(value)
         return value if usable else self.variables[self._id(name)].start.Value

@@ -1,4 +1,4 @@
-"""One connection: its messages on the journal, BrowseNext, and the faults that concern answers.
+"""One connection: the journal entries of its messages, BrowseNext, and the faults that concern answers.
 
 Private parts of asyncua 2.1 are overridden here and nowhere else: it offers no other place where every service passes.
 """
@@ -28,7 +28,7 @@ _SERVICES = {
     for name, number in vars(ua.ObjectIds).items()
     if name.endswith(_SUFFIX)
 }
-# The session journals these itself, with the nodes that they are about.
+# The session journals these services itself, with the nodes that they are about.
 _WITH_NODES = frozenset({"Read", "Write", "Browse", "BrowseNext", "TranslateBrowsePaths", "Call"})
 
 
@@ -88,7 +88,7 @@ class _Processor(UaProcessor):  # type: ignore[misc]
         self, requesthandle: int, seqhdr: Any, response: Any, msgtype: ua.MessageType = ua.MessageType.SecureMessage
     ) -> None:
         exchange = current()
-        # A notification is sent when a value changes, not while its request is handled: it belongs to no exchange.
+        # A notification is sent when a value changes, not while a request is handled: it belongs to no exchange.
         if not isinstance(response, ua.PublishResponse):
             rule = exchange.rule
             if rule.close or rule.reset:

@@ -1,4 +1,4 @@
-"""asyncua's server with two changes: it accepts on a socket that is given to it, and its clients get the sessions and
+"""asyncua's server with two changes: it accepts connections on a given socket, and its clients get the sessions and
 connections of this package."""
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ __all__ = ["PlantServer"]
 
 
 class _Internal(InternalServer):  # type: ignore[misc]
-    """Creates sessions of a device for clients from outside."""
+    """The internal server, which creates a device's sessions for clients from outside."""
 
     session_type: type[PlantSession] | None = None
 

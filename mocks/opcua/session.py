@@ -1,4 +1,4 @@
-"""A client's session: every service call on the journal, and the checks that the library leaves out.
+"""A client's session: journal entries for every service call, and the checks that the library leaves out.
 
 Checks follow OPC 10000-4: 5.9.2 (Browse), 5.9.3 (BrowseNext), 5.11.2 (Read), 5.11.4 (Write), 5.12.2 (Call).
 """
@@ -51,7 +51,7 @@ class PlantSession(InternalSession):  # type: ignore[misc]
         return await super().create_session(params, sockname=sockname)
 
     async def close_session(self, delete_subs: bool = True) -> None:
-        # Also called when the connection is gone. So it is not journalled: the journal has what the client asked for.
+        # It is also called when the connection has ended, so it is not journalled: the journal has client requests.
         self.device.browsers.discard(self.browser)
         self.browser.close()
         await super().close_session(delete_subs)
@@ -127,13 +127,13 @@ class PlantSession(InternalSession):  # type: ignore[misc]
         if rule.clamp is not None:
             value, status = ua.Variant(rule.clamp, value.VariantType), Codes.GoodClamped
         now = datetime.now(UTC)
-        # The status and the time that the client wrote are on the journal; the plant keeps its own.
+        # The status and the time that the client wrote are in the journal; the plant keeps its own.
         data = ua.DataValue(value, SourceTimestamp=now, ServerTimestamp=now)
         await self.aspace.write_attribute_value(item.NodeId, Ids.Value, data)
         return ua.StatusCode(status)
 
     def _refusal(self, item: ua.WriteValue) -> int | None:
-        """Return why an item must not be written, in the order in which a server checks; None if it may."""
+        """Return why an item must not be written, checked in the order of a server; None if it may."""
         if item.NodeId not in self.aspace:
             return int(Codes.BadNodeIdUnknown)
         if item.AttributeId not in self.aspace[item.NodeId].attributes:
@@ -177,7 +177,7 @@ class PlantSession(InternalSession):  # type: ignore[misc]
             return self._browsed([ua.BrowseResult(StatusCode=forced.StatusCode) for _ in points])
         release = parameters.ReleaseContinuationPoints
         results = [self.browser.next(point, release=release) for point in points]
-        # Table 37: a release has no results.
+        # The release of continuation points has no results (table 37).
         return self._browsed([] if release else results)
 
     def _browsed(self, results: list[ua.BrowseResult]) -> list[ua.BrowseResult]:

@@ -1,4 +1,4 @@
-"""What the parts of an OPC UA device share: connections, service calls and sessions all work on this."""
+"""The state that connections, service calls and sessions of an OPC UA device share."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class DeviceState:
         journal: where connections and service calls are recorded.
         plant: the nodes and their values.
         faults: the fault plan in force.
-        limits: what the server can take at once.
-        browsers: those of the open sessions of clients, one for each session.
+        limits: the limits of the server.
+        browsers: the browsers of the open sessions of clients, one for each session.
     """
 
     journal: Journal

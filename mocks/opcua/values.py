@@ -1,4 +1,4 @@
-"""Values as JSON has them and as OPC UA has them (OPC 10000-6, 5.1.2), for the control channel and the journal."""
+"""The conversion of values between JSON and OPC UA (OPC 10000-6, 5.1.2), for the control channel and the journal."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def _scalar(value: Any, kind: ua.VariantType) -> Any:
 
 
 def shape_of(value: Any) -> list[int]:
-    """Return the lengths of the dimensions, none for a scalar."""
+    """Return the lengths of the dimensions; the list is empty for a scalar."""
     lengths = []
     while isinstance(value, list):
         lengths.append(len(value))

@@ -12,7 +12,7 @@ __all__ = ["main"]
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run the simulator; returns the exit code."""
+    """Run the simulator and return the exit code."""
     parser = argparse.ArgumentParser(prog="python -m pytest_otmcp.mocks sparkplug", description=__doc__)
     parser.add_argument("--broker", metavar="URL", required=True, help="mqtt://host:port that the edge node joins")
     url = parser.parse_args(arguments).broker

@@ -1,6 +1,6 @@
 """An edge node as a device of its own: ``python -m pytest_otmcp.mocks sparkplug --broker mqtt://host:port``.
 
-It has no clients, so a launcher has nothing to keep. It prints one ready line with the broker's address and its own
+It has no clients, so no launcher has to keep an address. It prints one ready line with the broker's address and its own
 control socket, and runs until standard input ends. Its journal holds the packets of its own connection, as the edge node
 sees them.
 """
@@ -84,7 +84,7 @@ class SparkplugSimulator(Device):
 
 
 def run(host: str, port: int) -> int:
-    """Serve until standard input ends or a signal arrives; returns the exit code.
+    """Serve until standard input ends or a signal arrives, and return the exit code.
 
     Raises:
         OSError: the broker cannot be reached or refuses.
@@ -101,7 +101,7 @@ async def _run(host: str, port: int) -> None:
         if not os.read(0, 4096):
             ended.set()
 
-    # Input that cannot be watched (a file, /dev/null) never ends; then a signal must.
+    # Input that cannot be watched (a file, /dev/null) never ends; then a signal must end the program.
     with contextlib.suppress(PermissionError):
         loop.add_reader(0, read_input)
     for number in (signal.SIGTERM, signal.SIGINT):

@@ -1,1 +1,1 @@
-"""Certificates: what a finished run has to meet, and the statement that is made of it. Pure: functions of a run record."""
+"""Certificates: the conditions for a finished run, and the statement made from it. Pure: functions of a run record."""

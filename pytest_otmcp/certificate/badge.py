@@ -1,4 +1,4 @@
-"""The badge of a certificate: the JSON that shields.io draws from, and a small picture of the kit's own. Pure.
+"""The badge of a certificate: the JSON from which shields.io draws it, and a small picture that the kit draws. Pure.
 
 Schema of the JSON: https://shields.io/badges/endpoint-badge.
 """
@@ -16,12 +16,12 @@ __all__ = ["badge", "badge_svg"]
 _LABEL = "OT-MCP benchmark"
 _COLOUR = "#1a7f37"
 _LETTER = 6.6
-"""Pixels of an average letter of an 11 pixel sans serif; ``textLength`` makes any font fit."""
+"""Pixels of an average letter of an 11 pixel sans serif font; ``textLength`` makes any font fit."""
 _PADDING = 7
 
 
 def badge(certificate: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the content of ``badge.json``: the protocols, and how much of the suite that is when it is not all."""
+    """Return the content of ``badge.json``: the protocols, and the share of the suite that applied when it was not all."""
     predicate = certificate["predicate"]
     message = "conformant: " + ", ".join(protocols()[protocol].name for protocol in predicate["otmcp"]["adapters"])
     passed, left_out = len(predicate["passedTests"]), len(predicate["otmcp"]["not_applicable"])

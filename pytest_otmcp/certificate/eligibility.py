@@ -1,7 +1,8 @@
-"""What keeps a run from earning a certificate. Pure.
+"""Objections that keep a run from earning a certificate. Pure.
 
-A certificate is about the whole suite, run as it is meant to be, with nothing excused; and an item may only be left out
-because the subject does not claim what it needs. The record says all of that, and it is not believed without being compared.
+A certificate is about the whole suite, run with the settings that it demands, with nothing excused; and an item may only be
+left out because the subject does not claim what the item needs. The record says all of that, and each statement is compared
+with the rest before it is believed.
 """
 
 from __future__ import annotations
@@ -21,13 +22,13 @@ from ..trial.task import Task
 __all__ = ["MINIMUM_REPS", "exercised", "objections", "unguarded"]
 
 MINIMUM_REPS = 30
-"""The paper's matrix: thirty passes of thirty mean at least 90 % with 95 % confidence, fewer mean less."""
+"""Repetitions of the paper's matrix: thirty passes of thirty mean at least 90 % with 95 % confidence, fewer mean less."""
 
 Tasks = Mapping[str, Task]
 
 
 def objections(run: Run, tasks: Tasks) -> list[str]:
-    """Why a run earns no certificate, one sentence each; empty when it does.
+    """Say why a run earns no certificate, one sentence for each reason; empty when it earns one.
 
     Args:
         run: a run record that :func:`pytest_otmcp.record.load` accepted.
@@ -37,7 +38,7 @@ def objections(run: Run, tasks: Tasks) -> list[str]:
         *_verdict_objections(run, tasks),
         *(_gaps(run) or [*_settings_objections(run), *unguarded(_claims(run), run["subject"]["adapters"])]),
     ]
-    # What did not pass needs no further reason; what did must be everything that the subject claims.
+    # A run that did not pass needs no further reason; a run that passed must have exercised everything that the subject claims.
     return found or list(_item_objections(run, tasks))
 
 
@@ -46,7 +47,7 @@ def _claims(run: Run) -> Claims:
 
 
 def _gaps(run: Run) -> list[str]:
-    """What a certificate needs to say and the record does not."""
+    """Say what a certificate needs and the record does not have."""
     gaps = [] if "tool_calls" in run["footer"] else ["the record does not count its tool calls"]
     gaps += [
         f"the record's adapter {protocol!r} is none that the kit knows"
@@ -96,12 +97,13 @@ def _settings_objections(run: Run) -> Iterator[str]:
 
 
 def unguarded(claims: Claims, adapters: Iterable[str]) -> Iterator[str]:
-    """A sentence for each adapter that writes and is not claimed to refuse that when it is told to.
+    """Name each adapter that writes, but is not claimed to refuse writes when they are disabled, in a sentence each.
 
-    Requirement WR-004 is a MUST for every adapter: a claim that is left out must not be the way around it.
+    Requirement WR-004 is a MUST for every adapter: leaving out the claim must not be a way around it.
 
     Args:
-        adapters: their protocols.
+        claims: of the subject.
+        adapters: protocols of the adapters.
     """
     for protocol in adapters:
         writing = [name for name, operation in protocols()[protocol].operations.items() if operation.writes]
@@ -130,6 +132,6 @@ def _item_objections(run: Run, tasks: Tasks) -> Iterator[str]:
 
 
 def exercised(task: Task, claims: Claims) -> list[str]:
-    """The facets that a task says something about: those that it needs, and guards that it looks at when there are any."""
+    """Return the facets that a task exercises: those that it needs, and those of its guards that the subject claims."""
     guards = [f"{protocol}.{GUARD}" for protocol in task.guards]
     return [*claims.required(task.needs), *(facet for facet in guards if claims.has(facet))]

@@ -1,10 +1,10 @@
-"""The certificate of a run: an in-toto statement that says what was earned, and nothing that the run does not. Pure.
+"""The certificate of a run: an in-toto statement of what was earned; it says nothing that the run record does not say. Pure.
 
-A certificate is a function of the run record and of nothing else, so whoever has the record can make it again and compare:
-:func:`certificate` twice over the same record gives the same document. It is not signed here. Sources:
+A certificate is a function of the run record alone, so everybody who has the record can make it again and compare:
+:func:`certificate` returns the same document each time for the same record. It is not signed here. Sources:
 
 - Statement: in-toto Attestation Framework, Statement v1, https://in-toto.io/Statement/v1;
-- predicate: Test Result v0.1, https://in-toto.io/attestation/test-result/v0.1; what it has no field for is below
+- predicate: Test Result v0.1, https://in-toto.io/attestation/test-result/v0.1; facts without a field there are below
   ``otmcp``, an extension field as the framework's parsing rules allow it;
 - bounds: Clopper and Pearson, see :mod:`pytest_otmcp.core.statistics`.
 """
@@ -50,7 +50,7 @@ Tasks = Mapping[str, Task]
 
 
 def certificate(run: Run, run_sha256: str, tasks: Tasks) -> dict[str, object]:
-    """The certificate of a run without :func:`~pytest_otmcp.certificate.eligibility.objections`.
+    """Return the certificate of a run that has no :func:`~pytest_otmcp.certificate.eligibility.objections`.
 
     Args:
         run: the run record.
@@ -69,7 +69,7 @@ def certificate(run: Run, run_sha256: str, tasks: Tasks) -> dict[str, object]:
                 {"name": f"{kit['name']} {kit['version']}", "digest": _digest_set(kit["digest"])},
                 {"name": "conformance suite", "digest": _digest_set(kit["suite_digest"])},
                 *(
-                    # Whoever judges a protocol that is not the kit's own is named.
+                    # The package that judges a protocol which is not the kit's own is named.
                     {
                         "name": f"protocol {entry['key']}: {entry['distribution']} {entry['version']}",
                         "digest": _digest_set(entry["digest"]),
@@ -118,7 +118,7 @@ def _adapter(protocol: str, facts: AdapterFacts, run: Run, tasks: Tasks) -> dict
         if (reason := claims.why_not(facet)) is not None:
             not_claimed[name] = reason
         elif applying:
-            # They have all passed, or there would be no certificate.
+            # These items have all passed; otherwise there would be no certificate.
             earned[name] = [item["id"] for item in applying]
         else:
             not_exercised.append(name)
@@ -152,7 +152,7 @@ def _item_counts(item: Item) -> dict[str, object]:
     least, interval = lower_bound(good, planned, _CONFIDENCE), proportion_interval(good, planned, _CONFIDENCE)
     assert least is not None
     assert interval is not None
-    # Rounded outwards: what is printed is never more than what was shown.
+    # Bounds are rounded outwards, so that they never claim more than the repetitions have shown.
     return {
         "passed": good,
         "planned": planned,
@@ -171,7 +171,7 @@ def _tally(items: Iterable[Item]) -> dict[str, int]:
 
 
 def _not_applicable(run: Run, tasks: Tasks) -> dict[str, str]:
-    """Item to the first thing that it needs and the subject does not claim."""
+    """Return, by item, the first facet that it needs and the subject does not claim, with the reason."""
     claims = Claims.of_record(run["subject"]["adapters"])
     return {
         item["id"]: next(
@@ -185,7 +185,7 @@ def _not_applicable(run: Run, tasks: Tasks) -> dict[str, str]:
 
 
 def differences(found: object, expected: object, where: str = "") -> Iterator[str]:
-    """Where two JSON documents differ, one sentence for each place: what the first says, and what it should say."""
+    """Say where two JSON documents differ, one sentence for each place: what the first says, and what it should say."""
     if isinstance(found, dict) and isinstance(expected, dict):
         for name in {**expected, **found}:
             place = f"{where}.{name}" if where else name

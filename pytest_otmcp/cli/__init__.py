@@ -1,6 +1,6 @@
 """The command ``otmcp``: one module for each subcommand, and the one place where errors become exit codes.
 
-A subcommand's module has ``add_parser(subparsers)`` and ``run(args) -> int``, and imports what is heavy inside ``run``.
+A subcommand's module has ``add_parser(subparsers)`` and ``run(args) -> int``, and imports heavy modules inside ``run``.
 Exit codes are those of :class:`pytest_otmcp.core.verdict.ExitCode`. Every error ends in one sentence, without a traceback.
 """
 
@@ -22,7 +22,7 @@ _COMMANDS = ("init", "doctor", "certify", "verify", "report", "mock")
 
 
 class Refusal(Exception):
-    """A command's answer is no; the message says why, in one sentence.
+    """A command refuses what it was asked for; the message says why, in one sentence.
 
     Attributes:
         code: the exit code.
@@ -37,7 +37,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line.
 
     Args:
-        argv: arguments without the program's name; None for those of the process.
+        argv: arguments without the program's name; None for the arguments of the process.
 
     Returns:
         The exit code.

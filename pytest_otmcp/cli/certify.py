@@ -1,8 +1,8 @@
-"""``otmcp certify``: the whole suite, out of reach of the vendor's configuration, and a certificate or the reason why not.
+"""``otmcp certify``: the whole suite, isolated from the vendor's configuration, and a certificate or the reason for none.
 
-A vendor's repository can bend a pytest run without anybody noticing: a conftest that shadows a fixture, an ini that
+A vendor's repository can change a pytest run without anybody noticing: a conftest that shadows a fixture, an ini that
 deselects, a plugin that reorders. So the suite runs in a process of its own, with the kit's ini in an empty root
-directory, without conftest files, and without any plugin but pytest's and ours.
+directory, without conftest files, and without any plugin but pytest's and the kit's.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ _OURS = ("run.json", "certificate.json", "badge.json", "badge.svg")
 """Files of an earlier certification, which must not be there when this one fails."""
 
 _BENDING = ("PYTHONOPTIMIZE", "PYTHONWARNINGS", "PYTHONSTARTUP", "PYTHONINSPECT")
-"""Environment variables that change how Python runs the kit; all that begin with ``PYTEST`` are left out as well."""
+"""Environment variables that change how Python runs the kit: they are left out, as are all that begin with ``PYTEST``."""
 
 _GRACE_S = 60.0
-"""An interrupted pytest closes sessions and devices, and writes its record; each of them has deadlines of its own."""
+"""Seconds that an interrupted pytest gets: it closes sessions and devices, each with its own deadlines, and writes its record."""
 
 
 def add_parser(subparsers: Any) -> None:
@@ -60,12 +60,12 @@ def add_parser(subparsers: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run, judge, write.
+    """Run the suite, judge the record, write the certificate.
 
     Raises:
-        UsageError: an option or the subject file is not what it should be.
+        UsageError: an option or the subject file is wrong.
         KitError: the suite did not run.
-        Refusal: no certificate.
+        Refusal: there is no certificate.
     """
     from ..certificate.eligibility import MINIMUM_REPS, unguarded
     from ..subject import load_subject, reference_subject
@@ -99,7 +99,7 @@ def _subject_file(given: Path | None) -> Path | None:
 
 
 def _run_suite(subject: Path | None, reps: int, out: Path) -> int:
-    """The exit code of pytest."""
+    """Run the suite in a process of its own; return the exit code of pytest."""
     with tempfile.TemporaryDirectory(prefix="otmcp-certify-") as root:
         ini = Path(root, "pytest.ini")
         ini.write_text("[pytest]\n", encoding="utf-8")
@@ -113,7 +113,7 @@ def _run_suite(subject: Path | None, reps: int, out: Path) -> int:
             "--pyargs",
             "pytest_otmcp.conformance",
         ]
-        # Nobody can know beforehand which values will be written and read.
+        # The seed is random, so that nobody can know beforehand which values will be written and read.
         command += [f"--otmcp-reps={reps}", f"--otmcp-seed={secrets.randbelow(2**32)}", f"--otmcp-report-dir={out}"]
         if subject is not None:
             command.append(f"--otmcp-subject={subject}")
@@ -121,15 +121,15 @@ def _run_suite(subject: Path | None, reps: int, out: Path) -> int:
 
 
 def _environment() -> dict[str, str]:
-    """The caller's environment without what would bend the run."""
+    """Return the caller's environment without the variables that would change the run."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST") and name not in _BENDING}
     return {**kept, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
 
 
 def _supervised(command: list[str], environment: dict[str, str]) -> int:
-    """Run a command to its end; an interruption is handed on once, however it reached us, and waited for."""
+    """Run a command to its end; pass an interruption on to it once, from whatever signal, and wait for its end."""
     with _interruptible():
-        # A session of its own: Ctrl-C in a terminal would reach it a second time, in the middle of its tidying up.
+        # The process has a session of its own: otherwise Ctrl-C in a terminal would reach it a second time, while it closes.
         process = subprocess.Popen(command, env=environment, stdin=subprocess.DEVNULL, start_new_session=True)
         try:
             return process.wait()
@@ -145,12 +145,12 @@ def _supervised(command: list[str], environment: dict[str, str]) -> int:
 
 @contextmanager
 def _interruptible() -> Iterator[None]:
-    """Whatever asks this process to end raises KeyboardInterrupt, so that nothing is left running."""
+    """Raise KeyboardInterrupt for every signal that asks this process to end, so that nothing is left running."""
 
     def interrupt(_number: int, _frame: FrameType | None) -> None:
         raise KeyboardInterrupt
 
-    # Also for SIGINT, which a shell may have set to be ignored; a child inherits that, but no handler.
+    # SIGINT is included: a shell may have set it to be ignored. A child process inherits that, but it inherits no handler.
     numbers = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
     before = {number: signal.signal(number, interrupt) for number in numbers}
     try:

@@ -1,4 +1,4 @@
-"""``otmcp doctor``: why an adapter does not start, or what it is when it does."""
+"""``otmcp doctor``: the reason why an adapter does not start, or facts about an adapter that starts."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Examine every adapter; 0 when all of them start and fit their description."""
+    """Examine every adapter; return 0 when all of them start and fit their description."""
     from ..session.loop import LoopThread
 
     loop = LoopThread()
@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         for adapter in _adapters(args):
             print(f"{protocols()[adapter.protocol].name}: {' '.join(adapter.variants['rw'].command)}")
-            # Variants that are started alike behave alike.
+            # Variants that are started in the same way behave in the same way, so one of them is enough.
             for variant in ("rw", "ro") if adapter.variants["ro"] != adapter.variants["rw"] else ("rw",):
                 healthy &= loop.run(_examine(adapter, variant))
     finally:

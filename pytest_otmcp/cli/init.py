@@ -40,10 +40,10 @@ def add_parser(subparsers: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the proposal and say what is left to fill in.
+    """Write the proposal and print what is left to fill in.
 
     Raises:
-        UsageError: the options do not say enough.
+        UsageError: an option is wrong, or the protocol cannot be recognised.
         Refusal: the adapter cannot be started.
     """
     if args.out.exists() and not args.force:
@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
     finally:
         loop.close()
     args.out.write_text(write_document(drafted), encoding="utf-8")
-    # A file that cannot be loaded is a fault of ours, and better found here than by its reader.
+    # A proposal that cannot be loaded is a fault of the kit; it is better found here than by the user.
     load_subject(args.out)
     print(f"\n{args.out} is written. What is left to fill in:")
     for line in drafted.left:
@@ -94,7 +94,7 @@ def parse_environment(options: Sequence[str]) -> Mapping[str, str]:
     """Return the options ``--env NAME=VALUE`` as a table.
 
     Raises:
-        UsageError: one of them is something else.
+        UsageError: an option has another form.
     """
     table = {}
     for option in options:
@@ -109,7 +109,7 @@ def recognise_protocol(words: Sequence[str]) -> str:
     """Return the one protocol that is named in these words.
 
     Raises:
-        UsageError: none, or more than one.
+        UsageError: the words name no protocol, or more than one.
     """
     text = " ".join(words)
     named = [key for key, protocol in protocols().items() if protocol.recognise.search(text)]

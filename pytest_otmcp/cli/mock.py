@@ -1,4 +1,4 @@
-"""``otmcp mock``: a mock started by hand, for any client to be pointed at."""
+"""``otmcp mock``: a mock started by hand, for any client."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> NoReturn:
-    """Become the mock; it checks its options itself."""
+    """Replace this process by the mock, which checks its options itself."""
     mock, clients = _mocks()[args.protocol]
     options = [f"--{option}={value}" for option in _options() if (value := getattr(args, option)) is not None]
     print(
@@ -43,12 +43,12 @@ def run(args: argparse.Namespace) -> NoReturn:
         file=sys.stderr,
         flush=True,
     )
-    # A module of the directory that this was called in must not stand in for one of the mock's.
+    # A module of the working directory must not take the place of a module of the mock.
     os.execv(sys.executable, [sys.executable, "-P", "-m", "pytest_otmcp.mocks", mock, *options])  # noqa: S606
 
 
 def _mocks() -> dict[str, tuple[str, str]]:
-    """Return each mock's name in the room of mocks, and the clients that it is for."""
+    """Return, by the name that the user gives, each mock's name in ``mocks`` and the clients that it is for."""
     devices = {key: (protocol.mock, protocol.clients) for key, protocol in protocols().items()}
     return devices | {name: (name, simulator.clients) for name, simulator in _simulators().items()}
 

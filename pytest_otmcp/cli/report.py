@@ -1,4 +1,4 @@
-"""``otmcp report``: everything that is made from a run record, made again without measuring."""
+"""``otmcp report``: every report of a run record, written again without measuring."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def run(args: argparse.Namespace) -> int:
 
     Raises:
         UsageError: there is no such file.
-        Refusal: it is no record that can be believed.
+        Refusal: the file is no record that can be believed.
         KitError: a report could not be written; the others were.
     """
     from ..record.condensed import condensed

@@ -1,7 +1,7 @@
-"""``otmcp verify``: whether a certificate follows from its run, and the run's judgement from its history.
+"""``otmcp verify``: a check that a certificate follows from its run, and the run's judgement from its history.
 
-Refused is what was edited, torn or is incomplete, and also what is in order but was judged by another kit: only the kit
-that judged a history can judge it again.
+The command refuses files that were edited or torn, or that are incomplete. It also refuses a valid record that another kit
+judged: only the kit that judged a history can judge it again.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ def add_parser(subparsers: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Verify, and say so.
+    """Verify the certificate and print the result.
 
     Raises:
         UsageError: one of the files is not there.
-        Refusal: something does not hold.
+        Refusal: the certificate or the record does not hold.
     """
     told = verify(args.certificate, args.record)
     counts = told["predicate"]["otmcp"]["counts"]["total"]
@@ -56,11 +56,11 @@ def run(args: argparse.Namespace) -> int:
 
 
 def verify(certificate_path: Path, record_path: Path) -> dict[str, Any]:
-    """The certificate, once everything in it has been derived again.
+    """Return the certificate, after everything in it has been derived again.
 
     Raises:
         UsageError: one of the files is not there.
-        Refusal: something does not hold; one sentence.
+        Refusal: the certificate or the record does not hold; the message is one sentence.
     """
     from ..record.reader import RecordError, open_record
 
@@ -92,7 +92,7 @@ def _derived(told: object, run: StoredRun, certificate_path: Path, record_path: 
         _refuse(f"{certificate_path} does not say what the run says", list(differences(told, expected)))
         _refuse(f"{record_path} was not judged as its history deserves", rejudge(run))
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
-        # This kit wrote records of its own runs with all that it reads here: this one was not written by this kit.
+        # A record that this kit wrote has everything that is read here: this one was not written by this kit.
         raise Refusal(f"refused: {record_path} holds what no run of this kit has written ({error!r})") from None
     return expected
 
@@ -114,7 +114,7 @@ def _statement(path: Path) -> Any:
 
 
 def _bound(statement: Any) -> list[Any]:
-    """The digests of the records that a statement is about."""
+    """Return the digests of the records that a statement is about."""
     try:
         about = statement["predicate"]["configuration"]
         return [entry["digest"]["sha256"] for entry in about if entry["name"] == "run.json"]

@@ -1,1 +1,1 @@
-"""Definitions that every room uses: errors, findings, statuses, the envelope, the error registry, statistics. Pure."""
+"""Definitions that all parts of the kit use: errors, findings, statuses, the error registry, statistics. Pure."""

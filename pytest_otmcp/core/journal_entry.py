@@ -1,4 +1,4 @@
-"""The contract of journal entries: every witness writes them, every record keeps them. Pure."""
+"""The contract of journal entries, which every witness (a mock or a tap) writes and every record keeps. Pure."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ __all__ = ["JournalEntry"]
 
 
 class JournalEntry(TypedDict):
-    """One thing that reached a device, or that it sent; a protocol adds members of its own.
+    """One message or event that a device received or sent; a protocol adds members of its own.
 
-    ``seq``: sequence number, from 0 since the device was started, without gaps. ``connection``: its number, 0 for none.
-    ``direction``: ``in`` for what the device received, ``out`` for what it sent. ``kind``: what it is, in the protocol's words.
-    ``origin``: who caused it: a ``client`` of the device, the ``plant``'s own simulation, or the ``kit``. ``request``: a client
-    asks the plant for something; keeping a session alive is no request. ``state_changing``: a request that may change the
-    plant. ``answers``: ``seq`` of the request that this entry answers, or None.
+    ``seq``: sequence number, from 0 since the device was started, without gaps. ``connection``: number of the
+    connection, 0 for none. ``direction``: ``in`` for what the device received, ``out`` for what it sent. ``kind``: its
+    type, in the protocol's words. ``origin``: who caused it: a ``client`` of the device, the ``plant``'s own
+    simulation, or the ``kit``. ``request``: a client asks the plant for something; keeping a session alive is no
+    request. ``state_changing``: a request that may change the plant. ``answers``: ``seq`` of the request that this
+    entry answers, or None.
     """
 
     seq: int

@@ -1,4 +1,4 @@
-"""Text from outside, made harmless. Pure."""
+"""Escaping of text from outside, which makes it harmless to show. Pure."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ __all__ = ["printable"]
 
 
 def printable(text: str, keep: str = "") -> str:
-    """Replace every letter that is not printable, but those to ``keep``, by its escape.
+    """Replace every character that is not printable by its escape, except those in ``keep``.
 
-    Control characters could colour a terminal or forge a line; those that turn the reading direction could make a
-    browser show something else than what is there.
+    Control characters could colour a terminal or forge a line; characters that change the reading direction could make
+    a browser show another text than the one that is there.
     """
     return "".join(letter if letter.isprintable() or letter in keep else repr(letter)[1:-1] for letter in text)

@@ -2,11 +2,11 @@
 
 The rules of this file:
 
-1. Nothing turns green by not having been tested. An item that did not run makes a run incomplete, a claimed operation
-   that cannot be exercised fails, and a run in which no item passed is no evidence of anything.
+1. An item that was not tested never counts as passed. An item that did not run makes a run incomplete, a claimed
+   operation that cannot be exercised fails, and a run in which no item passed is not evidence of conformance.
 2. A fault of the kit says nothing about the adapter: the verdict is indeterminate, also where the adapter failed.
-3. A known deviation is a debt. It can turn the exit code green, never the verdict, and only until it expires; one that
-   is not needed any more fails, so that no list of excuses outlives its reasons.
+3. A known deviation can make the exit code a success until the deviation expires; it never changes the verdict. A
+   deviation that is no longer needed makes the run fail, so that the list of deviations does not become out of date.
 4. A worse status of one item never gives a better verdict, and the order of the items does not matter.
 
 The verdicts, best first: ``CONFORMANT``, ``INCOMPLETE``, ``NOT CONFORMANT``, ``INDETERMINATE``.
@@ -68,7 +68,7 @@ class ExitCode(IntEnum):
 
     CONFORMANT = 0
     NOT_CONFORMANT = 1
-    """Also for a set that is not complete, and for deviations that are stale or expired."""
+    """The verdict is NOT CONFORMANT or INCOMPLETE, or a deviation is stale or expired."""
     USAGE = 2
     """A request of the user cannot be carried out, or the user interrupted the run."""
     INDETERMINATE = 3
@@ -99,7 +99,7 @@ def decide(statuses: Mapping[str, Status], required: Collection[str]) -> Verdict
     if Status.INTERRUPTED in found or not set(required) <= statuses.keys():
         return Verdict.INCOMPLETE
     if Status.PASS not in found:
-        # No item applied: that is no evidence of anything.
+        # No item applied, so there is no evidence.
         return Verdict.INDETERMINATE
     return Verdict.CONFORMANT
 
@@ -175,7 +175,7 @@ def judge_deviations(
         elif status in _FAILURES:
             used.add(item)
     used -= expired
-    # An excuse takes an item out and does not make it a pass: a list that excuses every item leaves no evidence.
+    # An excused item is left out; it does not count as passed. If every item is excused, no evidence is left.
     remaining = {item: Status.NOT_APPLICABLE if item in used else status for item, status in statuses.items()}
     return DeviationReport(
         used=tuple(sorted(used)),
@@ -188,7 +188,8 @@ def judge_deviations(
 def exit_code(verdict: Verdict, deviations: DeviationReport | None = None) -> ExitCode:
     """Return the exit code of a run.
 
-    Known deviations turn a failure green when nothing else is wrong; one that is stale or expired turns success red.
+    Known deviations turn a failure into success when nothing else is wrong; a stale or expired one turns success into
+    failure.
 
     Args:
         verdict: verdict on the whole run, deviations not considered.

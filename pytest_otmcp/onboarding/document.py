@@ -1,4 +1,4 @@
-"""Writes a subject file with the evidence for everything it says as comments. Pure."""
+"""The writing of a subject file, with the evidence for every entry as a comment. Pure."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Draft:
-    """What is known of an adapter.
+    """The facts that are known about an adapter.
 
     Attributes:
-        native: its answers are the kit's envelope.
-        proposals: operation to what is proposed for it; an operation that is missing found no tool.
+        native: True when its answers are the kit's envelope.
+        proposals: operation to its proposal; an operation without a tool is missing.
         connect: tool and arguments of a connect step.
         tools: names of all its tools.
         errors: error code to patterns of the texts in which the protocol's libraries report it.
-        left: sentences on what is left to be filled in; :func:`write_document` adds to it.
+        left: sentences on the entries that the user has to fill in; :func:`write_document` adds to it.
     """
 
     protocol: str
@@ -47,7 +47,7 @@ class Draft:
 
 
 def write_document(draft: Draft) -> str:
-    """Return the subject file; what is left to be filled in is added to ``draft.left``."""
+    """Return the subject file; add the entries that the user has to fill in to ``draft.left``."""
     form = _form(draft.proposals.values())
     lines = [
         "# Proposed by `otmcp init`: guessed from names, tried at a mock device. Read every line; docs/subject-file.md says",
@@ -171,7 +171,7 @@ def _binding(draft: Draft, operation: str, form: str) -> list[str]:
             f"{operation} ({asked.meaning}): {guess.tool!r} was the likeliest tool, but the device saw no proof"
         )
         comments.append("# Only a guess; take the comment signs away when it is right.")
-    # A table that cannot be judged yet stays a comment.
+    # A binding that is only a guess, or lacks a result, stays a comment.
     return [*comments, *(f"# {line}" for line in (head, *body))]
 
 

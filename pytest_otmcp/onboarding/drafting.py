@@ -1,4 +1,4 @@
-"""Starts an adapter at a mock device, reads its tools, tries them, and drafts its subject file."""
+"""The draft of a subject file: an adapter is started at a mock device, its tools are read and tried."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def describe_launch(
     start_timeout_s: float,
     connect: Connect | None = None,
 ) -> Adapter:
-    """Describe an adapter of which only the launch is known."""
+    """Describe an adapter whose launch is all that is known."""
     variant = Variant(command=tuple(command), env=dict(env), cwd=None, files={})
     return Adapter(
         protocol=protocol,
@@ -55,9 +55,9 @@ async def draft(adapter: Adapter, pack: Pack, device: MockDevice, say: Callable[
 
     Args:
         adapter: as :func:`describe_launch` makes it.
-        pack: of its protocol.
+        pack: that of its protocol.
         device: a running mock of its protocol.
-        say: called with each line on the progress.
+        say: called with each line about the progress.
 
     Raises:
         SubjectError: the adapter cannot be started.

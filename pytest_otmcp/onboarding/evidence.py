@@ -1,4 +1,4 @@
-"""Finds a value that is known in an answer whose shape is not: where it is becomes the rule of a subject file. Pure."""
+"""The search for a known value in an answer of unknown shape; its place becomes a rule of the subject file. Pure."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Found:
-    """Where a value is in an answer.
+    """The place of a value in an answer.
 
     Attributes:
         form: ``structured``, ``json`` or ``text``.
@@ -32,7 +32,7 @@ class Found:
 def find(
     message: Mapping[str, object], expected: object, forms: Sequence[str] = ("structured", "json", "text")
 ) -> Found | None:
-    """Find where ``expected`` (a value, or a list of them) is; the rule has been tried on the answer."""
+    """Find the place of ``expected`` (a value or a list of values); the rule has been tried on the answer."""
     for form in forms:
         document = read_answer(message, form)[0]
         if document is None:

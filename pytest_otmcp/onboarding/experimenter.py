@@ -1,4 +1,4 @@
-"""Tries guesses at a mock device: what the device saw, and where its values turn up in the answer, is the proof."""
+"""The trial of guesses at a mock device; the proof is what the device saw, and its values in the answer."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from .guess import Guess
 __all__ = ["Experiment", "Experimenter", "Proposal", "Shown", "reach"]
 
 _TRIES = 4
-"""Likeliest tools that are tried for an operation."""
+"""Number of tools that are tried for an operation, the likeliest first."""
 
 _LATE_S = 0.2
-"""Seconds for which a late journal entry is waited for."""
+"""Seconds to wait for a late journal entry."""
 
 
 @dataclass(slots=True, kw_only=True)
 class Proposal:
-    """A binding, and what speaks for it.
+    """A proposed binding and the evidence for it.
 
     Attributes:
-        proven: the device has seen what it should have seen.
+        proven: True when the device has seen the expected request.
         evidence: sentences for the file's comments.
-        offset: input to what has to be added to it.
+        offset: input to the number that has to be added to it.
         form: where the answer's document is: ``structured``, ``json`` or ``text``.
         outputs: output to its rule.
         good, bad: answers to a call that succeeded and to one that had to fail.
@@ -51,11 +51,11 @@ class Proposal:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shown:
-    """What a call showed.
+    """The observations of one call.
 
     Attributes:
         message: the answer; None when there is none.
-        entries: what reached the device.
+        entries: journal entries that the device wrote during the call.
         words: the answer, or why there is none, in a few words.
     """
 
@@ -65,7 +65,7 @@ class Shown:
 
 
 class Experimenter:
-    """Calls tools of one adapter at one mock device, and draws proposals from what that showed.
+    """An experimenter that calls tools of one adapter at one mock device, and makes proposals from the results.
 
     Attributes:
         device: the mock device.
@@ -75,7 +75,7 @@ class Experimenter:
     def __init__(
         self, adapter: AdapterUnderTest, device: MockDevice, late: Mapping[str, object] | None = None, seed: int = 0
     ) -> None:
-        """Take an adapter that is pointed at the device.
+        """Take an adapter that is configured for the device.
 
         Args:
             late: a journal entry that may follow the answer to a call; see :class:`~pytest_otmcp.onboarding.pack.Pack`.
@@ -86,7 +86,7 @@ class Experimenter:
         self._late = late
 
     async def best(self, guesses: list[Guess], experiment: Experiment) -> Proposal | None:
-        """Return the first guess that the device confirms, else the likeliest one with what was seen."""
+        """Return the proposal for the first guess that the device confirms, else for the likeliest guess."""
         tried: list[Proposal] = []
         for variation in (variation for guess in guesses[:_TRIES] for variation in guess.variations()):
             proposal = await self._try(variation, experiment)
@@ -133,7 +133,7 @@ class Experimenter:
     def propose(
         self, guess: Guess, shown: Shown, *, proven: bool, seen: str, offset: Mapping[str, int] | None = None
     ) -> Proposal:
-        """Make a proposal of a guess and what its call showed.
+        """Make a proposal from a guess and the observations of its call.
 
         Args:
             seen: what the device saw, in words; empty for nothing.
@@ -142,7 +142,7 @@ class Experimenter:
         return Proposal(guess=guess, proven=proven, evidence=evidence, offset=dict(offset or {}), good=shown.message)
 
     async def provoke(self, proposal: Proposal, code: str, **inputs: object) -> None:
-        """Call the tool so that it has to fail, for the rules that tell failures.
+        """Call the tool so that it has to fail, and keep the answer for the rules that recognise failures.
 
         Args:
             code: the error code that this failure should have.
@@ -161,7 +161,7 @@ class Experimenter:
         proposal.evidence.append(f"the value {str(expected)[:60]} of the device was found there")
 
     def locate_echo(self, proposal: Proposal, output: str, expected: object) -> None:
-        """Look for a value that an answer may repeat: only where a structure says that it is one, not in a sentence."""
+        """Look for a value that an answer may repeat; a structure shows that it is this value, a sentence does not."""
         found = None if proposal.good is None else find(proposal.good, expected, ("structured", "json"))
         if found is not None and set(found.rule) == {"path"} and found.form == (proposal.form or found.form):
             proposal.form = found.form
@@ -169,7 +169,7 @@ class Experimenter:
 
 
 Experiment = Callable[[Experimenter, Guess], Awaitable[Proposal]]
-"""Tries a guess for one operation."""
+"""A function that tries a guess for one operation."""
 
 
 async def reach(experimenter: Experimenter, guess: Guess) -> Proposal:

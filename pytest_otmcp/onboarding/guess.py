@@ -18,7 +18,7 @@ class Guess:
     Attributes:
         score: higher is likelier.
         arguments: template as a subject file has it.
-        convert: input to the type in which the tool seems to want it.
+        convert: input to the type that the tool seems to expect.
         missing: required arguments for which no value is known.
         trials: further arguments, each with values to try.
     """
@@ -32,7 +32,7 @@ class Guess:
     trials: Mapping[str, tuple[str, ...]]
 
     def variations(self) -> list[Guess]:
-        """Return this guess with every combination of what there is to try; just itself when there is nothing."""
+        """Return one guess for each combination of the values to try; only this guess when there are none to try."""
         names = list(self.trials)
         combinations = islice(product(*self.trials.values()), _MOST_TRIALS)
         return [

@@ -1,4 +1,4 @@
-"""Why an adapter does not start, and what helps: known causes, recognised by the last words it wrote. Pure."""
+"""Known causes why an adapter does not start, with remedies; recognised by the last lines that it wrote. Pure."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Advice:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KnownCause:
-    """A cause that is recognised by words.
+    """A cause that is recognised by words in the adapter's last lines.
 
     Attributes:
         group: of several causes of one group only the first is named.
@@ -33,7 +33,7 @@ class KnownCause:
     remedy: str
 
 
-# Seen with adapters from the package index, in the order of how specific they are.
+# These causes were seen with adapters from the package index; the most specific come first.
 _CAUSES = (
     KnownCause(
         group="sdk",
@@ -123,7 +123,7 @@ _CAUSES = (
 
 
 def find_advice(words: str, causes: Iterable[KnownCause] = ()) -> list[Advice]:
-    """Find what is known about an adapter that failed with these words, most specific first; empty for nothing.
+    """Return the advice for an adapter that failed with these words, most specific first; empty when no cause is known.
 
     Args:
         causes: further known causes, such as those of a protocol's libraries; they are more specific than the others.
@@ -134,7 +134,7 @@ def find_advice(words: str, causes: Iterable[KnownCause] = ()) -> list[Advice]:
 def _advice(words: str, causes: Iterable[KnownCause]) -> Iterator[Advice]:
     named: set[str] = set()
     for known in causes:
-        # A handshake that ended with an exception says more than that it did not end well.
+        # A more specific cause also explains a missing module or an unfinished handshake; these are not named then.
         if known.group in named or (known.group in ("module", "silent") and named):
             continue
         match = re.search(known.pattern, words)

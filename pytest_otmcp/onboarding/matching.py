@@ -1,4 +1,4 @@
-"""Which tool may perform which operation, and with which arguments: guessed from names, descriptions and schemas. Pure."""
+"""The guesses of tools and arguments for operations, made from names, descriptions and schemas. Pure."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .pack import Hints, Pack
 __all__ = ["guess_connect", "guess_tools"]
 
 _ARGUMENTS: Mapping[str, str] = {"value": "value data val new_value values data_value"}
-"""An input of operations of any protocol to the names that tools have for it; packs add those of their own."""
+"""Inputs that operations of any protocol have, to the names that tools have for them; packs add their own inputs."""
 
 _ENDPOINT: tuple[tuple[str, str], ...] = (
     (r"^(host|ip|hostname|broker_host|server_host|address_host)$", "{host}"),
@@ -24,7 +24,7 @@ _ENDPOINT: tuple[tuple[str, str], ...] = (
 _PROTOCOL = r"^(protocol|proto)$"
 _CONNECTION = r"^(conn|connection|connection_string|device|target|resource|endpoint|server)$"
 _CONNECTIONS = ("tcp:{host}:{port}", "{host}:{port}", "tcp://{host}:{port}", "{url}")
-"""How required arguments of these names may want to be told where the device is."""
+"""Forms in which a required argument whose name matches ``_CONNECTION`` may expect the device's address."""
 
 
 def guess_tools(pack: Pack, operation: str, tools: Mapping[str, Mapping[str, object]]) -> list[Guess]:
@@ -59,7 +59,7 @@ def _properties(tool: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _resolved(value: object, definitions: Mapping[str, object], depth: int) -> object:
-    """Replace the local references of a schema, as deep as arguments of tools are nested."""
+    """Replace the local references of a schema, down to the depth to which tools nest arguments."""
     if depth > 8:
         return value
     if isinstance(value, Mapping):
@@ -114,7 +114,7 @@ def _trials(pack: Pack, hints: Hints, argument: str) -> tuple[str, ...]:
 
 
 Inputs = Mapping[str, tuple[str, ...]]
-"""An input of an operation to the names that tools have for it."""
+"""The inputs of an operation, to the names that tools have for them."""
 
 
 def _arguments(
@@ -143,7 +143,7 @@ def _arguments(
 
 
 def _named(names: tuple[str, ...], properties: Mapping[str, object], taken: Mapping[str, object]) -> str | None:
-    """Find the property that has the first of these names that any has."""
+    """Find the property for these names; earlier names take precedence."""
     free = [key for key in properties if key not in taken]
     return next((key for name in names for key in free if key.lower() == name), None)
 
@@ -190,7 +190,7 @@ def _kinds(schema: Mapping[str, Any]) -> set[str]:
 
 
 def _choice(hints: Hints, schema: Mapping[str, Any]) -> str | None:
-    """Find the value of an enumerated argument that names what the operation is about."""
+    """Find the value of an enumerated argument that names the operation's subject, such as a table."""
     values: list[Any] = schema.get("enum") or next(
         (entry["enum"] for entry in schema.get("anyOf") or [] if isinstance(entry, dict) and "enum" in entry), []
     )

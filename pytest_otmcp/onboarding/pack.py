@@ -1,4 +1,4 @@
-"""What ``otmcp init`` has to know of one protocol: the words of its tools, experiments, and failures of its libraries."""
+"""The pack of one protocol, which ``otmcp init`` needs: words of its tools, experiments, failures of its libraries."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["Hints", "Pack", "load_pack"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hints:
-    """What tells the tool for an operation from others, and how it is tried. Words are separated by blanks.
+    """Hints that tell the tool for an operation from others, and its experiment. Words are separated by blanks.
 
     Attributes:
         likely: words of a tool's name or description that speak for the operation.
@@ -38,18 +38,18 @@ class Hints:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pack:
-    """What a protocol offers for the proposal of bindings.
+    """The knowledge about one protocol for the proposal of bindings.
 
     Attributes:
         protocol: its key.
         operations: every abstract operation of the protocol, by name.
-        arguments: an input of operations to the names that tools have for it, separated by blanks.
+        arguments: input of operations to the names that tools have for it, separated by blanks.
         lists: inputs that are lists by themselves.
         constants: pattern of an argument's name, to the value that the mock device wants there.
-        names: how an argument may want the protocol to be called.
+        names: names of the protocol that an argument may expect.
         late: a journal entry that may follow the answer to a call, as members and values; None when none does.
         errors: error code to patterns of the texts in which libraries report it.
-        causes: why an adapter does not start, as far as it is about this protocol's libraries.
+        causes: known causes in this protocol's libraries why an adapter does not start.
     """
 
     protocol: str

@@ -1,4 +1,4 @@
-"""What the kit asks of a device, mock or not: its life, its journal, its image."""
+"""The interface of a device, mock or not: its life, its journal, its image."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ __all__ = ["Device", "Journal", "check_kept"]
 
 
 def check_kept(since: int, first: int) -> None:
-    """Refuse to answer for entries that a journal no longer holds.
+    """Raise an error when a journal no longer holds the entries asked for.
 
     Args:
-        since: sequence number from which on entries are asked for.
-        first: that of the oldest entry that the journal holds.
+        since: sequence number of the first entry asked for.
+        first: sequence number of the oldest entry that the journal holds.
 
     Raises:
         KitError: the oldest of the entries were released, or have given way to newer ones.
@@ -44,9 +44,9 @@ class Device(Protocol):
     """A device that adapters connect to and that is the witness of what they do.
 
     Attributes:
-        running: it serves.
-        accepting_ns: monotonic; since when it serves. A TCP port accepts connections then. Of a UDP port or a pseudo terminal,
-            where nothing is accepted, it is the time at which the device said that it reads its telegrams.
+        running: True while it serves.
+        accepting_ns: monotonic time since which it serves. A TCP port accepts connections then. A UDP port or a pseudo
+            terminal accepts nothing; there it is the time at which the device said that it reads its telegrams.
     """
 
     running: bool
@@ -54,7 +54,7 @@ class Device(Protocol):
 
     @property
     def endpoints(self) -> Mapping[str, Endpoint]:
-        """Where adapters reach it, by name, the main endpoint first; empty before the launch."""
+        """Its endpoints for adapters, by name, the main endpoint first; empty before the launch."""
         ...
 
     @property
@@ -75,8 +75,8 @@ class Device(Protocol):
         """
 
     async def stop(self) -> None:
-        """Take its endpoints away: TCP connections die and new ones are refused; to datagrams and telegrams there is silence,
-        and none that is sent meanwhile is ever delivered."""
+        """Take its endpoints away: TCP connections break and new ones are refused; datagrams and telegrams are not
+        answered, and those that are sent meanwhile are never delivered."""
 
     async def start(self) -> None:
         """Bring its endpoints back at the same addresses, with an empty journal; ``accepting_ns`` says when."""
@@ -97,7 +97,7 @@ class Device(Protocol):
         ...
 
     async def first(self) -> int:
-        """Return the sequence number of the oldest journal entry that has not been released; that of the next without one."""
+        """Return the sequence number of the oldest journal entry that has not been released, or of the next entry."""
         ...
 
     async def journal(self, since: int) -> Journal:
@@ -111,8 +111,8 @@ class Device(Protocol):
     async def wait(
         self, since: int, match: Mapping[str, object], *, timeout_s: float, count: int = 1
     ) -> list[JournalEntry]:
-        """Return the entries from ``since`` on that have all fields of ``match``: as soon as there are ``count`` of them, or
-        those that there are when the time is over.
+        """Wait for entries from ``since`` on that have all fields of ``match``; return them as soon as there are
+        ``count``, or those found when the time is over.
 
         Raises:
             KitError: the oldest entries from ``since`` on were released, or have given way to newer ones.

@@ -1,4 +1,4 @@
-"""The devices of a run; each is started once, when it is asked for first."""
+"""The devices of a run; each is started once, when it is first asked for."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["Plant"]
 
 
 class Plant:
-    """The devices. Use its methods on the kit's loop.
+    """The devices of a run. Its methods are to be used on the kit's loop.
 
     Args:
         external: protocol to the URL of a device of the user's own, used behind the kit's tap instead of the mock.
@@ -48,10 +48,10 @@ class Plant:
         """Return the device ``protocol`` or ``protocol@instance``, running.
 
         Raises:
-            KitError: it could not be started; raised again at once when it is asked for again.
+            KitError: it could not be started; every later request raises the error again at once.
         """
         self._launch(name)
-        # All who ask wait for the one launch; one who gives up waiting does not cancel it for the others.
+        # All callers wait for the same launch; a caller that stops waiting does not cancel it for the others.
         await asyncio.shield(self._launches[name])
         return self._devices[name]
 

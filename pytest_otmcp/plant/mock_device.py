@@ -1,8 +1,8 @@
-"""Mock devices as processes of their own, and the channel on which they tell what they saw.
+"""Mock devices as processes of their own, and the control channel on which they report what they saw.
 
 The kit never imports a mock. It starts ``python -m pytest_otmcp.mocks NAME``, speaks one-word commands to its launcher
 (``stop``, ``start``) and JSON lines to its control socket (image, journal, poke, fault, …). A mock that dies or does
-not answer is a :class:`~pytest_otmcp.errors.KitError`: never the adapter's fault.
+not answer is a :class:`~pytest_otmcp.core.errors.KitError`: never the adapter's fault.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ class _Control:
 
 
 class MockDevice:
-    """One mock device: its life, and what it witnessed. See :class:`~pytest_otmcp.plant.device.Device`.
+    """One mock device: its life, its journal, its image. See :class:`~pytest_otmcp.plant.device.Device`.
 
     Args:
         mock: name of the mock as ``python -m pytest_otmcp.mocks`` takes it: a built-in one, or the dotted name of a package.
@@ -88,8 +88,8 @@ class MockDevice:
 
     Attributes:
         endpoints: see :class:`~pytest_otmcp.plant.device.Device`.
-        running: it serves.
-        accepting_ns: monotonic; since when it serves: when its launcher said so.
+        running: True while it serves.
+        accepting_ns: monotonic time at which its launcher said that it serves.
     """
 
     def __init__(self, mock: str, protocol: str | None = None) -> None:
@@ -118,7 +118,7 @@ class MockDevice:
 
     async def launch(self) -> None:
         """Start the mock program and wait until its device serves, with its simulation paused."""
-        # A module of the working directory must not stand in for one that the mock imports.
+        # A module of the working directory must not replace one that the mock imports.
         command = [sys.executable, "-P", "-m", "pytest_otmcp.mocks", self._mock]
         self._launcher = await asyncio.create_subprocess_exec(
             *command,
@@ -157,7 +157,7 @@ class MockDevice:
         await self.ask("pause")
 
     async def stop(self) -> None:
-        """Kill the device process: its connections die, its TCP ports refuse, its other endpoints are silent."""
+        """Kill the device process: its connections break, its TCP ports refuse, its other endpoints do not answer."""
         await self._command("stop")
         await self._event("stopped")
         self.running = False
@@ -219,7 +219,7 @@ class MockDevice:
         return int((await self.ask("journal", since=sys.maxsize))["next"])
 
     async def first(self) -> int:
-        """Return the sequence number of the oldest journal entry that has not been released; that of the next without one."""
+        """Return the sequence number of the oldest journal entry that has not been released, or of the next entry."""
         return int((await self.ask("journal", since=sys.maxsize))["first"])
 
     async def journal(self, since: int) -> Journal:
@@ -239,8 +239,8 @@ class MockDevice:
     async def wait(
         self, since: int, match: Mapping[str, object], *, timeout_s: float, count: int = 1
     ) -> list[JournalEntry]:
-        """Return the entries from ``since`` on that have all fields of ``match``: as soon as there are ``count`` of them, or
-        those that there are when the time is over.
+        """Wait for entries from ``since`` on that have all fields of ``match``; return them as soon as there are
+        ``count``, or those found when the time is over.
 
         Raises:
             KitError: the oldest entries from ``since`` on were released, or have given way to newer ones.

@@ -44,12 +44,12 @@ class TappedBroker(TappedDevice):
             pass
 
     async def poke(self, **params: Any) -> None:
-        """Publish a message past the tap, ``publish``: ``topic``, ``payload`` (base64), ``qos`` (0 or 1), ``retain``.
+        """Publish past the tap; ``publish`` has ``topic``, ``payload`` (base64), ``qos`` (0 or 1) and ``retain``.
 
-        Returns when the broker has taken it; the journal has it as the kit's, on connection 0.
+        It returns when the broker has accepted the message; the journal has it with origin ``kit``, on connection 0.
 
         Raises:
-            KitError: something else was asked for, or the broker does not take it.
+            KitError: something else was asked for, or the broker does not accept the message.
         """
         if set(params) != {"publish"}:
             raise KitError(f"the {self.noun} can be told to publish and nothing else, not {', '.join(params)}")
@@ -66,7 +66,7 @@ class TappedBroker(TappedDevice):
 
     @asynccontextmanager
     async def _connection(self) -> AsyncIterator[asyncio.StreamWriter]:
-        """Open a connection of the kit's own; at its end everything written has been taken by the broker."""
+        """Open a connection of the kit's own; when it ends, the broker has handled everything written."""
         framer = Framer(packet_length)
         try:
             async with asyncio.timeout(_ANSWER_TIMEOUT_S):
@@ -80,7 +80,7 @@ class TappedBroker(TappedDevice):
                     if (answer := await _answer(reader, framer, 0x20))[-1] != 0:
                         raise KitError(f"the {self.noun} refuses the kit with return code {answer[-1]}")
                     yield writer
-                    # Packets are handled in order ([MQTT-4.6.0]): the answer to this one covers those before.
+                    # Packets are handled in order ([MQTT-4.6.0]): the answer to this packet covers the earlier ones.
                     writer.write(_packet(0xC0, b""))
                     await _answer(reader, framer, 0xD0)
                     writer.write(_packet(0xE0, b""))
@@ -105,7 +105,7 @@ def _packet(first: int, content: bytes) -> bytes:
 
 
 async def _answer(reader: asyncio.StreamReader, framer: Framer, kind: int) -> bytes:
-    """Return the next packet of this kind; others in between are left alone."""
+    """Return the next packet of this kind; others in between are ignored."""
     while True:
         data = await reader.read(65536)
         if not data:

@@ -25,15 +25,15 @@ class TappedDevice:
     A protocol adds in a sub-class what it takes to find out that the device is there, and to change it past the tap.
 
     Args:
-        noun: what the device is called in sentences, with its address, such as ``broker mqtt://10.0.0.1``.
+        noun: name of the device in sentences, with its address, such as ``broker mqtt://10.0.0.1``.
         target: its endpoint.
         framing: how to cut and decode what passes.
 
     Attributes:
         tap: the tap, for fault rules.
         endpoints: the tap, under the name of the target.
-        running: the tap hands on what comes.
-        accepting_ns: monotonic; since when it does.
+        running: True while the tap hands on what comes.
+        accepting_ns: monotonic time since which it does.
     """
 
     def __init__(self, noun: str, target: Endpoint, framing: Framing) -> None:
@@ -112,7 +112,7 @@ class TappedDevice:
         return self.tap.journal.next
 
     async def first(self) -> int:
-        """Return the sequence number of the oldest journal entry that has not been released; that of the next without one."""
+        """Return the sequence number of the oldest journal entry that has not been released, or of the next entry."""
         return self.tap.journal.first
 
     async def journal(self, since: int) -> Journal:
@@ -132,8 +132,8 @@ class TappedDevice:
     async def wait(
         self, since: int, match: Mapping[str, object], *, timeout_s: float, count: int = 1
     ) -> list[JournalEntry]:
-        """Return the entries from ``since`` on that have all fields of ``match``: as soon as there are ``count`` of them, or
-        those that there are when the time is over.
+        """Wait for entries from ``since`` on that have all fields of ``match``; return them as soon as there are
+        ``count``, or those found when the time is over.
 
         Raises:
             KitError: the oldest entries from ``since`` on were released, or have given way to newer ones.

@@ -1,4 +1,4 @@
-"""Place and collection of the shipped suite: always whole, the ini of the repository that it runs in does not apply.
+"""Place and collection of the shipped suite: it is always collected whole, and the ini of the repository does not apply to it.
 
 The user decides on the command line, not in the ini, which items of the suite run (``-k``, ``--otmcp-suite`` …) and
 whether it runs at all. File name patterns, name prefixes and directories not to be recursed into in an ini are about the
@@ -91,8 +91,7 @@ class ShippedModule(pytest.Module):
 
 @contextmanager
 def ignore_warnings() -> Iterator[None]:
-    """Ignore warnings of the kit and of its libraries: the ``filterwarnings`` of the repository it runs in are not for
-    them."""
+    """Ignore warnings of the kit and of its libraries: the ``filterwarnings`` of the repository are not meant for them."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         yield

@@ -1,4 +1,4 @@
-"""The controller's half of a run: collects the items of all workers, decides the verdict and writes ``run.json``.
+"""The controller's half of a run: it collects the items of all workers, decides the verdict and writes ``run.json``.
 
 With pytest-xdist the workers' results reach the controller as plain data on the test reports; only the controller writes.
 """
@@ -42,12 +42,12 @@ _PACKAGES = ("mcp", "pytest", "pytest-xdist")
 
 
 class RunRecorder:
-    """Collects results on the controller and writes ``run.json``.
+    """Collector of the results on the controller, and writer of ``run.json``.
 
     Args:
         settings, subject: of the run.
-        required: ids, in the suite's order, of all items of the shipped suite, whatever was left of them after filters.
-        narrowed: what narrowed or shadowed the suite; may grow until :meth:`finish`.
+        required: ids, in the suite's order, of all items of the shipped suite, also of those that filters removed.
+        narrowed: sentences on everything that narrowed or shadowed the suite; may grow until :meth:`finish`.
         workers: number of pytest-xdist workers, 0 for none.
         begun: monotonic time at which the session began.
 
@@ -79,14 +79,14 @@ class RunRecorder:
         self._begun = begun
         self._started = datetime.now(UTC)
         self._writer: RunWriter | None = None
-        # Samples that a run left which was killed.
+        # Samples that a killed run has left.
         shutil.rmtree(settings.report_dir / SPOOLS, ignore_errors=True)
-        # A deviation that no item can have is said now, not after the run.
+        # A deviation that no item can have is reported now, not after the run.
         judge_deviations(subject.deviations, {}, required, self._started.date())
 
     @property
     def path(self) -> Path:
-        """Where the record is written."""
+        """Path of the record."""
         return self.settings.report_dir / "run.json"
 
     @property
@@ -105,7 +105,7 @@ class RunRecorder:
         return sum(status not in (Status.PASS, Status.NOT_APPLICABLE) for status in self.statuses.values())
 
     def add(self, result: ItemResult, worker: str, facts: WorkerFacts) -> bool:
-        """Take an item's result and write it at once; False when there is one already, which stays."""
+        """Take an item's result and write it at once; return False when the item has one already, which stays."""
         from ..record.writer import RunWriter, SampleSpool
 
         item, spool = result["item"], Path(result["spool"])
@@ -144,7 +144,7 @@ class RunRecorder:
                 spent[what] = round(spent.get(what, 0.0) + seconds, 3)
         elapsed = self.elapsed_s
         if not self._workers:
-            # What no span has claimed is the kit's as well: collection, pytest itself, writing the record.
+            # Time outside of every span counts as the kit's: collection, pytest itself, writing the record.
             spent["kit"] = round(spent.get("kit", 0.0) + max(0.0, elapsed - sum(spent.values())), 3)
         calls: Counter[Role] = Counter(dict.fromkeys(ROLES, 0))
         for measured in self._measured:
@@ -165,7 +165,7 @@ class RunRecorder:
 
     @property
     def exit_code(self) -> ExitCode:
-        """What the run tells a shell, once it is finished."""
+        """Exit code of the finished run."""
         assert self.verdict is not None
         return exit_code(self.verdict, self.deviations)
 
@@ -218,7 +218,7 @@ class RunRecorder:
                         device.option: settings.external.get(protocol, "embedded")
                         for protocol, device in external_devices().items()
                     },
-                    # The same list until the end: what is noted while the run goes on is in the finished record.
+                    # The same list until the end, so that the finished record has what is noted during the run.
                     "narrowed": self._narrowed,
                 },
             ),
@@ -242,7 +242,7 @@ def _protocol(protocol: OtProtocol) -> Protocol:
 
 
 def _merged(workers: Iterable[Mapping[str, AdapterFacts]]) -> dict[str, AdapterFacts]:
-    """The adapters of all workers: each has opened its own sessions and used its own bindings of the one subject."""
+    """Merge the adapters of all workers: each has opened its own sessions and used some of the subject's bindings."""
     merged: dict[str, AdapterFacts] = {}
     for adapters in workers:
         for key, facts in adapters.items():

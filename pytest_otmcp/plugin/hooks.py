@@ -89,7 +89,7 @@ def pytest_configure(config: pytest.Config) -> None:
         config.addinivalue_line("markers", f"otmcp_{protocol}: an item on this protocol alone")
     config.addinivalue_line("markers", "otmcp_cross: an item on several protocols")
     if config.option.help or config.option.version:
-        # A mistake in an ini must not keep the user from reading how to correct it.
+        # A mistake in the ini must not prevent the user from reading how to correct it.
         return
     try:
         config.stash[SETTINGS] = read_settings(config)
@@ -108,7 +108,7 @@ def _is_worker(config: pytest.Config) -> bool:
 
 
 def _worker(config: pytest.Config) -> str | None:
-    """The name that pytest-xdist gave this process; None without it."""
+    """Return the name that pytest-xdist gave this process; None without pytest-xdist."""
     return str(config.workerinput["workerid"]) if hasattr(config, "workerinput") else None
 
 
@@ -224,7 +224,7 @@ def _required_tasks(config: pytest.Config) -> dict[str, Task]:
 
 
 def _task_ids(items: list[pytest.Item]) -> list[str]:
-    """Return the ids of the tasks of all items of the suite; one that is there twice counts twice."""
+    """Return the ids of the tasks of all items of the suite; a task with two items is listed twice."""
     return [task.id for item in items if (task := task_of(item)) is not None and is_shipped(item.path)]
 
 
@@ -304,7 +304,7 @@ def pytest_runtest_makereport(
     report = yield
     result = item.stash.get(RESULT, None)
     if result is not None and report.when == "call":
-        # An attribute that is text survives the way from an xdist worker to the controller, for every answer of an adapter.
+        # An attribute that is text reaches the controller from an xdist worker unchanged, whatever an adapter has answered.
         setattr(report, _RESULT, json.dumps(result))
         setattr(report, _FACTS, json.dumps(item.config.stash[RUN].facts()))
         del item.stash[RESULT]
@@ -376,7 +376,7 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
 
 
 def _exit_status(exitstatus: int, recorder: Any, failures: int) -> int:
-    """Return the verdict's exit code, or pytest's own for an interrupted or broken run, one without tests, or one with
+    """Return the verdict's exit code, or pytest's own for an interrupted or broken run, a run without tests, or a run with
     failures beside those that the verdict is about."""
     if exitstatus not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
         return exitstatus

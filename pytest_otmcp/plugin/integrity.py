@@ -1,4 +1,4 @@
-"""Checks that the kit that runs is the kit that was installed: its files, its functions in memory, the tasks.
+"""Checks that the running kit is the installed kit: its files, its functions in memory, the tasks.
 
 The checks cannot prevent a determined person from manipulating a run; they make the record of such a run say so.
 """
@@ -28,8 +28,9 @@ _PACKAGE = __package__.partition(".")[0]
 _ROOMS_WITHOUT_JUDGEMENT = tuple(
     f"{_PACKAGE}.{room}" for room in ("cli", "onboarding", "report", "conformance", "mocks", "reference_adapters")
 )
-"""Rooms that show results or help with a subject file, and those that a wheel has inside of the kit's folder: tasks are compared
-with their declarations, and the others run in processes of their own. Every other room takes part in a judgement."""
+"""Packages that take no part in a judgement: those that show results or help with a subject file, and those that only a wheel
+has inside the kit's folder (of these, tasks are compared with their declarations, and mocks and adapters run in processes of
+their own). Every other package takes part in a judgement."""
 
 
 def changed_files() -> list[str]:

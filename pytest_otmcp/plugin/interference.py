@@ -21,9 +21,9 @@ an item ran twice                                  a second result              
 ``note`` takes sentences of other modules: changed files and functions of the kit (``integrity``), ``--maxfail``
 (``hooks``), sentences of xdist workers.
 
-A filter is mentioned when it took items away. Code that runs around the items, or replaces code of the kit, is mentioned
-because it is there. Nothing here changes a result: results are the kit's own, also where pytest or a plugin reports
-another outcome.
+A filter is mentioned when it took items away. Code that runs around the items, or replaces code of the kit, is always
+mentioned. This module changes no result: results are the kit's own, also where pytest or a plugin reports another
+outcome.
 """
 
 from __future__ import annotations
@@ -238,7 +238,7 @@ def _find_own_plugins(config: pytest.Config, hook: Any) -> Iterator[str]:
 def _is_own(file: str, root: Path) -> bool:
     """Tell whether a file is a conftest or of the repository that the suite runs in; installed files and the kit's are not.
 
-    Installed plugins are part of the environment, as Python is; they are noticed by their effects.
+    Installed plugins are part of the environment, as Python is; only their effects are noted.
     """
     path = Path(file)
     if path.name == "conftest.py":

@@ -51,7 +51,7 @@ class RunSettings:
         seed: seed of the values that repetitions use.
         era: MCP protocol era, ``auto`` or ``legacy``.
         time_scale: factor on deadlines and windows; windows in which nothing may happen are never shortened.
-        external: protocol to the URL of a device of the user's own in the mock's place.
+        external: protocol to the URL of the user's device in the mock's place.
     """
 
     reps: int

@@ -1,4 +1,5 @@
-"""What the process that executed an item tells the controller of it: plain data, however many repetitions there were."""
+"""Results that the process that executed an item sends to the controller: plain data of a size that does not grow with the
+repetitions."""
 
 from __future__ import annotations
 
@@ -23,7 +24,7 @@ class FailedSample(TypedDict):
 
 
 class Measured(TypedDict):
-    """What the samples of an item came to; ``failed`` has the first that failed."""
+    """Summary of the samples of an item; ``failed`` has the first ones that failed."""
 
     samples: int
     passed: int
@@ -33,7 +34,7 @@ class Measured(TypedDict):
 
 
 class ItemResult(TypedDict):
-    """An item, and the file in which its samples are."""
+    """An item, the summary of its samples, and the file that holds them."""
 
     item: ItemBody
     measured: Measured
@@ -41,7 +42,7 @@ class ItemResult(TypedDict):
 
 
 class WorkerFacts(TypedDict):
-    """What is known of a process that executes items: its adapters, its devices, and how its time was spent in seconds."""
+    """Facts about a process that executes items: its adapters, its devices, and the seconds by what they were spent on."""
 
     adapters: dict[str, AdapterFacts]
     devices: dict[str, Device]
@@ -49,7 +50,7 @@ class WorkerFacts(TypedDict):
 
 
 class Tally:
-    """Counts the samples of one item as they come.
+    """Running count of the samples of one item.
 
     Args:
         suite: of the item.
@@ -71,7 +72,7 @@ class Tally:
             self._failed.append({"repetition": sample["repetition"], "findings": sample["findings"]})
 
     def measured(self, item: ItemBody) -> Measured:
-        """Return what the samples came to; tool calls around them are counted, too."""
+        """Return the summary of the samples; tool calls around them are counted, too."""
         calls = self._calls.copy()
         for part in item["around"]:
             calls += tool_calls(self._suite, part["calls"])

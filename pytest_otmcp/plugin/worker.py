@@ -29,13 +29,13 @@ SPOOLS = "run.parts"
 
 
 class Run:
-    """Executes tasks on a bench that is started when the first of them is.
+    """Executor of tasks on a bench, which is started with the first task.
 
     Args:
         settings, subject: of the run.
-        tasks: what may be executed.
-        worker: name of this process where there are others, which may execute some of these tasks (which ones is not
-            known in advance); None where there are not.
+        tasks: the tasks that may be executed.
+        worker: name of this process where other processes may execute some of these tasks (which ones is not known in
+            advance); None where there are no other processes.
 
     Attributes:
         unfinished: the item that was interrupted, or None.
@@ -64,8 +64,8 @@ class Run:
             self._loop, self._plant = LoopThread(), Plant(self.settings.external)
             with settled():
                 self._loop.run(self._plant.launch(wanted))
-                # The MCP client takes as long to import as the devices take to start. Not on this thread: pydantic would
-                # make an error of its own of Ctrl-C.
+                # The MCP client takes as long to import as the devices take to start. It is imported on another thread:
+                # on this one pydantic would turn a Ctrl-C into an error of its own.
                 self._loop.run(asyncio.to_thread(import_module, "pytest_otmcp.trial.bench"))
                 from ..trial.adapter_under_test import MAIN, BenchOptions
                 from ..trial.bench import Bench
@@ -82,19 +82,19 @@ class Run:
         return self._loop, self._bench
 
     def _adapters_needed(self) -> list[str]:
-        """Adapter variants that the tasks will need; the read-write ones also where no task applies, to look at their tools."""
+        """Return the adapter variants that the tasks need; read-write variants also where no task applies, for their tools."""
         from ..trial.applicability import applicability, participants
 
         adapters = self.subject.adapters
         wanted = {name for task in self.tasks for name in task.adapters if name in adapters}
-        # Few tasks have a read-only variant. Where another process may get them, it is started with the first of them.
+        # Few tasks need a read-only variant. Where another process may get them, it is started with the first such task.
         for task in self.tasks if self._worker is None else ():
             if applicability(task, adapters) is None:
                 wanted |= set(participants(task, adapters))
         return sorted(wanted)
 
     def execute(self, task: Task) -> ItemResult:
-        """Run a task; its samples go to a file as they come, without the subject's secrets.
+        """Run a task; each sample is written to a file at once, without the subject's secrets.
 
         Raises:
             UsageError: the subject file contradicts the tools that an adapter lists.
@@ -108,7 +108,7 @@ class Run:
 
         folder = self.settings.report_dir / SPOOLS
         folder.mkdir(parents=True, exist_ok=True)
-        # The same item may be executed twice, by plugins that repeat tests.
+        # Plugins that repeat tests may execute the same item twice.
         spool = SampleSpool(folder / f"{task.id}-{uuid4().hex}.jsonl")
         tally, redactor = Tally(task.suite), self._redactor()
 
@@ -139,7 +139,7 @@ class Run:
         return Redactor({secret for adapter in self.subject.adapters.values() for secret in adapter.secret_values()})
 
     def facts(self) -> WorkerFacts:
-        """What the controller wants to know of this process."""
+        """Return what the controller has to know about this process."""
         if self._bench is not None:
             redactor = self._redactor()
             self._facts = {
@@ -150,7 +150,7 @@ class Run:
         return self._facts
 
     def close(self) -> None:
-        """End everything that runs."""
+        """End the sessions, the devices and the loop."""
         if self._loop is not None:
             if self._bench is not None:
                 self._loop.run(self._bench.close())

@@ -1,7 +1,7 @@
-"""What a decoder makes of recorded frames: messages that say what they ask and what they answer. Pure.
+"""Messages that a decoder makes of recorded frames; each says what it asks or which message it answers. Pure.
 
 A decoder knows the wire and nothing else. Sequence numbers and times are added where the journal is kept; until then an
-answer refers to the message that it answers.
+answer refers to the message object that it answers.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ __all__ = ["Conversation", "Direction", "Message", "Outstanding"]
 Direction = Literal["in", "out"]
 
 _MOST_OUTSTANDING = 65_536
-"""More than a client of any protocol can tell apart by the identifiers of two bytes that most of them have."""
+"""Outstanding messages at most: identifiers of two bytes, which most protocols have, cannot tell more of them apart."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, weakref_slot=True)
 class Message:
-    """One message of a client or of its device, decoded. Two messages are equal only if they are the same one.
+    """One message of a client or of its device, decoded. A message equals only itself.
 
     Attributes:
         direction: ``in`` for what the device received, ``out`` for what it sent.
-        kind: what it is, in the protocol's words; ``malformed`` for bytes that cannot be read.
+        kind: kind of the message, in the protocol's words; ``malformed`` for bytes that cannot be read.
         fields: further members of the journal entry, JSON-safe; of a malformed message ``bytes`` (hexadecimal digits) and
             ``reason``.
         request, state_changing: see :class:`~pytest_otmcp.protocols.journal.JournalEntry`.
@@ -40,7 +40,7 @@ class Message:
 
 
 class Conversation(Protocol):
-    """Both directions of one connection, decoded frame by frame."""
+    """Decoder of both directions of one connection, frame by frame."""
 
     def decode(self, direction: Direction, frame: bytes) -> list[Message]:
         """Decode one frame; several frames may be needed for a message. A frame of any content is decoded without an
@@ -49,10 +49,10 @@ class Conversation(Protocol):
 
 
 class Outstanding:
-    """The messages of one connection that have not been answered, by what their answers repeat of them.
+    """The messages of one connection that have not been answered, by the identifiers that their answers repeat.
 
-    A client that uses an identifier again has given up waiting: the answer belongs to the newest message. Of too many
-    messages without an answer the oldest are forgotten.
+    A client that uses an identifier again has given up waiting: the answer belongs to the newest message. When too many
+    messages have no answer, the oldest are forgotten.
     """
 
     def __init__(self) -> None:

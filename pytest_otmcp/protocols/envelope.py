@@ -1,7 +1,7 @@
 """The response envelope ``{success, data, error, meta}``: the rules that every result must keep. Pure.
 
 The schema is data (``envelope.schema.json``), to which the names of the registered protocols are added; the rules that a
-schema cannot say are below, each a finding with the id of its requirement.
+schema cannot express are below. Each broken rule is a finding with the id of its requirement.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from .registry import envelope_names
 
 __all__ = ["check_result"]
 
-# What must never reach an assistant in a message: tracebacks, source paths, representations of objects and exceptions,
-# and the endpoint of a client that was never configured ("on None:None").
+# Texts that must never reach an assistant in a message: tracebacks, source paths, representations of objects and
+# exceptions, and the endpoint of a client that was never configured ("on None:None").
 _LEAKS = re.compile(
     r"""Traceback\ \(most\ recent | File\ "[^"]+",\ line | <[\w.]+\ object\ at\ 0x | <(?:class|function|module)\ '?
     | (?:/[\w.-]+){2,}\.(?:py|js|ts|go|rs|java)\b | [A-Za-z]:\\[\w.-]+\\ | \b\w+(?:Error|Exception)\( | \bNone:None\b""",
@@ -31,7 +31,7 @@ _LEAKS = re.compile(
 )
 _ENDPOINT = re.compile(r"[a-z][a-z0-9+.-]*://(?:\[[0-9a-fA-F:.]+\]|[^/@\s:]+):\d{1,5}(?:/\S*)?")
 _ROUNDING_MS = 0.1
-"""Envelopes round their latency; no judgement depends on less than this."""
+"""Tolerance of latencies: envelopes round them, and no judgement depends on less than this."""
 
 
 @cache
@@ -54,7 +54,7 @@ def check_result(
     Args:
         result: as parsed from the wire.
         measured_latency_ms: from request written to response read, as the kit measured it.
-        injected_delay_ms: how long the kit made the device wait during the call; the adapter cannot have been faster.
+        injected_delay_ms: time for which the kit delayed the device during the call; the adapter cannot have been faster.
     """
     return list(_faults(result, measured_latency_ms, injected_delay_ms))
 
@@ -102,7 +102,7 @@ def _faults(result: Mapping[str, object], measured_ms: float | None, delay_ms: f
 
 
 def _reason(fault: Any) -> str:
-    # "is not valid under any of the given schemas" helps nobody: say what keeps the error object from being one.
+    # "is not valid under any of the given schemas" helps nobody: say what is wrong with the error object.
     if fault.validator == "oneOf" and isinstance(fault.instance, dict):
         for inner in fault.context:
             if inner.absolute_schema_path[-1] != "type" or inner.absolute_path != fault.absolute_path:
@@ -189,7 +189,7 @@ def _error_faults(error: Mapping[str, object]) -> Iterator[Finding]:
 def _meta_faults(meta: Mapping[str, object], measured_ms: float | None, delay_ms: float) -> Iterator[Finding]:
     claimed = meta.get("latency_ms")
     if isinstance(claimed, int | float) and not isinstance(claimed, bool):
-        # The adapter's clock runs inside the kit's span.
+        # The adapter measures a part of the time that the kit measures.
         if measured_ms is not None and claimed > measured_ms + _ROUNDING_MS:
             yield Finding(
                 code="latency_too_long",
@@ -232,7 +232,7 @@ def _is_utc(text: str) -> bool:
 
 
 def _contradictions(meta: Mapping[str, object], error: Mapping[str, object]) -> Iterator[Finding]:
-    """What ``attempts: 0`` rules out: nothing left the process, so nothing came back and nothing can have happened."""
+    """Judge what contradicts ``attempts: 0``: nothing left the process, so nothing came back and nothing can have happened."""
     if meta.get("attempts") != 0:
         return
     if meta.get("source") == "device":

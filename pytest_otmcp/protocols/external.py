@@ -1,6 +1,6 @@
-"""Devices of the user's own in the place of a protocol's mock, and the command line options that ask for them.
+"""Devices of the user in the place of a protocol's mock, and the command line options that ask for them.
 
-A protocol that has such a way keeps its :class:`ExternalDevice` in a module ``external`` of its package: every pytest run in
+A protocol that allows this keeps its :class:`ExternalDevice` in a module ``external`` of its package: every pytest run in
 whose environment the plugin is installed declares the options, so they must be known without loading the protocols.
 """
 
@@ -19,14 +19,14 @@ __all__ = ["ExternalDevice", "external_devices"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExternalDevice:
-    """A device of the user's own that can take the mock's place, behind the kit's tap.
+    """A device of the user that can take the mock's place, behind the kit's tap.
 
     Attributes:
         option: name of the command line option, without ``--otmcp-``.
         meaning: its help text.
         scheme: of the URL that it takes.
-        default_port: where the URL names none.
-        noun: what it is called in sentences, such as "MQTT broker".
+        default_port: the port where the URL names none.
+        noun: name of such a device in sentences, such as "MQTT broker".
         implementation: ``module:class`` of the device; the class takes the URL.
     """
 
@@ -40,6 +40,6 @@ class ExternalDevice:
 
 @cache
 def external_devices() -> Mapping[str, ExternalDevice]:
-    """The kit's own protocols whose mock can be replaced, by key."""
+    """Return the external devices of the kit's own protocols whose mock can be replaced, by the protocol's key."""
     modules = {key: f"{__package__}.{key}.external" for key in OWN}
     return {key: import_module(name).EXTERNAL for key, name in modules.items() if find_spec(name) is not None}

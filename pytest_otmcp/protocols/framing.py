@@ -1,8 +1,8 @@
-"""Cuts recorded byte streams, which arrive in segments of any size, into frames. Pure.
+"""Framing: recorded byte streams, which arrive in segments of any size, are cut into frames. Pure.
 
-Each protocol that runs over streams says how long a frame is (:data:`FrameLength`), from as many of its first bytes as are
-there. Where no frame can begin, the stream is malformed: from then on nothing in that direction can be trusted. A datagram is
-a frame as it is.
+Each protocol that runs over streams says how long a frame is (:data:`FrameLength`), from the first bytes of the frame that
+have arrived. Where no frame can begin, the stream is malformed: from there on nothing in that direction can be trusted. A
+datagram is a frame already.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Callable
 __all__ = ["FrameLength", "Framer", "MalformedError"]
 
 FrameLength = Callable[[bytes | bytearray], int | None]
-"""Returns the length of the frame that the buffer begins with, None while too little of it is there.
+"""Returns the length of the frame at the beginning of the buffer; None while too little of it has arrived.
 
 Raises :class:`MalformedError` when no frame begins like that."""
 
@@ -22,10 +22,10 @@ class MalformedError(ValueError):
 
 
 class Framer:
-    """Cuts one direction of one connection.
+    """The framer of one direction of one connection.
 
     Attributes:
-        malformed: why no further frame can be cut, once that is so; :attr:`pending` holds what was not cut.
+        malformed: the reason why no further frame can be cut, or None; :attr:`pending` holds the bytes that were not cut.
     """
 
     def __init__(self, frame_length: FrameLength) -> None:
@@ -35,11 +35,11 @@ class Framer:
 
     @property
     def pending(self) -> bytes:
-        """The beginning of a frame whose rest has not come yet."""
+        """The beginning of a frame whose rest has not arrived yet."""
         return bytes(self._buffer)
 
     def feed(self, data: bytes) -> list[bytes]:
-        """Add bytes; return the frames that they complete, none any more once the stream is malformed."""
+        """Add bytes; return the frames that they complete, and none once the stream is malformed."""
         self._buffer += data
         frames: list[bytes] = []
         while self._buffer and self.malformed is None:

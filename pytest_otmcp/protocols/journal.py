@@ -1,7 +1,7 @@
-"""Journal entries and device images, whatever the protocol: their contract, and the oracles that need no more. Pure.
+"""Journal entries and device images, whatever the protocol: their contract. Pure.
 
 Every witness, mock or tap, writes entries of this shape, with further members of its protocol. Images have ``points``, a
-flat mapping of names to values, beside whatever else a protocol's image holds.
+flat mapping of names to values, beside the further members that a protocol's image has.
 """
 
 from __future__ import annotations

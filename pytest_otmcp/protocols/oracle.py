@@ -1,7 +1,8 @@
 """Oracles that need nothing of a protocol but the contract of journal entries and images. Pure.
 
-A protocol makes one :class:`Witness` of its own words and uses it for whatever is the same everywhere: exactly one request,
-nothing that changes the plant, only these points changed. What only its own fields can say stays in its own oracles.
+A protocol makes one :class:`Witness` with its own words and uses it for the checks that are the same for every protocol:
+exactly one request, nothing that changes the plant, only these points changed. Checks of its own fields stay in its own
+oracles.
 """
 
 from __future__ import annotations
@@ -22,17 +23,17 @@ _MOST_FINDINGS = 5
 
 
 def has(entry: Mapping[str, object], **fields: object) -> bool:
-    """The entry has all these fields with these values."""
+    """Tell whether the entry has all these fields with these values."""
     return all(name in entry and entry[name] == value for name, value in fields.items())
 
 
 def requests(entries: Entries, **fields: object) -> list[JournalEntry]:
-    """The entries that ask the plant for something and have these fields."""
+    """Return the entries that ask the plant for something and have these fields."""
     return [entry for entry in entries if entry["request"] and has(entry, **fields)]
 
 
 def state_changing(entries: Entries) -> list[JournalEntry]:
-    """The requests that may change the plant."""
+    """Return the requests that may change the plant."""
     return [entry for entry in entries if entry["state_changing"]]
 
 
@@ -42,12 +43,12 @@ def _any_equal(image: Image, point: str, held: object, wanted: object) -> bool:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Witness:
-    """Judges journal slices and images in the words of one protocol.
+    """Judge of journal slices and images in the words of one protocol.
 
     Attributes:
-        noun: what the device is called, such as ``the broker``.
-        describe: a journal entry in a few words.
-        holds_value: the point of an image holds a value that is as good as the wanted one; for devices that round.
+        noun: name of the device in sentences, such as ``the broker``.
+        describe: describes a journal entry in a few words.
+        holds_value: tells whether the value of an image's point is as good as the wanted one; for devices that round.
     """
 
     noun: str
@@ -61,7 +62,7 @@ class Witness:
         return (shown or "no request") + (" …" if len(asked) > _MOST_SHOWN else "")
 
     def answered(self, entries: Entries, *, at_least: int = 1) -> list[Finding]:
-        """The device answered requests at least that often; requests and answers are both among the entries."""
+        """Expect that the device answered so many requests at least; requests and answers are both among the entries."""
         asked = {entry["seq"] for entry in requests(entries)}
         count = sum(entry["answers"] in asked for entry in entries)
         if count >= at_least:
@@ -77,7 +78,7 @@ class Witness:
         ]
 
     def request_count(self, entries: Entries, *, count: int, **fields: object) -> list[Finding]:
-        """``count`` requests with these fields reached the device."""
+        """Expect that ``count`` requests with these fields reached the device."""
         found = len(requests(entries, **fields))
         if found == count:
             return []
@@ -92,17 +93,17 @@ class Witness:
         ]
 
     def exactly_one(self, entries: Entries, **fields: object) -> list[Finding]:
-        """Exactly one request with these fields reached the device."""
+        """Expect that exactly one request with these fields reached the device."""
         return self.request_count(entries, count=1, **fields)
 
     def exactly_one_write(
         self, entries: Entries, what: str, problem_of: Callable[[JournalEntry], tuple[str, str] | None]
     ) -> list[Finding]:
-        """One request that may change the plant reached the device, and it was the one that was asked for.
+        """Expect that exactly one request that may change the plant reached the device: the write that was asked for.
 
         Args:
             what: the write that was asked for, in words that follow "one".
-            problem_of: requirement and words for what is wrong with a write; None when nothing is.
+            problem_of: returns the requirement and the words for the fault of a write; None when it has none.
         """
         writes = state_changing(entries)
         problem: tuple[str, str] | None
@@ -125,16 +126,17 @@ class Witness:
     def nothing_changed(
         self, entries: Entries, *, requirement: str = "WR-004", commands: Callable[[JournalEntry], bool] | None = None
     ) -> list[Finding]:
-        """No request that may change the plant reached the device.
+        """Expect that no request that may change the plant reached the device.
 
         Args:
-            commands: of these requests only those count that command the plant; None for all of them.
+            requirement: id of the requirement that such a request breaks.
+            commands: tells whether such a request commands the plant; only those that do count. None counts all.
         """
         found = [entry for entry in state_changing(entries) if commands is None or commands(entry)]
         return self._wrote(len(found), found, requirement)
 
     def nothing_changed_by(self, session: StateChanges) -> list[Finding]:
-        """No request that may change the plant reached the device in the whole life of a session."""
+        """Expect that no request that may change the plant reached the device in the whole life of a session."""
         return self._wrote(session.count, session.first, "WR-004")
 
     def _wrote(self, count: int, first: Entries, requirement: str) -> list[Finding]:
@@ -150,10 +152,10 @@ class Witness:
         ]
 
     def no_duplicates(self, entries: Entries, *, identity: Callable[[JournalEntry], object]) -> list[Finding]:
-        """No request that may change the plant reached the device twice.
+        """Expect that no request that may change the plant reached the device twice.
 
         Args:
-            identity: equal for requests that would do the same again.
+            identity: returns a key that is equal for requests that have the same effect.
         """
         counts = Counter(identity(entry) for entry in state_changing(entries))
         return [
@@ -168,11 +170,11 @@ class Witness:
         ][:_MOST_FINDINGS]
 
     def holds(self, image: Image, expected: Mapping[str, object]) -> list[Finding]:
-        """The device's points hold these values."""
+        """Expect that the device's points hold these values."""
         return self._differing(image, expected, dict.fromkeys(expected, "WR-001"))
 
     def only_changed(self, before: Image, after: Image, expected: Mapping[str, object]) -> list[Finding]:
-        """Between two images these points got these values; every other one is as it was, and none is gone."""
+        """Expect that these points got these values between two images; every other point is unchanged, and none is gone."""
         old = before["points"]
         points = {**dict.fromkeys(after["points"]), **old, **expected}
         requirements = {point: "WR-001" if point in expected else "WR-002" for point in points}

@@ -1,7 +1,7 @@
-"""The description of one OT protocol: everything that the rooms of the kit have to know of it. Pure.
+"""The description of one OT protocol: everything that the other packages of the kit have to know of it. Pure.
 
-The rooms read descriptions and never name a protocol. A new protocol is therefore new files: a sub-package here (its
-description, decoder and oracles), a mock, a reference adapter and tasks.
+The other packages read descriptions and never name a protocol. A new protocol therefore only adds files: a sub-package here
+(its description, decoder and oracles), a mock, a reference adapter and tasks.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ __all__ = [
 ]
 
 GUARD = "guard"
-"""Facet: there is a way to launch the adapter in which it refuses every write (the variant ``ro``)."""
+"""Facet: the adapter can be launched in a way in which it refuses every write (the variant ``ro``)."""
 
 RECOVERY = "recovery"
 """Facet: after an outage of the endpoint the same session works again."""
@@ -39,7 +39,7 @@ RECOVERY = "recovery"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Operation:
-    """One abstract operation: what the kit asks for, whatever an adapter calls its tools.
+    """One abstract operation: a request of the kit, whatever an adapter calls its tools.
 
     Inputs are filled into a binding's argument template, outputs are read from the answer by a binding's rules.
     Operations are also the *facets* that a subject claims.
@@ -48,10 +48,11 @@ class Operation:
         meaning: one sentence for the author of a binding.
         inputs: names that an argument template may refer to.
         outputs: names that the kit judges in a successful answer, when the binding says where they are.
-        needed: those of the outputs without which nothing could be judged.
-        writes: it changes the state of the plant.
+        needed: the outputs without which nothing could be judged.
+        writes: the operation changes the state of the plant.
         optional: inputs that a tool may lack; each is a facet of its own, such as ``subscribe.qos``.
-        waits: the input that says how many seconds a call may wait for what it answers; None where no call waits.
+        waits: the input that limits how many seconds a call may wait for the messages that it returns; None where no call
+            waits.
     """
 
     meaning: str
@@ -68,8 +69,8 @@ class Composite:
     """A facet that tasks need and that stands for several facets of a subject.
 
     Attributes:
-        facets: what it stands for.
-        if_waiting: operation to what it stands for instead when that operation is performed by a call that waits.
+        facets: the facets that it stands for.
+        if_waiting: operation to the facets that it stands for instead when a call that waits performs that operation.
     """
 
     facets: tuple[str, ...]
@@ -78,7 +79,7 @@ class Composite:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Choice:
-    """A key of its own that a protocol adds to the subject file's ``[adapter.KEY]`` table.
+    """A key that a protocol adds to the subject file's ``[adapter.KEY]`` table.
 
     Attributes:
         key: name of the key.
@@ -95,11 +96,11 @@ class Choice:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Framing:
-    """How recorded bytes become journal entries, so that the tap can be the witness.
+    """The functions that turn recorded bytes into journal entries, so that the tap can be the witness.
 
     Attributes:
         conversation: makes the decoder of one connection.
-        frame_length: cuts a stream into frames; None for a protocol that has no streams, whose frames are datagrams.
+        frame_length: cuts a stream into frames; None for a protocol without streams, whose frames are datagrams.
     """
 
     conversation: Callable[[], Conversation]
@@ -116,10 +117,10 @@ class Colour:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Simulator:
-    """A mock beside the protocol's device, which is only started by hand: no task has it for a witness.
+    """A further mock beside the protocol's device, which is only started by hand: no task uses it as a witness.
 
     Attributes:
-        clients: which clients it is for, in words.
+        clients: the clients that it is for, in words.
         options: its own command line options, without ``--``, each with a metavariable and its help text.
     """
 
@@ -129,10 +130,10 @@ class Simulator:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Origin:
-    """Where a protocol comes from that is not the kit's own: its oracles judge, so a record names it.
+    """The origin of a protocol that is not the kit's own: its oracles judge, so a record names it.
 
     Attributes:
-        distribution, version: of the installed package; None for what belongs to no package.
+        distribution, version: of the installed package; None when the protocol belongs to no distribution.
         digest: ``sha256:…`` over the files of the package that holds the description.
     """
 
@@ -148,32 +149,32 @@ class OtProtocol:
     Attributes:
         key: identifier in subject files, records, markers and on the command line, such as ``modbus``.
         name: as tables and figures print it, such as ``Modbus``.
-        package: that holds the description, its oracles and ``codes.toml``.
-        scheme: of an endpoint's URL, as ``{url}`` stands for in a subject file.
+        package: name of the package that holds the description, its oracles and ``codes.toml``.
+        scheme: of an endpoint's URL, for which ``{url}`` stands in a subject file.
         operations: the abstract operations by name.
         composites: facets that tasks need and that are no operation, by name.
-        probes: what tasks ask for where something must be refused; a subject file may replace each.
-        choices: keys of its own in a subject file.
-        framing: how recorded bytes are decoded; None when only the mock can be the witness.
-        unsolicited: findings for everything in a journal slice that commands the plant, although the adapter was asked for
-            nothing.
-        describe: one journal entry in a few words, for findings and the report.
-        title: what a journal entry is, for the report's conversations; None where its kind says it.
-        mock: name of the mock as ``python -m pytest_otmcp.mocks`` takes it: a folder of the room ``mocks``, or the
-            dotted name of a package of the same shape.
-        clients: which clients a mock started by hand is for, in words.
+        probes: values that tasks ask for where the request must be refused; a subject file may replace each.
+        choices: keys that the protocol adds to a subject file.
+        framing: decoding of recorded bytes; None when only the mock can be the witness.
+        unsolicited: returns findings for everything in a journal slice that commands the plant, although the adapter was
+            asked for nothing.
+        describe: describes one journal entry in a few words, for findings and the report.
+        title: names a journal entry, for the report's conversations; None where the entry's kind is name enough.
+        mock: name of the mock as ``python -m pytest_otmcp.mocks`` takes it: a folder of ``mocks``, or the dotted name of
+            a package of the same shape.
+        clients: the clients that a mock started by hand is for, in words.
         simulators: further mocks to be started by hand, by the name that ``python -m pytest_otmcp.mocks`` takes.
         tasks: dotted name of the module that declares the tasks of the conformance suite.
         onboarding: dotted name of the module whose ``PACK`` holds the words and experiments of ``otmcp init``; None when
-            it cannot propose bindings for this protocol.
+            ``otmcp init`` cannot propose bindings for this protocol.
         recognise: matches text in a command line that names the protocol.
-        envelope_names: what ``meta.protocol`` of an envelope may say; only the key when empty.
+        envelope_names: values that ``meta.protocol`` of an envelope may have; only the key when empty.
         packages: distributions whose versions the run record states.
         colour: in figures and reports.
-        external: the user's own device in the mock's place; None when there is no such way.
-        session_oracles: what is judged over the whole life of a session.
-        always: its items are part of every run, as the paper's matrix has it; otherwise only of runs whose subject has
-            an adapter for it.
+        external: the user's device in the mock's place; None when the mock cannot be replaced.
+        session_oracles: the oracles that judge the whole life of a session.
+        always: the protocol's items are part of every run, as the paper's matrix has it; otherwise only of runs whose
+            subject has an adapter for it.
         origin: None for the kit's own protocols.
     """
 
@@ -205,18 +206,18 @@ class OtProtocol:
 
     @property
     def facets(self) -> tuple[str, ...]:
-        """Everything that an adapter for this protocol may claim or not."""
+        """Facets that an adapter for this protocol may claim or not."""
         names = [GUARD, RECOVERY]
         for name, operation in self.operations.items():
             names += [name, *(f"{name}.{optional}" for optional in operation.optional)]
         return tuple(names)
 
     def required_facets(self, facet: str, waiting: Collection[str]) -> tuple[str, ...]:
-        """Resolve a facet that a task needs into those that a subject claims or not.
+        """Resolve a facet that a task needs into the facets that a subject claims or not.
 
         Args:
             facet: without its protocol.
-            waiting: operations that the adapter performs by a call that waits for what it answers.
+            waiting: operations that the adapter performs by a call that waits for the messages that it returns.
         """
         composite = self.composites.get(facet)
         if composite is None:

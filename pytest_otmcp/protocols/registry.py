@@ -1,4 +1,4 @@
-"""Which protocols there are: the kit's own in an explicit list, then those that installed packages register.
+"""The registry of protocols: the kit's own in an explicit list, then those that installed packages register.
 
 A package registers a protocol by an entry point of the group ``pytest_otmcp.protocols``: the entry point's name is the
 protocol's key, its value an :class:`~pytest_otmcp.protocols.protocol.OtProtocol`. The oracles of such a protocol judge, so
@@ -25,7 +25,7 @@ GROUP = "pytest_otmcp.protocols"
 
 
 def protocol_keys() -> tuple[str, ...]:
-    """Keys of all protocols, without loading any."""
+    """Return the keys of all protocols, without loading any."""
     return (*OWN, *sorted(point.name for point in metadata.entry_points(group=GROUP)))
 
 
@@ -34,7 +34,7 @@ def protocols() -> Mapping[str, OtProtocol]:
     """Load every protocol, by key, in the order of tables and figures.
 
     Raises:
-        UsageError: a registered protocol cannot be loaded, is none, or has the key of another one.
+        UsageError: a registered protocol cannot be loaded, is not a protocol, or has the key of another one.
     """
     found: dict[str, OtProtocol] = {}
     for key in OWN:
@@ -48,7 +48,7 @@ def protocols() -> Mapping[str, OtProtocol]:
 
 @cache
 def envelope_names() -> tuple[str, ...]:
-    """Return everything that ``meta.protocol`` of an envelope may say."""
+    """Return the values that ``meta.protocol`` of an envelope may have."""
     return tuple(name for protocol in protocols().values() for name in protocol.envelope_names or (protocol.key,))
 
 

@@ -1,7 +1,7 @@
 """Oracles over the whole life of an adapter's session, however long it is. Pure.
 
-Such an oracle carries what it needs to know from one entry of the journal to the next, so that no question costs more because
-the session is older, and takes no more room. A protocol names its own in its description; every session has one of each.
+Such an oracle keeps what it needs to know from one journal entry to the next, so that neither the cost of a question nor the
+memory grows with the age of the session. A protocol names its oracles in its description; every session has one of each.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ _KEPT = 10
 
 
 class SessionOracle(ABC):
-    """Is fed with each journal entry since the session was opened, or since the device was started if that was later, once."""
+    """An oracle that gets each journal entry once, since the session was opened or, if that was later, the device started."""
 
     @abstractmethod
     def feed(self, entry: JournalEntry) -> None:
@@ -27,7 +27,7 @@ class StateChanges(SessionOracle):
     """The requests that may change the plant.
 
     Attributes:
-        count: how many there were.
+        count: number of such requests.
         first: the first few of them.
     """
 

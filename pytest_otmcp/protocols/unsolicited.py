@@ -1,6 +1,6 @@
-"""What a device may not receive while the adapter is asked for nothing. Pure.
+"""Unsolicited commands: a device must not receive any while the adapter is asked for nothing. Pure.
 
-An adapter that keeps a command which it has reported as failed, and delivers it when it can, does so in its own time. So the
+An adapter that keeps a command which it has reported as failed, and delivers it when it can, may do so at any time. So the
 journal is read between the items as well.
 """
 
@@ -14,5 +14,5 @@ __all__ = ["nothing_commanded"]
 
 
 def nothing_commanded(protocol: str, entries: Entries) -> list[Finding]:
-    """The adapter sent the device of ``protocol`` nothing that commands the plant."""
+    """Expect that the adapter sent the device of ``protocol`` nothing that commands the plant."""
     return protocols()[protocol].unsolicited(entries)

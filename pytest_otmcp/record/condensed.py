@@ -1,7 +1,7 @@
 """A run record as reports and certificates need it: in memory, but not every call of every repetition. Pure.
 
-Every sample keeps what is counted (``ok``, duration, phases, findings, and of each call its role and error code). Whole are the
-first sample of an item, and the first of each kind of failure: the ones that are shown.
+Every sample keeps what is counted (``ok``, duration, phases, findings, and of each call ``ok``, its role and error code). The
+first sample of an item, and the first of each kind of failure, are kept whole: reports show them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _KINDS_KEPT = 10
 
 
 def condensed(run: StoredRun) -> Run:
-    """Return the run with those samples whole that reports show."""
+    """Return the run; only the samples that reports show are whole."""
     shared: dict[tuple[object, ...], Call] = {}
     items = [_item(item, shared) for item in run.items()]
     return cast(Run, {**run.header, "schema": run.version, "items": items, "footer": run.footer})
@@ -40,7 +40,7 @@ def _item(item: StoredItem, shared: dict[tuple[object, ...], Call]) -> Item:
 def _thin(sample: Sample, shared: dict[tuple[object, ...], Call]) -> Sample:
     calls = []
     for call in sample["calls"]:
-        # Thousands of calls are alike in what is counted.
+        # Thousands of calls have the same counted members, so they share one object.
         told = (call["role"], call["error_code"], call["ok"])
         calls.append(shared.setdefault(told, cast(Call, dict(zip(("role", "error_code", "ok"), told, strict=True)))))
     return {**sample, "calls": calls, "device": [], "observations": []}

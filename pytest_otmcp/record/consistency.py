@@ -1,4 +1,4 @@
-"""What a run record must not contradict itself in: counts, identifiers, times, and its judgement. Pure.
+"""Consistency of a run record: its counts, identifiers, times and judgement must not contradict each other. Pure.
 
 The checks take one sample at a time, so that a record of any length can be checked.
 """
@@ -17,7 +17,7 @@ __all__ = ["Contradiction", "RunChecker", "count_calls", "tool_calls"]
 
 
 class Contradiction(Exception):
-    """A record contradicts itself; the message says in what."""
+    """A record contradicts itself; the message says where."""
 
 
 def tool_calls(suite: str, calls: Iterable[Call]) -> Counter[Role]:
@@ -38,7 +38,7 @@ def count_calls(items: Iterable[Item]) -> dict[Role, int]:
 
 
 class RunChecker:
-    """Checks a record of the right shape, item by item."""
+    """The check of a record of the right shape, item by item."""
 
     def __init__(self, header: Header) -> None:
         self._header = header
@@ -52,7 +52,7 @@ class RunChecker:
         """Check an item while its samples pass through.
 
         Raises:
-            Contradiction: it does not fit, to itself or to the run.
+            Contradiction: the item contradicts itself or the run.
         """
         name = item["id"]
         self._check_head(item)
@@ -94,7 +94,7 @@ class RunChecker:
         """Check the footer, after all items.
 
         Raises:
-            Contradiction: it counts otherwise, or says better than the items.
+            Contradiction: its counts are not those of the items, or its verdict is better than theirs.
         """
         counted = {
             "items": len(self._statuses),

@@ -1,4 +1,4 @@
-"""Device images as a record has them: the first of each device in full, later ones as what differs from it. Pure."""
+"""Device images as a record has them: the first of each device in full, later images as their differences from it. Pure."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from .schema import Change
 __all__ = ["Images", "keep_image", "restore_image"]
 
 Images = dict[str, dict[str, Any]]
-"""The last image in full of each device, by the adapter's name."""
+"""The last image of each device that was kept in full, by the adapter's name."""
 
 
 def keep_image(images: Images, at: str, image: dict[str, object]) -> tuple[str, object]:
-    """Return the member of an observation for an image: ``image``, or ``changes`` since the last one in full."""
+    """Return the member of an observation for an image: ``image``, or ``changes`` since the last image kept in full."""
     full = images.get(at)
-    # An image with other members has nothing in common with the one in full that would be worth keeping.
+    # An image with other members has too little in common with the full one for differences to pay.
     if full is None or full.keys() != image.keys():
         images[at] = image
         return "image", image
@@ -28,7 +28,7 @@ def restore_image(images: Images, at: str, seen: Mapping[str, Any]) -> dict[str,
     """Return the image of an observation that has ``image`` or ``changes``.
 
     Raises:
-        KeyError, IndexError, TypeError, ValueError: this is not what :func:`keep_image` has returned.
+        KeyError, IndexError, TypeError, ValueError: the member is none that :func:`keep_image` has returned.
     """
     if "image" in seen:
         images[at] = seen["image"]
@@ -44,14 +44,14 @@ def restore_image(images: Images, at: str, seen: Mapping[str, Any]) -> dict[str,
 
 
 def _changes(old: object, new: object, path: list[str | int]) -> Iterable[Change]:
-    """``(path, value)`` for every place whose value is another one; a place that gained or lost members is one."""
+    """Return ``(path, value)`` for every place with a new value; a place that gained or lost members counts as one place."""
     steps: Iterable[object]
     if isinstance(old, dict) and isinstance(new, dict) and old.keys() == new.keys():
         steps = old
     elif isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
         steps = range(len(old))
     else:
-        # As JSON has it, true is not 1, and 1.0 is worth keeping apart from 1.
+        # In JSON true is not 1; and 1.0 is kept apart from 1.
         if old != new or type(old) is not type(new):
             yield path, new
         return

@@ -1,8 +1,9 @@
-"""Reads a run record with suspicion, one sample at a time. Pure but for the file.
+"""The reader of a run record, which trusts nothing in it; it reads one sample at a time. Pure but for the file.
 
-A record is copied to a private file first and read from there, so that what was checked is what is read afterwards. A record of
-``otmcp-run/2`` is read line by line, as :mod:`pytest_otmcp.record.writer` has laid it out: one that was formatted anew is refused,
-as its digest would be. A record of ``otmcp-run/1`` is read as a whole and shown in the shape of today.
+A record is copied to a private file first and read from there, so that the bytes that are read later are those that were
+checked. A record of ``otmcp-run/2`` is read line by line, as :mod:`pytest_otmcp.record.writer` has laid it out: a record that
+was formatted anew is refused, as its digest would be. A record of ``otmcp-run/1`` is read as a whole and returned in the shape
+of today.
 """
 
 from __future__ import annotations
@@ -29,12 +30,12 @@ _BLOCK = 1 << 20
 
 
 class RecordError(Exception):
-    """A run record that cannot be believed; the message says why."""
+    """A run record cannot be read or believed; the message says why."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """Where an item is in the file: its head's line, and its samples' lines."""
+    """Place of an item in the file: offsets of its head's line and of its first sample, and the number of its samples."""
 
     begin: int
     samples: int
@@ -42,7 +43,7 @@ class _Part:
 
 
 class StoredItem:
-    """An item of a record; its samples are read when they are wanted."""
+    """An item of a record; its samples are read when they are asked for."""
 
     def __init__(self, head: ItemHead, source: Iterable[Sample] | tuple[BinaryIO, _Part]) -> None:
         self.head = head
@@ -56,7 +57,7 @@ class StoredItem:
         file, part = self._source
         at = part.samples
         for _ in range(part.count):
-            # Two items may be read in turns.
+            # Two items may be read alternately.
             file.seek(at)
             line = file.readline()
             at = file.tell()
@@ -67,7 +68,7 @@ class StoredRun:
     """A record that has been checked: header, footer, and items in the order of the file.
 
     Attributes:
-        version: of the file's schema; header and items are in the shape of today whatever it is.
+        version: of the file's schema; header and items are in the shape of today in any case.
         sha256: of the file's bytes.
     """
 
@@ -88,7 +89,7 @@ class StoredRun:
 
     @classmethod
     def of(cls, run: Run) -> StoredRun:
-        """Take a record that is in memory already; nothing is checked."""
+        """Return a record that is in memory already as a stored run; nothing is checked."""
         return cls(run, run["footer"], run["items"], version=SCHEMA, sha256="")
 
     def items(self) -> Iterator[StoredItem]:
@@ -109,11 +110,11 @@ def open_record(path: Path, *, allow_incomplete: bool = False) -> Iterator[Store
 
     Args:
         path: the file.
-        allow_incomplete: accept a record whose footer says that it is not complete, and one that was torn while an
+        allow_incomplete: accept a record whose footer says that it is not complete, and a record that was torn while an
             item was written: that item is left out.
 
     Raises:
-        RecordError: no record, an unfinished one, or one that contradicts itself; one sentence.
+        RecordError: the file is no record, is unfinished, or contradicts itself; the message is one sentence.
     """
     with tempfile.TemporaryFile(prefix="otmcp-") as private:
         try:
@@ -166,7 +167,7 @@ def _read(file: BinaryIO, sha256: str, *, allow_incomplete: bool) -> StoredRun:
 
 
 class _Scanner:
-    """Reads the lines of a record once, checks them, and notes where its items are."""
+    """The scanner of a record: it reads and checks the lines once, and notes the places of the items."""
 
     header: Header
     footer: Footer
@@ -178,11 +179,11 @@ class _Scanner:
         self.parts: list[_Part] = []
 
     def scan(self) -> None:
-        """Read everything.
+        """Read the whole record.
 
         Raises:
-            ValueError: no strict JSON in the lines of a record.
-            ShapeError, Contradiction: it cannot be believed.
+            ValueError: the lines are not those of a record, or no strict JSON.
+            ShapeError, Contradiction: the record has another shape or contradicts itself.
         """
         self._file.seek(0)
         self._read_header()

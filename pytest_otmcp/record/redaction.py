@@ -1,4 +1,4 @@
-"""Takes secrets out of everything that a run keeps or shows. Pure.
+"""Removal of secrets from everything that a run keeps or shows. Pure.
 
 A record is read by people who must not know the plant's passwords; an adapter may print them on stderr, in an error or in an
 envelope.
@@ -17,7 +17,7 @@ __all__ = ["REDACTED", "Redactor"]
 REDACTED = "[redacted]"
 
 _SHORTEST = 4
-"""Characters: what is shorter would be found in the middle of ordinary words and numbers."""
+"""Characters of the shortest secret: a shorter one would be found in the middle of ordinary words and numbers."""
 
 _NO_SECRETS = {"true", "false", "none", "null", "enabled", "disabled", "required", "optional"}
 
@@ -26,7 +26,7 @@ T = TypeVar("T")
 
 
 class Redactor:
-    """Replaces secrets, also where they are written in JSON, in a URL or in base64."""
+    """Replacement of secrets, also where they are written in JSON, in a URL or in base64."""
 
     def __init__(self, secrets: Iterable[str]) -> None:
         forms: set[str] = set()
@@ -34,17 +34,17 @@ class Redactor:
             if len(secret) >= _SHORTEST and secret.lower() not in _NO_SECRETS:
                 encoded = base64.b64encode(secret.encode()).decode()
                 forms |= {secret, json.dumps(secret)[1:-1], quote(secret, safe=""), quote_plus(secret), encoded}
-        # Longer ones first: one form may be part of another.
+        # Longer forms first: one form may be part of another.
         self._forms = sorted(forms, key=lambda form: (-len(form), form))
 
     def text(self, text: str) -> str:
-        """``text`` without secrets."""
+        """Return ``text`` without secrets."""
         for form in self._forms:
             text = text.replace(form, REDACTED)
         return text
 
     def apply(self, value: T) -> T:
-        """A JSON value without secrets in its texts and member names."""
+        """Return a JSON value without secrets in its texts and member names."""
         return cast(T, self._applied(value)) if self._forms else value
 
     def _applied(self, value: object) -> object:

@@ -1,10 +1,11 @@
 """The shape of a run record, ``otmcp-run/2``: the one definition of its members. Pure.
 
-The classes below are static types, the check of every record that is read (:func:`check`), and the JSON Schema beside this
-module (``python -m pytest_otmcp.record.json_schema``). ``docs/run-record.md`` explains the members to authors of other tools.
+The classes below serve as static types, for the check of every record that is read (:func:`check`), and for the JSON Schema
+beside this module (``python -m pytest_otmcp.record.json_schema``). ``docs/run-record.md`` explains the members to authors of
+other tools.
 
-Times that end in ``_ns`` are of one clock, the machine's monotonic one, in every process of a run. A member that a reader does
-not know is no fault: later versions of the kit, and protocols of third parties, may add some.
+Times whose names end in ``_ns`` are of one clock, the machine's monotonic clock, in every process of a run. A member that a
+reader does not know is no fault: later versions of the kit, and protocols of third parties, may add members.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ __all__ = [
 
 SCHEMA: Final = "otmcp-run/2"
 
-# An end of text that Python's and ECMAScript's regular expressions agree upon: "$" of the former matches before a line feed.
+# The end of a text, alike in Python's and ECMAScript's regular expressions: "$" in Python also matches before a line feed.
 _END = r"(?![\s\S])"
 
 Name = Annotated[str, msgspec.Meta(pattern=r"^(?![\s\S]*[\u0000-\u001f\u007f-\u009f])", max_length=1000)]
@@ -75,7 +76,7 @@ Deadline = Annotated[float, msgspec.Meta(gt=0, le=300)]
 Factor = Annotated[float, msgspec.Meta(gt=0)]
 
 Role = Literal["task", "control", "setup", "warmup", "recovery"]
-"""What a call, or an execution of steps, was for. Only calls of the role ``task`` count for the benchmark."""
+"""Purpose of a call or of an execution of steps. Only calls of the role ``task`` count for the benchmark."""
 ROLES: tuple[Role, ...] = ("task", "control", "setup", "warmup", "recovery")
 State = Literal["PASS", "FAIL", "NOT_APPLICABLE", "NOT_TESTABLE", "KIT_ERROR", "INTERRUPTED"]
 
@@ -91,7 +92,7 @@ class Protocol(TypedDict):
 
 
 class Kit(TypedDict):
-    """What ran and judged: the kit, its suite (``suite_digest``), everything that judges (``digest``)."""
+    """The kit that ran and judged: its suite (``suite_digest``), everything that judges (``digest``)."""
 
     name: Name
     version: Name
@@ -109,7 +110,7 @@ class Deviation(TypedDict):
 
 
 class StoredOutputRule(TypedDict):
-    """Where an output is in an answer; see the subject file."""
+    """The place of an output in an answer; see the subject file."""
 
     path: str | None
     regex: str | None
@@ -121,7 +122,7 @@ class StoredOutputRule(TypedDict):
 
 
 class StoredOutcomeRule(TypedDict):
-    """What an answer that looks like this means; see the subject file."""
+    """The meaning of an answer that looks like this; see the subject file."""
 
     success: bool
     is_error: bool | None
@@ -137,7 +138,7 @@ class StoredErrorRule(TypedDict):
 
 
 class StoredAnswering(TypedDict):
-    """How answers are read; see the subject file."""
+    """The rules for reading answers; see the subject file."""
 
     form: str
     outcome: list[StoredOutcomeRule]
@@ -145,7 +146,7 @@ class StoredAnswering(TypedDict):
 
 
 class StoredBinding(TypedDict):
-    """How one tool performs an operation, or one case of it; see the subject file."""
+    """The way in which one tool performs an operation, or one case of it; see the subject file."""
 
     tool: str
     resource: bool
@@ -187,7 +188,7 @@ class AdapterFacts(TypedDict):
 
 
 class Subject(TypedDict):
-    """Who was tested; ``adapters`` by key of their protocol."""
+    """The subject that was tested; ``adapters`` by key of their protocol."""
 
     name: Name
     version: Name
@@ -197,7 +198,7 @@ class Subject(TypedDict):
 
 
 class Environment(TypedDict):
-    """Where and when; ``finished_at`` is None as long as the run goes on, and for ever when it was killed."""
+    """Place and time of the run; ``finished_at`` is None as long as the run goes on, and for ever when it was killed."""
 
     python: str
     platform: str
@@ -208,7 +209,7 @@ class Environment(TypedDict):
 
 
 class Settings(TypedDict):
-    """What was asked for. ``narrowed``: what of it says less than a full run, a sentence each."""
+    """The options of the run. ``narrowed``: which of them make it say less than a full run, a sentence each."""
 
     subject: str | None
     reps: Count
@@ -222,7 +223,7 @@ class Settings(TypedDict):
 
 
 class Endpoint(TypedDict):
-    """Where adapters reached a device: a port of a host, or the path of a pseudo terminal."""
+    """One place where adapters reached a device: a port of a host, or the path of a pseudo terminal."""
 
     name: str
     kind: Literal["tcp", "udp", "pty"]
@@ -416,7 +417,7 @@ class ItemDevice(TypedDict):
 
 
 class SessionRemark(TypedDict):
-    """What was remarkable about a session apart from its replies, at the item's inspection of this number."""
+    """The remarkable facts about a session apart from its replies, at the item's inspection of this number."""
 
     inspection: Count
     protocol: str
@@ -436,14 +437,14 @@ class Ended(TypedDict):
 
 
 class RequirementRow(TypedDict):
-    """What an item says about one requirement of the catalogue."""
+    """The result of an item for one requirement of the catalogue."""
 
     id: str
     status: str
 
 
 class ItemBody(TypedDict):
-    """What a trial knows of its item, without the samples.
+    """An item as its trial knows it, without the samples.
 
     ``began_ns``, ``ended_ns``: of its ``worker``, whose items follow one another. ``devices``: by the adapter's name in
     observations.
@@ -521,7 +522,7 @@ class Run(Header):
 
 
 class ShapeError(Exception):
-    """A value has another shape than its definition; the message says where."""
+    """A value does not have the shape of its definition; the message says where."""
 
 
 T = TypeVar("T")
@@ -531,15 +532,15 @@ def check(value: object, shape: type[T], where: str) -> T:
     """Check a value, as read from JSON, against a class of this module; return it as it is.
 
     Args:
-        where: how the value is called in the error.
+        where: name of the value in the error.
 
     Raises:
-        ShapeError: it has another shape.
+        ShapeError: the value has another shape.
     """
     try:
         msgspec.convert(value, shape)
     except msgspec.ValidationError as error:
         reason, _, place = str(error).partition(" - at `$")
         raise ShapeError(f"{where}{place.rstrip('`')}: {reason[:1].lower()}{reason[1:]}") from None
-    # What msgspec returns is a copy without the members that it does not know.
+    # The value that msgspec returns is a copy without the members that it does not know.
     return value  # type: ignore[return-value]

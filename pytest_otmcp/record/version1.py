@@ -1,7 +1,7 @@
 """Records of ``otmcp-run/1`` in the shape of today, for reports. Pure.
 
-Only what reports and tables read is carried over: images, observations and the stations of an item, which judging again needs,
-are not. A record is judged again by the version of the kit that made it.
+Only the members that reports and tables read are carried over. Images, observations and an item's history, which judging
+again needs, are not: a record is judged again by the version of the kit that made it.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ Old = Mapping[str, Any]
 
 
 def parse(content: bytes, *, allow_incomplete: bool) -> Any:
-    """Read the document; of one that was torn while it was written, where that is allowed, its whole items.
+    """Read the document. If it was torn in writing, and an incomplete record is allowed, read its whole items.
 
     Raises:
-        ValueError: it is no strict JSON.
+        ValueError: the document is no strict JSON.
     """
     try:
         return parse_strict(content)
@@ -54,7 +54,7 @@ def check_digest(run: Old) -> None:
     """Compare the digest of a record with its content: canonical JSON of everything but the digest itself.
 
     Raises:
-        Contradiction: they do not belong together.
+        Contradiction: the digest is not that of the content.
     """
     stated = run.get("footer")
     if not isinstance(stated, dict) or "digest" not in stated:
@@ -68,7 +68,11 @@ def check_digest(run: Old) -> None:
 
 
 def upgraded(run: Old) -> Run:
-    """Return the record in the shape of today; what it lacks is filled in, what is wrong with it is left to be found."""
+    """Return the record in the shape of today: missing members are filled in; its faults are kept, to be found later.
+
+    Raises:
+        Contradiction: a part of the record is missing or has another type.
+    """
     if missing := [
         name for name in ("kit", "subject", "environment", "settings", "items", "footer") if name not in run
     ]:
@@ -109,7 +113,7 @@ def upgraded(run: Old) -> Run:
         "devices": {},
     }
     items = [_item(item, order) for order, item in enumerate(run["items"])]
-    # Whatever is still of another shape is found when the whole is checked.
+    # Members that still have another shape are found when the whole record is checked.
     return {**cast(Header, header), "items": items, "footer": cast(Footer, run["footer"])}
 
 

@@ -1,11 +1,11 @@
-"""Writes a run record as the run goes. Pure but for the file.
+"""The writer of a run record, item by item during the run. Pure but for the file.
 
 The file is one JSON document, laid out in lines so that it can be written, read and sealed piece by piece, however long the run:
 a line for each member of the header, a line for each item without its samples, a line for each sample, a line for the footer,
-and a last one for the digest, which is the SHA-256 of every byte before that line.
+and a last line for the digest, which is the SHA-256 of every byte before that line.
 
-It is valid JSON after every item: the footer says ``"complete": false`` until the run is over. An item costs one write over that
-footer; a write that is torn by a kill leaves whole lines, which the reader finds again.
+The file is valid JSON after every item: the footer says ``"complete": false`` until the run is over. An item is written over
+that footer; a write that a kill interrupts leaves whole lines, which the reader finds again.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ _BLOCK = 1 << 20
 def dump(value: object) -> bytes:
     """Return a value as one line of JSON.
 
-    A lone surrogate, which no UTF-8 has and no strict reader takes, may come from a device's topic or node name: it becomes a
-    question mark.
+    A lone surrogate may come from a device's topic or node name. UTF-8 cannot have it and no strict reader accepts it, so it
+    becomes a question mark.
     """
     return json.dumps(value, ensure_ascii=False, allow_nan=False).encode("utf-8", "replace")
 
@@ -41,10 +41,10 @@ def laid_out(samples: Iterable[Sample]) -> Iterator[bytes]:
 
 
 class SampleSpool:
-    """Keeps the samples of one item in a file of its own while the item runs, laid out as in the record.
+    """The samples of one running item in a file of their own, laid out as in the record.
 
     Args:
-        path: the file; made with the first sample.
+        path: the file; it is made with the first sample.
     """
 
     def __init__(self, path: Path) -> None:
@@ -73,10 +73,10 @@ class _Written:
 
 
 class RunWriter:
-    """Writes a run record item by item.
+    """The writer of one run record.
 
     Args:
-        path: the file, replaced when it exists.
+        path: the file; it is replaced when it exists.
         header: everything but items and footer, as far as it is known.
     """
 
@@ -91,13 +91,14 @@ class RunWriter:
         """Add an item; the file is a valid record of an unfinished run when this returns.
 
         Args:
+            item: the item without its samples.
             samples: laid out, see :func:`laid_out`.
 
         Raises:
-            OSError: it could not be written; the file is what it was before.
+            OSError: the item could not be written; the file is as it was before.
         """
         head = (b",\n" if self._items else b"") + b"  " + dump(item)[:-1] + b', "samples": ['
-        # Unbuffered: a torn write leaves whole lines before it.
+        # Unbuffered, so that an interrupted write leaves whole lines before it.
         with self._path.open("r+b", buffering=0) as file:
             descriptor = file.fileno()
             try:
@@ -116,7 +117,7 @@ class RunWriter:
         self._end = end
 
     def finish(self, header: Header, footer: Footer) -> None:
-        """Seal the record: header and footer as they are now known, items in the suite's order, in place in one step."""
+        """Seal the record: header and footer as now known, items in the suite's order. The file is replaced in one step."""
         fresh = self._path.with_suffix(".json.new")
         digest = hashlib.sha256()
         try:

@@ -1,8 +1,8 @@
 """The devices of a stored run: their journals must be one chain over all items, in the order of time. Pure.
 
-Between two items a device's journal goes on where the last item left it, unless the device was started again. Within an item
-every look at a device says when it was asked for and when its answer was there: whatever the look shows happened before the
-answer, whatever it does not show happened after the question.
+From one item to the next a device's journal continues without a gap, unless the device was started again. Within an item
+every look at a device says when it was asked for and when its answer was there: the entries that the look shows are from
+before the answer, the entries that it does not show are from after the question.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ class DeviceHistory:
     """One device through all items of a run.
 
     Attributes:
-        name: in the run record.
-        facts: as the record has them.
-        cursor: where its adapter is in its journal.
-        unknown: the last item ended before its time, or could not be judged again: what happened since is not known.
+        name: the device's name in the run record.
+        facts: about the device, as the record has them.
+        cursor: position of its adapter in its journal.
+        unknown: the last item ended before its time, or could not be judged again: what reached the device since is unknown.
     """
 
     def __init__(self, name: str, facts: Device) -> None:
@@ -35,10 +35,10 @@ class DeviceHistory:
         self._last_ns = 0
 
     def enter(self, found: ItemDevice) -> None:
-        """Begin an item.
+        """Begin an item at this device.
 
         Raises:
-            HistoryError: the item does not begin where the one before it ended.
+            HistoryError: the item does not find the device as the item before it left it.
         """
         cursor = self.cursor
         unknown, self.unknown = self.unknown, False
@@ -58,16 +58,16 @@ class DeviceHistory:
         self.take(found["before"], found["begin"], found["asked_ns"])
 
     def has_session(self, session: SessionStart | None) -> None:
-        """Begin a session, if this is another one than before."""
+        """Begin a session, if its number is not that of the session before."""
         if session is not None and (self.cursor.session is None or session[0] != self.cursor.session[0]):
             number, seq = session
             self.cursor.open_session(seq, number)
 
     def looked(self, entries: Sequence[JournalEntry], until: int, seen_ns: int) -> None:
-        """Check what a look at the journal showed: the slice from the last one's end to before ``until``.
+        """Check what a look at the journal showed: the entries from the end of the last slice to before ``until``.
 
         Raises:
-            HistoryError: there is a gap, or something happened out of its time.
+            HistoryError: there is a gap, or the time of an entry does not fit.
         """
         begin = self.cursor.next
         found = [entry["seq"] for entry in entries]
@@ -84,7 +84,7 @@ class DeviceHistory:
             last_ns = entry["t_ns"]
 
     def take(self, entries: Sequence[JournalEntry], until: int, asked_ns: int) -> None:
-        """Take a slice: what comes after it came after it was asked for."""
+        """Take a slice: the entries after it must be from after it was asked for."""
         self.cursor.take(entries, until)
         self._floor_ns = max(self._floor_ns, asked_ns)
         if entries:

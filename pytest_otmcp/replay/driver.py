@@ -1,4 +1,4 @@
-"""Carries out a trial on the stored history of an item: looks up what happened and does nothing."""
+"""The driver of a trial on the stored history of an item: it looks up what was done and does nothing itself."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ __all__ = ["ReplayDriver", "UnfinishedError"]
 
 
 class UnfinishedError(Exception):
-    """The history is over, because the user ended the run."""
+    """The history ends here, because the user ended the run."""
 
 
 class ReplayDriver:
-    """Plays an item of a run record back.
+    """Driver that plays an item of a run record back.
 
     Args:
         item: of the record.
         task: the item's task.
         adapters: of the subject, by protocol.
-        devices: of the run, where the item before this one has left them.
+        devices: of the run, in the state in which the item before this one left them.
         seed, time_scale: of the run.
 
     Attributes:
         sample: the stored repetition that is being played back.
-        objections: role and number of a repetition that the steps cannot be taken through, to the reason.
+        objections: role and number of each repetition that does not fit the steps, to the reason.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class ReplayDriver:
         self._ended = item.head["ended"]
 
     def obstacle(self) -> tuple[Status, str] | None:
-        """What the record says, of an item that nothing was done for."""
+        """Return the recorded status and reason of an item for which nothing was done; None for any other item."""
         head = self._head
         status = Status(head["status"])
         if status in (Status.NOT_APPLICABLE, Status.NOT_TESTABLE) and not head["devices"] and not self._ended:
@@ -81,7 +81,7 @@ class ReplayDriver:
         return nullcontext()
 
     async def prepare(self) -> None:
-        """Take every device from where the item before has left it to where this one found it."""
+        """Take every device from the state in which the item before left it to the state in which this one found it."""
         problems = []
         for name, found in self._head["devices"].items():
             protocol = name.partition("@")[0]
@@ -103,11 +103,11 @@ class ReplayDriver:
         await self.open_sessions()
 
     def before(self) -> Sequence[tuple[str, Entries]]:
-        """What had reached the devices while nobody called their adapters."""
+        """Return what had reached the devices while nobody called their adapters."""
         return [(state.protocol, state.found["before"]) for state in self._states if state.found["quiet"]]
 
     def repetition(self, rep: int, role: Role) -> Repetition:
-        """The next execution of steps that is stored."""
+        """Return the next stored repetition, ready to be played back."""
         part: Sample | Around
         if role == "task":
             self.sample = next(self._samples, None)
@@ -132,7 +132,7 @@ class ReplayDriver:
         )
 
     def _end(self) -> Exception:
-        """Why there is no more."""
+        """Return the exception that says why no further repetition is stored."""
         ended, self._ended = self._ended, None
         if ended is None:
             if self._head["status"] == Status.INTERRUPTED:
@@ -161,7 +161,7 @@ class ReplayDriver:
         except HistoryError as objection:
             self.objections[repetition.role, repetition.rep] = str(objection)
         except UNREADABLE as error:
-            # An oracle has met what no adapter and no device of the kit ever said.
+            # An oracle has met data that no adapter and no device of the kit can have sent.
             self.objections[repetition.role, repetition.rep] = f"it cannot be judged ({error!r})"
         for at in repetition.all:
             if isinstance(at, ReplayRig):
@@ -170,13 +170,16 @@ class ReplayDriver:
             state.history.cursor.looked_through = True
 
     async def inspect(self) -> list[SessionFacts]:
-        """What was remarkable then; or how the item ended, when that was after its last steps."""
+        """Return what was remarkable about the sessions at this inspection.
+
+        An item that ended early after its last steps raises the exception of that end instead.
+        """
         if self._ended:
             raise self._end()
         return self._inspected()
 
     async def end_sessions(self) -> list[SessionFacts]:
-        """What was remarkable then."""
+        """End all sessions; return what was remarkable about them at this inspection."""
         for state in self._states:
             state.history.cursor.close_session()
         return self._inspected()
@@ -197,21 +200,21 @@ class ReplayDriver:
         ]
 
     async def open_sessions(self) -> None:
-        """Have sessions again; where one is another than before, the next repetition says so."""
+        """Mark all sessions as open; where one was replaced, the record of the next repetition says so."""
         for state in self._states:
             state.history.cursor.connected = True
 
     async def close(self) -> None:
-        """End the read-only session, as a bench does."""
+        """End the session of the read-only variant, as a bench does."""
         for state in self._states:
             if state.variant == READ_ONLY:
                 state.history.cursor.close_session()
 
     def leave(self, *, judged: bool) -> None:
-        """The item is over.
+        """End the item; the state of its devices is unknown from here on if it ended early or could not be judged.
 
         Args:
-            judged: it was taken through its history to its end.
+            judged: the item was played back to its end without an objection.
         """
         early = self._head["ended"] is not None or self._head["status"] in (Status.INTERRUPTED, Status.KIT_ERROR)
         for name in self._head["devices"].values():
@@ -219,7 +222,7 @@ class ReplayDriver:
                 device.unknown = early or not judged
 
     def left_over(self) -> str | None:
-        """What the history has beyond the task's end."""
+        """Say what the history has beyond the task's end; None when it has nothing."""
         if self._ended or self._around or next(self._samples, None) is not None:
             return "the history has more than the task does"
         if self._clock.now_ns > self._head["ended_ns"]:
@@ -231,7 +234,7 @@ class ReplayDriver:
         return {}
 
     def history(self) -> ItemHistory:
-        """What the record has of this already."""
+        """Return the driver's members of the item as the record has them already."""
         head = self._head
         return ItemHistory(
             worker=head["worker"],

@@ -1,9 +1,9 @@
-"""Judges a run record again, from nothing but what it stores.
+"""Judging a run record again, from nothing but what it stores.
 
 Every item's own steps run once more, with the stored calls, journals and images in the place of adapters and devices
-(``driver``); what they find must be what the record says. ``reply`` says what is believed in doing so. Believed as well are
-the facts about processes (stray output, how they ended), durations of stops and starts, and a fault of adapter or kit that
-ended an item before its time.
+(``driver``); what they find must be what the record says. ``reply`` lists what is believed unchecked. The facts about
+processes (stray output, how they ended), the durations of stops and starts, and a fault of adapter or kit that ended an item
+before its time are believed as well.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def _disagreements(run: StoredRun) -> Iterator[str]:
     except UNREADABLE as error:
         yield f"the run: the stored history cannot be read ({error!r})"
         return
-    # Devices are taken from item to item as they were in the run, whatever the order of the items in the record.
+    # A device passes from item to item in the order of the run, whatever the order of the items in the record.
     for item in sorted(run.items(), key=lambda item: item.head["began_ns"]):
         name = item.head["id"]
         task = tasks.get(name)
@@ -91,7 +91,7 @@ def _disagreements(run: StoredRun) -> Iterator[str]:
 
 
 class _Judge:
-    """Judges the items of a run in the order in which they were executed."""
+    """The judge of a run's items, which it takes in the order in which they were executed."""
 
     def __init__(self, header: Header) -> None:
         self._settings = header["settings"]
@@ -106,7 +106,7 @@ class _Judge:
         self._ended_ns: dict[str, int] = {}
 
     def item(self, item: StoredItem, task: Task) -> Iterator[str]:
-        """Judge an item again."""
+        """Judge an item again and return the disagreements with the record."""
         head = item.head
         name = head["id"]
         demanded = self._settings["repetitions"].get(head["suite"], head["planned"])
@@ -119,7 +119,7 @@ class _Judge:
         yield from self._of_history(item, task)
 
     def _of_claims(self, head: ItemHead, task: Task) -> Iterator[str]:
-        # Of an adapter that had no device, as in a run that was narrowed, nothing can be said.
+        # An adapter that had no device, as in a run that was narrowed, cannot be judged.
         gaps = [facet for facet in self._claims.required(task.needs) if not self._claims.has(facet)]
         if head["status"] == Status.NOT_APPLICABLE and not gaps:
             yield f"{head['id']}: the record says NOT_APPLICABLE, the subject claims {' and '.join(task.needs)}"
@@ -185,7 +185,7 @@ def _where(name: str, role: str, rep: int) -> str:
 
 
 def _of_calls(where: str, found: Sequence[Said], said: Sequence[Said]) -> Iterator[str]:
-    # Concurrent calls are told apart by what was asked, not by whose reply came first.
+    # Concurrent calls are told apart by their questions, not by the order of their replies.
     left = list(found)
     for index, call in enumerate(said, start=1):
         match = next((other for other in left if _same_question(other, call)), None)

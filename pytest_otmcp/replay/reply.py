@@ -1,12 +1,12 @@
-"""Rebuilds a reply from what a run record has of it, without I/O.
+"""Replies rebuilt from what a run record has of them, without I/O.
 
 What is judged again, and what is believed:
 
 - A reply whose frames are in the record is read from their bytes, by the same rules as before; their digest must fit.
-- Of a reply without frames, which had no fault, the envelope is read again: schema, codes, what contradicts itself, its
-  clock against the kit's. Believed is that its text block said the same and that ``isError`` agreed.
+- For a reply without frames, which had no fault, the envelope is read again: schema, codes, contradictions within it, its
+  clock against the kit's. It is believed that its text block said the same and that ``isError`` agreed.
 - Frames that are cut off, or are no UTF-8, cannot be read again: envelope and faults of such a reply are believed.
-- What a Python function of a subject returned is believed; everything that is made of it is made again.
+- The outputs that a Python function of a subject returned are believed; everything that follows from them is judged again.
 - Tool and arguments must be those that the stored binding makes of what the steps ask for; outputs are read anew.
 """
 
@@ -28,15 +28,15 @@ __all__ = ["UNREADABLE", "HistoryError", "recorded_reply", "restored_bindings"]
 
 
 UNREADABLE = (LookupError, TypeError, ValueError, AttributeError, RecursionError, re.error)
-"""What reading a record may end in that has another shape than any that the kit writes."""
+"""Exceptions that reading a record may raise when it has another shape than any that the kit writes."""
 
 
 class HistoryError(Exception):
-    """The stored history cannot be what happened; the message says why."""
+    """The stored history cannot be true; the message says why."""
 
 
 def restored_bindings(stored: Mapping[str, Any]) -> dict[str, list[Binding] | None]:
-    """The bindings of the operations that were used; None for one that a Python function performs."""
+    """Return the bindings of the operations that were used; None for an operation that a Python function performs."""
     return {name: None if cases is None else [_binding(case) for case in cases] for name, cases in stored.items()}
 
 
@@ -60,11 +60,11 @@ def recorded_reply(
 
     Args:
         call: as ``run.json`` has it.
-        cases: how the subject performs the operation; None for a Python function.
+        cases: the subject's bindings of the operation; None for a Python function.
         endpoint, deadline_s: of the adapter under test.
 
     Raises:
-        HistoryError: the call cannot have been like that.
+        HistoryError: the call cannot have been made as it is recorded.
     """
     inputs = call["inputs"]
     if cases is None:

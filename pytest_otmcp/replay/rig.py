@@ -1,6 +1,6 @@
-"""An adapter at its device in a repetition of the past: gives what the history has, and objects where it cannot be so.
+"""The rig of a stored repetition: it returns what the history has, and objects where the history cannot be true.
 
-Whatever the steps ask for must be what the history has next, and in the order of time.
+Each call or observation that the steps ask for must be the next one in the history, and in the order of time.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class RecordedAdapter:
         protocol: of the adapter.
         facts: what the record says about it.
         claims: of the subject.
-        bindings: of the operations that were used; None for one that a Python function performs.
+        bindings: of the operations that were used; None for an operation that a Python function performs.
         time_scale: of the run.
     """
 
@@ -49,12 +49,12 @@ class RecordedAdapter:
 
 
 class Clock:
-    """Time within one item of the past: it only goes forward.
+    """Time within one stored item: it only goes forward.
 
-    Calls that were made at the same time have no order among them, and so have looks at a device meanwhile.
+    Calls that were made at the same time have no order among them, nor have the looks at a device meanwhile.
 
     Args:
-        now_ns: monotonic; when the item began.
+        now_ns: monotonic time at which the item began.
     """
 
     def __init__(self, now_ns: int) -> None:
@@ -62,13 +62,15 @@ class Clock:
         self._together = False
 
     def passed(self, begun_ns: int, over_ns: int, what: str, *, together: bool) -> None:
-        """Let something happen.
+        """Let the time of one call or observation pass.
 
         Args:
-            together: at the same time as other things.
+            begun_ns, over_ns: its begin and its end.
+            what: its name in the error.
+            together: it was made at the same time as others.
 
         Raises:
-            HistoryError: it happened before something that came before it.
+            HistoryError: its time lies before that of a call or an observation that precedes it in the history.
         """
         if not (together and self._together):
             self._floor_ns = self.now_ns
@@ -79,7 +81,7 @@ class Clock:
 
 
 class ReplayItemState:
-    """An adapter and its device during one item, as its history has it."""
+    """An adapter and its device during one item, as the item's history has them."""
 
     def __init__(self, adapter: RecordedAdapter, history: DeviceHistory, found: ItemDevice) -> None:
         self.adapter = adapter
@@ -94,7 +96,7 @@ class ReplayItemState:
 
 
 class RecordedRepetition:
-    """Calls and observations of one repetition, each to be had once."""
+    """Calls and observations of one stored repetition; each is handed out once."""
 
     def __init__(self, calls: Iterable[Call], observations: Iterable[Observation], clock: Clock) -> None:
         self.calls = list(calls)
@@ -102,11 +104,15 @@ class RecordedRepetition:
         self._clock = clock
 
     def next_is(self, at: str, what: str) -> bool:
-        """The next observation is this one."""
+        """Tell whether the next observation is of the adapter ``at`` and shows ``what``."""
         return bool(self.observations) and self.observations[0]["at"] == at and what in self.observations[0]
 
     def observation(self, at: str, what: str, *others: str, together: bool) -> Observation:
-        """The next one, which must be this one."""
+        """Take the next observation, which must be of the adapter ``at`` and show ``what`` or one of ``others``.
+
+        Raises:
+            HistoryError: the next observation is another one, or there is none.
+        """
         if not self.observations:
             raise HistoryError(f"the steps ask for {what} of {at}, the history has nothing further")
         seen = self.observations.pop(0)
@@ -117,7 +123,11 @@ class RecordedRepetition:
         return seen
 
     def call(self, at: ReplayItemState, operation: str, inputs: Mapping[str, object], *, together: bool) -> Call:
-        """The call that the steps ask for: the next one, or, of concurrent ones, one of the next."""
+        """Take the call that the steps ask for: the next call, or one of the next group of concurrent calls.
+
+        Raises:
+            HistoryError: the next call is another one, or there is none.
+        """
         asked = f"{at.name} {operation}({_listed(inputs)})"
         if not self.calls:
             raise HistoryError(f"the steps ask for {asked}, the history has no further call")
@@ -134,7 +144,7 @@ class RecordedRepetition:
         raise HistoryError(f"the steps ask for {asked}, the history has {found}")
 
     def _pass(self, call: Call, *, together: bool) -> None:
-        # What could not be sent has no time.
+        # A call that could not be sent has no time.
         if call["sent_ns"]:
             received_ns = call["sent_ns"] if call["received_ns"] is None else call["received_ns"]
             self._clock.passed(call["sent_ns"], received_ns, f"the call of {call['tool']}", together=together)
@@ -145,7 +155,7 @@ def _listed(inputs: Mapping[str, object]) -> str:
 
 
 class ReplayRig(Rig):
-    """An adapter at its device in one repetition of the past. Nothing is done, nothing is waited for."""
+    """An adapter at its device in one stored repetition. Nothing is done, and nothing is waited for."""
 
     def __init__(self, state: ReplayItemState, past: RecordedRepetition, device: Iterable[DeviceEntry]) -> None:
         super().__init__(state.protocol, state.variant, state.history.cursor)
@@ -183,10 +193,10 @@ class ReplayRig(Rig):
         return self._state.accepting_ns
 
     def finish(self) -> None:
-        """The steps are over: so must this repetition's history be.
+        """Check, at the end of the steps, that the history of this repetition is used up.
 
         Raises:
-            HistoryError: something is left.
+            HistoryError: calls, observations or journal entries are left.
         """
         if self._past.calls:
             raise HistoryError(f"the history has {len(self._past.calls)} call(s) more than the steps make")
@@ -198,7 +208,7 @@ class ReplayRig(Rig):
             raise HistoryError(f"the journal of {self.name} has {len(self._unread)} entries beyond its end")
 
     def leave(self) -> None:
-        """Bring the state to where the next repetition begins, also when this one could not be taken to its end."""
+        """Bring the state to the begin of the next repetition, also when this one could not be played back to its end."""
         cursor = self._cursor
         for seen in self._past.observations:
             if seen["at"] == self.name:
@@ -214,7 +224,7 @@ class ReplayRig(Rig):
         return self._past.observation(self.name, what, *others, together=self._ledger.together)
 
     def _until(self, end: int, seen_ns: int) -> list[Entry]:
-        """The slice of this repetition up to the entry before ``end``."""
+        """Return the slice of this repetition up to the entry before ``end``."""
         entries = self._unread[: max(0, end - self._cursor.next)]
         self._state.history.looked(entries, end, seen_ns)
         return entries

@@ -1,6 +1,6 @@
-"""Everything that is made from a run record: terminal summary, pages, LaTeX tables, figures. Nothing here judges.
+"""The reports of a run record: terminal summary, pages, LaTeX tables, figures. This package does not judge.
 
-Figures that several reports print are counted here, so that no two reports disagree.
+This module computes the numbers that several reports print, so that no two reports disagree.
 """
 
 from __future__ import annotations
@@ -32,34 +32,34 @@ __all__ = [
 
 
 def applies(item: Item) -> bool:
-    """Tell whether the subject claims what the item is about."""
+    """Tell whether the subject claims the facets that the item needs."""
     return bool(item["status"] != "NOT_APPLICABLE")
 
 
 def tally(items: Iterable[Item]) -> tuple[int, int]:
-    """Count repetitions that passed, and those planned, of the items that apply: what did not run did not pass."""
+    """Count the repetitions that passed and those planned, for the items that apply; one that did not run did not pass."""
     counted = [item for item in items if applies(item)]
     good = sum(sample["ok"] for item in counted for sample in item["samples"])
     return good, sum(item["planned"] for item in counted)
 
 
 def least(item: Item) -> float | None:
-    """Return the least rate at which the item passes, with 95 % confidence; None when it says nothing about the subject."""
+    """Return the rate at which the item passes at least, with 95 % confidence; None when it says nothing about the subject."""
     return lower_bound(*tally([item])) if item["samples"] else None
 
 
 def timing_valid(run: Run) -> bool:
-    """Tell whether the run's latencies are the subject's: those of a parallel run measure the neighbours, too."""
+    """Tell whether the run's latencies are the subject's: in a parallel run they also measure the items beside it."""
     return run["footer"].get("timing_valid", True)
 
 
 def durations(run: Run, items: Iterable[Item]) -> list[float]:
-    """Return the milliseconds of every repetition of the items; none when the run's latencies are withheld."""
+    """Return the milliseconds of every repetition of the items; nothing when the run's latencies are withheld."""
     return [sample["duration_ms"] for item in items for sample in item["samples"]] if timing_valid(run) else []
 
 
 def phases(run: Run, item: Item, name: str) -> list[float]:
-    """Return the milliseconds of a phase of recovery, where it happened; none when the run's latencies are withheld."""
+    """Return the milliseconds of a phase of recovery, where it happened; nothing when the run's latencies are withheld."""
     if not timing_valid(run):
         return []
     found = [cast(dict[str, float | None], sample["phases"])[name] for sample in item["samples"] if sample["phases"]]
@@ -67,7 +67,7 @@ def phases(run: Run, item: Item, name: str) -> list[float]:
 
 
 def recovered(items: Iterable[Item], way: str) -> tuple[int, int]:
-    """Count outages after which ``way`` (``same_session`` or ``fresh_session``) succeeded, and those planned."""
+    """Count the outages after which ``way`` (``same_session`` or ``fresh_session``) succeeded, and those planned."""
     counted = [item for item in items if applies(item)]
     samples = [sample for item in counted for sample in item["samples"]]
     good = sum(bool(sample["phases"] and cast(dict[str, bool], sample["phases"])[f"{way}_ok"]) for sample in samples)
@@ -75,19 +75,19 @@ def recovered(items: Iterable[Item], way: str) -> tuple[int, int]:
 
 
 def adapters(run: Run) -> dict[str, AdapterFacts]:
-    """The subject's adapters that had a session, by protocol."""
+    """Return the subject's adapters that had a session, by protocol."""
     return {key: facts for key, facts in run["subject"]["adapters"].items() if facts["tools"] is not None}
 
 
 def task_calls(items: Iterable[Item]) -> list[Call]:
-    """Return the calls that the tasks of these items are about; neither set-up nor what came before a recovery."""
+    """Return the calls that the tasks of these items are about; without set-up and the calls before a recovery."""
     return [call for item in items for sample in item["samples"] for call in sample["calls"] if call["role"] == "task"]
 
 
 def command(run: Run, item: Item | None = None, repetition: int = 0) -> str:
     """Return the shell command that makes a run like this one, or only one item of it up to one of its repetitions.
 
-    It works from any directory. Values depend on seed and repetition alone, so they are the same again.
+    It works from any directory. Values depend only on seed and repetition, so they are the same again.
     """
     settings = run["settings"]
     options = ["--pyargs", "pytest_otmcp.conformance"]
@@ -96,7 +96,7 @@ def command(run: Run, item: Item | None = None, repetition: int = 0) -> str:
         if list(settings.get("suites", SUITES)) != list(SUITES):
             options.append(f"--otmcp-suite={','.join(settings['suites'])}")
     else:
-        # A suite's share of N decides how large N has to be for this repetition to be among its own.
+        # A suite's repetitions are a share of N: N must be large enough for this repetition to be among them.
         reps = next(reps for reps in count(1) if repetitions(reps)[item["suite"]] > repetition)
         options += [f"--otmcp-reps={reps}", "-k", f"[{item['id']}]"]
     usual = {"seed": 0, "era": "auto", "time_scale": 1.0}

@@ -1,8 +1,7 @@
-"""What an adapter has earned: for each protocol, what it may be trusted with, and which items say so. Pure.
+"""The capabilities that an adapter has earned, for each protocol, and the items that decided them. Pure.
 
-A capability is earned when every item behind it passed. One that misses an item is undecided, not earned: a run that was
-narrowed can only take away. Items say themselves which capabilities they are about; which items there should be is known
-from the suite.
+A capability is earned when every item behind it passed. A capability with a missing item is undecided, not earned: a
+narrowed run can only earn less. The items say which capabilities they are about; the suite says which items there should be.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ __all__ = ["Earned", "Grade", "Heading", "earned"]
 
 
 class Grade(StrEnum):
-    """What a run says about one capability of one protocol."""
+    """Grade of one capability of one protocol in a run."""
 
     EARNED = "earned"
     NOT_EARNED = "not earned"
@@ -38,8 +37,8 @@ class Heading:
 
     Attributes:
         name: a word or two.
-        meaning: what it means when it is earned.
-        facet: what the subject has to claim for it, where the items also apply without.
+        meaning: what an earned capability means.
+        facet: the facet that the subject has to claim for it, where the items also apply without that claim.
     """
 
     name: str
@@ -52,8 +51,8 @@ class Earned:
     """One capability of one protocol.
 
     Attributes:
-        because: ids of the items that decided it: those that failed, or are missing, or else all that passed.
-        without: ids of items behind it that are about something the subject does not claim.
+        because: ids of the items that decided it: those that failed or are missing, or else all that passed.
+        without: ids of items behind it that need a facet which the subject does not claim.
     """
 
     grade: Grade
@@ -88,9 +87,9 @@ _Ids = dict[str, list[str]]
 
 
 def earned(run: Run) -> list[tuple[Heading, dict[str, Earned]]]:
-    """Return each capability with what every family of the run has earned of it.
+    """Return each capability with its grade in every family of the run.
 
-    Items about no capability that is known here are one of their own, so that none of their failures is overlooked.
+    Items about no capability that is known here form a capability of their own, so that none of their failures is overlooked.
     """
     wanted, further = _wanted(run)
     items = {item["id"]: item for item in run["items"]}
@@ -110,7 +109,7 @@ def earned(run: Run) -> list[tuple[Heading, dict[str, Earned]]]:
 
 
 def _wanted(run: Run) -> tuple[dict[str, _Ids], _Ids]:
-    """Return the ids behind each capability, by family, and those of items behind none."""
+    """Return the ids of the items behind each capability, by family, and of the items behind none."""
     behind: dict[str, tuple[str, Collection[str]]] = {
         task.id: (task.family, task.capabilities) for task in tasks_by_id(run["subject"]["adapters"]).values()
     }
@@ -126,7 +125,7 @@ def _wanted(run: Run) -> tuple[dict[str, _Ids], _Ids]:
 def _capabilities(item: Item) -> Collection[str]:
     if item["capabilities"]:
         return [str(name) for name in item["capabilities"]]
-    # A record of an earlier kit does not say; the task of that id does.
+    # A record of an earlier kit does not name the capabilities; the task of that id does.
     task = all_tasks().get(item["id"])
     return () if task is None else task.capabilities
 

@@ -1,7 +1,7 @@
 """The summary of a run as lines of text. Pure: a run record in, lines with a style out.
 
-Lines hold printable characters only: what an adapter puts into its messages can neither colour the terminal nor start
-a line of its own that looks like a verdict. Our own words are ASCII, for terminals that have nothing else.
+Lines hold printable characters only: a text from an adapter can neither colour the terminal nor start a line of its own that
+looks like a verdict. The kit's own words are ASCII, for terminals that have nothing else.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ Line = tuple[str, str]
 
 _NONE = "---"
 _BENCHMARK = ("tool calls", "MCP client", "endpoint restarts", "fresh sessions")
-"""What the time of a run is spent on that is the benchmark itself, the client's share of a tool call included."""
+"""Activities that are the benchmark itself, the client's share of a tool call included."""
 
 _SHOWN_FINDINGS = 3
 _WIDE = 120
-"""From this width on there is room for mean and interval; a narrower terminal rather shows what the task is."""
+"""Columns from which on there is room for mean and interval; a narrower terminal shows the task's title instead."""
 
 
 def summary(run: Run, width: int = 100) -> list[Line]:
@@ -33,7 +33,7 @@ def summary(run: Run, width: int = 100) -> list[Line]:
 
     Args:
         run: a run record.
-        width: columns of the terminal; below 80 lines are longer than it.
+        width: columns of the terminal; lines are for 80 columns where it has fewer.
 
     Returns:
         Lines with a style: ``ok``, ``bad``, ``head`` or ``plain``.
@@ -91,7 +91,7 @@ def _style(item: Item) -> str:
 
 
 def _wrapped(text: str, width: int, indent: str) -> Iterator[str]:
-    # The lines of a text, such as the last ones of an adapter's stderr, stay lines, but none begins where ours do.
+    # The lines of a text, such as the last lines of an adapter's stderr, stay lines, but are indented, unlike the kit's own.
     for index, line in enumerate(text.splitlines() or [""]):
         first = indent if index else ""
         yield from textwrap.wrap(printable(line), width, initial_indent=first, subsequent_indent=indent) or [""]
@@ -123,7 +123,7 @@ def _counts(run: Run, width: int) -> Iterator[Line]:
     samples = sum(len(item["samples"]) for item in run["items"])
     others = ", ".join(f"{calls[role]} {role}" for role in ("recovery", "control", "setup", "warmup"))
     texts = [f"{samples} runs, {calls['task']} tool calls ({others} calls counted apart)"]
-    # A run that was killed has neither.
+    # A killed run has neither a time breakdown nor an elapsed time.
     if spent := footer.get("breakdown_s"):
         total = sum(spent.values()) or 1.0
         parts = (

@@ -1,7 +1,7 @@
 """The pictures of the HTML report, as SVG that follows the page's colours. Pure.
 
-Hand-made, so that letters stay letters and dark pages get dark pictures; what is drawn, and how quartiles, whiskers and
-medians are worked out, is that of the figures. All texts pass through markupsafe's escaping.
+The SVG is written here, not by a library, so that letters stay letters and dark pages get dark pictures. The pictures show the
+same as the figures, with the same quartiles, whiskers and medians. All texts pass through markupsafe's escaping.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ _PHASES = {
 
 
 def strip(item: Item) -> Markup:
-    """Draw the repetitions of an item from left to right as at most sixty marks: a mark is bad when any of its own is."""
+    """Draw the repetitions of an item from left to right as at most sixty marks; one bad repetition makes its mark bad."""
     planned = max(item["planned"], len(item["samples"]))
     marks = min(planned, _CELLS)
-    # One path for each kind: hundreds of items with thirty marks each are still a small page.
+    # One path for each kind of mark, so that a page with hundreds of items of thirty marks stays small.
     paths = {"good": "", "bad": "", "open": ""}
     for mark in range(marks):
         first, last = mark * planned // marks, (mark + 1) * planned // marks
         own = item["samples"][first:last]
         kind = "open" if len(own) < last - first else "good" if all(sample["ok"] for sample in own) else "bad"
-        # What failed is lower as well as of another colour.
+        # A bad mark is lower, not only of another colour.
         paths[kind] += f"M{mark * 4} {'6h3v6' if kind == 'bad' else '1h3v8'}h-3z"
     shapes = Markup().join(Markup('<path class="{}" d="{}"/>').format(*path) for path in paths.items() if path[1])
     good = sum(sample["ok"] for sample in item["samples"])
@@ -52,7 +52,7 @@ class _Scale:
     """A logarithmic axis of milliseconds."""
 
     def __init__(self, values: Sequence[float], left: int) -> None:
-        # Nothing is faster than a microsecond, and a clock that says so must not break the picture.
+        # No repetition takes less than a microsecond, and a clock that says so must not break the picture.
         found = [max(value, 0.001) for value in values]
         self._low = math.floor(2 * math.log10(min(found))) / 2
         self._high = max(math.ceil(2 * math.log10(max(found))) / 2, self._low + 0.5)

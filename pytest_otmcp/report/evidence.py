@@ -1,7 +1,7 @@
-"""The evidence of what failed: per item the repetitions that show a fault, with findings and conversation. Pure.
+"""The evidence of failed items: for each item the repetitions that show a fault, with findings and conversation. Pure.
 
-All of it is in the record. A page holds enough of it to understand a fault, and stays small enough to be opened when an
-adapter fails everywhere, with texts as long as they may be.
+All evidence is in the record. A page holds enough of it to understand a fault, and stays small enough to be opened even when
+an adapter fails everywhere with texts of the greatest length.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from .text import clipped
 __all__ = ["Evidence", "Failure", "failures", "findings_of"]
 
 _LETTERS = 6_000_000
-"""Of evidence, as HTML has them: items after that are shown with their first findings only."""
+"""Letters of evidence, as HTML has them: items after so many are shown with their first findings only."""
 _REPETITIONS = 3
 _EVENT_LETTERS = 700
-"""What the markup of an event takes."""
+"""Letters that the markup of an event takes."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Limits:
-    """How much of a repetition is shown: findings, and letters of what they say."""
+    """Limits of what is shown of a repetition: number of findings, and letters of their texts."""
 
     findings: int
     letters: int
@@ -41,12 +41,12 @@ _SHORT = _Limits(findings=2, letters=200, conversation=False)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evidence:
-    """A part of an item that failed: one repetition, or what was around them.
+    """A part of an item that failed: one repetition, or the steps around the repetitions.
 
     Attributes:
-        command: makes it happen again.
+        command: shell command that runs this part again.
         findings: with ``message``, ``requirement`` and ``evidence``.
-        more_findings: how many are not among them.
+        more_findings: number of findings that are not shown.
         events: the conversation; see :func:`pytest_otmcp.report.exchange.conversation`.
     """
 
@@ -58,7 +58,7 @@ class Evidence:
 
     @property
     def letters(self) -> int:
-        """Estimate how many letters its HTML has."""
+        """Estimated number of letters of its HTML."""
         texts = [str(value) for finding in self.findings for value in finding.values()]
         for event in self.events:
             if isinstance(event, Event):
@@ -68,7 +68,7 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Failure:
-    """An item that did not pass, with what of its evidence is shown, and a note of what is not."""
+    """An item that did not pass, with the evidence that is shown, and a note on the evidence that is not."""
 
     item: Item
     evidence: list[Evidence]
@@ -88,12 +88,12 @@ def failures(run: Run) -> list[Failure]:
 
 
 def findings_of(item: Item) -> list[Finding]:
-    """Return all findings of an item: its repetitions' and its own."""
+    """Return all findings of an item: those of its repetitions and its own."""
     return [*(finding for sample in item["samples"] for finding in sample["findings"]), *item["findings"]]
 
 
 def _failure(run: Run, item: Item, limits: _Limits) -> Failure:
-    # Thirty times the same fault is one fault: one repetition of each kind is shown.
+    # The same fault in thirty repetitions is one fault: one repetition of each kind of failure is shown.
     kinds: dict[tuple[str, ...], list[int]] = {}
     for index, sample in enumerate(item["samples"]):
         if not sample["ok"]:

@@ -1,7 +1,7 @@
-"""One repetition as a conversation: what host and adapter said, and what the device saw, in one order of time. Pure.
+"""One repetition as a conversation: messages of host and adapter, and journal entries of the device, in order of time. Pure.
 
-The clock of the calls is that of the journals, the machine's monotonic one. What has no time comes first, and
-a reply that never came last.
+Calls and journals have the same clock, the machine's monotonic clock. Events without a time come first, and a reply that
+never came comes last.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from .text import clipped
 __all__ = ["Event", "conversation"]
 
 _HEAD, _TAIL, _BAD, _AROUND = 40, 10, 10, 3
-"""Events shown of a long conversation: how it began, how it ended, and what was not as required, with those around it."""
+"""Numbers of events shown of a long conversation: first ones, last ones, bad ones, and those on each side of a bad one."""
 
 _DETAILED = 12
 """Calls shown with envelope and frames."""
@@ -29,7 +29,7 @@ _SHORT, _LONG = 300, 3_000
 """Characters of a line, and of an envelope or a frame."""
 
 _NEVER = 2**63
-"""When a reply came that did not come: after everything that the device saw."""
+"""Time of a reply that did not come: after everything that the device saw."""
 
 _ROLES = {
     "task": "",
@@ -39,23 +39,23 @@ _ROLES = {
     "recovery": "while recovering",
 }
 _PLACED = frozenset({"protocol", "variant", *JournalEntry.__annotations__})
-"""Members of an entry that are not among its facts: where it stands in the conversation shows them."""
+"""Members of an entry that are not listed among its facts: its place in the conversation shows them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Event:
-    """Something that was said or seen.
+    """One message, or event of a connection, in a conversation.
 
     Attributes:
-        at_ms: milliseconds since the first event whose time is known; None when it is not.
+        at_ms: milliseconds since the first event whose time is known; None when its own time is not known.
         lane: ``adapter`` (between host and adapter) or ``device`` (on the device's wire).
-        towards: it goes in the direction of the device.
+        towards: the message goes in the direction of the device.
         who: adapter or device, with variant and role where they matter.
-        what: a word or two.
-        text: one line.
-        bad: it was not what the item expected, as far as this is known of a single call.
-        changes: the device counts it as a request that changes its state.
-        more: name and text of what is too long for a line.
+        what: kind of the message, in a word or two.
+        text: content in one line.
+        bad: the message was not what the item expected, as far as this is known of a single call.
+        changes: the device counts the message as a request that changes its state.
+        more: name and text of each part that is too long for a line.
     """
 
     at_ms: float | None
@@ -70,8 +70,8 @@ class Event:
 
 
 def conversation(calls: Sequence[Mapping[str, object]], entries: Iterable[Mapping[str, object]]) -> list[Event | int]:
-    """Return the events in their order; a number stands for so many that are left out."""
-    # Envelopes and frames of what went wrong are wanted more than those of how it began.
+    """Return the events in their order; a number stands for that many events that are left out."""
+    # Envelopes and frames of failed calls are more useful than those of the first calls.
     ranked = sorted(range(len(calls)), key=lambda index: (calls[index]["ok"], index))
     detailed = set(ranked[:_DETAILED])
     timed: list[tuple[int | None, Event]] = []
@@ -79,7 +79,7 @@ def conversation(calls: Sequence[Mapping[str, object]], entries: Iterable[Mappin
         timed += _call(call, detailed=index in detailed)
     timed += [(_whole(entry.get("t_ns")), _entry(entry)) for entry in entries]
     begun = min((at for at, _ in timed if at is not None and at != _NEVER), default=0)
-    # The sort is stable: what has the same time, or none, stays in the order of the record.
+    # The sort is stable: events with the same time, or none, stay in the order of the record.
     timed.sort(key=lambda pair: (pair[0] is not None, pair[0] or 0))
     return _cut([_at(event, at, begun) for at, event in timed])
 

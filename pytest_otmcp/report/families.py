@@ -1,7 +1,7 @@
 """The families of items in the order of tables and figures, and their colours. Pure.
 
 A family is a protocol of the registry, by its name; the items about several protocols are a family, too. A record may hold
-families of protocols that are not installed here: they come last and have no colour of their own.
+families of protocols that are not installed here: these come last and have no colour of their own.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def families(run: Run) -> list[str]:
 
 
 def family_colour(family: str) -> Colour | None:
-    """Return the colour of a family, or None for one that is not known here."""
+    """Return the colour of a family, or None for a family that is not known here."""
     return {CROSS_PROTOCOL: _CROSS_COLOUR, **{known.name: known.colour for known in protocols().values()}}.get(family)
 
 

@@ -1,7 +1,7 @@
 """The figures of a run, each as PDF and PNG, sized for one column of a two-column paper.
 
-matplotlib without pyplot: no global state, no display. Metadata carry no dates, so the same record gives the same files.
-A figure for which a run has no data is not drawn, and one left by an earlier run is removed.
+matplotlib is used without pyplot: no global state, no display. Metadata hold no dates, so the same record gives the same
+files. A figure for which a run has no data is not drawn, and its file from an earlier run is removed.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _STYLE: dict[Any, Any] = {
     "savefig.dpi": 300,
 }
 
-# Tool counts of the protocol modules that the paper lists beside the three it evaluates.
+# Tool counts of the protocol modules that the paper lists beside the three that it evaluates.
 _OTHER_PROTOCOLS = {
     "BACnet/IP": 7,
     "DNP3": 8,
@@ -140,7 +140,7 @@ def _colour(family: str, unknown: str = "0.6") -> str:
 
 
 def _label(text: str) -> str:
-    """Make a text one that matplotlib neither takes for mathematics nor lacks letters for: adapters make codes up."""
+    """Make a text safe for matplotlib: no mathematics, and only letters that its fonts have. Adapters invent codes."""
     return ascii(text)[1:-1].replace("_", " ").replace("$", r"\$")[:40]
 
 

@@ -1,7 +1,7 @@
-"""The HTML report of a run: one file that needs nothing but a browser, and no network. Pure but for the writing.
+"""The HTML report of a run: one file that needs only a browser, and no network. Pure but for the writing.
 
-What an adapter wrote is shown, never interpreted: jinja2 escapes every value, letters that do not print are replaced
-by their escapes, and the page's Content-Security-Policy allows one style sheet, known by its hash, and nothing else: no
+Texts of an adapter are shown, never interpreted: jinja2 escapes every value, letters that do not print are replaced by
+their escapes, and the page's Content-Security-Policy allows one style sheet, known by its hash, and nothing else: no
 script, no request. ``report.html.jinja`` is the page.
 """
 
@@ -50,7 +50,7 @@ _SENTENCES = {
     "INCOMPLETE": "Not everything ran, so this run proves nothing yet.",
 }
 _LONGEST = 4_000
-"""Letters of any one value on the page."""
+"""Letters of one value on the page at most."""
 _TONES = {"CONFORMANT": "good", "NOT CONFORMANT": "bad"}
 
 
@@ -81,7 +81,7 @@ def page(run: Run) -> str:
         capabilities=earned(run),
         failures=failing,
         anchors=anchors,
-        # The id of an item that failed leads to its evidence.
+        # The id of a failed item links to its evidence.
         targets={**anchors, **{one.item["id"]: f"failed-{anchors[one.item['id']]}" for one in failing}},
         statuses=_STATUSES,
         suites=[(suite, _QUESTIONS.get(suite, ""), rows) for suite in SUITES if (rows := overview.tasks(run, suite))],
@@ -100,7 +100,7 @@ def page(run: Run) -> str:
 
 
 def _template() -> Any:
-    # The template is ours and what fills it is not: everything that is put in is escaped.
+    # The template is the kit's, the values come from outside: every value is escaped.
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, finalize=_shown, trim_blocks=True, lstrip_blocks=True
     )
@@ -118,7 +118,7 @@ def _shown(value: object) -> Any:
 
 
 def _anchors(items: Iterable[Item]) -> dict[str, str]:
-    """Map the id of each item to its anchor on the page; an item may be called anything, an anchor may not."""
+    """Map the id of each item to its anchor on the page; an id may have any characters, an anchor may not."""
     return {
         item["id"]: f"item-{item['id']}" if re.fullmatch(r"[A-Za-z0-9.-]+", item["id"]) else f"item_{index}"
         for index, item in enumerate(items)

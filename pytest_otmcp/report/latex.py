@@ -1,7 +1,7 @@
 """The paper's LaTeX tables from a run record, body only, so that ``\\input`` works.
 
-Macros, columns, rules and rounding of the first four files are those of the IndustriConnect paper; its own source
-compiles with them. A figure that a run does not have is printed as ``---``. Pure but for the writing.
+Macros, columns, rules and rounding of the first four files are those of the IndustriConnect paper; the paper's own source
+compiles with them. A number that a run does not have is printed as ``---``. Pure but for the writing.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ _DIGITS = "Zero One Two Three Four Five Six Seven Eight Nine".split()
 def escape(text: str) -> str:
     """Escape a text so that LaTeX prints it as it is.
 
-    ``<`` and ``>`` stay, as in the paper's own tables. What pdfLaTeX cannot set, such as a control character in an error
-    code that an adapter made up, is shown by its code point.
+    ``<`` and ``>`` stay, as in the paper's own tables. A character that pdfLaTeX cannot print, such as a control character in
+    an error code that an adapter made up, is shown by its code point.
     """
     return "".join(_SPECIAL.get(letter, letter if " " <= letter <= "~" else f"U+{ord(letter):04X}") for letter in text)
 
@@ -68,7 +68,7 @@ def _origin(run: Run) -> list[str]:
         f"subject: {run['subject'].get('name')} {run['subject'].get('version')}",
         f"made by: {command(run)}",
     ]
-    # A subject's name may hold anything; a comment must stay one line.
+    # A subject's name may hold any characters; a comment must stay one line.
     return ["% " + " ".join(line.split()) for line in lines]
 
 
@@ -108,7 +108,7 @@ def _exact_counts(run: Run) -> list[str]:
         "totalStressRuns": samples["stress"],
         "totalRecoveryTrials": samples["recovery"],
         "totalRuns": sum(samples.values()),
-        # The paper counts the calls of three suites; those of the recovery suite and those around the tasks follow.
+        # The paper counts the calls of three suites; the calls of the recovery suite and around the tasks follow.
         "totalToolCalls": every["task"],
         "normalToolCalls": calls["normal"],
         "faultToolCalls": calls["fault"],
@@ -125,7 +125,7 @@ def _exact_counts(run: Run) -> list[str]:
 
 
 def _letters(key: str) -> str:
-    """Turn a protocol's key into letters, as LaTeX wants them in the name of a macro: ``s7`` becomes ``sSeven``."""
+    """Turn a protocol's key into letters, as LaTeX requires for the name of a macro: ``s7`` becomes ``sSeven``."""
     return "".join(_DIGITS[int(sign)] if sign.isdecimal() else sign for sign in key if sign.isalnum())
 
 

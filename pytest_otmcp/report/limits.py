@@ -1,4 +1,4 @@
-"""What narrowed a run, in sentences for the engineer who has to decide upon it. Pure."""
+"""The limits of a run, in sentences for the engineer who has to decide upon it. Pure."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ _FULL = 30
 
 
 def narrowed(run: Run) -> list[str]:
-    """Return every reason why a run says less than a full one of its kind; empty when there is none."""
+    """Return every reason why a run says less than a full run of its kind; empty when there is none."""
     settings, footer = run["settings"], run["footer"]
     reasons = []
     if not footer["complete"]:
         reasons.append(f"The run is not complete: {footer.get('reason')}.")
     if missing := [suite for suite in SUITES if suite not in settings.get("suites", SUITES)]:
         reasons.append(f"These suites were left out: {', '.join(missing)}.")
-    # What an option of the kit asked for has its own sentence here.
+    # Limits that an option of the kit sets have their own sentences in this function.
     noted = [sentence for sentence in settings.get("narrowed", ()) if "(--otmcp-" not in sentence]
     reasons += [f"{sentence[:1].upper()}{sentence[1:]}." for sentence in noted]
     reps = settings.get("reps", _FULL)

@@ -1,7 +1,7 @@
 """The summary of a run for the page of a CI job, in GitHub Flavored Markdown. Pure but for the writing.
 
-What an adapter wrote stands in code spans, where Markdown, mentions and links mean nothing; what else comes from the
-record has its punctuation escaped. GitHub takes one MiB; long runs of findings are cut, and say so.
+Texts of an adapter stand in code spans, where Markdown, mentions and links have no effect; other texts of the record have
+their punctuation escaped. GitHub accepts one MiB, so long lists of findings are cut, with a line that says so.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ _SIGNS = {
 def escape(text: str) -> str:
     """Escape a text so that Markdown prints it as it is, on one line, in a table too."""
     escaped = re.sub(r"[\\`*_{}\[\]<>#!|~&@:$]|(?<=www)\.", r"\\\g<0>", _line(text))
-    # GitHub looks for mentions and references after Markdown is done; a joiner of no width is between what they need.
+    # GitHub looks for mentions and references after the Markdown is converted; a joiner of no width separates their parts.
     return re.sub(r"([@#])(?=\w)", "\\1\u200d", escaped)
 
 
 def code(text: str) -> str:
-    """Make a code span of one line; not for a table, which is cut at its bars before code is looked for."""
+    """Make a code span of one line; not for a table, whose cells are cut at bars before code spans are recognised."""
     line = _line(text)
     if len(line) > _LETTERS:
         line = line[:_LETTERS] + "…"
@@ -119,7 +119,7 @@ def _findings(run: Run) -> Iterator[str]:
 
 def _finding(run: Run, item: Item) -> Iterator[str]:
     yield f"- **{escape(item['id'])}** {escape(item['status'])}: {escape(item['title'])}"
-    # The same words again say nothing new, however many repetitions say them.
+    # A message that several repetitions share is listed once.
     messages = list(
         dict.fromkeys((finding["message"], finding.get("requirement") or "") for finding in findings_of(item))
     )

@@ -1,4 +1,4 @@
-"""The tables of a report that span items: tasks, requirements, recovery, statistics, and what is known of the run. Pure.
+"""The tables of a report about several items: tasks, requirements, recovery, statistics, and facts about the run. Pure.
 
 Cells are text, as a reader sees them.
 """
@@ -55,7 +55,7 @@ class Row:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cell:
-    """What the items of one family say about one requirement: a state, and the ids of the items that decided it."""
+    """State of one requirement by the items of one family, and the ids of the items that decided it."""
 
     state: str
     because: tuple[str, ...] = ()
@@ -63,7 +63,7 @@ class Cell:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Deviation:
-    """A failure that the vendor knows of, and what became of it in this run."""
+    """A failure that the vendor knows of, and its state in this run."""
 
     item: str
     reason: str
@@ -73,7 +73,7 @@ class Deviation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Adapter:
-    """An adapter as it was started and as it introduced itself, and what is to be known of its answers."""
+    """An adapter as it was started and as it introduced itself, with notes on its answers."""
 
     protocol: str
     server: str
@@ -104,7 +104,7 @@ def tasks(run: Run, suite: str) -> list[Row]:
 
 
 def requirements(run: Run) -> list[tuple[str, dict[str, Cell]]]:
-    """Return each requirement with what every family's items say of it.
+    """Return each requirement with its state in every family.
 
     ``violated``: a finding names it. ``not shown``: an item about it failed for another reason, or did not end.
     """
@@ -130,7 +130,7 @@ def _cell(items: Mapping[str, str]) -> Cell:
 
 
 def recovery_rows(run: Run) -> list[tuple[str, ...]]:
-    """Return id, family, median detection, and rate and median of the same session and of a fresh one, by item."""
+    """Return, by item: id, family, median detection, and rate and median of the same session and of a fresh session."""
     rows: list[tuple[str, ...]] = []
     for item in run["items"]:
         if item["suite"] == "recovery":
@@ -145,7 +145,7 @@ def recovery_rows(run: Run) -> list[tuple[str, ...]]:
 
 
 def statistics(run: Run) -> list[tuple[str, ...]]:
-    """Return id, n, mean, its deviation and interval, median and its interval, 95th percentile, outliers, by item."""
+    """Return, by item: id, n, mean, its deviation and interval, median and its interval, 95th percentile, outliers."""
     rows: list[tuple[str, ...]] = []
     for item in run["items"]:
         if times := durations(run, [item]):
@@ -213,7 +213,7 @@ def _adapter(protocol: str, facts: Mapping[str, Any]) -> Adapter:
 
 
 def facts(run: Run) -> list[tuple[str, str]]:
-    """Return what the record says of kit, machine and settings."""
+    """Return what the record says about kit, machine and settings."""
     kit, environment, settings, footer = run["kit"], run["environment"], run["settings"], run["footer"]
     spent = footer.get("breakdown_s", {})
     packages = environment.get("packages", {})

@@ -1,4 +1,4 @@
-"""Writes every report of a run record, and says where they are."""
+"""Writing of every report of a run record, and the lines that say where they are."""
 
 from __future__ import annotations
 
@@ -23,27 +23,28 @@ _WRITERS: Mapping[str, tuple[str, str]] = {
     "tables": ("latex", "write_tables"),
     "figures": ("figures", "write_figures"),
 }
-"""What is written, to the module of this room and its function ``(run, path) -> None`` that writes it.
+"""Name of a report in the report directory, to the module of this package and its function ``(run, path) -> None``.
 
-Each module is imported when its turn comes: a library that is missing or broken costs the reports that need it, no others.
+Each module is imported when its report is written: a library that is missing or broken only prevents the reports that need
+it.
 """
 
 NAMES = tuple(_WRITERS)
-"""What :func:`write_all` writes: files and folders, by their names in the report directory."""
+"""Files and folders that :func:`write_all` writes, by their names in the report directory."""
 
 
 def write_all(run: Run, directory: Path) -> dict[str, str]:
     """Write every report of a run below ``directory``.
 
-    A report that cannot be written does not keep the others from being written. The one that an earlier run left in its
-    place is removed: it would tell of another run.
+    A report that cannot be written does not prevent the others from being written. A report of that name from an earlier run
+    is removed, because it is about another run.
 
     Args:
         run: a run record, as :func:`pytest_otmcp.record.load` returns it.
-        directory: where they go; made when it is not there.
+        directory: the report directory; it is made when it is not there.
 
     Returns:
-        What could not be written, each with its reason; empty when all went well.
+        The names of the reports that could not be written, each with the reason; empty when all were written.
 
     Raises:
         OSError: ``directory`` cannot be made.
@@ -55,7 +56,7 @@ def write_all(run: Run, directory: Path) -> dict[str, str]:
         try:
             getattr(import_module(f".{module}", __package__), function)(run, path)
         except Exception as error:
-            # A record may be strange in any way, and the other reports are still wanted.
+            # A record may have any content, and the other reports are still wanted.
             failed[name] = f"{type(error).__name__}: {error}"
             _remove(path)
     return failed

@@ -1,6 +1,6 @@
-"""Text of the reports: what came from outside made harmless, and figures as tables print them. Pure.
+"""Text of the reports: texts from outside made harmless, and numbers as tables print them. Pure.
 
-Everything in a run record may have been written by the adapter under test: its messages, its tool names, its topics.
+The adapter under test may have written any text in a run record: its messages, its tool names, its topics.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ def shortened(text: str, width: int) -> str:
 
 
 def count(good: int, total: int, none: str) -> str:
-    """Write ``good/total``, or ``none`` where there was nothing to count."""
+    """Write ``good/total``, or ``none`` where nothing was counted."""
     return f"{good}/{total}" if total else none
 
 
 def number(value: float | None, none: str, digits: int = 2) -> str:
-    """Write a figure with ``digits`` decimals, or ``none`` where there is none."""
+    """Write a number with ``digits`` decimals, or ``none`` where there is no number."""
     return none if value is None else f"{value:.{digits}f}"
 
 
 def interval(bounds: tuple[float, float] | None, none: str, between: str) -> str:
-    """Write an interval with ``between`` its bounds, or ``none`` where there is none."""
+    """Write an interval with ``between`` its bounds, or ``none`` where there is no interval."""
     return none if bounds is None else f"{bounds[0]:.2f}{between}{bounds[1]:.2f}"

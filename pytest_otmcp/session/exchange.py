@@ -13,7 +13,7 @@ class Exchange:
     """One request of the kit: what was sent, what came back, and when.
 
     Attributes:
-        tool: name of the tool, or URI of the resource; of several exchanges taken as one, theirs with ``+`` in between.
+        tool: name of the tool, or URI of the resource; for joined exchanges, all their names with ``+`` in between.
         arguments: of the call.
         request: the request frame as written, without its newline.
         response: the response frame as read, or None when none came.
@@ -21,8 +21,8 @@ class Exchange:
         received_ns: monotonic time at which the response had been read, or None.
         failure: why there is no usable response (``timeout``, ``connection_closed``), or None.
         client_complaint: what the official SDK client objected to in the response, or None.
-        asked_ns, returned_ns: monotonic; the SDK client was asked, and was done with the response. 0 where the time of
-            the client was not measured.
+        asked_ns, returned_ns: monotonic times at which the SDK client was asked, and at which it had processed the
+            response; 0 where the time of the client was not measured.
     """
 
     tool: str
@@ -38,15 +38,15 @@ class Exchange:
 
     @property
     def latency_ms(self) -> float | None:
-        """From request written to response line read, in milliseconds; None without a response."""
+        """Time from the request's writing to the response's reading, in milliseconds; None without a response."""
         return None if self.received_ns is None else (self.received_ns - self.sent_ns) / 1e6
 
 
 def joined(exchanges: Sequence[Exchange], arguments: Mapping[str, object]) -> Exchange:
-    """Take the exchanges of one operation as one: from the first request to the last reply.
+    """Join the exchanges of one operation into one, from the first request to the last reply.
 
     Args:
-        arguments: what the operation was performed with.
+        arguments: those of the operation.
     """
     first, last = exchanges[0], exchanges[-1]
     return replace(

@@ -1,4 +1,4 @@
-"""Matches the frames that a session's transport sees to the calls that caused them; keeps what belongs to none."""
+"""Matching of a session's frames to the calls that caused them; frames without a call are kept."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from pydantic import ValidationError
 __all__ = ["MAX_STRAY_LINES", "META_KEY", "FrameRecorder", "Measurement"]
 
 META_KEY = "pytest-otmcp/exchange"
-"""Ties a frame to the call that caused it, also when several run at once. ``_meta`` is the place the specification gives
-for such keys (basic, "General fields"), and servers must ignore unknown ones."""
+"""Key that ties a frame to the call that caused it, also when several calls run at once. ``_meta`` is the place that
+the specification gives for such keys (basic, "General fields"), and servers must ignore unknown keys."""
 
 MAX_STRAY_LINES = 1000
 _KEPT_STRAY_LINES = 5
@@ -39,12 +39,12 @@ class Measurement:
 
 @dataclass(slots=True)
 class FrameRecorder:
-    """Matches frames to the calls that caused them.
+    """A recorder that matches frames to the calls that caused them.
 
     Attributes:
         stray_count, stray: lines that are no MCP message: how many, and the first few.
         unknown_ids: ids of responses to requests that were never sent.
-        overflow: a message longer than the kit accepts arrived.
+        overflow: True when a message arrived that is longer than the kit accepts.
     """
 
     stray_count: int = 0
@@ -57,7 +57,7 @@ class FrameRecorder:
     _tokens: itertools.count[int] = field(default_factory=lambda: itertools.count(1))
 
     def begin(self, measurement: Measurement) -> int:
-        """Expect the frames of a call; the token goes into its request's ``_meta`` under :data:`META_KEY`."""
+        """Expect the frames of a call; return the token for its request's ``_meta`` under :data:`META_KEY`."""
         token = next(self._tokens)
         self._pending[token] = measurement
         return token
@@ -77,8 +77,8 @@ class FrameRecorder:
             measurement.sent_ns = now
 
     def received(self, now: int, frame: bytes) -> JSONRPCMessage | ValidationError | None:
-        """Note that a frame was read; return the message it holds, what is wrong with it, or None for what a client has
-        no use for."""
+        """Note that a frame was read; return its message, the error when it holds no message, or None for a message of
+        a kind that a client does not use."""
         try:
             message = jsonrpc_message_adapter.validate_json(frame)
         except ValidationError as error:

@@ -1,4 +1,4 @@
-"""One subprocess of the subject: pipes with timestamps, stderr tail, process group, stop ladder.
+"""One subprocess of the subject: pipes with timestamps, stderr tail, process group, steps of stopping it.
 
 This module knows operating systems (groups, signals, pipes); it does not know MCP. Every other module may
 assume that no process of a stopped subject is left running, including children that it forked.
@@ -60,7 +60,7 @@ class StopReport:
 
 
 class _Pipes(asyncio.SubprocessProtocol):
-    """Pipes of a process: cuts stdout into lines, stamps each with the time at which its last byte was read."""
+    """The pipes of a process: stdout is cut into lines, each stamped with the time at which its last byte was read."""
 
     def __init__(self, on_line: Callable[[int, bytes], None], on_overflow: Callable[[int], None]) -> None:
         self._on_line = on_line
@@ -196,7 +196,7 @@ class SubjectProcess:
         SIGKILL; then kill the rest of its process group.
 
         Args:
-            grace_s: seconds given to each of the two polite steps.
+            grace_s: seconds to wait after closing stdin, and after SIGTERM.
             reads_stdin: True when the process takes the end of its stdin as a request to end; else SIGTERM is the first.
         """
         begun = time.monotonic()

@@ -37,7 +37,7 @@ class SessionOptions:
     Attributes:
         era: MCP protocol era, ``auto`` or ``legacy``.
         start_timeout_s: limit for start and handshake.
-        exit_grace_s: time given to each polite step of ending the process.
+        exit_grace_s: time that the process gets to end after each step before SIGKILL.
         url: URL of the subject's streamable HTTP endpoint; None for stdio.
     """
 

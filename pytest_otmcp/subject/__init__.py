@@ -1,4 +1,4 @@
-"""The subject under test: how its adapters are started, and which of their tools performs which operation."""
+"""The subject under test: the launch of its adapters, and the tools that perform the operations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reads an adapter's answer by the rules of its subject file: document, outcome, error code, outputs. Pure.
+"""Reading of an adapter's answer by the rules of its subject file: document, outcome, error code, outputs. Pure.
 
 Public adapters answer in many shapes: prose, JSON inside a text, JSON inside JSON, ``isError`` false with a text that begins
 with "Failed". The vendor's rules are applied here in the order of the file, and the first match wins; nothing is guessed
@@ -35,7 +35,7 @@ UNCLASSIFIED = "unclassified"
 
 _MAX_TEXT = 2000
 
-# Words by which an answer admits that it does not come from the device. The keys admit it only when they are true.
+# Words by which an answer admits that it does not come from the device. Keys admit it only when their value is true.
 _ADMISSION = re.compile(
     r"\b(demo(nstration)? mode|simulation mode|simulated (value|response|write|read|mode)|dry[- ]?run|mock mode"
     r"|from (the )?cache|cached (value|result|response))\b",
@@ -46,12 +46,12 @@ _ADMITTING_KEYS = ("demo", "demo_mode", "simulated", "simulation", "dry_run", "d
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answer:
-    """The content of an answer, by the rules.
+    """The content of an answer, as the rules read it.
 
     Attributes:
         success: the answer claims success.
         document: the value that output rules search; None when the answer has none.
-        text: all text blocks, a line each; of a JSON-RPC error its message.
+        text: all text blocks, a line each; for a JSON-RPC error its message.
         code: error code of a failure.
         admission: words by which the answer admits that it does not come from the device, so that it is no success; or None.
     """
@@ -95,7 +95,7 @@ def _json_or(text: str, otherwise: object) -> Any:
 
 
 def _from_json(text: str) -> Any:
-    """Parse a JSON text, without NaN, which only Python takes for JSON, and without what Python cannot hold.
+    """Parse a JSON text; refuse NaN, which only Python takes for JSON, and nesting that is too deep for Python.
 
     Raises:
         ValueError: the text is not JSON.
@@ -107,10 +107,10 @@ def _from_json(text: str) -> Any:
 
 
 def _plain(value: object) -> Any:
-    """Return the value if JSON can say it; records hold nothing else.
+    """Return the value if JSON can express it; records hold only such values.
 
     Raises:
-        ValueError, TypeError: JSON cannot say it: NaN, infinity, or a literal of Python's own such as a set.
+        ValueError, TypeError: JSON cannot express it: NaN, infinity, or a literal of Python such as a set.
     """
     json.dumps(value, allow_nan=False)
     return value
@@ -139,7 +139,7 @@ def interpret(message: Mapping[str, object], answering: Answering) -> Answer:
 
 
 def _is_true(value: object) -> bool:
-    # As JMESPath defines it: zero is true, an empty string, list or object is not.
+    # Truth as JMESPath defines it: zero is true; an empty string, list or object is not.
     return not (value is None or value is False or value == "" or value == [] or value == {})
 
 
@@ -147,7 +147,7 @@ def _search(path: str, document: object) -> Any:
     try:
         return jmespath.search(path, document)
     except jmespath.exceptions.JMESPathError:
-        # A function met a value of another type, such as length() of a number: the rule is not about this answer.
+        # A function got a value of another type, such as length() of a number: the rule is not about this answer.
         return None
 
 
@@ -158,9 +158,9 @@ def _admission(document: object, text: str) -> str | None:
 
 
 def _without_payload(document: object, text: str) -> str:
-    # Of a JSON document only the keys speak for the adapter: a message or a node may have any text for a name.
+    # In a JSON document only the keys are the adapter's words: the name of a message or a node may be any text.
     if isinstance(document, Mapping) and list(document) == ["result"]:
-        # The SDKs wrap a result that is no object, a sentence for instance, in this way.
+        # The SDKs wrap a result that is no object, such as a sentence, in this way.
         document = document["result"]
         return document if isinstance(document, str) else ""
     return text if document is None or isinstance(document, str) else ""
@@ -202,7 +202,7 @@ def synthesised(answer: Answer, *, protocol: str, operation: str, writes: bool) 
 def synthesised_from_outputs(
     outputs: Mapping[str, object], refused: tuple[str, str] | None, *, protocol: str, operation: str
 ) -> dict[str, Any]:
-    """Make an envelope for the outputs of a binding function; ``refused`` is the code and the adapter's words."""
+    """Make an envelope for the outputs of a binding function; ``refused`` has the code and the adapter's words."""
     code, text = refused or (None, "")
     answer = Answer(success=refused is None, document=dict(outputs), text=text, code=code)
     return synthesised(

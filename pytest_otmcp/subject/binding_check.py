@@ -1,7 +1,7 @@
-"""Compares a subject's bindings with the tools that its adapter really lists. Pure.
+"""Comparison of a subject's bindings with the tools that its adapter really lists. Pure.
 
-A misspelt argument is refused by one SDK and silently dropped by another, which would test the wrong register and call
-the result a finding.
+One SDK refuses a misspelt argument, another drops it silently: then the wrong register would be tested, and the result
+would be reported as a finding.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Makes bindings and answer rules of what a subject file says about an adapter's tools; ``grammar`` has checked its shape."""
+"""Bindings and answer rules, made from what a subject file says about an adapter's tools; ``grammar`` has checked its shape."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["read_answering", "read_bindings"]
 
 
 def read_answering(table: Mapping[str, Any], key: str, default: Answering) -> Answering:
-    """Return how answers are read, from the keys ``answer``, ``outcome`` and ``errors``; what lacks is as in ``default``."""
+    """Return how answers are read, from the keys ``answer``, ``outcome`` and ``errors``; a missing key is as in ``default``."""
     form = table.get("answer", default.form)
     for name in ("outcome", "errors"):
         if name in table and form == "envelope":

@@ -1,4 +1,4 @@
-"""What a subject claims: the one place that answers whether a facet is claimed, of a subject file and of a run record. Pure."""
+"""The claims of a subject: the one place that tells, for a subject file and for a run record, which facets are claimed. Pure."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ class Claims:
 
     @classmethod
     def of_subject(cls, adapters: Mapping[str, Adapter]) -> Claims:
-        """Take the claims of a subject file."""
+        """Return the claims of a subject file."""
         return cls({key: _AdapterClaims(adapter.unclaimed, adapter.blocking) for key, adapter in adapters.items()})
 
     @classmethod
     def of_record(cls, adapters: Mapping[str, AdapterFacts]) -> Claims:
-        """Take the claims that a run record states in ``subject.adapters``."""
+        """Return the claims that a run record states in ``subject.adapters``."""
         return cls({key: _AdapterClaims(facts["unclaimed"], facts["blocking"]) for key, facts in adapters.items()})
 
     def has_adapter(self, protocol: str) -> bool:
-        """The subject has an adapter for this protocol."""
+        """Tell whether the subject has an adapter for this protocol."""
         return protocol in self._adapters
 
     def why_not(self, facet: str) -> str | None:
-        """Return the reason why a facet is not claimed; None when it is. An optional input goes with its operation."""
+        """Return the reason why a facet is not claimed; None when it is. An unclaimed operation has no claimed inputs."""
         protocol, _, name = facet.partition(".")
         if protocol not in self._adapters:
             return f"the subject has no adapter for {protocols()[protocol].name}"
@@ -47,11 +47,11 @@ class Claims:
         return unclaimed.get(name, unclaimed.get(name.partition(".")[0]))
 
     def has(self, facet: str) -> bool:
-        """The facet is claimed."""
+        """Tell whether the facet is claimed."""
         return self.why_not(facet) is None
 
     def required(self, needs: Iterable[str]) -> list[str]:
-        """Resolve the facets that a task needs into those that a subject claims or not."""
+        """Resolve the facets that a task needs into the facets that a subject claims or not."""
         found: list[str] = []
         for need in needs:
             protocol, _, name = need.partition(".")

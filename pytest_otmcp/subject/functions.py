@@ -52,7 +52,7 @@ class ToolAnswer:
     """The answer of a tool.
 
     Attributes:
-        text: all text blocks, a line each; of a JSON-RPC error its message.
+        text: all text blocks, a line each; for a JSON-RPC error its message.
         structured: ``structuredContent``, or None.
         is_error: ``isError``, or the answer was a JSON-RPC error.
     """
@@ -67,7 +67,7 @@ class Tools(Protocol):
 
     Attributes:
         host, port, url: endpoint of the mock device.
-        state: kept from call to call for as long as the session lasts, for handles and their like.
+        state: values that are kept from call to call for as long as the session lasts, such as handles.
     """
 
     state: dict[str, object]
@@ -85,13 +85,13 @@ class Tools(Protocol):
 def load_functions(path: Path, protocol: str, key: str) -> dict[str, Function]:
     """Load the functions of a bindings file, by the operation of ``protocol`` that each performs.
 
-    Functions whose name begins with an underscore, and imported ones, are helpers of the file and left alone.
+    Functions whose name begins with an underscore, and imported functions, are helpers of the file and are ignored.
 
     Raises:
         UsageError: the file cannot be imported, or defines a function that is no operation.
     """
     name = f"otmcp_bindings_{protocol}"
-    # A bindings file need not be named *.py, so the loader is named.
+    # A bindings file need not be named *.py, so the loader is chosen here.
     loader = SourceFileLoader(name, str(path))
     module = ModuleType(name)
     module.__file__ = str(path)
@@ -116,7 +116,7 @@ def _checked(name: str, function: Callable[..., object], protocol: str, where: s
         raise UsageError(f"{where}: {name} is no operation; they are {known} (begin helpers with an underscore)")
     if not inspect.iscoroutinefunction(function):
         raise UsageError(f"{where}: {name} must be an 'async def'")
-    # Only tools that are bound as ``blocking`` are told how long to wait; a function is asked for what there is already.
+    # Only tools that are bound as ``blocking`` are told how long to wait; a function returns what is there already.
     asked = [name for name in operation.inputs if name != operation.waits]
     try:
         inspect.signature(function).bind(None, **dict.fromkeys(asked))
@@ -131,7 +131,7 @@ def checked_outputs(function: Function, protocol: str, returned: object) -> Mapp
     """Return the outputs that a function returned, if the operation's needed ones are among them.
 
     Raises:
-        UsageError: a needed output is missing, or JSON cannot say an output.
+        UsageError: a needed output is missing, or JSON cannot express an output.
     """
     operation = protocols()[protocol].operations[function.name]
     if not isinstance(returned, Mapping) or not set(operation.needed) <= set(returned):

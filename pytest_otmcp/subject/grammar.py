@@ -1,7 +1,7 @@
 """The grammar of a subject file: each key with its kind, its meaning and its default, stated once. Pure.
 
 ``load`` reads files by it, ``schema`` writes it as JSON Schema for editors, and the tests compare the documentation with it.
-What an adapter's tables may say of its operations comes from the description of its protocol.
+The keys about an adapter's operations come from the description of its protocol.
 """
 
 from __future__ import annotations

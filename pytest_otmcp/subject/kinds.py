@@ -1,7 +1,7 @@
 """Kinds of single values in a subject file. Pure.
 
-A kind does two things with one statement of what is right: it reads a value and refuses a wrong one in one sentence, and it
-writes itself as JSON Schema. ``tables`` has the kinds that are put together from others, ``grammar`` the file.
+A kind states once which values are right. It reads a value and refuses a wrong one in one sentence, and it writes itself as
+JSON Schema. ``tables`` has the kinds that consist of other kinds, ``grammar`` has the file.
 """
 
 from __future__ import annotations
@@ -69,14 +69,14 @@ def toml_type(value: object) -> str:
 
 
 def nearest(name: object, known: Iterable[str]) -> str:
-    """Say which of the known names is the nearest; all of them where none is near."""
+    """Say which of the known names is the nearest; name all of them where none is near."""
     names = list(known)
     near = difflib.get_close_matches(str(name), names, 1)
     return f"did you mean {near[0]!r}?" if near else f"known are {', '.join(sorted(names))}"
 
 
 class Kind(ABC):
-    """What values are right."""
+    """A kind of value: it knows which values are right."""
 
     @abstractmethod
     def read(self, value: object, key: str) -> Any:
@@ -97,12 +97,12 @@ class Kind(ABC):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scalar(Kind):
-    """A value without a structure that the kit would look into.
+    """A value with no structure that the kit has to know.
 
     Attributes:
-        expected: in words.
-        accepts: the value is right.
-        described: the same in JSON Schema, as far as it can say it.
+        expected: a right value in words.
+        accepts: tells whether the value is right.
+        described: the same in JSON Schema, as far as JSON Schema can express it.
         shown: names a wrong value.
     """
 
@@ -121,7 +121,7 @@ class Scalar(Kind):
 
 
 def _is_number(value: object) -> bool:
-    # JSON's true is no number, Python's is.
+    # True is no number in JSON, but it is one in Python.
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
@@ -130,7 +130,7 @@ def _is_strings(value: object) -> bool:
 
 
 def strings(meaning: str, *, filled: bool = False) -> Scalar:
-    """Return the kind of a list of strings; ``filled`` is one that must not be empty."""
+    """Return the kind of a list of strings; with ``filled`` the list must not be empty."""
     return Scalar(
         expected=f"a {'non-empty ' if filled else ''}list of strings, {meaning}",
         accepts=lambda value: _is_strings(value) and (bool(value) or not filled),
@@ -166,7 +166,7 @@ SECONDS = Scalar(
     shown=repr,
 )
 FLAG = Scalar(expected="true or false", accepts=lambda value: isinstance(value, bool), described={"type": "boolean"})
-# JSON has no dates: an editor hands a validator a string or something of its own.
+# JSON has no dates: an editor gives a validator a string or a value of its own type.
 DATE = Scalar(
     expected="a date such as 2027-03-31 without quotes",
     accepts=lambda value: isinstance(value, datetime.date) and not isinstance(value, datetime.datetime),
@@ -181,7 +181,7 @@ class Expression(Kind):
 
     Attributes:
         language: name of such a string, with its article.
-        compile: raises when the string is none.
+        compile: raises when the string is not of that language.
     """
 
     language: str

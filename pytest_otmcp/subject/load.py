@@ -1,7 +1,7 @@
-"""Reads a subject file (TOML) into a :class:`~pytest_otmcp.subject.model.Subject`.
+"""Loading of a subject file (TOML) into a :class:`~pytest_otmcp.subject.model.Subject`.
 
-The shape of the file is checked by ``grammar``; here is what needs more than one table or the world outside of the file:
-directories, environment variables, the bindings file, the defaults of the reference adapters.
+``grammar`` checks the shape of the file. This module checks and adds what needs several tables or things outside of the
+file: directories, environment variables, the bindings file, the defaults of the reference adapters.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ __all__ = ["load_subject", "reference_subject"]
 
 @cache
 def reference_subject() -> Subject:
-    """Load the description of the shipped reference adapters, which is written the way a vendor writes his."""
+    """Load the description of the shipped reference adapters; it is a subject file like that of any vendor."""
     with resources.as_file(resources.files(__package__) / "reference.toml") as path:
         return load_subject(path)
 

@@ -1,4 +1,4 @@
-"""The content of a subject file, as frozen data. ``load`` reads the file; the room ``trial`` runs the adapters."""
+"""The content of a subject file, as frozen data. ``load`` reads the file; the package ``trial`` runs the adapters."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ __all__ = [
 
 READ_WRITE = "rw"
 READ_ONLY = "ro"
-"""The variants of an adapter: as it works, and with its writes disabled."""
+"""The variants of an adapter: with writes enabled, and with writes disabled."""
 
 _PLACEHOLDER = re.compile(r"\{(?:env:(?P<env>\w+)|(?P<name>\w+)(?::(?P<int>int))?)\}")
 
@@ -49,7 +49,7 @@ _SECRET_NAME = re.compile(
 
 
 def replace_placeholders(text: str, values: Mapping[str, str]) -> Any:
-    """Replace ``{host}`` and its like, and ``{env:NAME}``; a text that is nothing but ``{port:int}`` becomes a number."""
+    """Replace ``{host}`` and its like, and ``{env:NAME}``; a text that is only ``{port:int}`` becomes a number."""
     whole = _PLACEHOLDER.fullmatch(text)
     if whole is not None and whole["int"] and whole["name"] in values:
         return int(values[whole["name"]])
@@ -76,8 +76,8 @@ class OutputRule:
         regex: searched in the text found so far; its first group (or the whole match) is the value.
         split: separator that cuts the text into a list.
         strip: prefix that is taken off, as ``2:`` off a browse name.
-        convert: ``int``, ``float``, ``bool``, ``string``, ``json``, ``python`` or ``hex``; of a list, each element.
-        then: JMESPath over what ``convert`` made.
+        convert: ``int``, ``float``, ``bool``, ``string``, ``json``, ``python`` or ``hex``; for a list, of each element.
+        then: JMESPath over the result of ``convert``.
         wrap: a single value becomes a list of one.
     """
 
@@ -117,12 +117,12 @@ class ErrorRule:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answering:
-    """How an adapter's answers are read.
+    """The rules by which an adapter's answers are read.
 
     Attributes:
-        form: ``envelope`` (the kit's own envelope), else where the document is that outcome rules and outputs are
-            about: ``structured`` (``structuredContent``), ``json`` (the text of all blocks, as JSON), ``text`` (the same,
-            as it is), ``texts`` (the list of the blocks, each decoded where it is JSON).
+        form: ``envelope`` (the kit's own envelope), else the place of the document that outcome rules and outputs are
+            about: ``structured`` (``structuredContent``), ``json`` (the text of all blocks, as JSON), ``text`` (the text of
+            all blocks, as it is), ``texts`` (the list of the blocks, each decoded where it is JSON).
         outcome: first match wins; without a match ``isError`` decides.
         errors: first match wins; without a match the code is ``unclassified``.
     """
@@ -133,7 +133,7 @@ class Answering:
 
     @property
     def native(self) -> bool:
-        """Tell whether the adapter answers in the kit's envelope."""
+        """The adapter answers in the kit's envelope."""
         return self.form == "envelope"
 
 
@@ -144,11 +144,11 @@ class Binding:
     Attributes:
         tool: name of the MCP tool, or URI of the resource.
         resource: ``tool`` is the URI of a resource, which is read.
-        blocking: the call waits for what it answers, as a call that collects messages does.
+        blocking: the call waits for the messages that it returns.
         arguments: template; a string ``"$name"`` stands for the operation's input of that name, keeping its type, and
             ``{host}`` and its like are replaced as in a launch command.
         outputs: output name to its place in the answer.
-        when: input values that this binding is for; empty for all.
+        when: input values for which this binding is meant; empty for all.
         offset: number added to an input.
         names: input name to the vendor's name for each of its values.
         convert: input name to the type in which the tool wants it.
@@ -243,7 +243,7 @@ class Function:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Connect:
-    """A tool call that comes before all others.
+    """A tool call that is made before all others.
 
     Attributes:
         again: the call is repeated after an outage.
@@ -347,7 +347,7 @@ class Adapter:
 
     @property
     def blocking(self) -> tuple[str, ...]:
-        """The operations that are performed by a call that waits for what it answers."""
+        """The operations that are performed by a call that waits for the messages that it returns."""
         return tuple(
             name
             for name, bound in self.operations.items()
@@ -355,7 +355,7 @@ class Adapter:
         )
 
     def facts(self) -> AdapterFacts:
-        """Return what ``run.json`` says about how this adapter is tested; nothing of its server yet."""
+        """Return what ``run.json`` says about the test of this adapter; its server's facts are added later."""
         return {
             "command": list(self.variants["rw"].command),
             "envelope": "native" if self.answering.native else "synthesised",
@@ -384,7 +384,7 @@ class Adapter:
         }
 
     def _unjudged(self) -> set[str]:
-        """Return the outputs that tasks would judge if the subject said where they are."""
+        """Return the outputs that tasks could judge if the subject file said where they are."""
         return {
             f"{name}.{output}"
             for name, bound in self.operations.items()

@@ -1,4 +1,4 @@
-"""Kinds of structured values in a subject file: tables with known keys, tables with any keys, lists. Pure."""
+"""Kinds of structured values in a subject file: tables with known keys, tables with any keys, and lists. Pure."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class ListOf(Kind):
 
     Attributes:
         expected: such a list in words.
-        least: number of values that it must have.
+        least: number of values that it must have at least.
     """
 
     kind: Kind
@@ -115,8 +115,8 @@ class Key:
     Attributes:
         kind: of its value.
         meaning: one sentence for an author of a subject file.
-        default: what is read where the file lacks the key; None when there is nothing then.
-        required: the file must have the key. With a default the sentence that refuses its absence is that of the kind.
+        default: the value where the file lacks the key; None for no value.
+        required: the file must have the key. With a default the kind's own sentence refuses its absence.
     """
 
     kind: Kind
@@ -132,10 +132,10 @@ class Key:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rule:
-    """What the members of one table have to do with each other.
+    """A rule about several members of one table.
 
     Attributes:
-        holds: of a table whose members are right, as the file has it.
+        holds: tells whether a table, as the file has it, keeps the rule; its members are right one by one.
         objection: the sentence when the rule does not hold.
         at: the member that the sentence is about; empty for the table.
         described: the rule in JSON Schema.
@@ -160,7 +160,7 @@ class Table(Kind):
     rules: tuple[Rule, ...] = ()
 
     def read(self, value: object, key: str) -> Any:
-        """Return the members in the order of the file, then the defaults of those that the file lacks."""
+        """Return the members in the order of the file, then the defaults of the keys that the file lacks."""
         if not isinstance(value, dict):
             raise Refusal(key, f"expected a table, found {toml_type(value)}")
         within = f"{key}." if key else ""

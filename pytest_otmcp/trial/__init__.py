@@ -1,1 +1,1 @@
-"""Runs one item: adapter, device and steps come together, and replies and journals are judged."""
+"""Execution of one item: a task's steps run with its adapters and devices; their replies and journals are judged."""

@@ -1,6 +1,6 @@
 """One adapter variant at its device: its session, and abstract operations turned into tool calls.
 
-A session that broke is replaced. Tasks are not known here, and nothing is judged.
+A session that broke is replaced. This module knows no tasks and judges nothing.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ from .reply import Expectation, Reply, observe, replace_outputs
 __all__ = ["MAIN", "AdapterUnderTest", "BenchOptions", "NoBindingError", "endpoint_values"]
 
 _EXIT_GRACE_S = 5.0
-"""From the end of its stdin to the exit (requirement MCP-009)."""
+"""Time that an adapter has from the end of its stdin to its exit (requirement MCP-009)."""
 
 
 def endpoint_values(scheme: str, endpoints: Mapping[str, Endpoint]) -> dict[str, str]:
-    """Return what stands for a device's endpoints in a subject file.
+    """Return the placeholders of a subject file that stand for a device's endpoints, each with its value.
 
     ``host``, ``port`` and ``url`` are those of its first port, ``NAME_port`` is any further port, ``serial`` is the path of its
     first pseudo terminal, which is also the ``url`` of a device without a port.
@@ -70,11 +70,11 @@ def endpoint_values(scheme: str, endpoints: Mapping[str, Endpoint]) -> dict[str,
 
 
 class NoBindingError(Exception):
-    """The subject claims something but does not say how to ask for it: not testable."""
+    """The subject claims something but does not say how to ask for it: the item is not testable."""
 
 
 MAIN = "main"
-"""The worker of a run without others."""
+"""Name of the worker of a run that has only one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -136,17 +136,17 @@ class AdapterUnderTest:
 
     @property
     def device_name(self) -> str:
-        """How the run record names the device."""
+        """Name of the device in the run record."""
         name = self.adapter.protocol if self.variant == READ_WRITE else f"{self.adapter.protocol}@{self.variant}"
         return name if self._options.worker == MAIN else f"{self._options.worker}:{name}"
 
     @property
     def endpoint(self) -> dict[str, str]:
-        """What the placeholders of a subject file stand for, by name."""
+        """Values of the placeholders of a subject file, by name."""
         return endpoint_values(protocols()[self.adapter.protocol].scheme, self.device.endpoints)
 
     def facts(self) -> AdapterFacts:
-        """What ``run.json`` says about the adapter."""
+        """Return what ``run.json`` says about the adapter."""
         adapter = self.adapter
         used = {name: adapter.operations.get(name) for name in self.used}
         return {
@@ -160,7 +160,7 @@ class AdapterUnderTest:
         }
 
     def device_facts(self) -> DeviceFacts:
-        """What ``run.json`` says about the device."""
+        """Return what ``run.json`` says about the device."""
         return {
             "protocol": self.adapter.protocol,
             "variant": self.variant,
@@ -182,7 +182,7 @@ class AdapterUnderTest:
     # -- life ---------------------------------------------------------------------------------------------
 
     def new_session(self) -> McpSession:
-        """A session that has not been opened yet, with a process of its own."""
+        """Return a session that has not been opened yet, with a process of its own."""
         if self._work is None:
             self._work = tempfile.TemporaryDirectory(prefix="otmcp-", ignore_cleanup_errors=True)
         values = {
@@ -210,15 +210,15 @@ class AdapterUnderTest:
         """Make sure that there is a usable session.
 
         Raises:
-            SubjectError: the adapter cannot be started. Said again at once when it was found before: a start that
-                runs into its deadline must not be waited for by every item.
+            SubjectError: the adapter cannot be started. A failure that was found before is raised again at once, so that
+                not every item waits for a start that runs into its deadline.
         """
         if self._start_failure is not None:
             raise self._start_failure
         if self.session is not None and not self.session.died:
             return
         await self.close()
-        # Everything that this session will ever do to its device is on the journal from here on.
+        # Everything that this session does at its device is in the journal from this sequence number on.
         self.cursor.open_session(await self.device.mark())
         session = self.new_session()
         try:
@@ -358,11 +358,11 @@ def _stored(binding: Binding) -> StoredBinding:
 
 
 class _NoAnswerError(Exception):
-    """A tool gave no answer, or one that nobody can read, so the function cannot go on; the exchange says why."""
+    """A tool gave no answer, or an unreadable one, so the binding function cannot go on; the exchange says why."""
 
 
 class _Tools:
-    """What a function of the bindings file is given: the adapter's tools, every exchange recorded."""
+    """The object that a function of the bindings file is given: it calls the adapter's tools and records every exchange."""
 
     def __init__(self, under_test: AdapterUnderTest, session: McpSession) -> None:
         self.host = under_test.device.host
@@ -386,14 +386,14 @@ class _Tools:
         try:
             message = parse_strict(exchange.response)
         except ValueError:
-            # What is wrong with it is found where every response is read.
+            # The fault is reported where every response is read.
             raise _NoAnswerError from None
         structured, text, is_error = read_answer(message, "structured")
         return ToolAnswer(text=text, structured=structured, is_error=is_error)
 
 
 def _free_port() -> int:
-    # A server has to be told its port before it exists; on loopback nobody takes it in between but by chance.
+    # A server has to be told its port before it exists. On loopback another program takes that port meanwhile only by chance.
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]

@@ -1,4 +1,4 @@
-"""Whether a task applies to a subject, and which of its adapters take part: pure functions of the facets that the task needs
+"""Applicability of a task to a subject, and the adapters that take part: pure functions of the facets that the task needs
 and that the subject claims."""
 
 from __future__ import annotations
@@ -17,9 +17,10 @@ __all__ = ["applicability", "participants"]
 
 
 def applicability(task: Task, adapters: Mapping[str, Adapter]) -> tuple[Status, str] | None:
-    """Why the task cannot be run: NOT_APPLICABLE or NOT_TESTABLE with the reason; None when it can.
+    """Say why the task cannot be run: NOT_APPLICABLE or NOT_TESTABLE with the reason; None when it can be.
 
-    What is claimed but cannot be exercised comes first only if everything that the task needs is claimed.
+    NOT_TESTABLE, for a facet that is claimed but cannot be exercised, is only said when every facet that the task needs is
+    claimed.
     """
     claims = Claims.of_subject(adapters)
     for protocol in dict.fromkeys(facet.partition(".")[0] for facet in task.needs):
@@ -37,7 +38,7 @@ def applicability(task: Task, adapters: Mapping[str, Adapter]) -> tuple[Status, 
 
 
 def participants(task: Task, adapters: Mapping[str, Adapter]) -> list[str]:
-    """The adapter variants that take part in a task that applies: ``protocol``, or ``protocol@ro`` for the read-only one."""
+    """Return the adapter variants of a task that applies: ``protocol``, or ``protocol@ro`` for the read-only variant."""
     claims = Claims.of_subject(adapters)
     guarded = [adapter_name(name, READ_ONLY) for name in task.guards if claims.has(f"{name}.{GUARD}")]
     return [*task.adapters, *guarded]

@@ -1,6 +1,6 @@
-"""The test bench: one adapter under test per variant at the devices of a plant, and where the time went.
+"""The test bench: one adapter under test per variant at the devices of a plant, and the time spent on each activity.
 
-The bench starts what is asked for and ends its sessions; it does not know tasks and does not judge.
+The bench starts the adapters that are asked for and ends their sessions; it does not know tasks and does not judge.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class Bench:
     """Everything that runs during a test run. Use :meth:`prepare` and :meth:`close` on the kit's loop.
 
     Args:
-        subject: who is tested.
+        subject: the subject that is tested.
         options: see :class:`BenchOptions`.
         plant: the devices; they outlive the bench.
     """
@@ -38,7 +38,7 @@ class Bench:
     async def prepare(self, names: Iterable[str]) -> None:
         """Start devices and adapters, all at once.
 
-        An adapter that cannot be started is not an error here: its first task will say so.
+        An adapter that cannot be started is not an error here: its first task will report it.
 
         Args:
             names: ``protocol`` for its read-write variant, or ``protocol@ro``.
@@ -66,8 +66,8 @@ class Bench:
     async def adapter(self, name: str) -> AdapterUnderTest:
         """Return the adapter under test of this name, ``protocol`` or ``protocol@ro``; its session is not opened.
 
-        The read-only variant gets a device of its own: what reaches that device during the whole life of a session
-        can then be nobody else's doing.
+        The read-only variant gets a device of its own: then only that variant can have caused what reaches the device
+        during the whole life of a session.
         """
         device = await self._plant.device(name)
         if name not in self._adapters:
@@ -80,7 +80,7 @@ class Bench:
         return self._adapters[name]
 
     def drift(self) -> list[str]:
-        """Contradictions between the subject file and the tools that the adapters list, a sentence each."""
+        """Return the contradictions between the subject file and the tools that the adapters list, a sentence each."""
         found = []
         for under_test in self._adapters.values():
             # The read-only variant need not have every tool.
@@ -89,13 +89,13 @@ class Bench:
         return found
 
     def adapters(self) -> dict[str, AdapterFacts]:
-        """What is known of the adapters, as ``run.json`` has it under ``subject.adapters``."""
+        """Return what is known of the adapters, as ``run.json`` has it under ``subject.adapters``."""
         facts: dict[str, AdapterFacts] = {}
         for under_test in self._adapters.values():
             key = under_test.adapter.protocol
             own = under_test.facts()
             if under_test.variant == READ_WRITE or key not in facts:
-                # The server is that of the variant that works; both variants use the subject's one set of bindings.
+                # The server's facts are the read-write variant's; both variants use the same bindings of the subject.
                 own["bindings"] |= facts[key]["bindings"] if key in facts else {}
                 own["unmet"] = sorted({*own["unmet"], *(facts[key]["unmet"] if key in facts else ())})
                 facts[key] = own
@@ -104,7 +104,7 @@ class Bench:
         return dict(sorted(facts.items()))
 
     def devices(self) -> dict[str, Device]:
-        """The devices that adapters had so far, as ``run.json`` has them."""
+        """Return the devices that adapters had so far, as ``run.json`` has them."""
         return {under_test.device_name: under_test.device_facts() for under_test in self._adapters.values()}
 
     async def close(self) -> None:

@@ -1,6 +1,6 @@
-"""Where an adapter is in the journal of its device: what has been taken, and what its session's oracles have seen. Pure.
+"""Position of an adapter in the journal of its device: what has been taken, and what its session's oracles have seen. Pure.
 
-The same object serves a bench and the judging of a stored run again: journals are looked at in the same order in both.
+A bench and the judging of a stored run again use the same object: both look at the journals in the same order.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ class JournalCursor:
 
     Args:
         protocol: of the adapter; its description names the session oracles.
-        first: sequence number at which the journal begins for it.
+        first: sequence number at which the journal begins for the adapter.
 
     Attributes:
         next: sequence number at which the next slice begins.
         fed: sequence number before which the session's oracles have seen everything.
         released: sequence number before which the device has forgotten everything.
         starts: how often the device was started again.
-        connected: that session is open.
+        connected: the adapter's session is open.
         looked_through: everything before ``next`` has been looked at, and since then nobody has called the adapter.
     """
 
@@ -48,12 +48,12 @@ class JournalCursor:
 
     @property
     def quiet(self) -> bool:
-        """What comes from ``next`` on, comes by itself."""
+        """Nobody has called the connected adapter since ``next``: what it does from there on, it does by itself."""
         return self.connected and self.looked_through
 
     @property
     def session(self) -> SessionStart | None:
-        """Number of the adapter's last session, and the sequence number at which it began; None when there was none."""
+        """Number of the adapter's last session, and the sequence number at which it began; None without a session."""
         return None if self._began is None else (self._sessions, self._began)
 
     def open_session(self, seq: int, number: int | None = None) -> None:
@@ -64,11 +64,11 @@ class JournalCursor:
         self._oracles = {kind: kind() for kind in self._kinds}
 
     def close_session(self) -> None:
-        """End the session; its oracles still answer for it."""
+        """End the session; its oracles can still be asked about it."""
         self.connected = False
 
     def restart(self) -> None:
-        """Begin a journal that counts from 0 again, as a device that was started has it."""
+        """Begin a journal that counts from 0 again, as that of a restarted device does."""
         self.starts += 1
         self.next = self.fed = self.released = 0
         if self._began is not None:
@@ -77,7 +77,7 @@ class JournalCursor:
 
     @property
     def began(self) -> int:
-        """Sequence number at which the adapter's session began in what is still to be taken."""
+        """Sequence number at which the session's entries begin among those that are still to be taken."""
         return max(self.next, self._began or 0)
 
     def feed(self, entries: Iterable[Entry], until: int) -> None:

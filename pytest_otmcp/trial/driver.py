@@ -1,7 +1,7 @@
-"""The interface between a trial and what carries it out.
+"""The interface between a trial and the driver that carries it out.
 
-A trial decides what happens and what it means. A driver makes it happen on a bench (``live_driver``), or looks up what
-happened in the stored history of a run (``replay.driver``).
+A trial decides what is done and what the result means. A driver does it on a bench (``live_driver``), or looks up in the
+stored history of a run what was done (``replay.driver``).
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ __all__ = ["ItemHistory", "SessionFacts", "TrialDriver"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionFacts:
-    """What is remarkable about a session, apart from its replies.
+    """Remarkable facts about a session, apart from its replies.
 
     Attributes:
         protocol: whose session it is.
-        overflow: a message came that was longer than the kit accepts.
-        died: how the adapter ended although nobody asked it to, in words; or None.
-        unknown_ids: ids of responses to requests that were never sent. Like ``died`` only asked for when a session ends.
+        overflow: a message arrived that was longer than the kit accepts.
+        died: words for how the adapter ended although nobody asked it to; or None.
+        unknown_ids: ids of responses to requests that were never sent. Like ``died`` only determined when a session ends.
         stray_lines: how many lines on stdout were no MCP message.
         first_stray: the first of them.
     """
@@ -42,7 +42,7 @@ class SessionFacts:
 
     @property
     def remarkable(self) -> bool:
-        """There is anything to say."""
+        """At least one of the facts deviates from a clean session."""
         return bool(self.overflow or self.died or self.unknown_ids or self.stray_lines)
 
     def as_record(self, inspection: int) -> SessionRemark:
@@ -59,7 +59,7 @@ class SessionFacts:
 
 
 class ItemHistory(TypedDict):
-    """What a driver contributes to an item; see :class:`~pytest_otmcp.record.schema.ItemBody`."""
+    """Members that a driver contributes to an item; see :class:`~pytest_otmcp.record.schema.ItemBody`."""
 
     worker: str
     started_at: str
@@ -71,10 +71,10 @@ class ItemHistory(TypedDict):
 
 
 class TrialDriver(Protocol):
-    """What a trial needs; a trial uses its methods in this order."""
+    """The interface of a driver; a trial uses its methods in this order."""
 
     def obstacle(self) -> tuple[Status, str] | None:
-        """Why the task cannot be run for this subject, or None."""
+        """Say why the task cannot be run for this subject; None when it can be."""
 
     def spent(self, what: str) -> AbstractContextManager[None]:
         """Count the time inside the block as spent on ``what``."""
@@ -83,29 +83,29 @@ class TrialDriver(Protocol):
         """Bring the devices into their initial state and open the sessions."""
 
     def before(self) -> Sequence[tuple[str, Entries]]:
-        """Protocol and journal of each device whose adapter was not called from the last item that had it to this one."""
+        """Return the protocol and the journal of each device whose adapter was not called since its last item."""
 
     def repetition(self, rep: int, role: Role) -> Repetition:
-        """The next execution of steps."""
+        """Return the next repetition, ready to be performed."""
 
     async def perform(self, repetition: Repetition, steps: Steps) -> None:
-        """Execute the steps; afterwards every device is there again and the repetition has its journals."""
+        """Execute the steps; afterwards every device runs again and the repetition has its journals."""
 
     async def inspect(self) -> list[SessionFacts]:
-        """What is remarkable about the sessions so far."""
+        """Return what is remarkable about the sessions so far."""
 
     async def end_sessions(self) -> list[SessionFacts]:
-        """End all sessions, because one of them did not answer; what is remarkable about them."""
+        """End all sessions, because one of them did not answer; return what is remarkable about them."""
 
     async def open_sessions(self) -> None:
         """Make sure that every session can be used."""
 
     async def close(self) -> None:
-        """The item is over."""
+        """End the item: release what only it needs."""
 
     def timing_ms(self) -> Mapping[str, float]:
-        """Milliseconds by what they were spent on, since this driver was made."""
+        """Return the milliseconds by what they were spent on, since this driver was made."""
 
     def history(self) -> ItemHistory:
-        """What the item has to keep of this driver, so that it can be judged again."""
+        """Return what the item has to keep of this driver, so that it can be judged again."""
         ...

@@ -1,4 +1,4 @@
-"""Judges replies against what a task expects. The oracles of ``protocols`` judge what reached the device.
+"""Expectations of tasks about replies. The oracles of ``protocols`` judge what reached the device.
 
 Pure: functions from observations to findings, no state, no I/O; a stored history can be judged again.
 """
@@ -17,9 +17,9 @@ __all__ = ["failed", "succeeded"]
 
 
 def succeeded(reply: Reply, **outputs: object) -> list[Finding]:
-    """The call claims success and its outputs equal ``outputs``.
+    """Expect that the call claims success and that its outputs equal ``outputs``.
 
-    An output that the subject's binding does not know how to find is not judged here; the device still is.
+    An output that the subject's binding does not say how to find is not judged here; the device still is.
     """
     if reply.success is not True:
         return [
@@ -47,15 +47,15 @@ def failed(
     outcome: str | Sequence[str] | None = None,
     trace: Mapping[str, object] | None = None,
 ) -> list[Finding]:
-    """The call is refused in an envelope, with one of ``codes``.
+    """Expect that the call is refused in an envelope, with one of ``codes``.
 
     Args:
         codes: acceptable error codes.
-        outcome: what ``error.outcome`` must be (one of, when a sequence).
+        outcome: what ``error.outcome`` must be; of a sequence, one of its values.
         trace: members that ``meta.trace`` must have; a mapping is compared member by member.
 
-    Of an adapter without envelopes only what its answer can say is judged: that it is a refusal and, where the subject
-    file classifies it, the code.
+    For an adapter without envelopes only this is judged: that its answer is a refusal and, where the subject file
+    classifies the answer, the code.
     """
     if reply.success is not False:
         claim = "it claims success" if reply.success else f"got {_outcome(reply)}"
@@ -104,7 +104,7 @@ def failed(
 
 
 def _member(value: object, name: str) -> object:
-    # That an envelope's members are no objects has been reported as such.
+    # An envelope's member that is not an object has been reported as such.
     return value.get(name) if isinstance(value, Mapping) else None
 
 

@@ -1,7 +1,7 @@
-"""Python's garbage collector, kept out of what is measured.
+"""Pauses of Python's garbage collector, which keep it out of what is measured.
 
-A collection of everything that is loaded takes a tenth of a second. In the midst of a call it would be counted as the
-adapter's latency.
+A collection of everything that is loaded takes a tenth of a second. During a call it would be counted as the adapter's
+latency.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ __all__ = ["settled", "uncollected"]
 
 @contextmanager
 def settled() -> Iterator[None]:
-    """What is loaded inside the block stays: it is not searched while it is loaded, nor by any collection afterwards."""
+    """Exempt what is loaded inside the block from garbage collection, while it is loaded and afterwards: it stays anyway."""
     with _disabled():
         yield
         gc.freeze()
@@ -23,7 +23,7 @@ def settled() -> Iterator[None]:
 
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """No collection inside the block; at its end one of what is young, so that garbage does not add up."""
+    """Allow no collection inside the block; at its end collect the young objects, so that garbage does not add up."""
     with _disabled():
         try:
             yield

@@ -1,4 +1,4 @@
-"""What one execution of a task's steps has shown so far: judged calls, observations, journals, findings."""
+"""The ledger of one execution of a task's steps: judged calls, observations, journals and findings so far."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ Entry = JournalEntry
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Judged:
-    """A reply and what the task made of it.
+    """A reply and the task's judgement of it.
 
     Attributes:
-        inputs: what the operation was asked for with.
+        inputs: the inputs of the operation.
         role: ``task``, ``control``, ``setup``, ``warmup`` or ``recovery``; only ``task`` calls count for the benchmark.
         group: number of the calls that were made at the same time.
         ok: the call met its task's expectation; None until it has been judged.
@@ -37,17 +37,18 @@ class Judged:
 
 
 class Ledger:
-    """Collects what the rigs of a repetition write while the steps run.
+    """Collector of what the rigs of a repetition report while the steps run.
 
     Args:
-        role: what calls count as when the steps do not say otherwise.
+        role: role of the calls for which the steps name none.
         time_scale: factor on windows and deadlines.
 
     Attributes:
         calls: in the order of their replies.
-        findings: of replies, devices and the task itself, in the order in which they came up.
-        journal: every entry of this repetition that has been kept so far, with its ``protocol`` and, of a read-only adapter, ``variant``.
-        observations: what was looked at.
+        findings: of replies, devices and the task itself, in the order in which they were noted.
+        journal: every entry of this repetition that has been kept so far, with its ``protocol`` and, of a read-only
+            adapter, ``variant``.
+        observations: the looks at devices.
     """
 
     def __init__(self, role: Role, time_scale: float) -> None:
@@ -83,11 +84,11 @@ class Ledger:
         return self._together
 
     def judge(self, reply: Reply, findings: Iterable[Finding]) -> bool:
-        """Note what the task's expectation of a reply came to; return whether it was met."""
+        """Note the findings of the task's expectation of a reply; return whether it was met."""
         found = list(findings)
         met = not found and not reply.faults
         self._replace(reply, ok=met)
-        # A reply that never came, or is no envelope, has been reported as such.
+        # A missing reply, or one that is no envelope, has been reported as such.
         if not (reply.envelope is None and reply.faults):
             self.findings.extend(found)
         return met
@@ -98,7 +99,7 @@ class Ledger:
         self.findings.append(finding)
 
     def set_aside(self, reply: Reply) -> None:
-        """Count a call as one of those during an outage, of which nothing is expected."""
+        """Count a call as made during an outage: nothing is expected of it."""
         self._replace(reply, ok=True, role="recovery")
 
     def _replace(self, reply: Reply, **judgement: Any) -> None:
@@ -108,7 +109,7 @@ class Ledger:
                 return
 
     def explain(self, evidence: Mapping[int, str]) -> None:
-        """Give findings the evidence that came to light after them.
+        """Add evidence, found later, to findings.
 
         Args:
             evidence: ``id()`` of a finding to its evidence.
@@ -123,7 +124,7 @@ class Ledger:
         self.observations.append(observation)
 
     def witnessed(self, *findings: Iterable[Finding]) -> None:
-        """Take over what the device witnesses."""
+        """Take over findings of what was observed at the device."""
         for group in findings:
             self.findings.extend(group)
 

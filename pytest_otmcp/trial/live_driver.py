@@ -1,4 +1,4 @@
-"""The driver of a trial on a bench: live adapters at live devices, and what has to be kept of them for judging again."""
+"""The driver of a trial on a bench: it uses running adapters and devices, and keeps what judging again needs."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ __all__ = ["LiveDriver"]
 
 
 class LiveDriver:
-    """Runs a task with the live adapters and devices of a bench that it needs.
+    """Driver of a task with the running adapters and devices of a bench that it needs.
 
     Args:
-        bench: has been prepared.
-        task: what is to be run.
+        bench: a prepared bench.
+        task: the task to run.
         seed: of the run.
     """
 
@@ -47,7 +47,7 @@ class LiveDriver:
         self._inspections = 0
 
     def obstacle(self) -> tuple[Status, str] | None:
-        """What the subject does not claim, or cannot be asked for."""
+        """Say what the task needs and the subject does not claim, or cannot be asked for; None when it can be run."""
         return applicability(self._task, self._bench.subject.adapters)
 
     def spent(self, what: str) -> AbstractContextManager[None]:
@@ -65,13 +65,13 @@ class LiveDriver:
         await self.open_sessions()
 
     def before(self) -> Sequence[tuple[str, Entries]]:
-        """What reached the devices while nobody called their adapters."""
+        """Return what reached the devices while nobody called their adapters."""
         return [
             (state.under_test.adapter.protocol, state.found["before"]) for state in self._states if state.found["quiet"]
         ]
 
     def repetition(self, rep: int, role: Role) -> Repetition:
-        """A repetition on this bench."""
+        """Return a repetition on this bench."""
         return Repetition(
             self._task.id,
             rep,
@@ -91,7 +91,7 @@ class LiveDriver:
         except EndedError:
             await _all_running(repetition)
         except (NoBindingError, SubjectError):
-            # The item is over; the next ones need the device.
+            # This item is over, but the next items need the device.
             await _all_running(repetition)
             raise
         finally:
@@ -111,7 +111,7 @@ class LiveDriver:
         return await self._inspect(ending=False)
 
     async def end_sessions(self) -> list[SessionFacts]:
-        """A call that hangs may spread to the next ones: everybody starts afresh, and says how it ended."""
+        """End all sessions and return how they ended: all start afresh, as a hanging call may affect the calls after it."""
         found = await self._inspect(ending=True)
         with self.spent("adapter starts"):
             for state in self._states:
@@ -143,20 +143,20 @@ class LiveDriver:
         return found
 
     async def open_sessions(self) -> None:
-        """Open those that are not, or broke."""
+        """Open the sessions that are not open or that broke."""
         with self.spent("adapter starts"):
             for state in self._states:
                 await state.under_test.open()
 
     async def close(self) -> None:
-        """End the read-only session: its device belongs to this item alone."""
+        """End the session of the read-only variant: its device belongs to this item alone."""
         with self.spent("adapter starts"):
             for state in self._states:
                 if state.under_test.variant == READ_ONLY:
                     await state.under_test.close()
 
     def timing_ms(self) -> Mapping[str, float]:
-        """Milliseconds by what they were spent on."""
+        """Return the milliseconds by what they were spent on."""
         return {
             what: round((seconds - self._before.get(what, 0.0)) * 1000, 3)
             for what, seconds in self._bench.spent.seconds.items()
@@ -164,7 +164,7 @@ class LiveDriver:
         }
 
     def history(self) -> ItemHistory:
-        """When and where it was, how it found the devices, and what was remarkable about the sessions."""
+        """Return when and in which worker the item ran, how it found the devices, and what was remarkable about the sessions."""
         return ItemHistory(
             worker=self._bench.options.worker,
             started_at=_instant(self._started),

@@ -1,4 +1,4 @@
-"""A live adapter at its device in a repetition. Every look at the device is noted, so that it can be repeated."""
+"""The rig of a running adapter at its device. Every look at the device is noted, so that it can be repeated."""
 
 from __future__ import annotations
 
@@ -25,14 +25,15 @@ __all__ = ["LiveItemState", "LiveRig"]
 
 
 _RELEASED_AT_ONCE = 1000
-"""Entries of a journal: to let the device forget takes a question of its own, which most repetitions shall not have to wait for."""
+"""Entries of a journal that are released at once, at least: letting the device forget takes a request of its own, for which
+most repetitions shall not have to wait."""
 
 
 class LiveItemState:
     """An adapter under test and its device during one item.
 
     Attributes:
-        told_session: what the record of the item says so far about where the adapter's session began.
+        told_session: the start of the adapter's session as the record of the item has it so far.
     """
 
     def __init__(self, under_test: AdapterUnderTest) -> None:
@@ -43,7 +44,7 @@ class LiveItemState:
         self._found: ItemDevice | None = None
 
     async def enter(self) -> None:
-        """Take what reached the device since the last item that had it."""
+        """Begin the item at this device: take what reached it since the last item that had it."""
         device, cursor = self.under_test.device, self.under_test.cursor
         asked_ns = time.monotonic_ns()
         journal = await device.journal(cursor.next)
@@ -64,7 +65,7 @@ class LiveItemState:
         await self.release()
 
     async def release(self) -> None:
-        """Let the device forget what has been taken, now and then: it need not keep what the record has."""
+        """Let the device forget what has been taken, once there is enough of it: the record has it already."""
         cursor = self.under_test.cursor
         if cursor.next - cursor.released >= _RELEASED_AT_ONCE:
             await self.under_test.device.forget(cursor.next)
@@ -83,7 +84,7 @@ class LiveItemState:
 
 
 class LiveRig(Rig):
-    """An adapter under test at its device. Every look at the device is noted with the repetition."""
+    """A running adapter under test at its device. Every look at the device is noted with the repetition."""
 
     def __init__(self, state: LiveItemState, bench: Bench) -> None:
         under_test = state.under_test
@@ -136,7 +137,7 @@ class LiveRig(Rig):
         return reply
 
     def add_last_words(self) -> None:
-        """Give the adapter's last lines on stderr as the evidence of bugs that it reported of itself."""
+        """Add the adapter's last lines on stderr as evidence to the internal errors that it reported."""
         evidence: dict[int, str] = {}
         for bug, session in self._bugs:
             if lines := session.stderr_tail():
@@ -144,7 +145,7 @@ class LiveRig(Rig):
         self._ledger.explain(evidence)
 
     async def _look(self, since: int) -> tuple[Journal, int]:
-        """The journal from ``since`` on, and when it was asked for."""
+        """Return the journal from ``since`` on, and when it was asked for."""
         asked_ns = time.monotonic_ns()
         with self._observing():
             return await self.device.journal(since), asked_ns
@@ -194,13 +195,13 @@ class LiveRig(Rig):
             await asyncio.sleep(seconds)
 
     async def _reconnecting(self) -> None:
-        # An adapter may reconnect in its own time: a new connection is the sign to ask again, at the latest
-        # after a pause that keeps an adapter which fails at once from being hammered.
+        # An adapter may reconnect in its own time: a new connection is the sign to call it again. Without one it is called
+        # after a pause, so that an adapter which fails at once is not called without pause.
         since = self._cursor.next
         seen = len(await self.device.wait(since, {"kind": "CONNECTED"}, timeout_s=0.0))
         await self.device.wait(since, {"kind": "CONNECTED"}, timeout_s=0.05, count=seen + 1)
         if self.under_test.adapter.recovery == "connect_step":
-            # It may fail as long as the device is not ready; then the call after it fails as well, and says so.
+            # The connect step may fail as long as the device is not ready; then the call after it fails as well, and says so.
             with self._bench.spent.on("tool calls"):
                 await self.under_test.connect()
 
@@ -224,7 +225,7 @@ class LiveRig(Rig):
 
     async def _replace_session(self) -> FreshSession:
         begun = time.monotonic_ns()
-        # Like the restarts of endpoints this is what is measured, not what measuring costs.
+        # Like an endpoint restart, this time is a result of the measurement, not its cost.
         with self._bench.spent.on("fresh sessions"):
             session = self.under_test.session
             report = await session.close() if session is not None else None

@@ -1,4 +1,4 @@
-"""One execution of a task's steps, and everything it showed.
+"""A repetition: one execution of a task's steps, and everything it showed.
 
 ``expectations`` and the oracles of ``protocols`` judge; a repetition only collects their findings.
 It does not know whether it runs on a bench or on stored history: see :class:`~pytest_otmcp.trial.rig.Rig`.
@@ -29,15 +29,15 @@ class Repetition:
     Args:
         task_id: id of the task.
         rep: number of the repetition, from 0.
-        role: what calls count as when the steps do not say otherwise.
+        role: role of the calls for which the steps name none.
         seed: of the run.
         time_scale: factor on windows and deadlines.
         rigs: every adapter at its device that the task has.
 
     Attributes:
-        rng: random numbers that only depend on the arguments above.
+        rng: random numbers that only depend on the seed, the task, the role and the repetition.
         ledger: what the steps have shown so far.
-        notes: whatever the steps want to remember.
+        notes: a place where the steps can keep values.
         phases: of a recovery trial.
     """
 
@@ -48,7 +48,7 @@ class Repetition:
         self.role = role
         self.time_scale = time_scale
         self.ledger = Ledger(role, time_scale)
-        # The same seed gives the same nonces, whatever else ran before.
+        # The same seed gives the same nonces, whatever ran before.
         self.rng = random.Random(f"{seed}/{task_id}/{role}/{rep}")
         self.phases: Phases | None = None
         self.notes: dict[str, object] = {}
@@ -59,10 +59,10 @@ class Repetition:
     # -- who there is -------------------------------------------------------------------------------------
 
     def rig(self, protocol: str, *, guarded: bool = False) -> Rig | None:
-        """The adapter of ``protocol`` at its device.
+        """Return the adapter of ``protocol`` at its device; None where the subject claims no such variant.
 
         Args:
-            guarded: the one with writes disabled, at a device of its own; None where the subject claims no such variant.
+            guarded: return the variant with writes disabled, which has a device of its own.
         """
         return self._at.get((protocol, READ_ONLY if guarded else READ_WRITE))
 
@@ -95,13 +95,13 @@ class Repetition:
         return [reply for reply in replies if isinstance(reply, Reply)]
 
     async def close_journals(self) -> None:
-        """Keep what the journals hold at the end."""
+        """Keep the journal entries of this repetition, at its end."""
         for at in self.all:
             if at.running:
                 await at.keep_journal()
 
     def witnessed(self, *findings: list[Finding]) -> None:
-        """Take over what the device witnesses."""
+        """Take over findings of what was observed at the device."""
         self.ledger.witnessed(*findings)
 
     def finding(self, code: str, message: str, requirement: str | None = None, evidence: str | None = None) -> None:
@@ -124,7 +124,7 @@ class Repetition:
         self.judge(reply, oracle.failed(reply, *codes, **expected))
 
     def one_of(self, reply: Reply, output: str, *values: object) -> None:
-        """Expect an output to be one of several values, where concurrency makes each of them right."""
+        """Expect that an output is one of several values, where concurrency makes each of them right."""
         found = reply.outputs.get(output)
         if reply.success and not any(same_json(value, found) for value in values):
             shown = " or ".join(map(repr, values))
@@ -137,7 +137,7 @@ class Repetition:
 
     @property
     def unanswered(self) -> bool:
-        """Some call got no response at all."""
+        """At least one call got no response at all."""
         return not all(call.reply.answered for call in self.ledger.calls)
 
     @property
@@ -147,8 +147,8 @@ class Repetition:
         return sum(map(_span, _groups(answered))) / 1e6
 
     def calls_s(self) -> tuple[float, float]:
-        """Seconds spent in calls of any role: from the first request to the last reply of those made together, and in the
-        MCP client before and after."""
+        """Return the seconds spent in calls of any role: from the first request to the last reply of calls made together,
+        and in the MCP client before and after."""
         between = around = 0
         for calls in _groups(self.ledger.calls):
             answered = [call for call in calls if call.reply.answered]

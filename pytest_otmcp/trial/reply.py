@@ -1,4 +1,4 @@
-"""What one tool call showed: its exchange, read strictly by the subject's rules, with the faults of the reply as such. Pure."""
+"""The reply to one tool call: its exchange, read strictly by the subject's rules, with the faults of the reply as such. Pure."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ __all__ = ["Expectation", "Reply", "observe", "replace_outputs"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Expectation:
-    """What the reply of one call is read with.
+    """The rules and the deadline by which the reply of one call is read.
 
     Attributes:
-        adapter, variant: whose session it was, such as ``modbus`` and ``rw``.
+        adapter, variant: the adapter whose session it was, such as ``modbus`` and ``rw``.
         operation: the abstract operation, such as ``read_input``.
         deadline_s: seconds within which the call must have answered.
         answering, outputs: the subject's rules for reading the answer.
@@ -44,9 +44,9 @@ class Reply:
 
     Attributes:
         adapter, variant, operation, listed: see :class:`Expectation`.
-        exchange: what was measured.
-        envelope: the structured content when it is an object; for an adapter with answers of its own one that is made
-            from them; else None.
+        exchange: the measured exchange.
+        envelope: the structured content when it is an object; an envelope made from the answer for an adapter that
+            answers without one; else None.
         outputs: the operation's outputs that the binding knows how to find.
         faults: what is wrong with the reply as such, whatever the task expected of it.
         native: the envelope is the adapter's own.
@@ -69,7 +69,7 @@ class Reply:
 
     @property
     def arguments(self) -> Mapping[str, Any]:
-        """What the tool was called with."""
+        """Arguments of the call."""
         return self.exchange.arguments
 
     @property
@@ -97,7 +97,7 @@ class Reply:
 
     @property
     def label(self) -> str:
-        """How findings name this call."""
+        """Name of this call in findings."""
         return _label(self.exchange)
 
 
@@ -119,7 +119,7 @@ def observe(exchange: Exchange, expected: Expectation) -> Reply:
         message = parse_strict(exchange.response)
     except ValueError as error:
         return replace(silent, faults=(_not_strict(exchange, exchange.response, error),))
-    # A tool that the session does not list has no envelope to be judged: what was answered is read like prose.
+    # A tool that the session does not list has no envelope to be judged: the answer is read like prose.
     native = expected.answering.native and expected.listed
     envelope, faults = _read_envelope(exchange, message) if native else _read_answer(exchange, message, expected)
     outputs: dict[str, object] = {}
@@ -139,8 +139,8 @@ def replace_outputs(reply: Reply, outputs: Mapping[str, object], refused: tuple[
     """Replace the outputs of a reply, and what follows from them, by what the user's binding function returned.
 
     Args:
-        outputs: what it found.
-        refused: code and words, when it took the answers for a refusal.
+        outputs: the outputs that the function returned.
+        refused: code and words, when the function took the answers for a refusal.
     """
     if reply.envelope is None:
         return reply
@@ -153,7 +153,7 @@ def replace_outputs(reply: Reply, outputs: Mapping[str, object], refused: tuple[
 
 
 Reading = tuple[dict[str, Any] | None, list[Finding]]
-"""The envelope, and what is wrong with it."""
+"""The envelope and its faults."""
 
 
 def _read_envelope(exchange: Exchange, message: Mapping[str, object]) -> Reading:

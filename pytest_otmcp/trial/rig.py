@@ -1,7 +1,7 @@
-"""One adapter at its device, as the steps of a repetition see it.
+"""The rig: one adapter at its device, as the steps of a repetition see it.
 
 A task's steps are judged in the same way whether adapter and device run or not: :class:`Rig` is extended by ``live_rig``,
-which uses the running ones, and by ``replay.rig``, which reads the stored history of a run.
+which uses a running adapter and device, and by ``replay.rig``, which reads the stored history of a run.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ T = TypeVar("T")
 
 
 def adapter_name(protocol: str, variant: str) -> str:
-    """How a task names an adapter that it has."""
+    """Return the name that tasks use for an adapter variant."""
     return protocol if variant == READ_WRITE else f"{protocol}@{variant}"
 
 
@@ -34,7 +34,7 @@ _NOTICING_PAUSE_S = 0.05
 class EndedError(Exception):
     """The repetition ends here: something that its next steps need, such as an answer, did not come.
 
-    Those steps would show nothing, or only wait for one deadline after the other.
+    The next steps would show nothing, or only wait for one deadline after the other.
     """
 
 
@@ -45,8 +45,8 @@ class FreshSession:
     Attributes:
         spawned_ns: monotonic; when its process was started.
         opened: sequence number of the device's journal at which it began.
-        ended: how the process before it ended: ``exited``, ``terminated``, ``killed``; None when there was none.
-        seconds: how long that took.
+        ended: how the process before it ended: ``exited``, ``terminated``, ``killed``; None when there was no process.
+        seconds: how long the end took.
     """
 
     spawned_ns: int
@@ -59,8 +59,8 @@ class Rig(ABC):
     """One adapter at its device.
 
     Attributes:
-        protocol, variant: whose session it is, such as ``modbus`` and ``rw``.
-        name: both in one, such as ``modbus`` and ``modbus@ro``.
+        protocol, variant: the adapter whose session it is, such as ``modbus`` and ``rw``.
+        name: protocol and variant in one, such as ``modbus`` and ``modbus@ro``.
     """
 
     def __init__(self, protocol: str, variant: str, cursor: JournalCursor) -> None:
@@ -78,19 +78,19 @@ class Rig(ABC):
 
     @abstractmethod
     def claims(self, facet: str) -> bool:
-        """The subject claims this facet of its adapter."""
+        """Tell whether the subject claims this facet of its adapter."""
 
     @abstractmethod
     def blocks(self, operation: str) -> bool:
-        """The operation is performed by a call that waits for what it answers."""
+        """Tell whether the operation is performed by a call that waits for the message that it returns."""
 
     @abstractmethod
     def probe(self, name: str) -> Any:
-        """What to ask for where something must be refused."""
+        """Return the value of this probe: the input to use where the request must be refused."""
 
     @abstractmethod
     def accepts_input(self, operation: str, name: str) -> bool:
-        """The operation can be given this optional input."""
+        """Tell whether the operation can be given this optional input."""
 
     def expected_if_accepted(self, operation: str, name: str, value: T) -> T | None:
         """Return ``value`` if the tool accepts this optional input, else None: the device may have seen any value."""
@@ -108,14 +108,14 @@ class Rig(ABC):
 
     async def call_until_success(self, operation: str, *, window_s: float, **inputs: Any) -> list[Reply]:
         """Call until the adapter succeeds or the window, counted from the moment the device accepts connections,
-        is over. Only the last call has the repetition's role; those before it have the role ``recovery``.
+        is over. Only the last call has the repetition's role; the calls before it have the role ``recovery``.
         """
         end = self.accepting_ns + int(window_s * self._ledger.time_scale * 1e9)
         replies = []
         while True:
             reply = await self.call(operation, **inputs)
             replies.append(reply)
-            # The call itself may have come too early and answered late: only one that began too late is the last.
+            # A call may begin too early and answer late: only a call that began after the window is the last.
             if reply.success or (len(replies) > 1 and reply.exchange.sent_ns >= end):
                 return replies
             self._ledger.set_aside(reply)
@@ -123,7 +123,7 @@ class Rig(ABC):
 
     async def call_until_failure(self, operation: str, *, window_s: float, **inputs: Any) -> Reply:
         """Call until the adapter has noticed that the device is gone, or the window, counted from the first call, is over.
-        Only the last call has the repetition's role; those before it have the role ``recovery``.
+        Only the last call has the repetition's role; the calls before it have the role ``recovery``.
         """
         window_ns = int(window_s * self._ledger.time_scale * 1e9)
         begun_ns = None
@@ -136,15 +136,15 @@ class Rig(ABC):
             await self._watch(_NOTICING_PAUSE_S)
 
     async def stays_quiet(self, seconds: float, judge: Callable[[list[Entry]], list[Finding]]) -> None:
-        """Watch the device for a while, then judge what reached it; for things that must not happen.
+        """Watch the device for a while, then judge what reached it; for messages that must not come.
 
-        Shorter deadlines make nothing come sooner, so a time scale below 1 leaves this window as it is.
+        Shorter deadlines do not make a message come sooner, so a time scale below 1 leaves this window as it is.
         """
         await self._watch(seconds * max(1.0, self._ledger.time_scale))
         self._ledger.witnessed(judge(await self.journal()))
 
     async def keep_journal(self) -> None:
-        """Keep what the device's journal holds of this repetition, before its process ends or the repetition does."""
+        """Keep what the device's journal holds of this repetition, before the device's process or the repetition ends."""
         # The read-only variant has a device of its own, whose entries count from 0 as well.
         variant = {} if self.variant == READ_WRITE else {"variant": self.variant}
         entries = await self.take_slice()
@@ -152,7 +152,7 @@ class Rig(ABC):
         self._ledger.journal.extend(cast(DeviceEntry, entry) for entry in kept)
 
     async def stop_device(self) -> float:
-        """Kill the device process; what its journal held is kept with this repetition. Milliseconds it took."""
+        """Kill the device process and keep its journal with this repetition; return the milliseconds that the kill took."""
         await self.keep_journal()
         return await self._stop()
 
@@ -173,26 +173,26 @@ class Rig(ABC):
     @property
     @abstractmethod
     def running(self) -> bool:
-        """The device is there."""
+        """The device runs."""
 
     @property
     @abstractmethod
     def accepting_ns(self) -> int:
-        """Monotonic; since when the device accepts connections."""
+        """Monotonic time since which the device accepts connections."""
 
     @abstractmethod
     async def journal(self) -> list[Entry]:
-        """What reached the device, and what it answered, since this repetition began."""
+        """Return what reached the device, and what it answered, since this repetition began."""
 
     @abstractmethod
     async def wait_for(self, *, timeout_s: float, count: int = 1, **match: object) -> list[Entry]:
-        """The journal entries of this repetition that match, as soon as there are ``count``, or when time is over."""
+        """Return the journal entries of this repetition that match, as soon as there are ``count``, or after the timeout."""
 
     @abstractmethod
     async def session_journal(self) -> list[Entry]:
         """Return the entries of this repetition since the adapter's session was opened.
 
-        A session that has served earlier repetitions did more than that: :meth:`follow` judges all of it.
+        A session of earlier repetitions caused more entries than these: :meth:`follow` judges all of them.
         """
 
     async def follow(self, kind: type[Oracle]) -> Oracle:
@@ -202,7 +202,7 @@ class Rig(ABC):
 
     @abstractmethod
     async def image(self) -> dict[str, object]:
-        """What the device really holds."""
+        """Return the values that the device really holds."""
 
     @abstractmethod
     async def poke(self, **params: object) -> None:
@@ -214,7 +214,7 @@ class Rig(ABC):
 
     @abstractmethod
     async def start_device(self) -> float:
-        """Start a new device process on the same port. Milliseconds until it accepted connections."""
+        """Start a new device process on the same port; return the milliseconds until it accepted connections."""
 
     @abstractmethod
     async def close_session(self) -> None:
@@ -222,18 +222,18 @@ class Rig(ABC):
 
     @abstractmethod
     async def take_slice(self) -> list[Entry]:
-        """The journal since the repetition began; the next repetition's slice begins where this one ends."""
+        """Take the journal since the repetition began; the next repetition's slice begins where this one ends."""
 
     @abstractmethod
     async def _perform(self, operation: str, inputs: Mapping[str, object]) -> Reply: ...
 
     @abstractmethod
     async def _feed(self) -> None:
-        """Show the session's oracles what they have not seen."""
+        """Show the session's oracles the entries that they have not seen."""
 
     @abstractmethod
     async def _reconnecting(self) -> None:
-        """Wait until it makes sense to ask again after a failure."""
+        """Wait, after a failed call, until it makes sense to call again."""
 
     @abstractmethod
     async def _watch(self, seconds: float) -> None:

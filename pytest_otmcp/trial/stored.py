@@ -13,14 +13,14 @@ from .ledger import Judged, Ledger
 __all__ = ["stored_calls", "stored_finding"]
 
 _KEPT_OF_A_FRAME = 16_384
-"""Bytes: an adapter may send megabytes, again and again; the record has the digest of all of them."""
+"""Bytes that are kept of a frame: an adapter may send megabytes, again and again; the record has the digest of the whole."""
 
 
 def stored_calls(ledger: Ledger) -> list[Call]:
-    """Return the calls of a repetition.
+    """Return the calls of a repetition as ``run.json`` has them.
 
-    The envelope of a good reply says what its frames said. Where there is more to see, a fault or an answer that is no
-    envelope, the frames are kept.
+    The envelope of a good reply says all that its frames said. The frames are kept where they show more: where there is a
+    fault, or where the answer is no envelope.
     """
     return [_call(call, with_frames=bool(ledger.findings) or not call.reply.native) for call in ledger.calls]
 
@@ -68,7 +68,7 @@ def _frame(frame: bytes) -> str:
 
 
 def stored_finding(finding: Finding) -> StoredFinding:
-    """Return a finding."""
+    """Return a finding as ``run.json`` has it."""
     return {
         "code": finding.code,
         "message": finding.message,

@@ -21,8 +21,8 @@ __all__ = ["Steps", "Task", "Tasks", "execute"]
 Steps = Callable[..., Awaitable[None]]
 """``async def steps(run, rig, …)``: the repetition, then the rigs that the steps name.
 
-A parameter is called like the adapter that it stands for: ``modbus`` for the one with writes enabled, ``modbus_ro`` for the one
-with writes disabled, which is None where the subject claims no such variant.
+A parameter has the name of the adapter that it stands for: ``modbus`` for the variant with writes enabled, ``modbus_ro`` for
+the variant with writes disabled, which is None where the subject claims no such variant.
 """
 
 _READ_ONLY_SUFFIX = f"_{READ_ONLY}"
@@ -30,21 +30,21 @@ _READ_ONLY_SUFFIX = f"_{READ_ONLY}"
 
 @dataclass(slots=True, kw_only=True)
 class Task:
-    """One item.
+    """One item of the suite.
 
     Attributes:
         id: as the paper has it, such as ``M3``.
         suite: one of :data:`~pytest_otmcp.core.matrix.SUITES`.
         title: the paper's sentence for it, printed in its tables.
-        capabilities: what the item says something about.
+        capabilities: the capabilities that the item is about.
         adapters: the adapters it needs: ``protocol``, or ``protocol@ro`` for the variant with writes disabled.
         needs: facets that the subject must claim, such as ``modbus.write_holding`` or ``modbus.guard``.
         guards: protocols whose read-only variant takes part when the subject claims that there is one.
         requirements: ids of the requirement catalogue that it exercises.
-        steps: one repetition.
-        position: its place in the suite, where that is not after the items of its module declared before it.
-        begin: once before the repetitions, with the role ``setup``; or None.
-        end: once after the repetitions, with the role ``control``; or None.
+        steps: the steps of one repetition.
+        position: its place in the suite, where it does not follow the items that its module declares before it.
+        begin: steps run once before the repetitions, with the role ``setup``; or None.
+        end: steps run once after the repetitions, with the role ``control``; or None.
     """
 
     id: str
@@ -62,12 +62,12 @@ class Task:
 
     @property
     def protocols(self) -> tuple[str, ...]:
-        """Keys of the protocols that it is about."""
+        """Keys of the protocols that the task is about."""
         return tuple(dict.fromkeys(name.partition("@")[0] for name in self.adapters))
 
     @property
     def family(self) -> str:
-        """Name of its protocol, as tables print it; of an item about several protocols what such items are called."""
+        """Name of its protocol, as tables print it; for a task about several protocols, the name of such tasks."""
         only, *others = self.protocols
         return CROSS_PROTOCOL if others else protocols()[only].name
 
@@ -77,13 +77,13 @@ class Task:
         return self.suite in WARMED_UP
 
     def before(self, steps: Steps) -> Steps:
-        """Decorator: what happens once before the repetitions."""
+        """Register the decorated steps, which run once before the repetitions."""
         self._check(steps)
         self.begin = steps
         return steps
 
     def after(self, steps: Steps) -> Steps:
-        """Decorator: what happens once after the repetitions."""
+        """Register the decorated steps, which run once after the repetitions."""
         self._check(steps)
         self.end = steps
         return steps
@@ -126,13 +126,13 @@ class Tasks(list[Task]):
         requirements: str = "",
         position: int | None = None,
     ) -> Callable[[Steps], Task]:
-        """Decorator that turns the steps of one repetition into a task.
+        """Return a decorator that turns the steps of one repetition into a task.
 
         Args:
             id, suite, title, position: see :class:`Task`.
-            needs: facets, each with its protocol, separated by blanks. With a ``guard`` the task has the read-only
-                variant of that adapter, too, as ``protocol@ro``.
-            capability: the one that the steps are about; guards are about write protection by themselves.
+            needs: facets, each with its protocol, separated by blanks. With a ``guard`` the task also has the read-only
+                variant of that adapter, as ``protocol@ro``.
+            capability: the capability that the steps are about; ``guards`` add write protection.
             guards: see :class:`Task`, separated by blanks.
             requirements: catalogue ids, separated by blanks.
 

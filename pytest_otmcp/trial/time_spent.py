@@ -1,4 +1,4 @@
-"""Where the wall-clock time of a run went. Pure but for the clock."""
+"""Account of what the wall-clock time of a run was spent on. Pure but for the clock."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["TimeSpent"]
 
 @dataclass(slots=True)
 class TimeSpent:
-    """Wall-clock seconds by what they were spent on; nested spans count once, for the innermost."""
+    """Wall-clock seconds by what they were spent on; nested spans count once, for the innermost span."""
 
     seconds: dict[str, float] = field(default_factory=dict)
     _stack: list[list[Any]] = field(default_factory=list)

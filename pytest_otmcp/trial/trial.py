@@ -1,7 +1,7 @@
-"""Runs one task: set-up, warm-up, repetitions, closing checks; what came of it is an item of ``run.json``.
+"""The trial of one task: set-up, warm-up, repetitions, closing checks; its result is an item of ``run.json``.
 
-A trial is the same on a bench and on the stored history of a run: it decides what happens next and what it means, its
-driver makes it happen or looks up what happened (see ``driver``).
+A trial is the same on a bench and on the stored history of a run: it decides what is done next and what the result means;
+its driver does it, or looks up what was done (see ``driver``).
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ from .task import Steps, Task
 __all__ = ["Repetition", "Trial"]
 
 _GIVE_UP_AFTER = 3
-"""Consecutive repetitions without any reply after which an item is not continued: a hanging adapter is a finding
-within a few deadlines, not after thirty."""
+"""Consecutive repetitions without any reply after which an item is not continued: a hanging adapter is then found within
+a few deadlines, not after thirty."""
 
 ReportProgress = Callable[[int, int], None]
 
 
 class Trial:
-    """One item of a run. :meth:`run` returns the item as ``run.json`` has it, but for its samples.
+    """One item of a run. :meth:`run` returns the item as ``run.json`` has it, without its samples.
 
     Args:
-        driver: makes things happen, or looks up what happened.
-        task: what is to be run.
-        planned: repetitions.
+        driver: carries out the steps, or looks up what they showed.
+        task: the task to run.
+        planned: number of repetitions.
         keep: takes each sample as soon as there is one; the trial keeps none.
-        progress: is told which repetition of how many begins.
+        progress: is told which repetition begins, and of how many.
     """
 
     def __init__(
@@ -124,7 +124,7 @@ class Trial:
         self._take(await driver.inspect())
 
     async def _execute_around(self, steps: Steps, role: Role) -> None:
-        """Set-up, warm-up and closing checks: judged like a repetition, but not a sample."""
+        """Execute set-up, warm-up or closing checks: they are judged like a repetition, but are no sample."""
         repetition = self._driver.repetition(0, role)
         await self._driver.perform(repetition, steps)
         ledger = repetition.ledger
@@ -179,12 +179,12 @@ class Trial:
                 self._note("stdout_noise", f"{facts.protocol}: {message}", "MCP-001")
 
     def interrupted(self) -> ItemBody:
-        """The item as far as it was measured when the user ended the run."""
+        """Return the item as far as it was measured when the user ended the run."""
         self._status = "INTERRUPTED"
         return self._item()
 
     def broken(self, error: Exception) -> ItemBody:
-        """The item as far as it was measured when an exception ended it that is a bug of the kit."""
+        """Return the item as far as it was measured when an exception, which is a bug of the kit, ended it."""
         self._status = "KIT_ERROR"
         trace = "".join(traceback.format_exception(error))[-2000:]
         message = f"{type(error).__name__}: {error}. This is the kit's fault; please file a bug."

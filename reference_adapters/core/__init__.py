@@ -1,4 +1,4 @@
-"""What every adapter needs and no protocol knows: settings, envelope, errors, strict arguments, guard, deadline, run.
+"""The core of every adapter, without protocol: settings, envelope, errors, strict arguments, guard, deadline, run.
 
 An adapter is a sub-package with two modules to begin with. ``tools`` holds a class with one method per tool::
 
@@ -52,11 +52,11 @@ An adapter is a sub-package with two modules to begin with. ``tools`` holds a cl
 A method's name, docstring and annotations become the tool's name, description and schemas; ``tools/list`` has the tools in
 the order of their definition. The value that a method returns becomes ``data``. An :class:`AdapterError` that it raises
 becomes ``error``; any other exception becomes an ``internal_error``, with its traceback on stderr. A tool that changes the
-plant says ``writes=True``. A call always takes the same way: the arguments are checked, then the write guard, then the
+plant says ``writes=True``. Every call has the same steps: the arguments are checked, then the write guard, then the
 method runs under the deadline.
 
-The method tells the :class:`Call` what only it can know: the connection it uses, each request that leaves, the answer. From
-these the envelope takes ``attempts``, ``source`` and, when something goes wrong, whether a write may have happened.
+The method reports to the :class:`Call` what only it can know: the connection it uses, each request that it sends, the
+answer. From these the envelope takes ``attempts``, ``source`` and, after a failure, whether a write may have happened.
 """
 
 from __future__ import annotations

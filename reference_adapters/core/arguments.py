@@ -1,7 +1,7 @@
-"""Strict arguments: nothing is coerced, nothing unknown is ignored, nothing infinite is let through.
+"""Strict arguments: nothing is coerced, nothing unknown is ignored, nothing infinite is accepted.
 
-An SDK that turns ``"70"`` into 70 writes a value that the caller did not ask for; one that drops a misspelt ``unit`` writes
-it to a device that the caller did not mean.
+An SDK that turns ``"70"`` into 70 writes a value that the caller did not ask for; an SDK that drops a misspelt ``unit``
+writes it to a device that the caller did not mean.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _TOO_MUCH = {"too_long", "string_too_long", "bytes_too_long"}
 _MAX_NAME = 100
 
 LEFT_OUT: Any = None
-"""Default of an argument that was not given. Null is no other way to leave an argument out; it is refused."""
+"""Default of an argument that was not given. An argument cannot be left out by null; null is refused."""
 _MAX_DEPTH = 20
 
 

@@ -1,4 +1,4 @@
-"""One tool call while it runs: the requests it has sent, the connection it uses, and the envelope it ends in."""
+"""One tool call while it runs: the requests that it has sent, the connection that it uses, and its envelope."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Call:
 
     Attributes:
         attempts: requests that were handed to the transport, repetitions included.
-        sent: a state-changing request may have left this process.
+        sent: True when a state-changing request may have left this process.
         trace: facts of the exchange as it was on the wire; see the envelope's description.
         source: ``device`` when the data came from the device in this call, ``cache`` when it was received earlier,
             else ``none``.

@@ -1,6 +1,6 @@
-"""The error registry, and the exception with which a tool refuses.
+"""The error registry, and the exception that a tool raises when a call fails.
 
-``outcome`` is what a boolean cannot say: whether a state-changing request may have been executed.
+``outcome`` says more than a boolean can: whether a state-changing request may have been executed.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ REGISTRY: dict[str, tuple[str, bool, bool]] = {
 _NOTHING_SENT = frozenset({"validation", "policy", "state"})
 _NEVER_CONNECTED = frozenset({"config_error", "connect_failed", "dns_error", "tls_error", "auth_failed"})
 _MAYBE_BEGUN = frozenset({"accepted_pending", "device_failure", "gateway_target_no_response"})
-# Refusals by the adapter when nothing was sent, by the device otherwise.
+# These are refusals by the adapter when nothing was sent, by the device otherwise.
 _ALSO_FROM_DEVICES = frozenset(
     {"type_mismatch", "limit_exceeded", "unsupported_operation", "access_denied", "rate_limited"}
 )

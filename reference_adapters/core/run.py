@@ -1,4 +1,4 @@
-"""Runs an adapter server over stdio or streamable HTTP.
+"""The run of an adapter server over stdio or streamable HTTP.
 
 Environment: ``MCP_TRANSPORT`` (``stdio`` or ``streamable-http``), ``MCP_HTTP_HOST`` (127.0.0.1) and ``MCP_HTTP_PORT``
 (8000; 0 takes a free one).
@@ -24,7 +24,7 @@ _LOOPBACK = {"127.0.0.1": socket.AF_INET, "localhost": socket.AF_INET, "::1": so
 
 
 def serve(server: AdapterServer) -> int:
-    """Serve until the client is gone and return the exit code."""
+    """Serve until the client has gone and return the exit code."""
     environment = Environment()
     logging.basicConfig(stream=sys.stderr, level=logging.WARNING, format="%(name)s: %(levelname)s: %(message)s")
     try:

@@ -45,7 +45,7 @@ class AdapterServer:
         name, version: the server's name and version in its introduction.
         protocol: the envelope's ``meta.protocol``.
         endpoint: URI of the device, without credentials.
-        writes_enabled: the write guard is off.
+        writes_enabled: True when the write guard is off.
         switch: name of the setting that enables writes, for the refusal's text.
         deadline_s: seconds within which every call answers.
         close: called once when the server ends.
@@ -79,8 +79,8 @@ class AdapterServer:
             on_list_tools=self._list_tools,
             on_call_tool=self._call_tool,
         )
-        # Replaces the SDK's OpenTelemetry middleware (measured: 17 of 186 us of a null call, for spans that are not
-        # collected).
+        # This replaces the SDK's OpenTelemetry middleware (measured: 17 of 186 us of a null call, for spans that are
+        # not collected).
         self.mcp.middleware[:] = [self._answer_calls]
         # Every result carries these members since 2026-07-28 (basic, sections Responses and _meta).
         self._completion = {
@@ -150,7 +150,7 @@ class AdapterServer:
         except AdapterError as error:
             return _result(call.failure(error))
         except Exception:
-            # A bug of the adapter: its traceback belongs in the log, not in an answer to an assistant.
+            # This is a bug of the adapter: its traceback belongs in the log, not in an answer to an assistant.
             log.exception("tool %s failed unexpectedly", tool.listing.name)
             return _result(call.failure(AdapterError("internal_error", "the adapter failed unexpectedly; see its log")))
 

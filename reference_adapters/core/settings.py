@@ -18,7 +18,7 @@ class ConfigError(Exception):
 
 
 class Environment:
-    """Reads settings from variables."""
+    """The reader of settings from environment variables."""
 
     def __init__(self, values: Mapping[str, str] | None = None) -> None:
         self._values = os.environ if values is None else values

@@ -1,7 +1,7 @@
 """MCP over standard input and output, on the event loop's own pipes.
 
-The SDK's ``stdio_server`` reads and writes through worker threads: three hops a message, and most of a null call's time
-(measured: 0.33 of 0.75 ms). The loop watches the pipes here, without threads.
+The SDK's ``stdio_server`` reads and writes through worker threads: three hops per message, and most of a null call's
+time (measured: 0.33 of 0.75 ms). The loop watches the pipes here, without threads.
 
 Only MCP messages reach the output pipe: while serving, file descriptor 1 is standard error, so that a stray ``print`` of a
 library cannot end up between two messages.
@@ -36,7 +36,7 @@ log = logging.getLogger(__name__)
 
 
 class _Input(asyncio.Protocol):
-    """Cuts standard input into lines and parses each as a message. Other lines are dropped, with a warning on stderr."""
+    """Standard input, cut into lines that are parsed as messages. Other lines are dropped, with a warning on stderr."""
 
     def __init__(self, messages: MemoryObjectSendStream[SessionMessage | Exception]) -> None:
         self._messages = messages
@@ -83,7 +83,7 @@ class _Input(asyncio.Protocol):
 
 
 def _second_reading(line: bytes) -> JSONRPCMessage:
-    """Parse a line less strictly, so that deep nesting and lone surrogates reach the tool, which refuses them in words.
+    """Parse a line less strictly: deep nesting and lone surrogates reach the tool, which refuses them with a reason.
 
     Raises:
         ValueError, RecursionError: the line is no message.
@@ -97,7 +97,7 @@ def _second_reading(line: bytes) -> JSONRPCMessage:
 
 
 class _Output(asyncio.BaseProtocol):
-    """Writes messages directly to the pipe; the write end of the session."""
+    """The write end of the session, which writes messages directly to the pipe."""
 
     def __init__(self) -> None:
         self._writable = asyncio.Event()
@@ -120,7 +120,7 @@ class _Output(asyncio.BaseProtocol):
         self._lost.set()
 
     async def flushed(self) -> None:
-        """Wait for a short time until the sent messages have left; the client may have stopped reading."""
+        """Wait for a short time only until the sent messages have left: the client may have stopped reading."""
         with suppress(TimeoutError):
             async with asyncio.timeout(_FLUSH_S):
                 await self._lost.wait()
@@ -144,7 +144,7 @@ class _Output(asyncio.BaseProtocol):
 async def serve_stdio(server: Server[None]) -> None:
     """Serve until standard input ends, or a signal ends the process."""
     if not (_is_pipe(0) and _is_pipe(1)):
-        # ``adapter < requests.jsonl``: the loop cannot watch files; the SDK's threads can read them.
+        # In ``adapter < requests.jsonl`` the input is a file: the loop cannot watch it; the SDK's threads can read it.
         async with stdio_server() as (read, write):
             await server.run(read, write, server.create_initialization_options())
         return

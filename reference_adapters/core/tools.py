@@ -38,7 +38,7 @@ class AdapterTool:
         handler: the bound method that does the work.
         operation: the envelope's ``meta.operation``.
         protocol: the envelope's ``meta.protocol``.
-        writes: it changes the state of the plant.
+        writes: True when it changes the state of the plant.
     """
 
     listing: Tool

@@ -1,4 +1,4 @@
-"""How the Modbus TCP adapter is put together from its settings."""
+"""The construction of the Modbus TCP adapter from its settings."""
 
 from __future__ import annotations
 

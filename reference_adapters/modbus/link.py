@@ -37,7 +37,7 @@ _EXCEPTIONS = {
 
 
 class _ConnectionDied(Exception):
-    """The connection ended before anything of the reply was there."""
+    """The connection ended before any byte of the reply had come."""
 
 
 class _Connection:
@@ -87,7 +87,7 @@ class _Connection:
             self._patience.reschedule(0.0)
 
     def _packet(self, sending: bool, data: bytes) -> bytes:
-        # pymodbus shows every byte that goes to the transport: the trace tells what was on the wire, not what was asked.
+        # pymodbus shows every byte that goes to the transport: the trace has what was on the wire, not what was asked.
         if not sending:
             self.received = data
         elif self._call is not None:

@@ -21,7 +21,7 @@ Word = Annotated[int, Field(ge=0, le=65535, description="0 to 65535"), BoundsCod
 
 
 def is_unit(number: int) -> bool:
-    """Whether a device may have this identifier: 248 to 254 are reserved (Messaging on TCP/IP V1.0b, section 4.4.1.2)."""
+    """Tell whether a device may have this number: 248 to 254 are reserved (Messaging on TCP/IP V1.0b, 4.4.1.2)."""
     return 0 <= number <= 247 or number == 255
 
 

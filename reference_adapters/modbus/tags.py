@@ -6,7 +6,7 @@ A JSON object of tags, for instance::
 
 The engineering value is ``raw * scale + offset``, computed in decimal: 253 * 0.1 is 25.3 and not 25.300000000000001. A
 write is rounded to the nearest raw value, halves away from zero, and refused when that does not fit the type. Without
-scale and offset nothing is rounded: 40.7 is no value for a register.
+scale and offset nothing is rounded: 40.7 is refused as the value of a register.
 """
 
 from __future__ import annotations

@@ -68,7 +68,7 @@ class Tools:
         try:
             await self._holding(call, arguments, 0, 1)
         except AdapterError as error:
-            # An exception reply is an answer too: the device is there. A gateway's is not the device's.
+            # An exception reply is an answer, too: the device is there. A gateway's exception is not the device's.
             if "exception_code" not in call.trace or error.code.startswith("gateway"):
                 raise
         return {"reachable": True}
@@ -132,7 +132,7 @@ class Tools:
             for number, text in sorted(getattr(reply, "information", {}).items()):
                 objects[str(number)] = device_text(call, f"/data/objects/{number}", text)
             following = int(getattr(reply, "next_object_id", 0))
-            # A device whose next object lies before the last one would be asked without end.
+            # Without this check, a device whose next object lies before the last one would be asked for ever.
             if getattr(reply, "more_follows", 0) != MORE_FOLLOWS or following <= first:
                 return {"objects": objects}
 
@@ -245,6 +245,6 @@ class Tools:
 
 
 def _bit_states(arguments: Bits, reply: ModbusPDU) -> BitStates:
-    # The reply is padded to whole bytes; only what was asked for is an answer.
+    # The reply is padded to whole bytes; only the bits that were asked for are returned.
     values = [bool(bit) for bit in reply.bits[: arguments.count]]
     return {"address": arguments.address, "count": arguments.count, "values": values}

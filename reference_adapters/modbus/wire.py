@@ -1,4 +1,4 @@
-"""Modbus TCP frames: the facts of a request, and whether a reply belongs to it. This module knows bytes, no connection.
+"""Modbus TCP frames: the facts of a request, and the check that a reply belongs to it. It handles bytes, no connection.
 
 pymodbus accepts replies with transaction identifier 0 instead of the request's, replies to another function, a byte count
 or number of registers that was not asked for, and a write confirmation with another value (measured, 3.16.1). An adapter

@@ -1,4 +1,4 @@
-"""How the MQTT and Sparkplug B adapter is put together from its settings."""
+"""The construction of the MQTT and Sparkplug B adapter from its settings."""
 
 from __future__ import annotations
 

@@ -32,9 +32,9 @@ __all__ = ["Connection", "ConnectionLostError", "Delivery", "Endpoint", "Message
 
 # A half-open connection is detected after two of these periods.
 KEEPALIVE_S = 5
-# An orderly DISCONNECT must not delay the end of the process for longer.
+# An orderly DISCONNECT must not delay the end of the process for longer than this.
 _FAREWELL_S = 2.0
-# Packets that are read before one is sent; a flood of messages must not keep the adapter from sending.
+# Number of packets that are read before one is sent; a flood of messages must not keep the adapter from sending.
 _CATCH_UP = 100
 
 _ABORT = struct.pack("ii", 1, 0)
@@ -102,7 +102,7 @@ class Delivery:
 
     Attributes:
         packet_id: packet identifier of QoS 1 and 2; paho numbers messages of QoS 0, too.
-        done: None if the message was written (QoS 0) at once, else set when it is written, or acknowledged (QoS 1 and 2).
+        done: None if the message was written (QoS 0) at once; else set when written, or acknowledged (QoS 1 and 2).
     """
 
     __slots__ = ("_info", "done", "packet_id")
@@ -113,7 +113,7 @@ class Delivery:
         self.done: asyncio.Future[None] | None = None if info.is_published() else loop.create_future()
 
     def settle(self) -> bool:
-        """Wake the waiting caller if paho has written the message or has its acknowledgement; return whether it has."""
+        """Wake the caller if paho has written the message or has its acknowledgement; return whether this is so."""
         if not self._info.is_published():
             return False
         if self.done is not None and not self.done.done():
@@ -126,7 +126,7 @@ class Connection:
 
     Attributes:
         lost: set when the connection has ended.
-        introduced: a CONNECT was sent.
+        introduced: True when a CONNECT was sent.
     """
 
     def __init__(self, endpoint: Endpoint, on_message: Callable[[Message], None]) -> None:
@@ -210,13 +210,13 @@ class Connection:
     def abort(self) -> None:
         """End the connection now, without DISCONNECT, so that the broker publishes the will.
 
-        Nothing that was handed over before is sent any more: neither what paho holds nor what the kernel does.
+        Nothing that was handed over before is sent any more: neither the data in paho nor that in the kernel.
         """
         sock = self._socket()
         if sock is not None:
             with contextlib.suppress(OSError):
                 sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _ABORT)
-        # Closes the socket and forgets every message.
+        # This closes the socket and forgets every message.
         self._client.reinitialise()
         self._end()
 
@@ -256,7 +256,7 @@ class Connection:
         for waiting in (self._opened, *self._answers.values(), *(one.done for one in self._deliveries)):
             if waiting is not None and not waiting.done():
                 waiting.set_exception(ConnectionLostError())
-                # Retrieved here, so that asyncio does not warn about an exception that no caller awaits any more.
+                # It is retrieved here, so that asyncio does not warn about an exception that no caller awaits.
                 waiting.exception()
         self._answers.clear()
         self._deliveries.clear()
@@ -277,7 +277,7 @@ class Connection:
         self._loop.add_reader(self._descriptor, self._read)
 
     def _unwatch(self) -> None:
-        # Must happen before the descriptor is closed, because another socket can get the same one.
+        # This must happen before the descriptor is closed, because another socket can get the same descriptor.
         if self._descriptor >= 0:
             self._loop.remove_reader(self._descriptor)
             self._loop.remove_writer(self._descriptor)
@@ -356,7 +356,7 @@ class Connection:
                 for done in pending:
                     await done
         except TimeoutError:
-            # Otherwise unwritten bytes, and the PUBREL of a QoS 2 message, would follow after the failure was reported.
+            # Else unwritten bytes and the PUBREL of a QoS 2 message would be sent after the failure was reported.
             self.abort()
             raise self._silence() from None
         except asyncio.CancelledError:

@@ -1,10 +1,10 @@
 """The adapter's own Sparkplug edge node: births before data, one sequence counter, bdSeq with the will.
 
-The edge node composes messages and does not send them. Composing takes sequence numbers, so a composed message has to be
+The edge node composes messages and does not send them. Composing uses sequence numbers, so a composed message has to be
 sent, or the connection has to end. The node's state (:attr:`EdgeNode.life`, :meth:`EdgeNode.remember`) changes only after a
-message was delivered: a call that failed changes nothing, and a later birth does not publish the value that it could not.
+message was delivered: a call that failed changes nothing, and a later birth does not publish that call's values.
 
-Rules quoted by their identifiers in the Sparkplug 3.0 specification (``tck-id-…``).
+Rules are quoted by their identifiers in the Sparkplug 3.0 specification (``tck-id-…``).
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class EdgeNode:
 
     @property
     def alive(self) -> bool:
-        """Whether the node was born and has not died since."""
+        """True when the node was born and has not died since."""
         return self.life is not None
 
     def topic(self, kind: str, device: str | None = None) -> str:
@@ -116,7 +116,7 @@ class EdgeNode:
 
     @staticmethod
     def _death(bd_seq: int) -> bytes:
-        # Only bdSeq, and no sequence number (topics-ndeath-payload, topics-ndeath-seq).
+        # NDEATH has only bdSeq, and no sequence number (topics-ndeath-payload, topics-ndeath-seq).
         return encode([Metric(name=_BD_SEQ, datatype="Int64", value=bd_seq)], None)
 
     # -- births -------------------------------------------------------------------------------------------
@@ -167,7 +167,7 @@ class EdgeNode:
         """Return the present life.
 
         Raises:
-            AdapterError: ``not_born``: there is none.
+            AdapterError: ``not_born``: the node has not been born.
         """
         if self.life is None:
             raise AdapterError("not_born", "the edge node has not been born; call publish_node_birth first")

@@ -47,7 +47,7 @@ class Inbox:
             self._dropped += 1
 
     def take(self, text: str, limit: int) -> tuple[list[Received], int]:
-        """Remove and return the oldest messages that a filter selects, and the number of those that it selects beyond them.
+        """Remove and return the oldest messages that a filter selects, and the number of the others that it selects.
 
         At most :data:`MAX_TAKEN_BYTES` at once, but at least one message.
         """

@@ -31,7 +31,7 @@ _FIRST_RETRY_S, _LAST_RETRY_S = 0.05, 0.2
 # Two adapters must not disconnect each other endlessly.
 _SHORT_LIVED_S, _TAKEN_OVER_RETRY_S = 0.5, 5.0
 _FAREWELL_S = 2.0
-# Repeating a CONNECT that failed like this in the background could lock an account.
+# A CONNECT that failed with one of these codes is not repeated in the background: this could lock an account.
 _PERMANENT = ("auth_failed", "access_denied", "config_error", "tls_error")
 
 log = logging.getLogger(__name__)
@@ -51,12 +51,12 @@ class Link:
     Args:
         endpoint: the broker.
         edge_node: the adapter's own edge node.
-        may_write: without it no will is set: an NDEATH that the broker publishes for the adapter is a write, too.
+        may_write: False sets no will: an NDEATH that the broker publishes for the adapter is a write, too.
 
     Attributes:
-        subscriptions: subscriptions of the tools, by filter.
+        subscriptions: those of the tools, by filter.
         needed: filters and QoS that the adapter itself needs.
-        publishing: held while something is published as edge node, so that the sequence is one.
+        publishing: lock that is held while messages are published as edge node, so that their sequence is unbroken.
     """
 
     def __init__(self, endpoint: Endpoint, edge_node: EdgeNode, *, may_write: bool) -> None:
@@ -77,7 +77,7 @@ class Link:
 
     @property
     def connected(self) -> bool:
-        """Whether there is a connection."""
+        """True when there is a connection."""
         return self._connection is not None and self._connection.is_live()
 
     # -- what the tools do --------------------------------------------------------------------------------
@@ -109,7 +109,7 @@ class Link:
         return result
 
     async def ask(self, call: Call) -> None:
-        """Make the broker answer. It has then also delivered every message that it had for this client.
+        """Make the broker answer. It has then also delivered all messages that it had for this client before.
 
         Unsubscribing a filter that was never subscribed changes nothing, and the broker has to answer [MQTT-3.10.4-5].
         paho's public interface cannot send a PINGREQ.
@@ -159,7 +159,7 @@ class Link:
         asked = max(qos, self.needed.get(text, 0))
         (granted,) = await self.exchange(call, lambda connection: connection.subscribe({text: asked}))
         if granted is None:
-            # Where there was a subscription with this filter, the broker has kept it (MQTT 3.1.1, section 3.8.4).
+            # If there was a subscription with this filter, the broker has kept it (MQTT 3.1.1, section 3.8.4).
             raise _refused(call, "the broker refuses the subscription")
         self.subscriptions[text] = Subscription(qos=qos, granted=granted)
         return granted
@@ -177,7 +177,7 @@ class Link:
         self.subscriptions.pop(text, None)
 
     async def need(self, call: Call, filters: Mapping[str, int]) -> None:
-        """Subscribe to filters that the adapter itself needs, if it is not yet, and on every later connection.
+        """Subscribe to filters that the adapter itself needs, unless it is subscribed, and on every later connection.
 
         Raises:
             AdapterError: as :meth:`exchange`, or the broker refuses.
@@ -212,11 +212,11 @@ class Link:
             return self._connection
         if self._attempt is None or self._attempt.done():
             self._attempt = asyncio.create_task(self._connect())
-            # Retrieves the exception even if every call that waits for the attempt is cancelled.
+            # This retrieves the exception even if every call that waits for the attempt is cancelled.
             self._attempt.add_done_callback(lambda task: task.cancelled() or task.exception())
         if self._keeper is None or self._keeper.done():
             self._keeper = asyncio.create_task(self._keep_connected())
-        # One attempt serves all calls, and goes on if the call that began it is cancelled.
+        # One attempt serves all calls, and continues if the call that began it is cancelled.
         return await asyncio.shield(self._attempt)
 
     async def _connect(self) -> Connection:
@@ -251,7 +251,7 @@ class Link:
             await connection.delivered([connection.send(birth) for birth in self.edge_node.births()])
 
     async def _keep_connected(self) -> None:
-        """Make a new connection whenever there is none, until it succeeds."""
+        """Make a new connection whenever there is none; end when an attempt fails permanently."""
         loop, delay, short_lived = asyncio.get_running_loop(), _FIRST_RETRY_S, 0
         while True:
             try:
@@ -291,7 +291,7 @@ class Link:
             self.inbox.add(message)
         self.nodes.received(message)
         asked = message.topic == self.edge_node.topic("NCMD") and is_rebirth_command(message.payload)
-        # A host that asks again while the births are being published receives those.
+        # A host that asks again while the births are being published receives these births.
         if asked and (self._rebirth is None or self._rebirth.done()):
             self._rebirth = asyncio.create_task(self._be_born_again())
 

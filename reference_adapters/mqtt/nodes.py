@@ -1,8 +1,8 @@
 """The edge nodes on the broker as a listening host knows them: births, deaths, last values.
 
 After a gap in the sequence, after the node's death and after an interruption of the adapter's own connection it is unknown
-which messages were missed. The listing says so until the next birth. The tracker does not ask for births, because asking is
-a command: a user who wants them publishes NCMD ``Node Control/Rebirth``.
+which messages were missed. The listing says so until the next birth. The tracker does not ask for births, because the
+request is a command: a user who wants them publishes NCMD ``Node Control/Rebirth``.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class _Node:
 
     Attributes:
         status: ``online``, ``offline``, or ``unknown`` when its birth was not seen, or messages may have been missed since.
-        gap: a sequence number was missing since the birth.
+        gap: True when a sequence number was missing since the birth.
         last: topic, seq and timestamp of the last message, to recognise one that overlapping subscriptions deliver twice.
     """
 
@@ -57,11 +57,11 @@ class _Node:
 
 
 class NodeTracker:
-    """Edge nodes and devices seen since the listening began.
+    """The tracker of the edge nodes and devices seen since the listening began.
 
     Attributes:
-        listening: the adapter is subscribed to :data:`LISTENING`.
-        overfull: a birth was ignored because of :data:`MAX_HELD`.
+        listening: True when the adapter is subscribed to :data:`LISTENING`.
+        overfull: True when a birth was ignored because of :data:`MAX_HELD`.
     """
 
     def __init__(self) -> None:
@@ -147,7 +147,7 @@ class NodeTracker:
         """Compare names and types of a command with the birth (operational-behavior-data-commands-ncmd-metric-name).
 
         Returns:
-            whether there is a birth to compare with.
+            True when there is a birth to compare with.
 
         Raises:
             AdapterError: ``illegal_address`` or ``type_mismatch``: they differ.
@@ -173,7 +173,7 @@ def _bd_seq(payload: Payload) -> int | None:
 
 
 def _follow_sequence(node: _Node, payload: Payload, *, first: bool) -> None:
-    """Take the sequence number of a message into account; ``first`` is the NBIRTH, with which a life begins."""
+    """Take the sequence number of a message into account; ``first`` is True for NBIRTH, with which a life begins."""
     if first:
         node.devices.clear()
         node.status, node.gap, node.bd_seq = "online", False, _bd_seq(payload)

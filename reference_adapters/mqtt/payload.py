@@ -147,7 +147,7 @@ _Payload = _message_class()
 
 
 def check_value(datatype: Datatype, value: Any, field: str) -> None:
-    """The value is of the datatype and within its range; nothing is coerced.
+    """Check that the value is of the datatype and within its range; nothing is coerced.
 
     Raises:
         AdapterError: ``type_mismatch``, ``range_overflow``, or ``limit_exceeded`` for a text.
@@ -225,7 +225,7 @@ class Payload:
     Attributes:
         seq, timestamp: None where the payload has none.
         metrics: the first :data:`MAX_METRICS`, in their order.
-        total: how many metrics it holds.
+        total: number of metrics that it holds.
     """
 
     seq: int | None
@@ -258,7 +258,7 @@ def decode(data: bytes, births: Mapping[str | int, DecodedMetric] | None = None)
 
 
 def is_rebirth_command(data: bytes) -> bool:
-    """Whether the payload of an NCMD asks for the births; bytes that are no payload do not."""
+    """Tell whether the payload of an NCMD asks for the births; bytes that are no payload do not."""
     try:
         metrics = decode(data).metrics
     except AdapterError:

@@ -43,7 +43,8 @@ class SparkplugTools:
     def __init__(self, link: Link) -> None:
         self._link = link
         self._node = link.edge_node
-        # Subscribed to before the first birth (message-flow-edge-node-ncmd-subscribe, -device-dcmd-subscribe).
+        # These are subscribed to before the first birth (message-flow-edge-node-ncmd-subscribe,
+        # -device-dcmd-subscribe).
         self._commands = {self._node.topic("NCMD"): 1, self._node.topic("DCMD", "+"): 1}
         self._listening_since = ""
 
@@ -133,7 +134,7 @@ class SparkplugTools:
         when nodes connect, or after an NCMD with Node Control/Rebirth = true."""
         link = self._link
         if link.nodes.listening:
-            # Everything that the broker had for this client before its answer has then been received.
+            # All messages that the broker had for this client before its answer have then been received.
             await link.ask(call)
         else:
             since = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")

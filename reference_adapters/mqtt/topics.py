@@ -37,7 +37,7 @@ def check_name(topic: str) -> str:
     if topic.startswith("$"):
         raise _refuse("topics beginning with $ belong to the broker")
     if topic.split("/", 1)[0] == NAMESPACE:
-        # A message that is published there by hand breaks the sequence of an edge node.
+        # A message that is published there by hand would break the sequence of an edge node.
         raise _refuse("topics of Sparkplug are published by the tools for edge nodes, devices and commands")
     return topic
 
@@ -58,7 +58,7 @@ def check_filter(text: str) -> str:
 
 
 def matches(text: str, topic: str) -> bool:
-    """Whether the filter selects the topic."""
+    """Tell whether the filter selects the topic."""
     wanted, levels = text.split("/"), topic.split("/")
     if topic.startswith("$") and wanted[0] in ("+", "#"):
         return False

@@ -1,4 +1,4 @@
-"""How the OPC UA adapter is put together from its settings."""
+"""The construction of the OPC UA adapter from its settings."""
 
 from __future__ import annotations
 

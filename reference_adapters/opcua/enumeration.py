@@ -1,8 +1,8 @@
-"""Finds every variable of a server: one Browse a level.
+"""The enumeration of every variable of a server: one Browse per level.
 
 The folders are browsed again in every enumeration, so that new nodes are found. Whether a variable has variables below it is
-asked once a session: its components follow from its type, and asking again for each variable would cost half as much as the
-rest of the enumeration.
+asked once per session: its components follow from its type, and asking again for each variable would cost half as much
+as the rest of the enumeration.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ _CLASSES = ua.NodeClass.Object | ua.NodeClass.Variable
 async def find_variables(services: Services, call: Call) -> Found:
     """Return the data variables below the Objects folder by node id, with their browse names.
 
-    Namespace 0 is left out: it describes the server itself. Properties are left out: they describe nodes, they are no data of
-    their own.
+    Namespace 0 is left out: it describes the server itself. Properties are left out: they describe nodes and are no
+    data of their own.
 
     Args:
         services: the services to ask with.
@@ -39,7 +39,7 @@ async def find_variables(services: Services, call: Call) -> Found:
     """
     leaves = services.leaves
     found: Found = {}
-    # Ends cycles, and lists a variable with two references once.
+    # This set ends cycles, and makes a variable with two references be listed once.
     seen = {_OBJECTS}
     level = [_OBJECTS]
     for _ in range(MAX_LEVELS):

@@ -42,7 +42,7 @@ _calling: ContextVar[Call] = ContextVar("calling")
 
 
 class _Wire(Observer):  # type: ignore[misc]
-    """Notes the handle of every request that is made for a tool call."""
+    """The observer that notes the handle of every request made for a tool call."""
 
     @contextmanager
     def observe_request(self, request: Any) -> Iterator[None]:
@@ -88,7 +88,7 @@ class Session:
 
     @property
     def alive(self) -> bool:
-        """Whether requests can be sent."""
+        """True when requests can be sent."""
         return bool(self.client.uaclient.state == UaClientState.CONNECTED)
 
     async def request(
@@ -127,13 +127,13 @@ class Session:
             refused = refusal(status, writes=call.writes, changes=changes)
             return LostError(refused, sent=changes) if status.name in _GONE else refused
         if isinstance(fault, TimeoutError):
-            # A silent server may be gone for good, so the next call begins with a new connection.
+            # A silent server may not come back, so the next call begins with a new connection.
             error = AdapterError("timeout", f"the server did not answer within {self.timeout_s:g} s")
             return LostError(error, sent=True)
         if isinstance(fault, OSError):
             error = AdapterError("connection_lost", "the connection broke during the call")
             return LostError(error, sent=changes)
-        # Any fault of the decoder: struct.error, KeyError, UaError, UnicodeDecodeError, …
+        # This can be any error of the decoder: struct.error, KeyError, UaError, UnicodeDecodeError, …
         error = AdapterError("protocol_error", "the server's answer is not the answer to the request")
         return LostError(error, sent=True)
 
@@ -143,7 +143,7 @@ class LostError(Exception):
 
     Attributes:
         error: the error of the call if the work is not repeated.
-        sent: the work must not be repeated.
+        sent: True when the work must not be repeated.
     """
 
     def __init__(self, error: AdapterError, *, sent: bool) -> None:
@@ -210,7 +210,7 @@ class Link:
         return session
 
     async def _connect(self, call: Call) -> Session:
-        # Far above the tools' timeout, so that the watchdog does not take a slow answer for a lost connection.
+        # It is far above the tools' timeout, so that the watchdog does not take a slow answer for a lost connection.
         client = Client(self._url, timeout=self._timeout_s, watchdog_intervall=60.0)
         client.uaclient.observer = _Wire()
         if self._username is not None:
@@ -230,7 +230,7 @@ class Link:
     def _drop(self, session: Session) -> None:
         if self._session is session:
             self._session = None
-            # No call waits for the farewell: the server may be gone.
+            # No call waits until the session is closed: the server may be gone.
             task = asyncio.create_task(_leave(session.client))
             self._farewells.add(task)
             task.add_done_callback(self._farewells.discard)

@@ -44,7 +44,7 @@ class Services:
 
     @property
     def leaves(self) -> set[ua.NodeId]:
-        """The variables that are known in this session to have no variables below them; callers add to it."""
+        """The set of variables known in this session to have no variables below them; callers add to the set."""
         return self._session.leaves
 
     # -- names ----------------------------------------------------------------------------------------------
@@ -108,7 +108,7 @@ class Services:
     async def _in_portions(
         self, items: Sequence[S], limit: str, send: Callable[[Sequence[S]], Awaitable[list[T]]]
     ) -> list[T]:
-        """Send all items at once, or in portions after the server has refused that many."""
+        """Send all items at once; send them in portions if the server refuses so many."""
         limits = self._session.limits
         most = (limits or {}).get(limit) or len(items)
         try:
@@ -130,7 +130,7 @@ class Services:
     # -- types ----------------------------------------------------------------------------------------------
 
     async def facts(self, nodes: Sequence[ua.NodeId], fields: Sequence[str]) -> list[NodeFacts]:
-        """Return types and ranks of variables that are to be written, read once a session, in one request.
+        """Return types and ranks of variables that are to be written, read once per session, in one request.
 
         Args:
             nodes: the variables.
@@ -154,7 +154,7 @@ class Services:
         return [known[node] for node in nodes]
 
     async def method_inputs(self, method: ua.NodeId) -> list[NodeFacts]:
-        """Return the input arguments that a method declares, read once a session."""
+        """Return the input arguments that a method declares, read once per session."""
         if method not in self._session.inputs:
             (properties,) = await self.browse([method], kind=_HAS_PROPERTY, fields=["/method_id"])
             declared = [each.NodeId for each in properties if each.BrowseName.Name == "InputArguments"]
@@ -189,7 +189,7 @@ class Services:
         elif number == Ids.Enumeration:
             kind = ua.VariantType.Int32
         elif number in _ABSTRACT and variable is not None:
-            # Several types are allowed; the type of the variable's present value is one of them.
+            # Several types are allowed here; the type of the variable's present value is one of them.
             (value,) = await self.read([variable])
             return ua.VariantType(value.Value.VariantType.value)
         elif number is None or number in _ABSTRACT:
@@ -273,16 +273,16 @@ class Services:
             await self._request(lambda client: client.browse_next(parameters), 0)
 
     def _refused(self, status: ua.StatusCode, field: str) -> AdapterError:
-        """Return the error for a refused question; after it nothing is changed."""
+        """Return the error for a refused question, after which nothing is changed."""
         self._call.answered(status_code=trace_status(status))
         return refusal(status, writes=self._call.writes, field=field or None)
 
 
 def _served(pages: list[_Page]) -> tuple[list[_Page], list[int]]:
-    """Return the pages to turn, and the nodes to browse again after them.
+    """Return the pages to process, and the indices of the nodes to browse again after them.
 
-    A server that has run out of continuation points answers some nodes now, and the others after these. If it answers none,
-    its refusals are the answer.
+    A server that has run out of continuation points answers some nodes now, and the others after these. If it answers
+    no node, its refusals are the answer.
     """
     late = [index for index, page in pages if page.StatusCode.name == "BadNoContinuationPoints"]
     if len(late) == len(pages):

@@ -44,7 +44,7 @@ class Tools:
         self._link = link
 
     async def _perform(self, call: Call, work: Callable[[Services], Awaitable[T]]) -> T:
-        """Do a tool's work with the services of a session; once more if the session was lost before any change."""
+        """Do a tool's work with the services of a session; repeat it if the session was lost before any change."""
         return await self._link.perform(call, lambda session: work(Services(session, call)))
 
     # -- reading ------------------------------------------------------------------------------------------
@@ -200,7 +200,7 @@ def _input_arguments(values: list[Any], inputs: list[NodeFacts]) -> list[ua.Vari
     """Return the input arguments of a method call.
 
     Raises:
-        AdapterError: they are not those that the method declares.
+        AdapterError: the values do not fit the arguments that the method declares.
     """
     if len(inputs) != len(values):
         message = f"the method takes {len(inputs)} argument(s), {len(values)} given"
@@ -216,7 +216,7 @@ def _reading(node: str, result: ua.DataValue, clean: Callable[[str | None], str]
     severity = quality(status)
     return {
         "node_id": node,
-        # The value of a Bad status is not one.
+        # The value that comes with a Bad status is not valid.
         **from_variant(None if severity == "bad" else result.Value, clean),
         "status": status.name,
         "quality": severity,
@@ -246,7 +246,7 @@ def _failed(node: str, status: ua.StatusCode, *, changes: bool) -> dict[str, Any
 
 
 def _all_or_partial(call: Call, items: list[dict[str, Any]]) -> Items:
-    """The items, if all succeeded.
+    """Return the items if all succeeded.
 
     Raises:
         AdapterError: ``partial_failure`` with every item's own result.

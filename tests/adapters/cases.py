@@ -1,4 +1,4 @@
-"""What the contract suite needs to know of each protocol: one :class:`Case` for each reference adapter.
+"""The cases of the contract suite: one :class:`Case` for each reference adapter.
 
 A new reference adapter adds a case; ``test_contract`` is then its acceptance test.
 """
@@ -37,14 +37,14 @@ class Case:
 
     Attributes:
         protocol: name of the adapter and of the mock device.
-        settings: of the adapter, from the device's port, the adapter's name and a folder for files.
-        prefix: of the names of its time-out, deadline and write switch.
+        settings: makes the adapter's settings from the device's port, the adapter's name and a folder for files.
+        prefix: that of the names of its settings for time-out, deadline and write switch.
         reads: tools that read, with arguments that succeed; ``silent`` of them do not ask the device.
         writes: tools that write, with arguments that the device accepts, unless the tool is in ``stateful``.
         stateful: writing tools that the adapter's own state refuses in a fresh session.
         probe: a tool that the device answers, and its arguments.
         write: the tool of the tests that need one write.
-        answered: writing tools of which the device answers every request.
+        answered: writing tools whose requests the device answers, every one.
         requests: fields of a journal entry for the request of a tool.
         background: recognises requests that the adapter makes without a call.
         rules: members of the device's fault rule that select the request of a tool.
@@ -54,9 +54,9 @@ class Case:
         bad_settings: names and values that stop the start.
         unknown_host: settings that lead to a host name that does not exist.
         farewell: the last journal entries of a connection that the adapter closes.
-        concurrent: requests of several calls are on their way at the same time.
-        readmitted: of an adapter that makes a lost connection again without a call: fields of the journal entry which
-            shows that the device has let the adapter of this name in.
+        concurrent: True when requests of several calls are on their way at the same time.
+        readmitted: for an adapter that makes a lost connection again without a call: the fields of the journal entry
+            that shows that the device has accepted the adapter of this name.
     """
 
     protocol: str
@@ -294,7 +294,7 @@ def _opcua_settings(port: int, name: str, folder: Path) -> dict[str, str]:
 
 
 def _is_watchdog(entry: Mapping[str, Any]) -> bool:
-    """Recognise the Read of ServerStatus.State, by which the library sees once a minute that the server is alive."""
+    """Recognise the Read of ServerStatus.State by which the library checks once a minute that the server is alive."""
     return entry.get("nodes") == [{"node_id": "i=2259", "attribute": "Value"}]
 
 

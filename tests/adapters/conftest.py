@@ -66,7 +66,7 @@ class Reply:
 
 
 PATIENCE_S = 40.0
-"""How long something is waited for that must come; whatever waits goes on as soon as it is there."""
+"""Seconds to wait for something that must come; each wait ends as soon as it has come."""
 
 
 class ForkServer:
@@ -202,7 +202,7 @@ class Client:
             view = view[os.write(self.stdin.fileno(), view) :]
 
     def send(self, method: str, params: Mapping[str, Any]) -> int:
-        """Write a request; its id."""
+        """Write a request and return its id."""
         request = self._request(method, params)
         self.write(request)
         return int(request["id"])
@@ -214,7 +214,7 @@ class Client:
         return {"jsonrpc": "2.0", "id": self._id, "method": method, "params": params}
 
     def answer(self, identifier: Any, timeout_s: float = PATIENCE_S) -> dict[str, Any]:
-        """The response to a request.
+        """Return the response to a request.
 
         Raises:
             TimeoutError: it did not come.
@@ -254,7 +254,7 @@ class Client:
         return self.send("tools/call", {"name": tool, "arguments": arguments})
 
     def start_together(self, *calls: tuple[str, Any]) -> list[int]:
-        """Start calls, each a tool and its arguments, with one write: nothing can come between them. Their ids."""
+        """Start calls, each a tool and its arguments, with one write, so nothing comes between; return their ids."""
         requests = [self._request("tools/call", {"name": tool, "arguments": given}) for tool, given in calls]
         self.write(b"\n".join(json.dumps(request).encode() for request in requests))
         return [request["id"] for request in requests]
@@ -269,17 +269,17 @@ class Client:
         return Reply(result=result)
 
     def pass_time(self) -> None:
-        """Move the clock of a forked adapter's event loop on, after it has dealt with everything that it was sent.
+        """Move the clock of a forked adapter's event loop on, after the adapter has handled everything sent to it.
 
         Every time-out of an exchange that has begun elapses; a call's deadline elapses with the second time. Nothing else may
-        be about to happen at the same moment, such as the end of a connection attempt: which of the two wins is not defined.
+        be about to happen at the same moment, such as the end of a connection attempt: their order is not defined.
         """
         assert isinstance(self.process, Forked)
         self.request("tools/list", {})
         self.process.send_signal(signal.SIGUSR1)
 
     def close(self) -> tuple[int, float]:
-        """Close stdin; exit code and seconds until the end."""
+        """Close stdin; return the exit code and the seconds until the process ended."""
         started = time.monotonic()
         self.stdin.close()
         while self._selector.get_map() and time.monotonic() < started + PATIENCE_S:
@@ -293,7 +293,7 @@ class Client:
         return code, elapsed
 
     def abandon(self) -> None:
-        """End the process however it is."""
+        """End the process, whatever its state is."""
         if self.process.poll() is None:
             self.process.kill()
         if not self.stdin.closed:
@@ -342,23 +342,23 @@ class Mock:
         self("fault", rules=list(rules))
 
     def mark(self) -> int:
-        """Where the journal stands."""
+        """Return the sequence number that the next journal entry will get."""
         mark: int = self("journal", since=1 << 60)["next"]
         return mark
 
     def since(self, mark: int, **fields: Any) -> list[dict[str, Any]]:
-        """Journal entries with these fields."""
+        """Return the journal entries from the mark on that have these fields."""
         entries: list[dict[str, Any]] = self("journal", since=mark)["entries"]
         return [entry for entry in entries if all(entry.get(name) == value for name, value in fields.items())]
 
     def wait(self, mark: int, count: int = 1, timeout_s: float = PATIENCE_S, **fields: Any) -> list[dict[str, Any]]:
-        """Journal entries with these fields, as soon as there are so many; there have to be."""
+        """Return the journal entries with these fields as soon as there are ``count``; fail if there never are."""
         entries = self._wait(mark, count, timeout_s, fields)
         assert len(entries) >= count, f"{fields} happened {len(entries)} time(s)"
         return entries
 
     def within(self, seconds: float, mark: int, **fields: Any) -> list[dict[str, Any]]:
-        """Journal entries with these fields that there are after so many seconds."""
+        """Return the journal entries with these fields that exist after so many seconds."""
         return self._wait(mark, 1 << 30, seconds, fields)
 
     def _wait(self, mark: int, count: int, timeout_s: float, fields: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -380,7 +380,7 @@ class Mock:
 
     @contextlib.contextmanager
     def outage(self) -> Iterator[None]:
-        """It is gone for a while, and back for the tests that follow whatever this one finds."""
+        """Stop the device for a while; start it again for the tests that follow, even if this test fails."""
         self.stop()
         try:
             yield
@@ -411,7 +411,7 @@ def fork_server() -> Iterator[ForkServer]:
 
 @pytest.fixture(scope="session")
 def sessions(fork_server: ForkServer) -> Iterator[Callable[..., Client]]:
-    """Starts adapters that live until the end of the test run: ``sessions(command, env, era, forked)``."""
+    """Function that starts adapters, which live until the test run ends: ``sessions(command, env, era, forked)``."""
     opened: list[Client] = []
 
     def start(
@@ -427,7 +427,7 @@ def sessions(fork_server: ForkServer) -> Iterator[Callable[..., Client]]:
 
 @pytest.fixture(scope="session")
 def mocks() -> Iterator[Callable[[str], Mock]]:
-    """Starts mock devices that live until the end of the test run: ``mocks(protocol)``."""
+    """Function that starts mock devices, which live until the test run ends: ``mocks(protocol)``."""
     opened: list[Mock] = []
 
     def start(protocol: str) -> Mock:
@@ -441,7 +441,7 @@ def mocks() -> Iterator[Callable[[str], Mock]]:
 
 @pytest.fixture(scope="session")
 def adapter_command() -> Callable[[str], list[str]]:
-    """How a reference adapter is started: ``adapter_command(protocol)``."""
+    """Command that starts a reference adapter: ``adapter_command(protocol)``."""
     return lambda protocol: [sys.executable, "-m", "pytest_otmcp.reference_adapters", protocol]
 
 
@@ -479,27 +479,27 @@ class Rig:
         return self._start(command, self.settings(name, writes=writes, **more), forked=forked)
 
     def ask(self, client: Client | None = None) -> Reply:
-        """Make the device answer; after that everything that the client sent before is in the journal."""
+        """Make the device answer; everything that the client sent before is then in the journal."""
         reply = (client or self.adapter).call(self.case.probe, self.case.reads[self.case.probe])
         assert reply.envelope["success"], reply.envelope
         return reply
 
     def fault(self, tool: str, action: Mapping[str, Any], **more: Any) -> None:
-        """Let the device do this with the requests of a tool."""
+        """Make the device apply this action to the requests of a tool."""
         self.device.fault({**self.case.rules(tool), "action": action, **more})
 
     def requests(self, mark: int, tool: str) -> list[dict[str, Any]]:
-        """Return the requests of a tool that reached the device since."""
+        """Return the requests of a tool that reached the device since the mark."""
         entries = self.device.since(mark, **self.case.requests(tool))
         return [entry for entry in entries if not self.case.background(entry)]
 
     def await_requests(self, mark: int, tool: str, count: int = 1) -> None:
-        """Wait until so many requests of a tool have reached the device."""
+        """Wait until ``count`` requests of a tool have reached the device since the mark."""
         self.device.wait(mark, count, **self.case.requests(tool))
 
     @contextlib.contextmanager
     def outage(self) -> Iterator[None]:
-        """Take the device away for a while; afterwards both adapters have found it again."""
+        """Stop the device for a while; afterwards both adapters are connected to it again."""
         with self.device.outage():
             yield
         for name, client in (("rw", self.adapter), ("ro", self.guarded)):
@@ -507,7 +507,7 @@ class Rig:
             self.ask(client)
 
     def reconnected(self, mark: int, name: str = "rw") -> None:
-        """Wait until an adapter that reconnects by itself is connected; a call before could join an attempt that fails."""
+        """Wait until an adapter that reconnects by itself has done so; an earlier call could join a failing attempt."""
         if self.case.readmitted is not None:
             self.device.wait(mark, **self.case.readmitted(name))
 

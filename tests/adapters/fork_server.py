@@ -1,4 +1,4 @@
-"""Starts adapters by forking a process that has imported them: ``python fork_server.py DESCRIPTOR``.
+"""The program that starts adapters by forking a process that has imported them: ``python fork_server.py DESCRIPTOR``.
 
 Most of an adapter's start is imports (measured: 0.9 of 1.0 s of processor time), and a test run starts dozens of adapters.
 The descriptor is a socket that keeps messages apart. Each request on it is a command with its environment and the three
@@ -28,7 +28,7 @@ from collections.abc import Mapping
 from typing import Any, NoReturn
 
 STEP_S = 25.0
-"""More than an adapter's time-out for an exchange, less than its deadline, less than half a watchdog's period."""
+"""Seconds: more than an adapter's time-out for an exchange, less than its deadline and half a watchdog's period."""
 
 _PRELOADED = ("core.run", "core.stdio", "modbus.adapter", "mqtt.adapter", "opcua.adapter")
 
@@ -55,7 +55,7 @@ class _Clock:
 
     def _move_on(self) -> None:
         if self._in_threads:
-            # The task that awaits the thread is told of its end in the same round of the loop: it goes on before the next one.
+            # The task that awaits the thread is woken in the same round of the loop: it continues before the next.
             next(iter(self._in_threads)).add_done_callback(lambda ended: ended.get_loop().call_soon(self._move_on))
         else:
             self._ahead_s += STEP_S

@@ -19,11 +19,11 @@ from .cases import CASES, Case, Unfit
 from .conftest import PATIENCE_S, TIMEOUT_S, Client, Reply, Rig
 
 REAL_DEADLINE_S = 2.5
-"""For the one test that waits for it; what is answered has to be so in time, even if a process stands still for 2 s."""
+"""Deadline of the one test that waits for it; the calls that succeed must meet it even if a process pauses for 2 s."""
 
 
 def each(values: Callable[[Case], Iterable[Any]]) -> list[Any]:
-    """Parameters ``case, value``: the values of every case."""
+    """Return the parameters ``case, value`` for the values of every case."""
     return [
         pytest.param(case, value, id=f"{case}-{value if isinstance(value, str) else index}")
         for case in CASES
@@ -63,7 +63,7 @@ def write(rig: Rig, tool: str, client: Client | None = None) -> Reply:
 
 
 def learnt(rig: Rig, tool: str, client: Client | None = None) -> None:
-    """Make a write, so that the adapter has read what it must know of the target; the next write is one request."""
+    """Make a write, so that the adapter has read what it must know about the target; the next write is one request."""
     assert write(rig, tool, client).envelope["success"]
 
 
@@ -72,12 +72,12 @@ def refused(reply: Reply) -> tuple[str, str, bool]:
 
 
 def written(rig: Rig, mark: int, tool: str) -> list[dict[str, Any]]:
-    """Return the requests of a writing tool, without those of reading tools, that reached the device since."""
+    """Return the requests of a writing tool, without those of reading tools, that reached the device since the mark."""
     return [entry for entry in rig.requests(mark, tool) if entry.get("state_changing", True)]
 
 
 def nothing_sent(rig: Rig, mark: int, *clients: Client) -> bool:
-    """Ask the device once for each client, and return whether nothing else reached it since, not even a connection."""
+    """Ask the device once for each client; return whether nothing else, not even a connection, reached it."""
     for client in clients:
         rig.ask(client)
     entries = [entry for entry in rig.device.since(mark, direction="in") if not rig.case.background(entry)]
@@ -233,7 +233,7 @@ def test_a_read_that_is_not_answered_is_not_repeated(rig: Rig) -> None:
     assert len(rig.requests(mark, probe)) == 1
     rig.device.fault()
     rig.reconnected(mark)
-    # A late answer must not be taken for the next one: the connection is another.
+    # A late answer must not be taken for the answer to a later request, so the adapter uses a new connection.
     assert rig.ask().meta["connection"]["generation"] == generation + 1
 
 
@@ -247,7 +247,7 @@ def test_every_call_ends_by_its_deadline_though_the_device_swallows_them_all(rig
     rig.await_requests(mark, tool, 8 if rig.case.concurrent else 1)
     rig.adapter.pass_time()
     if not rig.case.concurrent:
-        # The second one is sent over a connection of its own before the deadline of all comes.
+        # The second request is sent over a new connection before the calls' common deadline.
         rig.await_requests(mark, tool, 2)
         rig.adapter.pass_time()
     replies = [rig.adapter.reply(tool, identifier) for identifier in identifiers]
@@ -255,7 +255,7 @@ def test_every_call_ends_by_its_deadline_though_the_device_swallows_them_all(rig
     sent = [reply for reply in replies if reply.error["outcome"] == "unknown"]
     unsent = [reply for reply in replies if reply.error["outcome"] == "not_sent"]
     assert len(sent) + len(unsent) == 8
-    # One after the other they would all be sent; the deadline comes first.
+    # An adapter that is not concurrent would send them all one after the other, but the deadline comes first.
     assert len(sent) == (8 if rig.case.concurrent else 2)
     assert len(written(rig, mark, tool)) == len(sent) == sum(reply.meta["attempts"] for reply in replies)
     rig.device.fault()
@@ -310,7 +310,7 @@ def test_a_cancelled_call_sends_nothing_more_and_the_next_one_works(rig: Rig) ->
     started = [adapter.start(tool, rig.case.writes[tool])]
     rig.await_requests(mark, tool)
     if not rig.case.concurrent:
-        # It waits for the first one, so it has sent nothing.
+        # The second call waits for the first, so it has sent nothing.
         started.append(adapter.start(tool, rig.case.writes[tool]))
     for identifier in reversed(started):
         adapter.write({"jsonrpc": "2.0", "method": "notifications/cancelled", "params": {"requestId": identifier}})
@@ -341,7 +341,7 @@ def test_parallel_calls_share_one_connection(rig: Rig) -> None:
 def test_the_adapter_starts_without_its_device_heals_and_leaves_in_order(rig: Rig) -> None:
     device, case = rig.device, rig.case
     with rig.outage():
-        # Not forked: this is the start as a user has it.
+        # This adapter is not forked: it starts as it does for a user.
         fresh = rig.start("fresh", writes="true", forked=False)
         assert fresh.tools == rig.adapter.tools
         for tool in case.tools.keys() - case.silent - case.stateful:
@@ -361,7 +361,7 @@ def test_the_adapter_starts_without_its_device_heals_and_leaves_in_order(rig: Ri
     state = "reconnected" if case.readmitted is None else "connected"
     mark = device.mark()
     assert rig.ask(fresh).meta["connection"] == {"state": state, "generation": 2}
-    # A call that is refused before it uses the connection reports it, too.
+    # A call that is refused before it uses the connection reports the connection, too.
     assert fresh.call(case.probe, {"x": 1}).meta["connection"] == {"state": "connected", "generation": 2}
     learnt(rig, case.write, fresh)
     (connection,) = {entry["connection"] for entry in rig.requests(mark, case.probe)}

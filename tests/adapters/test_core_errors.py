@@ -1,4 +1,4 @@
-"""The adapters' own copy of the error registry against the kit's, and what becomes of a device's text."""
+"""The adapters' own copy of the error registry against the kit's, and the treatment of a device's text."""
 
 # In the checkout mypy does not find the installed name of the adapters' folder.
 # mypy: disable-error-code="import-not-found"
@@ -22,7 +22,7 @@ def test_every_error_is_one_that_the_registry_allows(code: str, writes: bool, se
     if writes and sent:
         assert entry.allows_outcome(error["outcome"])
     else:
-        # Nothing that could change the plant has left: no error may suggest otherwise.
+        # No request that could change the plant was sent, and no error may suggest otherwise.
         assert error["outcome"] in ("not_sent", "not_applicable")
 
 

@@ -127,7 +127,7 @@ def build() -> AdapterServer:
         endpoint="modbus+tcp://127.0.0.1:502",
         writes_enabled=os.environ.get("WRITES") == "1",
         switch="WRITES",
-        # Long, so that nothing but the test of the deadline depends on it, and longer than anything is waited for.
+        # This is longer than every wait, so that only the test of the deadline depends on it.
         deadline_s=float(os.environ.get("DEADLINE_S", "60")),
         close=close,
     )
@@ -150,7 +150,7 @@ GOOD = {"word": 70}
 
 
 def hear(client: Any, words: bytes) -> None:
-    """Wait until the server has said this on stderr."""
+    """Wait until the server has written these words to stderr."""
     while words not in client.stderr:
         assert client._read(60.0), client.stderr
 
@@ -296,9 +296,9 @@ def test_a_cancelled_call_is_never_answered(writable: Any) -> None:
     identifier = writable.start("hang", {**GOOD, "text": "the cancelled call"})
     hear(writable, b"the cancelled call hangs")
     writable.write({"jsonrpc": "2.0", "method": "notifications/cancelled", "params": {"requestId": identifier}})
-    # Long before its deadline: nothing but the cancellation can have ended it.
+    # This is long before the call's deadline, so only the cancellation can have ended it.
     hear(writable, b"the cancelled call is let go")
-    # An answer to it would come before that to a later call.
+    # An answer to the cancelled call would come before the answer to a later call.
     assert writable.call("null").data == {}
     with pytest.raises(TimeoutError):
         writable.answer(identifier, timeout_s=0.0)
@@ -382,7 +382,7 @@ def test_both_eras_give_the_same_results(sessions: Any, toy: Any) -> None:
     assert legacy.call("take", [1]).error == toy.call("take", [1]).error
     assert "resultType" not in one.result
     assert other.result["resultType"] == "complete"
-    # The SDK completes what it answers itself; calls are answered without it.
+    # The SDK adds these members to its own answers; the adapter answers calls without the SDK.
     assert other.result["_meta"] == toy.request("tools/list", {})["result"]["_meta"]
 
 
@@ -407,7 +407,7 @@ def test_calls_of_a_client_that_has_not_introduced_itself_are_refused(toy: Any) 
         assert sink is not None
         sink.write(json.dumps(request).encode() + b"\n")
         assert json.loads(source.readline())["error"]["code"] == -32602
-        # Before 2026-07-28 this alone opens the session, and the SDK knows nothing about the client.
+        # Before 2026-07-28 this notification alone opens the session, and the SDK knows nothing about the client.
         sink.write(b'{"jsonrpc":"2.0","method":"notifications/initialized"}\n')
         sink.write(json.dumps(request).encode() + b"\n")
         assert json.loads(source.readline())["result"]["structuredContent"]["success"]
@@ -486,7 +486,7 @@ def test_streamable_http_serves_the_same_tools(toy: Any) -> None:
     "setting",
     [
         {"MCP_TRANSPORT": "pigeon"},
-        # Other hosts than loopback.
+        # A host other than loopback.
         {"MCP_HTTP_HOST": "0.0.0.0", "MCP_TRANSPORT": "streamable-http"},  # noqa: S104
     ],
     ids=lambda setting: next(iter(setting)),

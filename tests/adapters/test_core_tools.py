@@ -1,4 +1,4 @@
-"""Methods as tools: which methods become tools, in which order, under which names."""
+"""Methods as tools: which methods become tools, in which order, and with which names."""
 
 # In the checkout mypy does not find the installed name of the adapters' folder.
 # mypy: disable-error-code="import-not-found"
@@ -36,7 +36,7 @@ class Readers:
 
 
 class Writers(Readers):
-    """The same, and one that writes."""
+    """The same tools, and one that writes."""
 
     @tool("toy.write", writes=True, idempotent=False)
     async def alter(self, call: Call, arguments: Nothing) -> dict[str, Any]:

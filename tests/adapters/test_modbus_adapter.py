@@ -1,4 +1,4 @@
-"""The Modbus reference adapter against the mock device: what it says and what the device saw."""
+"""The Modbus reference adapter against the mock device: its replies and the device's journal."""
 
 # In the checkout mypy does not find the installed name of the adapters' folder.
 # mypy: disable-error-code="import-not-found"
@@ -15,7 +15,7 @@ from pytest_otmcp.reference_adapters.modbus.wire import BadReply, reply_pdu, req
 from .cases import MODBUS, MODBUS_TAGS
 
 LATE_S = 60.0
-"""When a late reply would come. The test does not wait for it: it is the adapter's clock that moves on."""
+"""Seconds after which a late reply would come. The tests do not wait so long: they move the adapter's clock on."""
 
 
 @pytest.fixture(scope="module")
@@ -290,7 +290,7 @@ def test_what_is_no_reply_to_the_request_is_never_data(adapter: Any, device: Any
     (answer,) = device.wait(mark, direction="out")
     if fault.startswith("identifier"):
         assert answer["transaction_id"] == (0 if fault == "identifier 0" else last + 2)
-    # The adapter waits for something better until the time is up.
+    # The adapter waits for a right reply until its time-out.
     adapter.pass_time()
     assert adapter.reply("read_register", identifier).error["code"] == "protocol_error"
     assert adapter.call("read_register", address=20).data["value"] == 4711
@@ -330,7 +330,7 @@ def test_only_the_reply_to_the_request_is_accepted(function: int) -> None:
     exception = bytes([function | 0x80, 2])
     assert reply_pdu(request, framed(right)) == right
     assert reply_pdu(request, framed(exception)) == exception
-    # What belongs to an earlier request is passed over (section 4.4.1.3).
+    # A reply to an earlier request is skipped (section 4.4.1.3).
     assert reply_pdu(request, framed(exception, transaction=6) + framed(right)) == right
     wrong = [
         framed(right, transaction=0),
@@ -368,7 +368,7 @@ def test_a_late_reply_is_not_the_answer_to_the_next_request(adapter: Any, device
     assert adapter.reply("read_register", identifier).error["code"] == "timeout"
     for _ in range(3):
         assert adapter.call("read_register", address=21).data["value"] == 2222
-    # The late reply reaches nobody: its connection is gone.
+    # The late reply is never sent: its connection has ended.
     (late,) = requests(device, mark, address=20)
     device.wait(mark, kind="DISCONNECTED", connection=late["connection"])
     assert device.since(mark, kind="response", connection=late["connection"]) == []

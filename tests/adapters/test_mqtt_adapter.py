@@ -1,4 +1,4 @@
-"""The MQTT reference adapter against the mock broker: what it says, what the broker's journal and another client saw."""
+"""The MQTT reference adapter against the mock broker: its replies, the broker's journal, another client's messages."""
 
 # In the checkout mypy does not find the installed name of the adapters' folder.
 # mypy: disable-error-code="import-not-found"
@@ -47,10 +47,10 @@ class Peer:
         return self.received.get(timeout=PATIENCE_S)
 
     def publish(self, topic: str, payload: bytes, qos: int = 1, retain: bool = False) -> None:
-        """Publish; returns when the broker has it, and with it everything that was published before."""
+        """Publish; return when the broker has received this message and all that were published before it."""
         sent = self.client.publish(topic, payload, qos, retain)
         sent.wait_for_publish(60.0)
-        # paho does not tell that the time has run out.
+        # paho does not report that the time has run out.
         assert sent.is_published()
 
     def close(self) -> None:
@@ -91,13 +91,13 @@ def peer(broker: Any) -> Iterator[Peer]:
 
 
 def from_adapter(broker: Any, mark: int, *kinds: str, client: str = CLIENT) -> list[dict[str, Any]]:
-    """What the adapter sent since."""
+    """Return the packets that the adapter sent since the mark."""
     entries = broker.since(mark, direction="in", client_id=client)
     return [entry for entry in entries if not kinds or entry["kind"] in kinds]
 
 
 def drained(adapter: Any, topic: str) -> dict[str, Any]:
-    """What it has received on a filter, after the broker has handed over everything."""
+    """Return the messages that the adapter has received on a filter, after the broker has delivered everything."""
     adapter.call("get_broker_info")
     data: dict[str, Any] = adapter.call("read_messages", topic=topic, limit=1000).data
     return data
@@ -177,8 +177,8 @@ def test_a_message_is_published_once_as_it_was_given(
     assert base64.b64decode(packet["payload"]) == data
     assert (reply.meta["attempts"], reply.meta["source"]) == (1, "device" if qos else "none")
     handshake = {0: [], 1: ["PUBACK"], 2: ["PUBREC", "PUBCOMP"]}[qos]
-    # The last packet was read before the reply was written; PUBCOMP is the broker's last word, and in the journal.
-    # A keep-alive may fall into that time, and says nothing about the message.
+    # The adapter read the broker's last packet (for QoS 2 PUBCOMP) before it replied, so it is in the journal.
+    # A keep-alive may fall into that time, and does not concern the message.
     answers = broker.since(mark, direction="out", client_id=CLIENT)
     assert [entry["kind"] for entry in answers if entry["kind"] not in ("PUBLISH", "PINGRESP")] == handshake
 

@@ -24,7 +24,7 @@ from .conftest import PATIENCE_S
 
 CLIENT = "mqtt-tests-faults"
 LATE_S = 60.0
-"""When a late answer would come. The test does not wait for it: it is the adapter's clock that moves on."""
+"""Seconds after which a late answer would come. The tests do not wait so long: they move the adapter's clock on."""
 BACK_S = 0.25
 QUIET_S = 0.3
 
@@ -46,17 +46,17 @@ def clean(broker: Any) -> None:
 
 @pytest.fixture(scope="module")
 def adapter(rig: Any) -> Any:
-    """An adapter of its own: the tests compare its subscriptions."""
+    """An adapter for this module only: the tests compare its subscriptions."""
     return rig.start("faults", writes="true")
 
 
 def back(broker: Any, mark: int, client: str = CLIENT) -> None:
-    """Wait until the adapter was let in, so that its next call does not join an attempt that began before and has failed."""
+    """Wait until the broker has accepted the adapter, so that the next call does not join an attempt that failed."""
     broker.wait(mark, kind="CONNACK", client_id=client, reason_codes=[0])
 
 
 def sent(broker: Any, mark: int, kind: str | None = None, client: str = CLIENT) -> list[dict[str, Any]]:
-    """What the adapter sent since."""
+    """Return the packets that the adapter sent since the mark."""
     entries = broker.since(mark, direction="in", client_id=client)
     return [entry for entry in entries if kind in (None, entry["kind"])]
 
@@ -66,7 +66,7 @@ def publish(adapter: Any, topic: str, qos: int = 1) -> Any:
 
 
 def received(adapter: Any, topic: str) -> list[str]:
-    """Payloads of the messages that it has, after the broker has handed over everything."""
+    """Return the payloads that the adapter has received, after the broker has delivered everything."""
     adapter.call("get_broker_info")
     return [one["payload"] for one in adapter.call("read_messages", topic=topic).data["messages"]]
 
@@ -106,14 +106,14 @@ def test_a_message_without_an_answer_is_unknown_and_never_sent_again(
     assert reply.meta["attempts"] == 1
     assert reply.meta["connection"] == {"state": "disconnected", "generation": before}
     assert reply.meta["trace"]["topic"] == "once"
-    # The next connection comes by itself; with it, after what it publishes, a replay would have been there.
+    # The adapter reconnects by itself; a replay would be in the journal once the next message is acknowledged.
     back(broker, mark)
     after = publish(adapter, "next", 2)
     assert after.data["delivery"] == "acknowledged"
     assert after.meta["connection"]["generation"] == before + 1
     assert [entry["topic"] for entry in sent(broker, mark, "PUBLISH")] == ["once", "next"]
     assert [entry["dup"] for entry in sent(broker, mark, "PUBLISH")] == [False, False]
-    # Neither is the second half of a QoS 2 exchange that was given up.
+    # The second half of a QoS 2 exchange that was given up is not repeated either.
     assert len(sent(broker, mark, "PUBREL")) == 1 + (packet == "PUBREL")
 
 
@@ -123,7 +123,7 @@ def test_many_messages_that_fail_together_are_sent_once_each(adapter: Any, broke
     broker.fault({"packet": "PUBLISH", "client_id": CLIENT, "times": 40, "action": {"no_answer": True}})
     topics = [f"together/{i}" for i in range(40)]
     ids = adapter.start_together(*(("publish_message", {"topic": one, "payload": "x", "qos": 1}) for one in topics))
-    # All of them are on their way before the first of them times out.
+    # All messages are on their way before the first of them times out.
     broker.wait(mark, count=40, kind="PUBLISH", direction="in", client_id=CLIENT)
     adapter.pass_time()
     outcomes = {adapter.reply("publish_message", one).error["outcome"] for one in ids}
@@ -135,7 +135,7 @@ def test_many_messages_that_fail_together_are_sent_once_each(adapter: Any, broke
 
 
 def test_the_deadline_ends_a_call_and_what_it_had_begun(rig: Any, broker: Any) -> None:
-    # Only the deadline can end its calls.
+    # Only the deadline can end this adapter's calls.
     patient = rig.start("patient", writes="true", MQTT_TIMEOUT_S="600")
     client = "mqtt-tests-patient"
     patient.call("get_broker_info")
@@ -208,7 +208,7 @@ def test_each_refusal_of_a_connection_has_its_code(rig: Any, broker: Any) -> Non
         reply = publish(fresh, "refused")
         assert (reply.error["code"], reply.error["outcome"], reply.meta["attempts"]) == (expected, "not_sent", 0)
         if expected != "connect_failed":
-            # Trying again in the background what can only fail would lock an account.
+            # An attempt that can only fail must not be repeated in the background: it could lock an account.
             quiet = broker.within(QUIET_S, mark, kind="CONNECT", client_id="refused", direction="in")
             assert len(quiet) == 1
     broker.fault()
@@ -226,7 +226,7 @@ def test_a_broker_that_does_not_answer_connect_is_a_timeout_for_everybody_who_wa
     fresh.pass_time()
     replies = [fresh.reply("publish_message", one) for one in ids]
     assert {refused(reply) for reply in replies} == {("timeout", "not_sent", True)}
-    # Nobody had to wait for the deadline, as whoever only comes after the attempts of others would.
+    # No call waited until its deadline, as it would if the calls made their attempts one after the other.
     assert {reply.error["message"] for reply in replies} == {"the broker did not answer CONNECT"}
     fresh.close()
 
@@ -239,18 +239,18 @@ def test_a_lost_connection_is_tried_again_at_least_every_quarter_of_a_second(ada
         {"packet": "CONNECT", "client_id": CLIENT, "times": 12, "action": {"reason_code": 3}},
     )
     assert adapter.call("get_broker_info").error["code"] == "connect_failed"
-    # Nobody calls the adapter: it comes back on its own.
+    # The adapter reconnects by itself, without a call.
     back(broker, mark)
     tries = [entry["t_ns"] for entry in sent(broker, mark, "CONNECT")]
     assert len(tries) == 13
-    # The pauses have grown by then. The machine can make any of them longer, but none shorter than the adapter means it.
+    # The pauses have grown by then. A busy machine can make a pause longer, but never shorter than the adapter sets it.
     pauses = [later - earlier for earlier, later in itertools.pairwise(tries)][4:]
     assert min(pauses) <= BACK_S * 1e9
 
 
 @contextlib.contextmanager
 def impostor(answers: list[bytes]) -> Iterator[int]:
-    """A server that answers whatever it receives with the last of these, and closes."""
+    """Run a server that answers whatever it receives with the last of these answers, and closes the connection."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
 
         def serve() -> None:
@@ -282,7 +282,7 @@ def test_what_is_no_broker_is_told_and_nothing_is_published_to_it(rig: Any) -> N
             b"\xff" * 9: "config_error",
         }.items():
             answers.append(answer)
-            # May fail with an attempt that got the answer before; then the next call makes another.
+            # This call may fail with an attempt that got the answer before; the next call then makes a new attempt.
             assert fresh.call("get_broker_info").error["code"] in (code, "connect_failed"), answer
             error = publish(fresh, "a").error
             assert (error["code"], error["outcome"]) == (code, "not_sent"), answer
@@ -291,7 +291,7 @@ def test_what_is_no_broker_is_told_and_nothing_is_published_to_it(rig: Any) -> N
 
 @contextlib.contextmanager
 def mute_broker() -> Iterator[tuple[socket.socket, int]]:
-    """A listening socket and its port, for a broker of which the test plays every part."""
+    """Open a listening socket and give it with its port; the test itself acts as the broker."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
         listener.settimeout(PATIENCE_S)
         yield listener, listener.getsockname()[1]
@@ -327,7 +327,7 @@ async def test_a_connection_knows_its_end_before_the_loop_has_read_it() -> None:
             peer.sendall(b"\x20\x02\0\0")
             await opening
             assert connection.is_live()
-        # Loopback delivers the end at once, or, on a busy machine, soon; the loop does not get to run in between.
+        # Loopback delivers the end at once or, on a busy machine, soon; the event loop does not run meanwhile.
         given_up = time.monotonic() + PATIENCE_S
         while connection.is_live() and time.monotonic() < given_up:
             pass
@@ -341,7 +341,7 @@ def test_two_clients_with_one_identifier_do_not_throw_each_other_out_for_ever(ri
     twins = [rig.start("twin", writes="true", MQTT_CLIENT_ID="twin") for _ in range(2)]
     for twin in twins:
         twin.call("get_broker_info")
-    # They start at a twentieth of a second, and go slower and slower: the sixteenth comes after two seconds.
+    # The pauses start at a twentieth of a second and grow: the sixteenth CONNECT comes after two seconds.
     connects = broker.wait(mark, count=16, kind="CONNECT", direction="in", client_id="twin")
     pauses = [later["t_ns"] - earlier["t_ns"] for earlier, later in itertools.pairwise(connects)]
     assert max(pauses) > 0.35e9
@@ -355,7 +355,7 @@ def test_two_clients_with_one_identifier_do_not_throw_each_other_out_for_ever(ri
 def test_nothing_is_queued_over_an_outage_and_subscriptions_come_back_by_themselves(
     adapter: Any, rig: Any, broker: Any
 ) -> None:
-    # Not the topics of the plant: after its start the broker may live a second of it before it is told to pause.
+    # The plant's topics are not used: after its start the plant may run for a second before it is paused.
     adapter.call("subscribe_topic", topic="probes/#", qos=1)
     generation = adapter.call("get_broker_info").meta["connection"]["generation"]
     broker("poke", params={"publish": {"topic": "probes/a", "payload": "b2xk"}})
@@ -367,13 +367,13 @@ def test_nothing_is_queued_over_an_outage_and_subscriptions_come_back_by_themsel
             assert (reply.meta["attempts"], reply.meta["connection"]["state"]) == (0, "disconnected")
         assert adapter.call("get_broker_info").error["code"] == "connect_failed"
         assert adapter.call("subscribe_topic", topic="later/#").error["code"] == "connect_failed"
-        # Validation does not need a broker.
+        # Arguments are checked without a broker.
         assert adapter.call("publish_message", topic="", payload="x").error["code"] == "invalid_input"
         listed = adapter.call("list_subscriptions")
         assert listed.data["subscriptions"] == [{"topic": "probes/#", "qos": 1, "granted_qos": 1, "active": False}]
         left = adapter.call("read_messages", topic="#").data
         assert ([one["payload"] for one in left["messages"]], left["connected"]) == (["old"], False)
-    # Nobody calls the adapter: it comes back on its own.
+    # The adapter reconnects by itself, without a call.
     (granted,) = broker.wait(0, kind="SUBACK", client_id=CLIENT)
     assert granted["reason_codes"] == [1]
     broker("poke", params={"publish": {"topic": "probes/a", "payload": "bmV3", "qos": 1}})
@@ -403,7 +403,7 @@ def test_a_message_right_after_the_brokers_end_does_not_succeed(adapter: Any, ri
     for _ in range(3):
         adapter.call("get_broker_info")
         with rig.outage():
-            # QoS 0 has no answer: only looking at the connection before writing can tell.
+            # QoS 0 has no answer: only a look at the connection before writing shows that it has ended.
             assert refused(publish(adapter, "into the void", 0))[:2] == ("connect_failed", "not_sent")
         back(broker, 0)
         assert publish(adapter, "back", 0).meta["connection"]["state"] in ("connected", "reconnected")
@@ -423,7 +423,7 @@ def test_a_birth_that_failed_in_an_outage_has_not_happened(rig: Any, broker: Any
     assert broker.since(0, kind="PUBLISH", direction="in", client_id=client) == []
     mark = broker.mark()
     assert fresh.close()[0] == 0
-    # It says goodbye, so the broker discards the will.
+    # The adapter sends DISCONNECT, so the broker discards the will.
     broker.wait(mark, kind="DISCONNECTED", client_id=client)
     assert broker.since(mark, kind="DISCONNECT", client_id=client)
     assert broker.since(mark, kind="WILL", client_id=client) == []

@@ -25,7 +25,7 @@ CLIENT = "mqtt-tls"
 
 
 def certificate(folder: Path, address: str) -> tuple[Path, Path]:
-    """A self-signed certificate for an address, and its key."""
+    """Write a self-signed certificate for an address, and its key; return the two paths."""
     key = ec.generate_private_key(ec.SECP256R1())
     name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "otmcp tests")])
     now = datetime.datetime.now(datetime.UTC)
@@ -51,7 +51,7 @@ def certificate(folder: Path, address: str) -> tuple[Path, Path]:
 
 @contextlib.contextmanager
 def tls_before(port: int, files: tuple[Path, Path]) -> Iterator[int]:
-    """A port that speaks TLS with this certificate and passes everything on to another port."""
+    """Open a port that speaks TLS with this certificate and passes everything on to another port."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.load_cert_chain(*files)
     started: queue.Queue[tuple[int, asyncio.AbstractEventLoop, asyncio.Event]] = queue.Queue()
@@ -104,7 +104,7 @@ def test_everything_works_over_tls_and_bursts_do_not_get_stuck(rig: Any, broker:
             assert (
                 adapter.call("publish_message", topic=f"tls/{qos}", payload="x" * 100_000, qos=qos).data["qos"] == qos
             )
-        # Many packets in one TLS record: what is decrypted already does not make the socket readable.
+        # One TLS record holds many packets; data that is decrypted already does not make the socket readable.
         ids = [adapter.start("publish_message", {"topic": "tls/many", "payload": str(i), "qos": 1}) for i in range(200)]
         assert all(adapter.reply("publish_message", one).envelope["success"] for one in ids)
         adapter.call("get_broker_info")

@@ -1,4 +1,4 @@
-"""The OPC UA reference adapter against the mock plant: what it says and what the server saw."""
+"""The OPC UA reference adapter against the mock plant: its replies and the server's journal."""
 
 # In the checkout mypy does not find the installed name of the adapters' folder.
 # mypy: disable-error-code="import-not-found"
@@ -21,7 +21,7 @@ from .cases import OPCUA
 from .conftest import DEADLINE_S
 
 LATE_S = 60.0
-"""When a late answer would come. The test does not wait for it: it is the adapter's clock that moves on."""
+"""Seconds after which a late answer would come. The tests do not wait so long: they move the adapter's clock on."""
 FAREWELL = {"CloseSession", "CloseSecureChannel", "DISCONNECTED"}
 FAN, TEMPERATURE = "ns=2;s=FanSpeed", "ns=2;s=Temperature"
 METHODS, SET_RATE = "ns=2;s=Methods", "ns=2;s=SetProductionRate"
@@ -50,7 +50,7 @@ def clean(plant: Any) -> None:
 
 @pytest.fixture
 def fresh(adapter: Any, plant: Any) -> Any:
-    """The adapter in a session in which it has learnt nothing yet."""
+    """The adapter in a new session, in which it has read no facts about the server yet."""
     plant.fault({"times": 1, "service": "Read", "action": {"service_fault": "BadSessionIdInvalid"}})
     assert adapter.call("read_opcua_node", node_id=TEMPERATURE).envelope["success"]
     plant.fault()
@@ -71,10 +71,10 @@ def held(plant: Any, node: str) -> Any:
 
 
 def asked(plant: Any, mark: int, **fields: Any) -> list[str]:
-    """The services that reached the server.
+    """Return the services that reached the server since the mark.
 
-    Without those of a farewell: a session that an earlier test lost is left in the background, whenever that may be. And
-    without the Read by which the library sees once a minute that the server is alive.
+    Those that close a session are left out: a session that an earlier test lost is closed in the background at any
+    time. The Read with which the library checks once a minute that the server is alive is left out, too.
     """
     entries = [entry for entry in plant.since(mark, direction="in", **fields) if entry["kind"] not in FAREWELL]
     return [entry["kind"] for entry in entries if entry.get("nodes") != [{"node_id": "i=2259", "attribute": "Value"}]]
@@ -115,7 +115,7 @@ def test_every_write_is_one_request_and_does_what_it_says(adapter: Any, plant: A
         "call_opcua_method": {"ns=2;s=ProductionRate": 120.0},
     }
     assert {node: held(plant, node) for node in before} == {**before, **changes[tool]}
-    # The second time nothing has to be asked before.
+    # The second write needs no questions before it.
     mark = plant.mark()
     reply = adapter.call(tool, WRITES[tool])
     assert len(asked(plant, mark)) == reply.meta["attempts"] == 1
@@ -143,7 +143,7 @@ def overheard(plant: Any) -> Iterator[tuple[int, bytearray]]:
         client.close()
         server.close()
 
-    # A daemon: if nobody ever comes, that must not keep the tests from ending.
+    # The thread is a daemon, so that the tests can end even if no client ever connects.
     thread = threading.Thread(target=serve, daemon=True)
     thread.start()
     yield listener.getsockname()[1], heard
@@ -325,7 +325,7 @@ def test_structures_are_objects_and_bytes_say_so(adapter: Any, plant: Any) -> No
 
 # -- status ------------------------------------------------------------------------------------------------------
 
-# What ends a session or keeps one from being made is not the status of an item; tests below are about that.
+# These codes end a session or prevent one, and are not the status of an item; tests below are about them.
 ENDS_THE_SESSION = {"BadShutdown", "BadConnectionClosed", "BadServerHalted", "BadNoContinuationPoints"}
 CODES = {
     symbol: entry
@@ -551,7 +551,7 @@ def test_an_enumeration_finds_everything_once_and_ends(fresh: Any, plant: Any) -
         assert sorted(listed) == sorted(plant("image")["variables"])
         assert "ns=2;s=SubPart" in listed
         assert "ns=2;s=Limit" not in listed
-    # What is new is found in the same session.
+    # A new variable is found in the same session.
     variable(plant, "Newcomer", "Double", 3.0, **{"in": "Inner"})
     assert "ns=2;s=Newcomer" in [each["node_id"] for each in fresh.call("get_all_variables").data["variables"]]
 
@@ -618,7 +618,7 @@ def test_a_namespace_uri_finds_its_node_wherever_the_server_puts_it(adapter: Any
     with rig.outage():
         pass
     create(plant, b, a)
-    # A read finds out that the connection is gone, and is repeated. A write would not be.
+    # A read finds out that the connection has ended, and is repeated. A write would not be repeated.
     assert adapter.call("read_opcua_node", node_id=TEMPERATURE).envelope["success"]
     assert adapter.call("write_opcua_node", node_id=target, value=7).envelope["success"]
     values = {node: each["value"] for node, each in plant("image")["variables"].items() if node.endswith("s=X")}
@@ -652,7 +652,7 @@ def test_a_handshake_that_is_not_answered_leaves_the_next_call_the_rest_of_its_t
     plant.wait(mark, kind="Write", direction="in")
     adapter.pass_time()
     assert adapter.reply("write_opcua_node", lost).error["code"] == "timeout"
-    # They try one after the other, and whose turn comes late has only what is left of its time.
+    # The calls try to connect one after the other; a later one has only the rest of its time.
     mark = plant.mark()
     identifiers = adapter.start_together(*[("read_opcua_node", {"node_id": TEMPERATURE})] * 3)
     for count in (1, 2):
@@ -676,7 +676,7 @@ def test_a_late_answer_is_not_the_next_calls(adapter: Any, plant: Any) -> None:
     adapter.pass_time()
     assert adapter.reply("read_opcua_node", slow).error["code"] == "timeout"
     assert adapter.call("read_opcua_node", node_id="ns=2;s=Pressure").data["value"] == 2222.0
-    # Over a connection that has ended nothing comes late.
+    # No late answer can come over a connection that has ended.
     plant.wait(mark, kind="DISCONNECTED", connection=late["connection"])
     for _ in range(2):
         assert adapter.call("read_opcua_node", node_id="ns=2;s=Pressure").data["value"] == 2222.0
@@ -690,7 +690,7 @@ def test_answers_out_of_order_find_their_calls(adapter: Any, plant: Any) -> None
     plant.fault(
         *({"node": f"ns=2;s={name}", "action": {"delay_s": 0.08 * (4 - i)}} for i, name in enumerate(names)),
     )
-    # With one write: the first answer must not be there before the last request.
+    # The calls are sent with one write: the first answer must not come before the last request.
     identifiers = adapter.start_together(*(("read_opcua_node", {"node_id": f"ns=2;s={name}"}) for name in names))
     replies = [adapter.reply("read_opcua_node", identifier) for identifier in identifiers]
     assert [reply.data["value"] for reply in replies] == [1000.0, 1001.0, 1002.0, 1003.0]

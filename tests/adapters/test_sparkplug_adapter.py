@@ -1,7 +1,7 @@
 """The adapter as Sparkplug edge node and as listening host.
 
-Judged by the broker's journal, decoded by the kit's witness, which shares no code with adapter or mock; the rules of a
-whole session are the witness's, too.
+The broker's journal is decoded by the kit's witness, which shares no code with adapter or mock; the rules for a whole
+session are the witness's, too.
 """
 
 # In the checkout mypy does not find the installed name of the adapters' folder.
@@ -51,7 +51,7 @@ def clean(broker: Any) -> None:
 
 @pytest.fixture(scope="module")
 def start(rig: Any) -> Start:
-    """Starts an edge node of its own: ``start(name)``."""
+    """Function that starts another edge node: ``start(name)``."""
 
     def edge_node(name: str) -> Any:
         identity = {"MQTT_CLIENT_ID": name, "SPARKPLUG_GROUP_ID": GROUP, "SPARKPLUG_EDGE_NODE_ID": name}
@@ -68,7 +68,7 @@ def adapter(start: Start) -> Any:
 @pytest.fixture
 def born(adapter: Any) -> Any:
     """The adapter with a node that was just born, and one device."""
-    # Whatever a test before left alive; a node that is dead already refuses, which is just as well.
+    # An earlier test may have left the node alive; a dead node refuses this call, which does no harm.
     adapter.call("publish_node_death")
     adapter.call("publish_node_birth", metrics=[{"name": "mode", "datatype": "String", "value": "auto"}])
     adapter.call("publish_device_birth", device_id="tank", metrics=[LEVEL, COUNT])
@@ -76,7 +76,7 @@ def born(adapter: Any) -> Any:
 
 
 def sent(broker: Any, mark: int, client: str = NODE) -> list[dict[str, Any]]:
-    """The Sparkplug messages that a client published since: type, device, seq, metrics by name, qos, retain."""
+    """Return the Sparkplug messages of a client since the mark: type, device, seq, metrics by name, flags."""
     entries = broker.since(mark, kind="PUBLISH", direction="in", client_id=client)
     return [told(entry) for entry in entries if not entry.get("will_sent")]
 
@@ -100,7 +100,7 @@ def kinds(messages: list[dict[str, Any]]) -> list[str]:
 
 
 def settled(adapter: Any) -> None:
-    """Everything that the adapter sent before is in the journal."""
+    """Wait until everything that the adapter sent before is in the journal."""
     assert adapter.call("get_broker_info").envelope["success"]
 
 
@@ -110,13 +110,13 @@ def data(adapter: Any, *values: tuple[str, Any], device: str = "tank") -> Any:
 
 
 def bd_seq(entry: Mapping[str, Any]) -> Any:
-    """Of a will or message."""
+    """Return the bdSeq of a will or message."""
     (metric,) = (one for one in decode_payload(payload_of(entry))["metrics"] if one["name"] == "bdSeq")
     return metric["value"]
 
 
 def payload(*metrics: Mapping[str, Any], seq: int | None = None) -> bytes:
-    """A payload in the specification's field names."""
+    """Return a payload, given in the specification's field names."""
     message = payload_class()(timestamp=1)
     for metric in metrics:
         message.metrics.add(**metric)
@@ -256,7 +256,7 @@ def test_what_an_edge_node_may_not_say_is_not_sent(
     assert error["code"] == ("limit_exceeded" if "x" * 201 in arguments.values() else code)
     settled(born)
     assert sent(broker, mark) == []
-    # It did not use up a sequence number either.
+    # The refused message did not use up a sequence number either.
     assert data(born, ("level", 4.0)).data["seq"] == 2
 
 
@@ -300,7 +300,7 @@ BAD: dict[str, list[tuple[Any, str]]] = {
 
 
 def on_the_wire(datatype: str, value: Any) -> Any:
-    """What the witness reads when a value was sent rightly: numbers of more than 53 bits are text there."""
+    """Return the value that the witness reads when this value was sent correctly."""
     return single(float(value)) if datatype == "Float" else value
 
 
@@ -326,6 +326,7 @@ def test_every_datatype_carries_its_boundaries(born: Any, broker: Any, datatype:
 
 
 def as_number(value: Any) -> Any:
+    """Return the number; the witness gives numbers of more than 53 bits as text."""
     return int(value) if isinstance(value, str) and value.lstrip("-").isdigit() else value
 
 
@@ -378,7 +379,7 @@ def test_a_failed_message_uses_up_no_number_and_no_birth_tells_its_value(born: A
         assert data(born, ("level", 8.0)).error["outcome"] == "not_sent"
     births = broker.wait(0, count=2, kind="PUBLISH", direction="in", client_id=NODE)
     assert [told(entry)["type"] for entry in births] == ["NBIRTH", "DBIRTH"]
-    # The last values that were delivered, not those of the first birth (…-data-publish-dbirth-values).
+    # A birth has the last values that were delivered, not those of the first birth (…-data-publish-dbirth-values).
     values = {name: one["value"] for name, one in told(births[1])["metrics"].items()}
     assert values == {"level": 7.0, "count": 7}
     assert data(born, ("level", 9.0)).data["seq"] == 2
@@ -430,7 +431,7 @@ def test_after_its_death_a_node_has_to_be_born_again(born: Any, broker: Any) -> 
     assert "seq" not in reply.meta["trace"]
     assert born.call("publish_node_death").error["code"] == "not_born"
     assert data(born, ("level", 1.0)).error["code"] == "not_born"
-    # Nothing is born behind anybody's back either.
+    # Neither a reconnect nor a rebirth command makes the node born again.
     broker.fault({"packet": "UNSUBSCRIBE", "client_id": NODE, "times": 1, "action": {"reset": True}})
     settled(born)
     poke(broker, f"{TOPIC}/NCMD/{NODE}", payload(metric(REBIRTH, True, "Boolean")))
@@ -539,7 +540,7 @@ def test_a_command_has_no_sequence_number_and_reaches_its_device(adapter: Any, b
     reply = adapter.call("publish_device_command", arguments)
     topic = "spBv1.0/factory/DCMD/edge-node-1/device-1"
     assert (reply.data["topic"], reply.data["delivery"]) == (topic, "unacknowledged")
-    # The edge node confirms by data.
+    # The edge node confirms the command by data.
     broker.wait(mark, kind="PUBLISH", direction="in", topic="spBv1.0/factory/DDATA/edge-node-1/device-1")
     assert broker("image")["edge_node"]["devices"]["device-1"]["setpoint"] == 66.5
     (command,) = sent(broker, mark)
@@ -558,7 +559,7 @@ def host(start: Start) -> Any:
 
 
 def known(host: Any, node: str, group: str = "factory") -> dict[str, Any]:
-    """What the host tells of a node."""
+    """Return what the host reports about a node."""
     reply = host.call("list_sparkplug_nodes")
     assert reply.meta["untrusted"] == ["/data/nodes"]
     (found,) = (one for one in reply.data["nodes"] if (one["group_id"], one["edge_node_id"]) == (group, node))
@@ -570,7 +571,7 @@ def values(told: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def single(value: Any) -> Any:
-    """Of a number that is no whole one, what a Float can hold of it."""
+    """Round a number that is not whole to the nearest value that a Float can hold."""
     return struct.unpack("<f", struct.pack("<f", value))[0] if isinstance(value, float) else value
 
 
@@ -621,7 +622,7 @@ def test_gaps_deaths_and_strangers_are_told(host: Any, broker: Any) -> None:
     topic = "spBv1.0/g/{}/scripted"
     poke(broker, topic.format("NBIRTH"), payload(*born, seq=0))
     poke(broker, topic.format("DBIRTH") + "/d", payload({**metric("m", 2, "Int64"), "alias": 4}, seq=1))
-    # By alias alone, without a datatype: minus one is 2**64 - 1 on the wire.
+    # The metric has an alias alone and no datatype; minus one is 2**64 - 1 on the wire.
     poke(broker, topic.format("DDATA") + "/d", payload({"alias": 4, "long_value": 2**64 - 1}, seq=2))
     node = known(host, "scripted", "g")
     assert (node["status"], node["sequence_gap"], node["bd_seq"]) == ("online", False, 7)
@@ -649,7 +650,7 @@ def test_after_an_outage_what_was_known_is_in_doubt(host: Any, rig: Any, broker:
     assert known(host, "edge-node-1")["status"] == "online"
     with rig.outage():
         assert host.call("list_sparkplug_nodes").error["code"] == "connect_failed"
-    # Or the next call might join an attempt that began before and has failed.
+    # Without this wait the next call might join an earlier attempt that failed.
     broker.wait(0, kind="SUBACK", client_id="host")
     assert known(host, "edge-node-1")["status"] == "unknown"
     broker("reset")

@@ -1,4 +1,4 @@
-"""Installs an example's adapter, as its file says, into an environment that later runs find again."""
+"""A fixture that installs an example's adapter, as its file says, into an environment that later runs find again."""
 
 from __future__ import annotations
 
@@ -24,9 +24,10 @@ Install = Callable[[str], Path]
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Install:
     """``installed(name)``: the example's subject file in a directory of its own with its adapter in ``.venv``.
 
-    Skips where the packages cannot be had, or where OTMCP_NO_NETWORK asks for it.
+    The test is skipped where the packages cannot be installed, or where OTMCP_NO_NETWORK forbids to install them.
     """
-    # Beside pytest's own directories, which belong to this user alone; those it removes in time, this one it does not.
+    # The cache lies beside pytest's own directories, which belong to this user alone; pytest removes those in time, but
+    # not the cache.
     cache = tmp_path_factory.getbasetemp().parent / "adapters-in-the-wild"
 
     def install(name: str) -> Path:

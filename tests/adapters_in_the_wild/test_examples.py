@@ -27,7 +27,7 @@ MODBUS = "M2 M3 FM1 FM2 S1 S4 S7 S10 R-modbus"
 OPCUA = "O1 O2 FO1 S3 S9 S12 R-opcua"
 
 VERIFIED = {
-    # name: (items that pass, items that fail and a word of the finding); all others are not applicable.
+    # name: (items that pass, items that fail with words of the finding); all other items are not applicable.
     "kukapay-modbus-mcp": (MODBUS, {}),
     "modbus-connector-mcp": (f"{MODBUS} M4", {}),
     "plctap": (f"{MODBUS} M1 M4 {OPCUA}", {}),
@@ -98,7 +98,7 @@ def test_an_adapter_of_the_wild_gets_the_verified_verdicts(
 
 
 async def judged(subject_file: Path, plant: Plant) -> tuple[dict[str, Any], list[str]]:
-    """Every task of the suite, once, and the contradictions between the subject file and the adapter."""
+    """Run every task of the suite once; return the results, and how the subject file contradicts the adapter."""
     subject = load_subject(subject_file)
     bench = Bench(subject, BenchOptions(), plant)
     try:
@@ -110,7 +110,7 @@ async def judged(subject_file: Path, plant: Plant) -> tuple[dict[str, Any], list
 
 
 def words(results: dict[str, Any]) -> str:
-    """Every finding's message."""
+    """Return every finding's message after its item's id, one a line."""
     return "\n".join(
         f"{identifier}: {finding['message']}"
         for identifier, result in results.items()

@@ -1,4 +1,4 @@
-"""Every protocol of the kit is complete: description, codes, mock, reference adapter, tasks, and a defect for each write."""
+"""Every protocol of the kit is complete: description, codes, mock, reference adapter, tasks, a lie about writing."""
 
 from __future__ import annotations
 

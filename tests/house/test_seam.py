@@ -1,8 +1,8 @@
-"""The protocol seam: outside of a protocol's own folders and files the kit does not name a protocol.
+"""The protocol seam: the kit does not name a protocol outside of that protocol's own folders and files.
 
 A protocol's own files are those with its name in a folder's or file's name. Two further modules exist to name protocols:
-``protocols/own.py``, the explicit list of the kit's own ones, and ``devices.py``, which keeps the documented import path
-of their handles.
+``protocols/own.py``, the explicit list of the kit's own protocols, and ``devices.py``, which keeps the documented
+import path of their handles.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import pytest_otmcp
 
 KIT = Path(pytest_otmcp.__file__).parent
 OTHER_ROOMS = ("conformance", "mocks", "reference_adapters")
-"""Rooms of their own that lie in the kit's folder in a wheel."""
+"""Folders of their own in the checkout that lie in the kit's folder in a wheel."""
 
 NAME = re.compile(r"modbus|mqtt|opc[ _-]?ua|opc\.tcp|sparkplug", re.IGNORECASE)
 
@@ -28,13 +28,13 @@ DATA = {
     "subject/reference.toml": "describes the kit's reference adapters, as a vendor's file describes the vendor's",
     "subject/subject.schema.json": "is generated from the registered protocols, for editors",
 }
-"""Files that are data about certain adapters and protocols, with what they say."""
+"""Files that are data about certain adapters and protocols, each with what it is."""
 
 TEXTS = {".css", ".jinja", ".json", ".toml"}
 
 
 def files() -> list[str]:
-    """Every file of the kit that must not name a protocol."""
+    """List every file of the kit that must not name a protocol."""
     found = (path.relative_to(KIT) for path in KIT.rglob("*") if path.suffix in {".py", *TEXTS})
     return sorted(
         path.as_posix()
@@ -46,7 +46,7 @@ def files() -> list[str]:
 
 
 def named_in_code(source: str) -> Iterator[str]:
-    """Identifiers and strings of a module that contain a protocol's name, docstrings excepted."""
+    """Find the identifiers and strings of a module that contain a protocol's name, docstrings excepted."""
     tree = ast.parse(source)
     docstrings = {id(statement.value) for node in ast.walk(tree) for statement in expression_statements(node)}
     for node in ast.walk(tree):
@@ -56,7 +56,7 @@ def named_in_code(source: str) -> Iterator[str]:
 
 
 def expression_statements(node: ast.AST) -> Iterator[ast.Expr]:
-    """Constants that stand alone: docstrings, also those that follow an assignment."""
+    """Find the constants that stand alone: docstrings, also those that follow an assignment."""
     body = getattr(node, "body", None)
     for statement in body if isinstance(body, list) else ():
         if isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant):
@@ -64,7 +64,7 @@ def expression_statements(node: ast.AST) -> Iterator[ast.Expr]:
 
 
 def texts_of(node: ast.AST) -> Iterator[str]:
-    """The node's own identifiers (names, attributes, arguments, keywords, imports), or its string; f-strings by parts."""
+    """Yield the node's own identifiers (names, attributes, arguments, keywords, imports), or its string; f-strings by parts."""
     for _, value in ast.iter_fields(node):
         for text in value if isinstance(value, list) else [value]:
             if isinstance(text, str):
@@ -74,7 +74,7 @@ def texts_of(node: ast.AST) -> Iterator[str]:
 
 
 def named_in_text(text: str) -> Iterator[str]:
-    """Lines of a text file that contain a protocol's name."""
+    """Find the lines of a text file that contain a protocol's name."""
     return (
         f"line {number}: {line.strip()[:100]!r}"
         for number, line in enumerate(text.splitlines(), 1)

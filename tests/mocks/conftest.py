@@ -1,4 +1,4 @@
-"""What all tests of mocks share: mock programs as real processes."""
+"""Fixtures of all tests of mocks: mock programs as real processes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ StartMock = Callable[..., Awaitable[MockProgram]]
 async def start_mock() -> AsyncIterator[StartMock]:
     """``await start_mock("modbus", "--port", "0")``: the program with its device ready and its simulation paused.
 
-    Whatever was started is ended with the test, and must have had nothing to say on standard error.
+    Every program is ended with the test, and must have written nothing to standard error.
     """
     started: list[MockProgram] = []
 

@@ -1,6 +1,6 @@
 """A mock program as a real process, and an async client of its control channel.
 
-Written against the documented protocol and nothing of the mocks' code: what a person with a shell could do.
+The client follows the documented protocol, without the mocks' code: it does what a person with a shell could do.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from typing import Any
 __all__ = ["PATIENCE_S", "Control", "MockProgram", "RefusedError"]
 
 PATIENCE_S = 40.0
-"""How long a test waits for what must happen; whatever waits goes on as soon as it has."""
+"""Seconds that a test waits for something that must happen; each wait ends as soon as it has happened."""
 
 _LINE_LIMIT = 64 * 1024 * 1024
 _THIRD_PARTIES = os.path.dirname(__file__)
-"""Where mock packages lie that are no part of the product, as an installation of theirs would do."""
+"""Folder of mock packages that are no part of the product; it takes the place of their installation."""
 
 
 class RefusedError(Exception):
@@ -55,10 +55,10 @@ class Control:
                 waiting.set_exception(ConnectionError("the control channel was closed"))
 
     async def ask(self, op: str, **members: Any) -> dict[str, Any]:
-        """The result of an operation.
+        """Perform an operation and return its result.
 
         Raises:
-            RefusedError: the answer was an error; carries its sentence.
+            RefusedError: the answer was an error; the exception carries its sentence.
         """
         number = next(self._ids)
         answer: asyncio.Future[dict[str, Any]] = asyncio.get_running_loop().create_future()
@@ -74,19 +74,19 @@ class Control:
         return await self.ask("image")
 
     async def journal(self, since: int = 0, **match: Any) -> list[dict[str, Any]]:
-        """The entries from ``since`` on that have these fields."""
+        """Return the entries from ``since`` on that have these fields."""
         entries = (await self.ask("journal", since=since))["entries"]
         return [entry for entry in entries if all(entry.get(name) == value for name, value in match.items())]
 
     async def wait(self, since: int = 0, count: int = 1, **match: Any) -> list[dict[str, Any]]:
-        """The entries with these fields, as soon as there are ``count``; it is an error if there never are."""
+        """Return the entries with these fields as soon as there are ``count``; fail if there never are."""
         reply = await self.ask("wait", since=since, match=match, count=count, timeout_s=PATIENCE_S / 2)
         entries: list[dict[str, Any]] = reply["entries"]
         assert len(entries) >= count, f"{match} did not happen {count} time(s): {entries}"
         return entries
 
     async def next(self) -> int:
-        """Sequence number that the next journal entry will get."""
+        """Return the sequence number that the next journal entry will get."""
         return int((await self.ask("journal", since=sys.maxsize))["next"])
 
     async def close(self) -> None:
@@ -118,7 +118,7 @@ class MockProgram:
         """Start the program; :meth:`ready` or :meth:`end` has to follow."""
         return cls(
             await asyncio.create_subprocess_exec(
-                # As the kit does it: the working directory is no place to import from.
+                # The kit does it so, too: nothing may be imported from the working directory.
                 *(sys.executable, "-P", "-m", "pytest_otmcp.mocks", *arguments),
                 stdin=asyncio.subprocess.PIPE,
                 stdout=asyncio.subprocess.PIPE,
@@ -136,7 +136,7 @@ class MockProgram:
         return int(self.ready_event["port"])
 
     async def event(self) -> dict[str, Any]:
-        """The next line on standard output."""
+        """Return the next event on standard output."""
         assert self.process.stdout is not None
         line = await asyncio.wait_for(self.process.stdout.readline(), PATIENCE_S)
         assert line, f"the program ended: {(await self.end())[1]}"
@@ -152,13 +152,13 @@ class MockProgram:
             await self.control.ask("pause")
 
     async def connect_control(self) -> Control:
-        """One more control connection."""
+        """Open another control connection."""
         control = await Control.connect(self.ready_event["control"])
         self._controls.append(control)
         return control
 
     def say(self, *words: str) -> None:
-        """Write commands, one a line."""
+        """Write commands, one per line."""
         assert self.process.stdin is not None
         self.process.stdin.write("".join(f"{word}\n" for word in words).encode())
 
@@ -170,7 +170,7 @@ class MockProgram:
         await self.ready()
 
     async def end(self) -> tuple[int, str]:
-        """Close standard input; exit code and standard error."""
+        """Close standard input; return the exit code and standard error."""
         try:
             for control in self._controls:
                 await control.close()
@@ -180,11 +180,11 @@ class MockProgram:
             self.process.stdin.close()
             with contextlib.suppress(ConnectionError):
                 await self.process.stdin.wait_closed()
-            # Ends with the last process that holds it: launcher and device.
+            # Standard error ends with the last process that holds it: launcher or device.
             stderr = await asyncio.wait_for(self.process.stderr.read(), PATIENCE_S)
             return await asyncio.wait_for(self.process.wait(), PATIENCE_S), stderr.decode()
         finally:
-            # One that does not end must not outlive the test, and be somebody else's warning.
+            # A launcher that does not end must not outlive the test and cause a warning in another test.
             if self.process.returncode is None:
                 self.process.kill()
                 await self.process.wait()

@@ -1,4 +1,4 @@
-"""What the MQTT tests share: a broker in a thread, paho-mqtt as the independent client, and a raw socket."""
+"""Tools of the MQTT tests: a broker in a thread, paho-mqtt as the independent client, and a raw socket."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from pytest_otmcp.mocks.mqtt.broker import Broker, Limits
 from pytest_otmcp.mocks.mqtt.connection import Connection
 
 PATIENCE_S = 40.0
-"""How long a test waits for what must happen; whatever waits goes on as soon as it has."""
+"""Seconds that a test waits for something that must happen; each wait ends as soon as it has happened."""
 
 T = TypeVar("T")
 
@@ -59,18 +59,18 @@ class RunningBroker:
         return result
 
     def leap(self, seconds: float) -> None:
-        """Let the loop's clock leap: what is due by then has happened when this returns."""
+        """Move the loop's clock ahead; everything that is due by then has happened when this returns."""
 
         async def leap() -> None:
             self._ahead_s += seconds
-            # In the loop's next turn what is due is noted, and done at the end of that turn.
+            # The loop notes in its next turn what is due, and does it at the end of that turn.
             await asyncio.sleep(0)
             await asyncio.sleep(0)
 
         self._run(leap())
 
     def entries(self, **match: Any) -> list[Entry]:
-        """The journal entries with these fields, as of now."""
+        """Return the journal entries with these fields that exist now."""
         return self.call(
             lambda: [
                 entry
@@ -80,7 +80,7 @@ class RunningBroker:
         )
 
     def wait(self, count: int = 1, since: int = 0, **match: Any) -> list[Entry]:
-        """The entries with these fields, as soon as there are ``count``."""
+        """Return the entries with these fields as soon as there are ``count``."""
         entries: list[Entry] = self._run(self.journal.wait(since, match, count, PATIENCE_S - 1))
         assert len(entries) >= count, f"{match} did not happen {count} time(s)"
         return entries
@@ -161,7 +161,7 @@ class Peer:
         self.disconnect()
 
     def disconnect(self, **fields: Any) -> None:
-        """An orderly DISCONNECT."""
+        """Send an orderly DISCONNECT."""
         if self.version == 5 and fields:
             code = fields.pop("reasoncode", None)
             self.client.disconnect(reasoncode=code, properties=properties(PacketTypes.DISCONNECT, **fields))
@@ -170,7 +170,7 @@ class Peer:
         self.client.loop_stop()
 
     def cut(self) -> None:
-        """End the network connection without DISCONNECT, if the broker has not been quicker."""
+        """End the network connection without DISCONNECT, unless the broker has ended it already."""
         sock = self.client.socket()
         if sock is not None:
             with contextlib.suppress(OSError):
@@ -178,7 +178,7 @@ class Peer:
         self.client.loop_stop()
 
     def subscribe(self, topic_filter: str, qos: int = 0, *, identifier: int | None = None, **options: Any) -> list[int]:
-        """Subscribe; the granted QoS or reason codes."""
+        """Subscribe and return the granted QoS or reason codes."""
         if self.version == 5:
             extra = {} if identifier is None else {"SubscriptionIdentifier": identifier}
             self.client.subscribe(
@@ -191,7 +191,7 @@ class Peer:
         return self.subacks.get(timeout=PATIENCE_S)[1]
 
     def unsubscribe(self, topic_filter: str) -> list[int]:
-        """Unsubscribe; the reason codes."""
+        """Unsubscribe and return the reason codes."""
         self.client.unsubscribe(topic_filter)
         return self.subacks.get(timeout=PATIENCE_S)[1]
 
@@ -202,15 +202,15 @@ class Peer:
         return self.acks.get(timeout=PATIENCE_S)[1]
 
     def next(self) -> paho.MQTTMessage:
-        """The next message."""
+        """Return the next message."""
         return self.received.get(timeout=PATIENCE_S)
 
     def payloads(self, count: int) -> list[bytes]:
-        """The payloads of the next messages."""
+        """Return the payloads of the next messages."""
         return [bytes(self.next().payload) for _ in range(count)]
 
     def nothing_more(self) -> bool:
-        """Whether nothing is on its way to this client: a message it sends itself is the next to arrive."""
+        """Tell whether nothing is on its way to this client: a message that it sends itself is the next to arrive."""
         topic = f"marker/{id(self)}"
         self.subscribe(topic, 0)
         self.publish(topic, b"marker")
@@ -238,7 +238,7 @@ class Raw:
         return bool(data)
 
     def packet(self) -> tuple[int, bytes]:
-        """The next packet: first byte and body. Bodies in these tests are shorter than 128 bytes."""
+        """Return the next packet: first byte and body. Bodies in these tests are shorter than 128 bytes."""
         while len(self._buffer) < 2 or len(self._buffer) < 2 + self._buffer[1]:
             assert self._more(), "the broker closed the connection"
         assert self._buffer[1] < 0x80
@@ -247,13 +247,13 @@ class Raw:
         return packet
 
     def rest(self) -> bytes:
-        """Everything until the broker closes."""
+        """Return everything that arrives until the broker closes the connection."""
         while self._more():
             pass
         return self._buffer
 
     def close(self) -> None:
-        """Close."""
+        """Close the socket."""
         self.socket.close()
 
     def __enter__(self) -> Raw:
@@ -264,7 +264,7 @@ class Raw:
 
 
 def properties(packet: int, **values: Any) -> Properties:
-    """Paho's properties; a list sets a property several times."""
+    """Return paho's properties; a list sets a property several times."""
     made = Properties(packet)
     for name, value in values.items():
         for one in value if isinstance(value, list) else [value]:
@@ -273,13 +273,13 @@ def properties(packet: int, **values: Any) -> Properties:
 
 
 def utf8(text: str) -> bytes:
-    """A UTF-8 Encoded String."""
+    """Return a UTF-8 Encoded String."""
     data = text.encode()
     return bytes([len(data) >> 8, len(data) & 0xFF]) + data
 
 
 def frame(first: int, *parts: bytes) -> bytes:
-    """A packet with a body shorter than 128 bytes."""
+    """Return a packet with a body shorter than 128 bytes."""
     body = b"".join(parts)
     assert len(body) < 0x80
     return bytes([first, len(body)]) + body
@@ -288,13 +288,13 @@ def frame(first: int, *parts: bytes) -> bytes:
 def connect_bytes(
     client_id: str = "raw", level: int = 4, flags: int = 2, tail: bytes = b"", props: bytes = b"\0"
 ) -> bytes:
-    """A CONNECT with keep-alive 0."""
+    """Return a CONNECT with keep-alive 0."""
     return frame(0x10, utf8("MQTT"), bytes([level, flags, 0, 0]), props if level == 5 else b"", utf8(client_id), tail)
 
 
 @contextmanager
 def running_broker(limits: Limits | None = None) -> Iterator[RunningBroker]:
-    """A broker for the length of a ``with``."""
+    """Run a broker for the length of a ``with``."""
     broker = RunningBroker(limits)
     try:
         yield broker

@@ -1,6 +1,6 @@
 """The control channel and the journal, on the Modbus mock; every mock uses the same code.
 
-What each device has to do about them is in ``test_device_contract``.
+The duties of each device are in ``test_device_contract``.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ async def test_answers_carry_the_ids_of_pipelined_requests(modbus: MockProgram) 
 async def test_requests_of_one_client_are_done_in_order(modbus: MockProgram) -> None:
     def put(value: int) -> Any:
         params = {"table": "holding_registers", "address": 50, "values": [value]}
-        # The word "wait" in a request does not make it one.
+        # The word "wait" in a request does not make it a wait.
         return modbus.control.ask("poke", params=params, note='"wait"')
 
     *_, image = await asyncio.gather(*(put(value) for value in range(50)), modbus.control.image())
@@ -83,7 +83,7 @@ async def test_an_unpaused_plant_moves_by_itself(start_mock: Any) -> None:
     program = await start_mock("modbus", paused=False)
     before = await program.control.image()
     async with asyncio.timeout(PATIENCE_S):
-        # The device tells no one of its ticks.
+        # The device does not report its ticks.
         while await program.control.image() == before:  # noqa: ASYNC110
             await asyncio.sleep(0.05)
 
@@ -157,7 +157,7 @@ async def test_a_journal_that_is_consumed_never_drops_anything() -> None:
 
 async def test_a_wait_looks_at_nothing_that_came_before_its_mark() -> None:
     class Counting:
-        """Equals every kind, and counts how often it was asked."""
+        """A value that equals every kind, and counts the comparisons."""
 
         asked = 0
 
@@ -183,7 +183,7 @@ async def test_a_full_journal_drops_the_oldest_and_counts_them() -> None:
 
 
 class SlowDevice(Device):
-    """Its ticks take two turns of the loop; notices when a tick is cut short or overlaps another or a reset."""
+    """A device whose ticks take two loop turns; it notices a tick that is cut short or overlaps another or a reset."""
 
     protocol = "slow"
 
@@ -223,7 +223,7 @@ async def test_ticks_and_resets_take_turns_and_a_pause_cuts_none_in_half(monkeyp
     loop = asyncio.get_running_loop()
     problems: list[dict[str, Any]] = []
     loop.set_exception_handler(lambda loop, context: problems.append(context))
-    # A clock that leaps: every second is over at once.
+    # The clock leaps: every second is over at once.
     real = asyncio.sleep
     monkeypatch.setattr("pytest_otmcp.mocks.device.asyncio.sleep", lambda _: real(0))
     for turns in range(12):

@@ -1,4 +1,4 @@
-"""What every mock device has to do, whatever its protocol: one suite, a case for each protocol.
+"""The duties of every mock device, whatever its protocol: one suite, a case for each protocol.
 
 A new protocol adds a client of its own and a :class:`Case`. One case is a device from a package outside the product.
 """
@@ -32,7 +32,7 @@ pytestmark = pytest.mark.asyncio(loop_scope="module")
 
 
 class AnyClient(Protocol):
-    """A client of a device: one connection, over which it asks; each method returns with the answer."""
+    """A client of a device with one connection for its requests; each method returns when the answer has come."""
 
     async def open(self, program: MockProgram) -> None:
         """Connect."""
@@ -44,17 +44,17 @@ class AnyClient(Protocol):
         """Change one point of the plant."""
 
     async def close(self) -> None:
-        """Leave in an orderly way."""
+        """Close the connection in an orderly way."""
 
 
 class StreamClient:
-    """The part of a client that a stream of bytes needs."""
+    """The base of clients whose connection is a stream of bytes."""
 
     async def open(self, program: MockProgram) -> None:
         self.reader, self.writer = await asyncio.open_connection(program.host, program.port)
 
     async def exchange(self, request: bytes, answer_head: int, rest: Callable[[bytes], int]) -> bytes:
-        """Send a request; its answer, whose length its first bytes tell."""
+        """Send a request and return its answer, whose first bytes tell its length."""
         self.writer.write(request)
         head = await asyncio.wait_for(self.reader.readexactly(answer_head), PATIENCE_S)
         return head + await asyncio.wait_for(self.reader.readexactly(rest(head)), PATIENCE_S)
@@ -132,17 +132,17 @@ class LatchClient(StreamClient):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
-    """What the suite has to know of one protocol.
+    """The facts about one protocol that the suite needs.
 
     Attributes:
-        client: makes a client.
-        asked_by_connecting: kinds of the requests that opening and closing a connection makes.
-        asked_by_reading, asked_by_writing: kind of the one request that each makes.
+        client: function that makes a client.
+        asked_by_connecting: kinds of the requests that opening and closing a connection make.
+        asked_by_reading, asked_by_writing: kind of the one request that ``read`` or ``write`` makes.
         written: the point that ``write`` changes, and its new value.
         poke, poked: a poke, and the point that it changes with its new value.
-        wrong_pokes: pokes that must be refused, each with words of the sentence.
-        fault: a rule that applies to what ``read`` asks.
-        wrong_rules: rules that must be refused, each with words of the sentence.
+        wrong_pokes: pokes that must be refused, each with words of the refusal.
+        fault: a rule that applies to the request of ``read``.
+        wrong_rules: rules that must be refused, each with words of the refusal.
     """
 
     client: Callable[[], AnyClient]
@@ -300,7 +300,7 @@ async def plant(program: MockProgram) -> MockProgram:
 
 @pytest_asyncio.fixture(loop_scope="module")
 async def client(plant: MockProgram, case: Case) -> AsyncIterator[AnyClient]:
-    """A connected client; it leaves when the test ends, and the device has noticed."""
+    """A connected client; when the test ends it disconnects, and the fixture waits until the device has noticed."""
     opened = case.client()
     mark = await plant.control.next()
     await opened.open(plant)
@@ -327,7 +327,7 @@ def changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, An
 
 
 async def test_every_built_in_device_has_a_case() -> None:
-    # The simulator of an edge node is a client of somebody else's broker: nobody connects to it.
+    # The simulator of an edge node is a client of another broker: no client connects to it.
     assert set(built_in()) - {"sparkplug"} <= set(CASES)
 
 
@@ -352,7 +352,7 @@ async def test_the_control_socket_is_in_a_directory_of_this_user_alone(program: 
 
 
 def shown_by_the_kernel(*pids: int) -> list[bytes]:
-    """What /proc says of processes, and of all sockets."""
+    """Return what /proc shows of these processes, and of all Unix sockets."""
     shown = [Path("/proc/net/unix").read_bytes()]
     for pid in pids:
         process = Path("/proc") / str(pid)
@@ -472,7 +472,7 @@ async def test_released_entries_are_gone_and_the_answer_says_so(plant: MockProgr
     rest = await plant.control.ask("journal", since=0)
     assert (rest["first"], rest["next"], rest["dropped"]) == (third, whole["next"], whole["dropped"])
     assert rest["entries"] == whole["entries"][2:]
-    # What was released stays released, and the numbers go on.
+    # Released entries stay released, and the sequence numbers continue.
     assert await plant.control.ask("forget", before=0) == {"first": third, "next": whole["next"]}
     await plant.control.ask("forget", before=whole["next"])
     await client.read()
@@ -594,7 +594,7 @@ async def test_a_restart_keeps_the_address_and_forgets_everything_else(plant: Mo
     again = plant.ready_event
     assert {**again, "pid": 0} == {**event, "pid": 0}
     assert again["pid"] != event["pid"]
-    # Not all points: the simulation has run freely until it was paused.
+    # Only one point is compared: the simulation ran freely until it was paused.
     assert (await points(plant)).get(case.written[0]) == start.get(case.written[0])
     assert await plant.control.ask("fault", rules=[]) == {"hits": []}
     whole = await plant.control.ask("journal", since=0)

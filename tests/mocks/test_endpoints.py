@@ -24,7 +24,7 @@ async def latches(start_mock: Callable[..., Awaitable[MockProgram]]) -> MockProg
 
 
 class Sender:
-    """A client of one endpoint: sends telegrams of one byte, receives answers of one byte."""
+    """A client of one endpoint, which sends telegrams of one byte and receives answers of one byte."""
 
     def __init__(self, address: dict[str, Any]) -> None:
         self.kind = address["kind"]
@@ -123,7 +123,7 @@ async def test_what_was_sent_during_an_outage_is_never_executed(latches: MockPro
             await start(latches)
             for client in clients:
                 client.send(5)
-                # The first answer is that to the first telegram after the start.
+                # The first answer is the answer to the first telegram after the start.
                 assert await client.answer() == 6
                 assert client.nothing_to_read()
             sent = await latches.control.journal(kind="SET")
@@ -136,7 +136,7 @@ async def test_an_outage_refuses_a_stream_and_is_silent_on_the_others(latches: M
         with pytest.raises(ConnectionRefusedError):
             await asyncio.open_connection(latches.host, latches.port)
         for client in clients:
-            # A UDP port that is closed would make the second of these fail: "port unreachable" is known by then.
+            # A closed UDP port would make the second send fail: the client would have got "port unreachable" by then.
             client.send(1)
             client.send(2)
             assert client.nothing_to_read()

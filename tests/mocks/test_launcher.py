@@ -1,4 +1,4 @@
-"""The launcher: a mock's life, from the outside."""
+"""The launcher, seen from outside: starts, stops and ends of a mock."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ async def test_a_stopped_device_is_gone_and_its_port_refuses(modbus: MockProgram
     assert not psutil.pid_exists(device)
     with pytest.raises(ConnectionRefusedError):
         await asyncio.open_connection(modbus.host, modbus.port)
-    # Dead and not only silent: the connection ends, in an orderly way or not.
+    # The device is dead and not only silent: the connection ends, in an orderly way or not.
     with contextlib.suppress(ConnectionResetError):
         assert await asyncio.wait_for(reader.read(), PATIENCE_S) == b""
     writer.close()
@@ -77,7 +77,7 @@ async def test_the_port_of_a_stopped_device_is_given_to_nobody(modbus: MockProgr
 
 
 async def test_two_hundred_restarts_with_a_client_connected_each_time(modbus: MockProgram) -> None:
-    """A killed server leaves its side of the connections in TIME_WAIT; none may keep the next one from the port."""
+    """A killed server leaves its side of connections in TIME_WAIT; none may keep the next server from the port."""
     writers = []
     for _ in range(200):
         _, writer = await asyncio.open_connection(modbus.host, modbus.port)
@@ -103,11 +103,11 @@ async def test_a_device_that_dies_is_reported_and_can_be_replaced(modbus: MockPr
 
 async def test_a_death_just_before_a_stop_is_reported_first(modbus: MockProgram) -> None:
     launcher = psutil.Process(modbus.process.pid)
-    # Stopped, the launcher finds both when it goes on.
+    # The launcher is suspended, so that it finds both the death and the stop when it continues.
     launcher.suspend()
     device = psutil.Process(modbus.ready_event["pid"])
     device.kill()
-    while device.status() != psutil.STATUS_ZOMBIE:  # nobody but its stopped parent is told  # noqa: ASYNC110
+    while device.status() != psutil.STATUS_ZOMBIE:  # only its suspended parent is notified  # noqa: ASYNC110
         await asyncio.sleep(0.001)
     modbus.say("stop", "start")
     assert modbus.process.stdin is not None
@@ -159,7 +159,7 @@ async def test_a_launcher_killed_after_a_restart_leaves_no_device(modbus: MockPr
 async def test_a_launcher_whose_listener_has_gone_ends(modbus: MockProgram) -> None:
     transport = modbus.process._transport.get_pipe_transport(1)  # type: ignore[attr-defined]
     transport.close()
-    # The pipe is really closed one turn of the loop later; the launcher must not find it open still.
+    # The pipe is really closed one turn of the loop later; the launcher must not find it still open.
     await asyncio.sleep(0)
     modbus.say("stop")
     assert await asyncio.wait_for(modbus.process.wait(), PATIENCE_S) == 0

@@ -31,14 +31,14 @@ class Raw:
         return cls(*await asyncio.open_connection(modbus.host, modbus.port))
 
     async def frame(self) -> tuple[int, int, bytes]:
-        """Transaction identifier, unit and PDU of the next answer."""
+        """Return transaction identifier, unit and PDU of the next answer."""
         async with asyncio.timeout(PATIENCE_S):
             transaction, protocol, length, unit = struct.unpack(">HHHB", await self.reader.readexactly(7))
             assert protocol == 0
             return transaction, unit, await self.reader.readexactly(length - 1)
 
     async def ask(self, pdu: str, unit: int = 1) -> str:
-        """The response PDU to a request PDU, both in hexadecimal digits."""
+        """Return the response PDU to a request PDU, both in hexadecimal digits."""
         self._transaction = (self._transaction + 1) & 0xFFFF
         self.writer.write(adu(self._transaction, pdu, unit))
         transaction, answering, response = await self.frame()
@@ -46,7 +46,7 @@ class Raw:
         return response.hex()
 
     async def ended(self) -> bytes:
-        """What arrives until the device closes the connection."""
+        """Return everything that arrives until the device closes the connection."""
         async with asyncio.timeout(PATIENCE_S):
             return await self.reader.read()
 
@@ -261,7 +261,7 @@ async def test_a_client_that_never_reads_is_no_longer_listened_to(modbus: MockPr
     for _ in range(200):
         deaf.writer.write(reading)
     stuck = asyncio.create_task(deaf.writer.drain())
-    # Every request and every answer is an entry; the good client's own are four or so a round.
+    # Every request and every answer is an entry; the good client itself adds about four in each round.
     before, seen = -100, await modbus.control.next()
     while seen - before > 10:
         assert await good.ask("03 0000 0001") == "03020032"
@@ -363,7 +363,7 @@ LONG = {0: b"v" * 200, 1: b"p" * 40, 2: b"r" * 10, 3: b"u" * 244, 6: b"a"}
 
 
 def listed(response: bytes) -> tuple[int, int, list[int]]:
-    """More follows, next object, and the object ids of a response, checked for their lengths."""
+    """Return "more follows", the next object and the object ids of a response; check its lengths."""
     assert len(response) <= 253
     more, following, count = response[4], response[5], response[6]
     identifiers, rest = [], response[7:]
@@ -386,7 +386,7 @@ async def test_an_identification_too_long_for_one_answer_is_continued() -> None:
     # 244 bytes are the longest an object can have in a PDU of 253.
     assert ask(2, 3) == (0xFF, 6, [3])
     assert ask(2, 6) == (0, 0, [6])
-    # More than the device has gets what it has; an object that it does not know restarts.
+    # A category beyond the device's gets what the device has; an object that it does not know restarts the stream.
     assert ask(3, 2) == ask(2, 2)
     assert ask(2, 5) == ask(2, 0x80) == ask(2, 0)
     assert ask(1, 6) == ask(1, 0)
@@ -580,7 +580,7 @@ async def test_the_heater_drives_the_temperature_and_raises_the_alarm() -> None:
     hot = after(unit, 200).input_registers[0]
     assert hot > 900
     assert unit.coils[1] is True
-    # Acknowledged is acknowledged, as long as it does not cool down and get hot again.
+    # An acknowledged alarm stays off as long as the plant does not cool down and get hot again.
     unit.coils[1] = False
     assert after(unit, 10).coils[1] is False
     unit.holding_registers[1] = 0
@@ -620,7 +620,7 @@ async def test_the_command_registers_act_on_mode_and_discrete_inputs() -> None:
 
 async def test_what_a_client_writes_stays(modbus: MockProgram) -> None:
     connection = await Raw.connect(modbus)
-    # Mode and alarm are the plant's too: it moves them on a command and when it gets hot, and not otherwise.
+    # The plant changes mode and alarm, too, but only on a command and when it gets hot.
     await connection.ask("10 0000 0064 c8" + "0001" * 100)
     await modbus.control.ask("tick", steps=2)
     commanded = await cells(modbus, "holding_registers")

@@ -1,4 +1,4 @@
-"""The broker at its wire: what it refuses, what it journals, what its fault plan does. Raw bytes on both sides."""
+"""The broker as seen on the wire: its refusals, its journal, its fault plan. Raw bytes on both sides."""
 
 from __future__ import annotations
 
@@ -202,7 +202,7 @@ def test_a_qos_2_delivery_is_resumed_where_it_stopped(broker: RunningBroker) -> 
     broker.wait(kind="DISCONNECTED", client_id="raw")
     with Raw(broker.port).send(connect_bytes(flags=0)) as again:
         assert again.packet() == (0x20, b"\1\0")
-        # The first was received: its release is repeated. The second was not: it comes again, with DUP.
+        # The first message was received: its PUBREL is repeated. The second was not: it is sent again, with DUP.
         assert [again.packet(), again.packet()] == [(0x62, b"\0\1"), (0x3C, utf8("a") + b"\0\0022")]
 
 

@@ -1,4 +1,4 @@
-"""The MQTT codec: bytes of the specification, and what must be refused."""
+"""The MQTT codec: bytes of the specification, and bytes that must be refused."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""The broker with an independent client: the behaviours that the Eclipse Paho interoperability suite looks at.
+"""The broker with an independent client: the behaviours that the Eclipse Paho interoperability suite checks.
 
-Written anew with paho-mqtt as the client; where it matters both protocol versions run.
+The tests are written anew with paho-mqtt as the client; where it matters they run with both protocol versions.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def version(request: pytest.FixtureRequest) -> int:
 
 
 def lasting(version: int) -> dict[str, object]:
-    """Settings of a session that outlives its connection."""
+    """Return the settings of a session that outlives its connection."""
     return {"version": version, "clean": False, **({"properties": FOREVER} if version == 5 else {})}
 
 
@@ -142,7 +142,7 @@ def test_a_lost_connection_publishes_the_will_and_an_orderly_end_does_not(broker
 
 
 def test_a_silent_client_is_disconnected_and_its_will_published(broker: RunningBroker, version: int) -> None:
-    # The broker acts after one and a half times the keep-alive. The client's network loop stands still meanwhile.
+    # The broker acts after one and a half times the keep-alive. The client's network loop does not run meanwhile.
     with Peer(broker.port, "witness", version=version, keepalive=0) as witness:
         witness.subscribe("w")
         silent = Peer(broker.port, "a", version=version, keepalive=60, will={"topic": "w", "payload": b"gone"})
@@ -163,8 +163,8 @@ def test_a_client_that_pings_is_not_disconnected(
     pongs: queue.Queue[str] = queue.Queue()
     with Peer(broker.port, "a", version=version, keepalive=60) as peer:
         peer.client.on_log = lambda client, userdata, level, text: pongs.put(text) if "PINGRESP" in text else None
-        # The clocks of both leap by more than the keep-alive and less than one and a half times it. With real ones and
-        # a keep-alive of a second a ping could come too late, and be nobody's fault.
+        # The clocks of both leap by more than the keep-alive and less than one and a half times it. With real clocks
+        # and a keep-alive of a second a ping could come too late without a fault of client or broker.
         for _ in range(2):
             broker.leap(65)
             ahead_s += 65
@@ -310,7 +310,7 @@ def test_a_message_expires_while_it_waits(broker: RunningBroker) -> None:
     with Peer(broker.port, "b") as sender:
         sender.publish("t", b"short", 1, MessageExpiryInterval=1)
         sender.publish("t", b"long", 2, MessageExpiryInterval=60)
-    # A second must pass, and nothing happens when it has.
+    # A second must pass; no event shows that it has passed.
     time.sleep(1.05)
     with Peer(broker.port, "a", clean=False, properties=FOREVER) as back:
         message = back.next()

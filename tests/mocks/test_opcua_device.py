@@ -49,7 +49,7 @@ Connect = Callable[[], Awaitable[Client]]
 
 @pytest_asyncio.fixture(loop_scope="module")
 async def connect(plant: MockProgram) -> AsyncIterator[Connect]:
-    """Opens sessions that are closed after the test."""
+    """Function that opens sessions, which are closed after the test."""
     opened: list[Client] = []
 
     async def opens() -> Client:
@@ -74,7 +74,7 @@ def node(name: str) -> ua.NodeId:
 
 
 async def status(call: Awaitable[Any]) -> str:
-    """The symbol that a call is refused with."""
+    """Return the symbol of the status with which a call is refused."""
     with pytest.raises(UaStatusCodeError) as refused:
         await call
     return str(ua.StatusCode(refused.value.code).name)
@@ -225,7 +225,7 @@ async def test_the_simulation_runs_freely_until_it_is_paused(plant: MockProgram,
     await subscription.subscribe_data_change(client.get_node(node("Uptime")))
     assert await asyncio.wait_for(changed.get(), PATIENCE_S) == 0
     await plant.control.ask("resume")
-    # A machine that was busy makes up for the seconds that it missed: the first that is told of may be the third.
+    # On a busy machine the plant makes up for missed seconds: the first notification may be about the third second.
     assert await asyncio.wait_for(changed.get(), PATIENCE_S) > 0
     await plant.control.ask("pause")
     await subscription.delete()
@@ -492,7 +492,7 @@ async def test_sessions_are_counted_and_limited(plant: MockProgram, connect: Con
     await plant.control.wait(mark, kind="DISCONNECTED")
     await connect()
     assert (await plant.control.image())["clients"]["sessions"] == 2
-    # Whoever just vanished has not asked for the end of the session.
+    # The client that vanished has not asked for the end of its session.
     assert await plant.control.journal(mark, kind="CloseSession") == []
 
 

@@ -31,8 +31,8 @@ DDATA = "spBv1.0/g/DDATA/n/d"
 
 # -- the payload ----------------------------------------------------------------------------------------------
 
-# Written by hand from section 6.4: Payload.timestamp is field 1, .metrics 2, .seq 3; Metric.name 1, .timestamp 3,
-# .datatype 4, then the value: 10 int, 11 long, 12 float, 13 double, 14 boolean, 15 string, 16 bytes.
+# These bytes were written by hand from section 6.4: Payload.timestamp is field 1, .metrics 2, .seq 3; Metric.name 1,
+# .timestamp 3, .datatype 4, then the value: 10 int, 11 long, 12 float, 13 double, 14 boolean, 15 string, 16 bytes.
 VALUES = {
     ("Double", 10, 20.5): "69" + struct.pack("<d", 20.5).hex(),
     ("Float", 9, 0.25): "65" + struct.pack("<f", 0.25).hex(),
@@ -123,13 +123,13 @@ def test_damaged_payloads_are_described_and_nothing_else_happens() -> None:
 
 
 class Plant:
-    """A device on a port, with what the tests ask of it."""
+    """A device on a port, with the operations that the tests need."""
 
     def __init__(self, device: MqttDevice, port: int) -> None:
         self.device, self.port = device, port
 
     def messages(self, since: int = 0) -> list[Entry]:
-        """The Sparkplug messages of the edge node, as the broker journalled them."""
+        """Return the Sparkplug messages of the edge node, as the broker journalled them."""
         return [
             entry
             for entry in self.device.journal.since(since)
@@ -139,7 +139,7 @@ class Plant:
 
     @contextlib.asynccontextmanager
     async def client(self) -> AsyncIterator[Peer]:
-        """A client, in a thread because it blocks."""
+        """Connect a client, in a thread because it blocks."""
         peer = await asyncio.to_thread(Peer(self.port, "client").connect)
         try:
             yield peer
@@ -147,13 +147,13 @@ class Plant:
             await asyncio.to_thread(peer.disconnect)
 
     async def wait(self, since: int, count: int = 1, **match: Any) -> list[Entry]:
-        """Journal entries that are to come."""
+        """Return journal entries as soon as there are ``count`` of them."""
         entries = await self.device.journal.wait(since, match, count, PATIENCE_S)
         assert len(entries) >= count, match
         return entries
 
     async def send(self, topic: str, payload: bytes) -> int:
-        """Publish a command; the sequence number in the journal before it."""
+        """Publish a command; return the journal's next sequence number before it."""
         since = self.device.journal.next
         await self.device.poke({"publish": {"topic": topic, "payload": base64.b64encode(payload).decode(), "qos": 1}})
         return since
@@ -376,7 +376,7 @@ async def test_a_reset_restores_start_up_values_and_keeps_connections(plant: Pla
 
 @pytest.fixture
 def foreign_broker() -> Iterator[int]:
-    """The port of a broker that is not ours."""
+    """The port of a broker that is no part of the product."""
     mosquitto = shutil.which("mosquitto")
     if mosquitto is None:
         pytest.skip("mosquitto is not installed: the edge node was not tried at a foreign broker")

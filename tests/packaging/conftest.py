@@ -1,4 +1,4 @@
-"""A wheel built from this checkout, and an environment of its own in which nothing else of the checkout can be found."""
+"""Fixtures: a wheel built from this checkout, and an environment in which nothing else of the checkout can be found."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ def _quietly(*command: str | Path, cwd: Path, env: dict[str, str] | None = None)
 
 
 def _build(directory: Path) -> str:
-    """Build a wheel from a source distribution: what that lacks is missing in the wheel as well."""
-    # What pyproject.toml asks for.
+    """Build a wheel from a source distribution: a file that this lacks is missing in the wheel as well."""
+    # pyproject.toml asks for this version.
     tools = directory / "setuptools"
     _quietly(sys.executable, "-m", "pip", "install", "--quiet", "--target", tools, "setuptools>=77", cwd=directory)
     env = {**os.environ, "PYTHONPATH": str(tools)}
@@ -61,7 +61,7 @@ def _build(directory: Path) -> str:
 
 @pytest.fixture(scope="session")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The wheel."""
+    """The path of the wheel."""
     return Path(once(tmp_path_factory, "wheel", _build))
 
 

@@ -1,4 +1,4 @@
-"""What a vendor gets: a wheel with one import name, and from an empty directory a verdict and a certificate."""
+"""The wheel that a vendor gets: it has one import name, and gives a verdict and a certificate in an empty directory."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ deadline_s = 30
 
 
 def run(root: Path, *command: str, timeout: float = 300) -> subprocess.CompletedProcess[str]:
-    """Run a program of the environment in ``root``, with nothing of ours in its environment."""
+    """Run a program of the environment in ``root``, without the variables of this Python and this pytest."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "PYTEST", "VIRTUAL"))}
     program = root / ".venv" / "bin" / command[0]
     return subprocess.run(

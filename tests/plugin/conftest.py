@@ -1,4 +1,4 @@
-"""Repositories of vendors, for the tests that run pytest in them."""
+"""Fixtures for the tests that run pytest in the repository of a vendor."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ def empty_repository(tmp_path: Path, warm_start: WarmStart) -> Repository:
 
 @pytest.fixture
 def interruptible() -> Iterator[None]:
-    """Processes that a test starts are ended by Ctrl-C.
+    """Lets Ctrl-C end the processes that a test starts.
 
-    A shell without job control starts what runs in its background with SIGINT ignored, and what is ignored is inherited.
+    A shell without job control starts background programs with SIGINT ignored, and child processes inherit that.
     """
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield

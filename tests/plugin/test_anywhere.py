@@ -1,4 +1,4 @@
-"""Where the kit is installed, ``pytest --otmcp-…`` finds the shipped suite, whatever the repository is like."""
+"""``pytest --otmcp-…`` finds the shipped suite wherever the kit is installed, whatever the repository is like."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def test_a_file_of_the_suite_can_be_named_by_its_path_on_two_workers(repository:
 
 def test_the_time_of_a_run_counts_from_the_beginning_of_the_session(repository: Repository) -> None:
     repository.subject()
-    # The session began three seconds ago for all that a monotonic clock says.
+    # The conftest sets the monotonic clock forward: according to it, the session began 1000 seconds ago.
     repository.write(
         conftest_py="import time\n\nBEGUN = time.monotonic\n\n"
         "def pytest_sessionstart():\n    time.monotonic = lambda: BEGUN() + 1000.0\n"

@@ -1,4 +1,4 @@
-"""``otmcp certify`` and ``otmcp verify`` over the whole suite: one run of thirty repetitions, a minute, for all tests."""
+"""``otmcp certify`` and ``otmcp verify`` over the whole suite: all tests share one run of 30 repetitions, a minute."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def pytest_collection_modifyitems(items):
 
 
 def certify(here: Path) -> str:
-    """Certify the reference adapters from a directory whose configuration would bend an ordinary run."""
+    """Certify the reference adapters from a directory whose configuration would change an ordinary run."""
     (here / "conftest.py").write_text(HOSTILE_CONFTEST)
     (here / "pytest.ini").write_text("[pytest]\naddopts = -k M1\nfilterwarnings = error\nasyncio_mode = auto\n")
     (here / "bending.py").write_text("raise SystemExit('a plugin of the vendor was loaded')")
@@ -69,7 +69,7 @@ def out(certified: Path) -> Path:
 
 @pytest.fixture
 def told(certified: Path) -> str:
-    """What ``otmcp certify`` printed."""
+    """The output of ``otmcp certify``."""
     return (certified / "told").read_text()
 
 
@@ -89,7 +89,7 @@ def test_progress_is_shown_while_it_runs(told: str) -> None:
 
 
 def test_the_values_of_two_certifications_differ(out: Path) -> None:
-    # The seed is drawn: an adapter that knows the values of seed 0 by heart gains nothing.
+    # The seed is drawn: an adapter that has the values of seed 0 built in gains nothing.
     assert load(out / "run.json")["settings"]["seed"] > 1000
 
 
@@ -109,7 +109,7 @@ def test_the_certificate_is_verified_by_judging_its_history_again(out: Path, tmp
 
 @pytest.fixture
 def pair(out: Path, tmp_path: Path) -> tuple[Path, Path]:
-    """A copy of certificate and record to spoil."""
+    """A copy of the certificate and the record, which a test may damage."""
     names = ("certificate.json", "run.json")
     for name in names:
         shutil.copy(out / name, tmp_path / name)
@@ -152,7 +152,7 @@ def first_call(run: dict[str, Any], identifier: str) -> dict[str, Any]:
 
 
 def request(run: dict[str, Any], identifier: str) -> dict[str, Any]:
-    """What the first request of an item was, as the device noted it."""
+    """Return the first request of an item, as the device noted it."""
     entries = item(run, identifier)["samples"][0]["device"]
     found: dict[str, Any] = next(entry for entry in entries if entry.get("kind") == "request")
     return found
@@ -177,7 +177,7 @@ def swap_times(first: dict[str, Any], second: dict[str, Any]) -> None:
 
 
 def moved(entry: dict[str, Any], *, seq: int = 0, ns: int = 0) -> None:
-    """Move an item, or some of its repetitions, as a forger would who is careful within it."""
+    """Move an item, or some of its repetitions, in journal and time, as a forger would who is careful within it."""
     for found in entry.get("devices", {}).values():
         found["begin"] += seq
         for name in ("asked_ns", "seen_ns"):
@@ -244,7 +244,7 @@ def test_a_record_that_was_changed_sealed_and_certified_again_is_refused(
     store(pair[1], run)
     with pytest.raises(cli.Refusal, match=r"is about another run|run\.json: "):
         verify(*pair)
-    # A forger who knows this kit makes the certificate as well: now only the run can contradict itself.
+    # A forger who knows this kit makes the certificate as well: then only a contradiction within the run gives it away.
     sha256 = hashlib.sha256(pair[1].read_bytes()).hexdigest()
     statement = json.loads(pair[0].read_text())
     if objections(run, tasks_by_id()):

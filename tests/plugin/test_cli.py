@@ -1,4 +1,4 @@
-"""The command ``otmcp`` as a shell sees it: what it says, what it writes, how it ends."""
+"""The command ``otmcp`` as a shell sees it: its output, the files that it writes, its exit code."""
 
 from __future__ import annotations
 
@@ -226,7 +226,7 @@ def test_what_fails_gets_no_certificate_and_keeps_no_older_one(tmp_path: Path) -
 def test_an_interrupted_certification_leaves_a_record_and_nothing_running(
     empty_repository: Repository, waiting: socket.socket, number: signal.Signals
 ) -> None:
-    # After the one of the warm-up.
+    # The warm-up makes the first call; the adapter waits in the second.
     empty_repository.subject("read_input_registers", "2", port_of(waiting), program=WAITING)
     process = subprocess.Popen(
         [*OTMCP, "certify"], cwd=empty_repository.root, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -251,7 +251,7 @@ def test_an_interrupted_certification_leaves_a_record_and_nothing_running(
 
 
 def concluded(record: dict[str, Any] | None, ended: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> int:
-    """The exit code of a certification whose suite left this record."""
+    """Return the exit code of a certification whose suite left this record."""
 
     def suite(_subject: Path | None, _reps: int, out: Path) -> int:
         if record is not None:

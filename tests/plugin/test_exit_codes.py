@@ -1,4 +1,4 @@
-"""What pytest's exit code says: 0 conformant, 1 not, 2 usage or interrupted, 3 a fault of the kit."""
+"""The exit codes of pytest: 0 conformant, 1 not conformant, 2 usage error or interrupted, 3 a fault of the kit."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def repository(empty_repository: Repository) -> Repository:
 
 
 def deviations(items: list[str], expires: str) -> str:
-    """Known deviations as a subject file has them."""
+    """Return known deviations as a subject file has them."""
     return "".join(f'\n[[deviation]]\nitem = "{item}"\nreason = "known"\nexpires = {expires}\n' for item in items)
 
 

@@ -1,4 +1,4 @@
-"""The public fixtures beyond their documentation: isolation of tests, misuse, what lives for how long."""
+"""The public fixtures beyond their documentation: isolation of tests, misuse, lifetimes."""
 
 from __future__ import annotations
 

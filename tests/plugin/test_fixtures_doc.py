@@ -30,7 +30,7 @@ def repository(empty_repository: Repository) -> Repository:
 def run(
     repository: Repository, *options: str, plugins: str, mark: str = "pytest.mark.asyncio", more: str = ""
 ) -> Outcome:
-    """Run all examples, their asynchronous tests marked otherwise if need be; every warning is an error."""
+    """Run all examples, with the given mark on their asynchronous tests; every warning is an error."""
     for number, example in enumerate(EXAMPLES):
         content = example.replace("@pytest.mark.asyncio\n", f"@{mark}\n" if mark else "")
         repository.write(**{f"tests__test_example_{number}_py": content + (more if mark in content else "")})

@@ -15,7 +15,7 @@ from tests.warm_start import WarmStart
 
 OTMCP = [sys.executable, "-m", "pytest_otmcp.cli"]
 
-# An adapter as there are many: two tools, answers in prose, isError always false, one-based addresses.
+# A typical adapter: two tools, answers in prose, isError always false, one-based addresses.
 PROSE = '''
 import os
 from mcp.server import MCPServer

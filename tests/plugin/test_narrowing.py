@@ -1,4 +1,4 @@
-"""Nothing in a vendor's repository changes a result silently: it is on record what narrowed or shadowed the suite."""
+"""Nothing in a vendor's repository changes a result silently: the record says what narrowed or shadowed the suite."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def repository(empty_repository: Repository) -> Repository:
 
 
 def only(outcome: Outcome, *parts: str) -> None:
-    """Each part is in a sentence of the record and on the terminal, and there are no other sentences."""
+    """Expect each part in a sentence of the record and on the terminal, and no other sentences."""
     for part in parts:
         assert any(part in sentence for sentence in outcome.narrowed), outcome.narrowed
     assert len(outcome.narrowed) == len(parts), outcome.narrowed

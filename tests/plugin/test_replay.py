@@ -1,4 +1,4 @@
-"""Real runs judged again: what they say follows from what they store, and nothing can be taken away or added."""
+"""Real runs judged again: the judgements follow from the stored history, and a change of that history is found."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ rogue.main()
 
 @pytest.fixture(scope="module")
 def record(tmp_path_factory: pytest.TempPathFactory, warm_start: WarmStart) -> Record:
-    """Everything, twice, with the reference adapters, in a pytest of its own."""
+    """The record of the whole suite, two repetitions each, with the reference adapters, in a pytest of its own."""
 
     def run(directory: Path) -> str:
         repository = Repository(directory, warm_start)
@@ -95,7 +95,7 @@ def record(tmp_path_factory: pytest.TempPathFactory, warm_start: WarmStart) -> R
 
 @pytest.fixture(scope="module")
 def bench_of(warm_start: WarmStart) -> Iterator[Callable[..., Record]]:
-    """``bench_of(subject, tasks, …)``: the record of these Modbus tasks, over one plant for all of them."""
+    """``bench_of(subject, tasks, …)`` gives the record of these Modbus tasks, over one plant for all of them."""
     loop, plant = LoopThread(), Plant()
 
     def run(subject: Subject, tasks: str, *, time_scale: float = 1.0) -> Record:
@@ -116,7 +116,7 @@ def bench_of(warm_start: WarmStart) -> Iterator[Callable[..., Record]]:
 
 
 def program(*command: str) -> Subject:
-    """The reference subject, its Modbus adapter started by another command."""
+    """Return the reference subject with its Modbus adapter alone, started by another command."""
     genuine = reference_subject()
     adapter = genuine.adapters["modbus"]
     variants = {
@@ -290,7 +290,7 @@ def test_a_device_need_not_keep_what_the_record_has(warm_start: WarmStart) -> No
     async def run() -> tuple[Record, int, int]:
         bench, task = Bench(warm_start.subject(reference_subject()), BenchOptions(), plant), tasks_by_id()["S7"]
         try:
-            # Fifty calls a repetition: a hundred entries.
+            # A repetition makes fifty calls, and so a hundred entries.
             item = await measured(bench, task, 12)
             device = await plant.device("modbus")
             return recorded(bench, [item]), await device.first(), await device.mark()

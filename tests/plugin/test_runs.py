@@ -89,7 +89,7 @@ def test_a_protocol_that_is_not_claimed_is_not_applicable(wrong_value: Outcome) 
 
 @contextmanager
 def started(repository: Repository, *options: str) -> Iterator[subprocess.Popen[str]]:
-    """Start a run of the suite; it is ended when the test is, however that ends."""
+    """Start a run of the suite; the run is killed at the end of the test, however the test ends."""
     process = subprocess.Popen(
         repository.command(*SUITE, *options),
         cwd=repository.root,
@@ -106,20 +106,20 @@ def started(repository: Repository, *options: str) -> Iterator[subprocess.Popen[
 
 
 def descendants(process: subprocess.Popen[str]) -> list[psutil.Process]:
-    """Return what a run has started; it can be looked at when the run is over and it has another parent."""
+    """Return the processes that a run has started; they can be looked at after it, when they have another parent."""
     found = psutil.Process(process.pid).children(recursive=True)
     assert found
     return found
 
 
 def all_end(processes: list[psutil.Process]) -> bool:
-    """Wait for the end of processes; return whether they did end."""
+    """Wait for the end of the processes; tell whether all of them ended."""
     return not psutil.wait_procs(processes, timeout=PATIENCE_S)[1]
 
 
 @pytest.mark.usefixtures("interruptible")
 def test_an_interrupted_run_keeps_what_it_measured(repository: Repository, waiting: socket.socket) -> None:
-    # After the one of the warm-up and that of the first repetition.
+    # The warm-up and the first repetition make a call each; the adapter waits in the third.
     repository.subject("write_register", "3", port_of(waiting), program=WAITING)
     with started(repository, "--otmcp-reps=3", "-k", "normal and (M1 or M2 or M3)") as process:
         connection, _ = waiting.accept()
@@ -166,7 +166,7 @@ def test_a_mock_that_dies_is_the_kits_fault(repository: Repository, waiting: soc
             mocks = [child for child in descendants(process) if "pytest_otmcp.mocks" in " ".join(child.cmdline())]
             assert mocks
             for mock in mocks:
-                # A device follows its launcher by itself.
+                # A device ends by itself after its launcher, so it may be gone already.
                 with contextlib.suppress(psutil.NoSuchProcess):
                     mock.kill()
             assert all_end(mocks)
@@ -182,7 +182,7 @@ def test_progress_on_a_terminal_moves_and_stays_within_its_edges(repository: Rep
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 40, columns, 0, 0))
     repository.subject()
     command = repository.command(*SUITE, "--otmcp-reps=30", "-k", "M1 or M4")
-    # COLUMNS in the environment would win over what the terminal says.
+    # COLUMNS in the environment would take precedence over the width of the terminal.
     unwanted = ("COLUMNS", "NO_COLOR", "CI")
     environment = {name: value for name, value in repository.environment().items() if name not in unwanted}
     with subprocess.Popen(
@@ -241,7 +241,7 @@ def test_the_plugin_is_inert_where_nothing_of_it_is_collected(repository: Reposi
         "    heavy |= {'anyio', 'pydantic', 'google', 'jinja2', 'pytest_otmcp.trial.bench', 'pytest_otmcp.subject'}\n"
         "    assert not heavy & set(sys.modules)\n"
     )
-    # With the figures' module as it is: the plugin alone.
+    # The figures' module stays as it is, so that the plugin runs alone.
     outcome = repository.pytest("test_own.py", drawn=True)
     assert outcome.code == 0, outcome.output
     assert "VERDICT" not in outcome.output

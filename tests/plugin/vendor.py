@@ -1,4 +1,4 @@
-"""A vendor's repository for a test: files in a directory, pytest in a process of its own, what came of it."""
+"""A vendor's repository for a test: files in a directory, pytest in a process of its own, and the outcome."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tests.warm_start import WarmStart
 __all__ = ["PATIENCE_S", "WAITING", "Outcome", "Repository", "port_of"]
 
 PATIENCE_S = 120.0
-"""How long something is waited for that must come."""
+"""The longest wait for an event that must come."""
 
 WAITING = Path(__file__).with_name("waiting.py")
 """A Modbus adapter that waits in the middle of a call."""
@@ -45,7 +45,7 @@ def port_of(listener: socket.socket) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """What one pytest run in the repository came to."""
+    """The outcome of one pytest run in the repository."""
 
     code: int
     output: str
@@ -58,13 +58,13 @@ class Outcome:
 
     @property
     def narrowed(self) -> list[str]:
-        """What the record says narrowed or shadowed the suite."""
+        """The record's sentences about what narrowed or shadowed the suite."""
         sentences: list[str] = self.record["settings"]["narrowed"]
         return sentences
 
     @property
     def statuses(self) -> dict[str, str]:
-        """Item id to status."""
+        """The status of each item, by its id."""
         return {item["id"]: item["status"] for item in self.record["items"]}
 
     @property
@@ -96,9 +96,9 @@ class Repository:
         """Write an ``otmcp.toml`` for a Modbus adapter.
 
         Args:
-            arguments: of the program; by default those for the adapter without a defect.
-            program: by default the one that has the defect that its argument names.
-            more: what else the file says.
+            arguments: arguments of the program; by default those for the adapter without a defect.
+            program: the adapter; by default the program that has the defect that its argument names.
+            more: a text to append to the file.
         """
         command = json.dumps([*self._warm_start.python, str(program), *(arguments or ("none",))])
         self.write(otmcp_toml=_ADAPTER.format(command=command) + more)
@@ -119,7 +119,7 @@ class Repository:
         return [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *loaded, *options]
 
     def environment(self, *, plugins: str | None = "", path: tuple[Path, ...] = ()) -> dict[str, str]:
-        """Return the environment in which :meth:`pytest` runs it."""
+        """Return the environment in which :meth:`pytest` runs its command."""
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (*path, _UNDRAWN)))}
         if plugins is not None:
             environment["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"
@@ -134,7 +134,7 @@ class Repository:
             plugins: names of the plugins to load besides this one, separated by blanks; None for all that are
                 installed, as it is for a vendor.
             path: directories in which modules are found.
-            drawn: with the figures of the report, which take longer than most runs.
+            drawn: the report has its figures, which take longer than most runs.
         """
         done = subprocess.run(
             self.command(*options, plugins=plugins, drawn=drawn),
@@ -148,7 +148,7 @@ class Repository:
         return self.outcome(done.returncode, done.stdout + done.stderr)
 
     def outcome(self, code: int, output: str) -> Outcome:
-        """Return what a run that ended with this exit code and output came to."""
+        """Return the outcome of a run that ended with this exit code and output."""
         return Outcome(code=code, output=output, report=self.root / "reports" / "latest")
 
     def collected(self, *options: str, plugins: str | None = "") -> list[str]:

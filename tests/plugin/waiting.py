@@ -1,6 +1,6 @@
 """A Modbus adapter that waits in the middle of a call: ``python waiting.py TOOL NUMBER PORT``.
 
-It is the reference adapter, but call NUMBER of TOOL connects to PORT and goes on when that connection is closed.
+It is the reference adapter, but its call NUMBER of TOOL connects to PORT and goes on when that connection is closed.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Runs tasks of the shipped suite against defective adapters, over one plant for all of them."""
+"""Fixtures that run tasks of the shipped suite against defective adapters, over one plant for all of them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from tests.warm_start import WarmStart
 HERE = Path(__file__).parent
 SUBJECTS = HERE / "subjects"
 IMPATIENT = 0.3
-"""Time scale for adapters that hang: deadlines of 1.5 s, still long enough for what is honest beside them."""
+"""Time scale for adapters that hang: deadlines of 1.5 s, still long enough for the honest adapters beside them."""
 
 
 @pytest.fixture(scope="session")
@@ -44,9 +44,10 @@ def plant(loop: LoopThread) -> Iterator[Plant]:
 
 
 class AmongGenuine(Bench):
-    """A bench on which only the adapter of one protocol is under test; the others have all the time that they usually have.
+    """A bench on which only the adapter of one protocol is under test; the other adapters have their usual deadlines.
 
-    They end with the bench: what connects to a device again after an outage would be taken for the next adapter there.
+    The others end with the bench: an adapter that connects to a device again after an outage would be taken for the
+    next adapter of that device.
     """
 
     def __init__(self, subject: Subject, plant: Plant, protocol: str, time_scale: float) -> None:
@@ -74,7 +75,7 @@ Judge = Callable[..., Results]
 
 
 async def perform(bench: Bench, tasks: list[Task]) -> Results:
-    """Every task once, in this order. What came of them can be recorded, and follows from the record once more."""
+    """Run every task once, in this order. Fail unless the results can be recorded and follow from the record again."""
     try:
         results = {task.id: await measured(bench, task) for task in tasks}
         record = recorded(bench, results.values())
@@ -86,9 +87,9 @@ async def perform(bench: Bench, tasks: list[Task]) -> Results:
 
 @pytest.fixture
 def judge(loop: LoopThread, plant: Plant, warm_start: WarmStart) -> Judge:
-    """``judge(protocol, program, mode, …)``: every task that needs the protocol, once, with that adapter replaced.
+    """``judge(protocol, program, mode, …)`` runs every task that needs the protocol, once, with that adapter replaced.
 
-    A ``command`` is started as it is, a program warm.
+    A ``command`` is started as it is, a program is started warm.
     """
 
     def run(
@@ -113,7 +114,7 @@ def judge(loop: LoopThread, plant: Plant, warm_start: WarmStart) -> Judge:
 
 @pytest.fixture
 def judge_described(loop: LoopThread, plant: Plant, warm_start: WarmStart) -> Judge:
-    """``judge_described(subject)``: the tasks of the protocols that the subject speaks, once each."""
+    """``judge_described(subject)`` runs the tasks of the protocols that the subject speaks, once each."""
 
     def run(subject: Subject, tasks: str | None = None, time_scale: float = 1.0) -> Results:
         chosen = [
@@ -129,9 +130,9 @@ def judge_described(loop: LoopThread, plant: Plant, warm_start: WarmStart) -> Ju
 
 @pytest.fixture
 def judge_foreign(judge_described: Judge) -> Judge:
-    """``judge_foreign(name, …, lie=…)``: the same for subjects of ``subjects/``, each with a protocol of its own.
+    """``judge_foreign(name, …, lie=…)`` does the same for subjects of ``subjects/``, each with a protocol of its own.
 
-    ``described`` is a pair: what to replace in the subject file, and by what.
+    ``described`` is a pair: a text to replace in the subject file, and its replacement.
     """
 
     def run(
@@ -153,7 +154,7 @@ def judge_foreign(judge_described: Judge) -> Judge:
 
 
 def foreign_subject(name: str, described: tuple[str, str] | None = None) -> Subject:
-    """A subject of ``subjects/``, with its file as it is or with a text in it replaced."""
+    """Load a subject of ``subjects/``, with its file as it is or with a text in it replaced."""
     if described is None:
         return load_subject(SUBJECTS / f"{name}.toml")
     text = (SUBJECTS / f"{name}.toml").read_text(encoding="utf-8")
@@ -169,7 +170,7 @@ def _wanted(task: Task, tasks: str | None) -> bool:
 
 
 def lying(subject: Subject, lie: str, **env: str) -> Subject:
-    """The subject with this lie, and these variables in its environment."""
+    """Return the subject with this lie, and these variables, in its environment."""
     return replace(
         subject,
         adapters={
@@ -186,17 +187,17 @@ def lying(subject: Subject, lie: str, **env: str) -> Subject:
 
 
 def failing(results: Results) -> set[str]:
-    """Ids of the items that neither passed nor do not apply."""
+    """Return the ids of all items but those that passed and those that do not apply."""
     return {identifier for identifier, result in results.items() if result["status"] not in ("PASS", "NOT_APPLICABLE")}
 
 
 def passing(results: Results) -> set[str]:
-    """Ids of the items that passed."""
+    """Return the ids of the items that passed."""
     return {identifier for identifier, result in results.items() if result["status"] == "PASS"}
 
 
 def words(results: Results) -> str:
-    """Every finding's message."""
+    """Return every finding's message after its item's id, one a line."""
     return "\n".join(
         f"{identifier}: {finding['message']}"
         for identifier, result in results.items()

@@ -1,7 +1,7 @@
 """Reference adapters with one defect each: run as ``python defective.py NAME``.
 
-A defect is a small function that takes the built server and bends one thing. Reaching into its private members is fine
-here: nothing else in the project may.
+A defect is a small function that takes the built server and changes one thing. It may use the private members of the
+server: nothing else in the project may.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Handler = Callable[[Call, Any], Any]
 
 
 def wrap(server: AdapterServer, name: str, handler: Callable[[Handler], Handler], **changes: Any) -> None:
-    """Replace a tool's handler by one that knows the original."""
+    """Replace a tool's handler by one that is made from the original."""
     tool = server._tools[name]
     server._tools[name] = replace(tool, handler=handler(tool.handler), **changes)
 
@@ -35,7 +35,7 @@ def unknown_tool(server: AdapterServer) -> None:
 
 
 def traceback_as_text(server: AdapterServer) -> None:
-    """Failures are prose with a traceback instead of an envelope."""
+    """Answer a failure with prose and a traceback instead of an envelope."""
     genuine = core_server._result
 
     def result(envelope: dict[str, Any]) -> dict[str, Any]:
@@ -48,7 +48,7 @@ def traceback_as_text(server: AdapterServer) -> None:
 
 
 def lying_guard(name: str) -> Callable[[AdapterServer], None]:
-    """Says that writes are disabled, after having written."""
+    """Return a defect: the tool writes, and then says that writes are disabled."""
 
     def bend(server: AdapterServer) -> None:
         tool = server._tools[name]
@@ -66,7 +66,7 @@ def lying_guard(name: str) -> Callable[[AdapterServer], None]:
 
 
 def write_not_sent(server: AdapterServer) -> None:
-    """Says written, writes nothing, and serves the value from its memory when it is read back."""
+    """Say that the value was written, write nothing, and serve the value from memory when it is read back."""
     claimed: dict[int, int] = {}
 
     async def write(call: Call, arguments: Any) -> dict[str, Any]:
@@ -98,7 +98,7 @@ def write_sent_twice(server: AdapterServer) -> None:
 
 
 def never_reconnects(server: AdapterServer) -> None:
-    """The first lost connection is the last."""
+    """Never connect again after the first lost connection."""
     lost = False
 
     def once(genuine: Handler) -> Handler:
@@ -120,7 +120,7 @@ def never_reconnects(server: AdapterServer) -> None:
 
 
 def hang(server: AdapterServer) -> None:
-    """Reading never answers; the deadline is gone."""
+    """Never answer a read, and take the deadline away."""
 
     async def handler(call: Call, arguments: Any) -> dict[str, Any]:
         await asyncio.Event().wait()
@@ -147,7 +147,7 @@ def wrong_value(server: AdapterServer) -> None:
 
 
 def swapped_parallel_replies(server: AdapterServer) -> None:
-    """When two of the registers 10 to 13 are read at the same time, each read gets the answer to the other one."""
+    """Swap the answers of two reads of the registers 10 to 13 that are made at the same time."""
 
     def swapped(genuine: Handler) -> Handler:
         waiting: list[tuple[asyncio.Future[Any], Any]] = []
@@ -162,7 +162,7 @@ def swapped_parallel_replies(server: AdapterServer) -> None:
                 return others_data
             answer: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
             waiting.append((answer, data))
-            # On a busy machine it takes its time until the adapter has read what was asked at the same time.
+            # On a busy machine it takes a while until the adapter has read the request that was sent at the same time.
             with contextlib.suppress(TimeoutError):
                 return await asyncio.wait_for(answer, 2.0)
             waiting.clear()
@@ -174,7 +174,7 @@ def swapped_parallel_replies(server: AdapterServer) -> None:
 
 
 def truncates_overflow(server: AdapterServer) -> None:
-    """70000 becomes 4464, and that is called success."""
+    """Write 70000 as 4464, and call that a success."""
     tool = server._tools["write_register"]
     bare = type("Anything", (tool.model,), {"__annotations__": {"value": int}, "__module__": __name__})
 
@@ -200,7 +200,7 @@ def is_error_never_set(server: AdapterServer) -> None:
 
 
 def error_is_a_word(server: AdapterServer) -> None:
-    """The envelope's error is its code alone, as adapters in the wild have it."""
+    """Reduce the envelope's error to its code alone, as adapters in the wild do."""
     genuine = core_server._result
 
     def result(envelope: dict[str, Any]) -> dict[str, Any]:
@@ -214,7 +214,7 @@ def error_is_a_word(server: AdapterServer) -> None:
 
 
 def cached_status(server: AdapterServer) -> None:
-    """Broker info is answered from memory after the first time."""
+    """Answer broker info from memory after the first time."""
 
     def cached(genuine: Handler) -> Handler:
         memory: dict[str, Any] = {}
@@ -274,7 +274,7 @@ def incomplete_enumeration(server: AdapterServer) -> None:
 
 
 def bad_code(server: AdapterServer) -> None:
-    """Every refusal of the server becomes protocol_error."""
+    """Report illegal_address as protocol_error."""
 
     def collapsed(genuine: Handler) -> Handler:
         async def handler(call: Call, arguments: Any) -> dict[str, Any]:

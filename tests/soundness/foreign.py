@@ -1,7 +1,7 @@
 """Adapters of foreign shape: run as ``python foreign.py SHAPE [--read-only]``.
 
-They are honest unless ``FOREIGN_LIE`` names one of the lies of their shape. What they share is only how they are served:
-no envelope, no names, no addresses and no manner of failing in common, like adapters in the wild.
+They are honest unless ``FOREIGN_LIE`` names one of the lies of their shape. They share only the code that serves them:
+like adapters in the wild, they have no envelope, no names, no addresses and no manner of failing in common.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ SHAPES = {
 
 
 class Failure(Exception):
-    """What the device or the network said no to; ``kind`` is the adapter's own word for it."""
+    """A failure that the adapter reports; ``kind`` is the adapter's own word for it."""
 
     def __init__(self, kind: str, text: str) -> None:
         super().__init__(text)
@@ -61,26 +61,26 @@ def structured(document: dict[str, Any], *, text: str | None = None, is_error: b
 
 
 def no_such_tool(name: str) -> Result:
-    """What the SDK's high-level servers answer; the specification wants an error of the protocol."""
+    """Answer as the SDK's high-level servers do; the specification wants an error of the protocol."""
     return prose(f"Unknown tool: {name}", is_error=True)
 
 
 def no_such_method(name: str) -> Result:
-    """What the specification wants."""
+    """Raise an error of the protocol, as the specification wants."""
     raise ProtocolError(INVALID_PARAMS, f"Unknown tool: {name}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shape:
-    """One adapter.
+    """The shape of one adapter.
 
     Attributes:
         tools: name to its arguments (name to JSON type) and its handler.
         unlisted: names of tools that work, but are not listed.
-        open_arguments: the schemas say that they take more than they name.
-        unknown: the answer to a call of a tool that is not there.
-        served: by the kit's own few lines over ``stdio``, as most tests are about answers and the SDK takes most of a
-            second to start; or by the ``sdk`` over stdio; or by the SDK over ``http``.
+        open_arguments: the schemas allow arguments that they do not name.
+        unknown: the answer to a call of a tool that does not exist.
+        served: ``stdio``, by a few lines of this module, because most tests are about answers and the SDK takes most of
+            a second to start; ``sdk``, by the SDK over stdio; or ``http``, by the SDK over HTTP.
     """
 
     tools: dict[str, tuple[dict[str, str], Callable[..., Awaitable[Result]]]]
@@ -107,7 +107,7 @@ class Shape:
         if name not in self.tools:
             return self.unknown(name)
         known, handler = self.tools[name]
-        # Like the servers of mcp 1.x: what is not known is dropped without a word.
+        # As the servers of mcp 1.x do: an unknown argument is dropped without an error.
         return await handler(**{argument: value for argument, value in given.items() if argument in known})
 
 
@@ -115,7 +115,7 @@ class Shape:
 
 
 async def serve_by_hand(shape: Shape) -> None:
-    """MCP 2025-11-25 over stdio, as far as a client needs it; calls are served at the same time."""
+    """Serve MCP 2025-11-25 over stdio, as far as a client needs it; calls are served at the same time."""
     reader = asyncio.StreamReader(limit=2**20)
     await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
     serving: set[asyncio.Task[None]] = set()
@@ -195,6 +195,6 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    # One module, whether it runs or is imported by the modules of the shapes.
+    # The modules of the shapes import ``foreign``: they must get the module that runs, not a second one.
     sys.modules["foreign"] = sys.modules["__main__"]
     main()

@@ -3,7 +3,7 @@
 ``modbus-prose``: sentences, ``isError`` never set, addresses as on paper (40001), one tool for one register and one for
 several; read-only by leaving the writing tool out.
 ``modbus-json``: JSON in a text, ``isError`` never set, host and port in every call, addresses from one; refuses in words.
-``modbus-http``: structured content over streamable HTTP, ``isError`` set, often without a word.
+``modbus-http``: structured content over streamable HTTP, ``isError`` set, often without a text.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ READS = {
 
 
 READS_OF_S10 = 2
-"""How often S10 reads after its write has failed."""
+"""The number of reads that S10 makes after its write has failed."""
 
 
 async def transact(host: str, port: int, ask: Callable[[AsyncModbusTcpClient], Awaitable[Any]]) -> Any:
@@ -72,7 +72,7 @@ def modbus_prose(lie: str | None, read_only: bool) -> Shape:
         if lie == "wrong-table" and digit == 3:
             digit = 4
         if lie == "forgives-offset" and number < 10_000:
-            # As modbus-mcp does: what is no number of a register is the number of a coil.
+            # As modbus-mcp does: a number that is no number of a register is taken for the number of a coil.
             return await read(*endpoint(), "coils", number, count)
         if digit not in tables or offset < 1:
             raise Failure("range", f"there is no register {number}")
@@ -128,7 +128,7 @@ def modbus_prose(lie: str | None, read_only: bool) -> Shape:
 def modbus_json(lie: str | None, read_only: bool) -> Shape:
     memory: dict[tuple[str, int, int], list[int | bool]] = {}
     later: set[asyncio.Task[None]] = set()
-    # Writes that were said to have failed, and how many reads have succeeded since.
+    # Writes that were reported as failed, and the number of reads that have succeeded since.
     kept: list[tuple[int, int]] = []
     reads = 0
 
@@ -194,7 +194,7 @@ def modbus_json(lie: str | None, read_only: bool) -> Shape:
             await asyncio.sleep(0.005)
 
     async def write_when_told(host: str, port: int) -> None:
-        # A FIFO: it can be read as soon as somebody writes to it.
+        # The file is a FIFO: it can be read as soon as the test writes to it.
         await asyncio.to_thread(Path(os.environ["FOREIGN_TRIGGER"]).read_bytes)
         await write(host, port, *kept.pop())
 
@@ -214,7 +214,7 @@ def modbus_json(lie: str | None, read_only: bool) -> Shape:
 
 def modbus_http(lie: str | None, read_only: bool) -> Shape:
     def bad(failure: Failure) -> Result:
-        # Many a server has an error without a text where an exception has none.
+        # Many servers answer with an error without a text when the exception has none.
         return prose("" if failure.kind == "offline" else f"{failure.kind}: {failure}", is_error=True)
 
     async def registers(table: str, address: int, count: int) -> Result:

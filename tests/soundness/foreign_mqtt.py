@@ -1,8 +1,8 @@
 """Three MQTT adapters of foreign shape, and their lies.
 
 ``mqtt-connect``: has to be connected by a tool, does not reconnect; structured content with a ``success`` in it, ``isError``
-never set; one inbox for everything, no QoS.
-``mqtt-handle``: connects again when it has to; a subscription has a handle that is polled and emptied; ``isError`` set.
+never set; one inbox for all messages, no QoS.
+``mqtt-handle``: reconnects when it has to; a subscription has a handle that is polled and emptied; ``isError`` set.
 ``mqtt-collect``: subscribes, waits and answers in one call; a text block for each message, and nothing else.
 """
 
@@ -22,7 +22,7 @@ ANSWER_S = 3.0
 
 
 class Link:
-    """A connection to a broker, with answers that can be waited for."""
+    """A connection to a broker; the broker's answers can be waited for."""
 
     def __init__(
         self, host: str, port: int, *, reconnect: bool = False, received: list[dict[str, str]] | None = None
@@ -69,7 +69,7 @@ class Link:
         self.client.loop_stop()
 
     def wait(self, mid: int | None) -> int:
-        """The broker's answer to a packet."""
+        """Wait for the broker's answer to a packet, and return it."""
         with self._changed:
             self._changed.wait_for(lambda: mid in self._answers or not self.client.is_connected(), ANSWER_S)
             if mid not in self._answers:
@@ -87,7 +87,7 @@ class Link:
 
     def publish(self, topic: str, payload: str, qos: int) -> None:
         if not self._reconnects:
-            # Else paho keeps it until it has a connection again.
+            # Without a connection paho would keep the message until it has one again.
             self.require()
         self.wait(self.client.publish(topic, payload, qos).mid)
 
@@ -126,7 +126,7 @@ def mqtt_connect(lie: str | None, read_only: bool) -> Shape:
         try:
             await asyncio.to_thread(link().check)
         except Failure:
-            # Asked for its state it can always tell it.
+            # The tool can tell the state without a connection, so this is a success.
             return structured({"success": True, "state": "not connected"})
         return structured({"success": True, "state": "connected"})
 
@@ -172,10 +172,10 @@ def mqtt_connect(lie: str | None, read_only: bool) -> Shape:
 
 
 def mqtt_handle(lie: str | None, read_only: bool) -> Shape:
-    # The one in use is the last one.
+    # The last link is the one in use.
     links: list[Link] = []
     received: list[dict[str, str]] = []
-    # Name of a handle to its filter and how many of the messages have been fetched.
+    # Name of a handle to its filter and the number of messages that have been fetched.
     handles: dict[str, tuple[str, int]] = {}
     opening = asyncio.Lock()
 
@@ -183,7 +183,7 @@ def mqtt_handle(lie: str | None, read_only: bool) -> Shape:
         return prose(f"{failure.kind}: {failure}", is_error=True)
 
     async def link() -> Link:
-        """The link; a new one where the old one is lost, because a client keeps what it could not send."""
+        """Return the link; make a new one if the old one is lost, because a client keeps what it could not send."""
         async with opening:
             if not links or not (links[-1].client.is_connected() or lie == "makes-up-for-it"):
                 where = os.environ["BROKER_HOST"], int(os.environ["BROKER_PORT"])
@@ -233,7 +233,7 @@ def mqtt_handle(lie: str | None, read_only: bool) -> Shape:
     async def publish(topic: str, message: str, qos: int) -> Result:
         if not topic:
             if lie == "hangs-on-nonsense":
-                # Not only this call: the loop is blocked, as by any synchronous tool.
+                # This blocks the event loop and not only this call, as any synchronous tool does.
                 threading.Event().wait()
             return bad(Failure("invalid", "the topic must not be empty"))
         try:

@@ -1,5 +1,5 @@
 """An OPC UA adapter of foreign shape, and its lies: every answer is a list of items, each with a status of its own, and
-``isError`` is never set; it connects once and never again."""
+``isError`` is never set; the adapter connects once and never again."""
 
 from __future__ import annotations
 

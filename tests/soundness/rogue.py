@@ -1,6 +1,6 @@
-"""Adapters that misbehave as processes: run as ``python rogue.py MODE``. No SDK, because an SDK behaves.
+"""Adapters that misbehave as processes: run as ``python rogue.py MODE``. No SDK is used, as an SDK would behave well.
 
-Each mode answers ``initialize`` and ``tools/list`` like a legacy-era server unless misbehaving there is the point.
+Each mode answers ``initialize`` and ``tools/list`` like a legacy-era server unless that is where it misbehaves.
 """
 
 from __future__ import annotations

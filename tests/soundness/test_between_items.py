@@ -1,4 +1,4 @@
-"""What an adapter does when nobody calls it is seen as well, and what one item leaves behind spoils no other."""
+"""An adapter's actions while nobody calls it are seen as well, and the leftovers of one item spoil no other item."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_a_command_that_comes_between_two_items_is_found(
     async def two_items() -> tuple[Results, dict[str, Any]]:
         try:
             outage = await measured(bench, tasks["S10"])
-            # Nobody looks at the device now.
+            # No item runs now: the kit does not look at the device.
             under_test = await bench.adapter("modbus")
             await asyncio.to_thread(trigger.write_bytes, b"")
             write = {"kind": "request", "function": 6}

@@ -1,4 +1,4 @@
-"""What a subject file says of its adapter decides what is tested: nothing turns green by not having been tested."""
+"""The claims of a subject file decide what is tested, and no item passes because it was not tested."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_a_rule_for_other_answers_does_not_spoil_a_guard_by_absence(judge_foreig
 
 @pytest.fixture
 def drift(loop: LoopThread, plant: Plant) -> Callable[..., list[str]]:
-    """What a bench has to say about a subject of ``subjects/`` before anything runs."""
+    """``drift(name, old, new)`` gives a bench's objections to a subject with a replaced text, before anything runs."""
 
     def found(name: str, *described: str) -> list[str]:
         async def prepared() -> list[str]:

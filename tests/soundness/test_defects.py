@@ -1,4 +1,4 @@
-"""The suite's own proof: each defective adapter fails exactly the tasks that it should, and for the right reason."""
+"""The proof that the suite works: each defective adapter fails exactly its tasks, and for the right reason."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ EXPECTED = {
 
 
 ALONE = {"hang": "M1 M2 M3 M4 FM1 FM2 S1 S4 S7 S10 R-modbus"}
-"""Tasks of this protocol alone: when one adapter hangs, all that take part are started again, which takes its time."""
+"""Tasks of this protocol alone: when one adapter hangs, all those of the task are started again, which takes long."""
 
 
 WAITED_FOR = ("hang", "publish-not-sent")

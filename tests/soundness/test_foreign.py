@@ -1,4 +1,4 @@
-"""Adapters without our envelope, names and manners: the honest pass what they claim, each lie fails exactly its tasks."""
+"""Adapters without the kit's envelope and names: honest ones pass what they claim, each lie fails exactly its tasks."""
 
 from __future__ import annotations
 
@@ -118,9 +118,9 @@ def test_an_item_that_is_missing_from_several_is_missed(judge_foreign: Judge) ->
 
 
 MISDESCRIBED = {
-    # An adapter that forgives everything makes a wrong subject file look like a wrong adapter: the device tells.
+    # This adapter accepts wrong addresses, so a wrong subject file looks like a wrong adapter: the device shows it.
     "offset-forgotten": ("modbus-prose", "forgives-offset", ("offset = { address = 30001 }\n", ""), "M2 S1 S7 S10"),
-    # Its schema takes more arguments than it names, and its server drops them.
+    # The schema of this adapter's tool allows arguments that it does not name, and the server drops them.
     "argument-misspelt": ("modbus-json", None, ("length = ", "lenght = "), "M2 S10"),
 }
 

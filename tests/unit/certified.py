@@ -1,4 +1,4 @@
-"""A synthetic record of a run that earns a certificate, for tests that take something away from it."""
+"""A synthetic record of a run that earns a certificate, for tests that change it."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ NO_PING = "it has no such tool"
 
 
 def conformant_run(adapters: dict[str, dict[str, Any]] | None = None) -> dict[str, Any]:
-    """Everything that applies passed 30 times.
+    """Return the record of a run with 30 repetitions in which everything that applies passed.
 
     Args:
-        adapters: the subject's, see :func:`adapter`; by default Modbus without a ping, OPC UA, and no MQTT.
+        adapters: those of the subject, see :func:`adapter`; by default Modbus without a ping, OPC UA, and no MQTT.
     """
     if adapters is None:
         adapters = {

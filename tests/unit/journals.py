@@ -8,7 +8,7 @@ from pytest_otmcp.plant.tap.journal import TapJournal
 from pytest_otmcp.protocols.conversation import Conversation, Direction
 
 Entry = Any
-"""An entry of any protocol; a type of its own would make every test say which."""
+"""An entry of any protocol; a narrower type would make every test name the protocol."""
 
 
 def decoded(conversation: Conversation, *frames: tuple[Direction, bytes], connection: int = 1) -> list[Entry]:
@@ -20,13 +20,13 @@ def decoded(conversation: Conversation, *frames: tuple[Direction, bytes], connec
 
 
 def entry(kind: str, direction: Direction = "in", **fields: Any) -> Entry:
-    """Return an entry of connection 1 that is no request, but for what ``fields`` say."""
+    """Return an entry of connection 1 that is no request, unless ``fields`` say otherwise."""
     contract = {"seq": 0, "t_ns": 0, "connection": 1, "request": False, "state_changing": False, "answers": None}
     return {**contract, "direction": direction, "kind": kind, "origin": "client", **fields}
 
 
 def numbered(*entries: Entry) -> list[Entry]:
-    """Return the entries as one journal."""
+    """Return the entries as one journal, numbered from 0."""
     return [{**one, "seq": seq} for seq, one in enumerate(entries)]
 
 

@@ -1,4 +1,4 @@
-"""Builds synthetic run records for tests; nothing in the kit uses them."""
+"""Synthetic run records for tests; nothing in the kit uses them."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def item(
     error_code: str | None = None,
     failing: int = 0,
 ) -> dict[str, Any]:
-    """An item with one sample per time; the last ``failing`` samples fail."""
+    """Return an item with one sample per time; the last ``failing`` samples fail."""
     samples = []
     for repetition, time in enumerate(times):
         ok = repetition < len(times) - failing
@@ -110,12 +110,12 @@ def item(
 
 
 def around(role: str, *calls: dict[str, Any]) -> dict[str, Any]:
-    """Set-up, warm-up or closing checks of an item."""
+    """Return the record of the set-up, the warm-up or the closing checks of an item."""
     return {"role": role, "calls": list(calls), "device": [], "observations": []}
 
 
 def wire(request: str, response: str | None, sent_ms: float, received_ms: float | None) -> dict[str, Any]:
-    """What the record of a call in a failing repetition has besides."""
+    """Return the members that only the record of a call in a failing repetition has."""
     times = {"sent_ns": int(sent_ms * 1e6), "received_ns": None if received_ms is None else int(received_ms * 1e6)}
     failure = "timeout" if response is None else None
     frames = {"request": request, "response": response, "failure": failure, "complaint": None, "faults": []}
@@ -123,14 +123,14 @@ def wire(request: str, response: str | None, sent_ms: float, received_ms: float 
 
 
 def entry(at_ms: float, direction: str, kind: str, **facts: Any) -> dict[str, Any]:
-    """An entry of a device's journal."""
+    """Return an entry of a device's journal."""
     place = {"protocol": "modbus", "seq": 0, "t_ns": int(at_ms * 1e6), "connection": 1, "origin": "client"}
     contract = {"request": kind == "request", "state_changing": False, "answers": None}
     return {**place, "direction": direction, "kind": kind, **contract, **facts}
 
 
 def written_twice(repetitions: int = 1) -> dict[str, Any]:
-    """An item all of whose repetitions fail: the adapter says written, the device saw two writes."""
+    """Return an item all of whose repetitions fail: the adapter says written, the device saw two writes."""
     failed = item("M3", "normal", "Modbus", "Write a register.", [2.0] * repetitions, failing=repetitions)
     failed["requirements"] = ["WR-001", "WR-003"]
     for sample in failed["samples"]:
@@ -151,7 +151,7 @@ def written_twice(repetitions: int = 1) -> dict[str, Any]:
 
 
 def run(items: list[dict[str, Any]], *, complete: bool = True, timing_valid: bool = True) -> dict[str, Any]:
-    """A consistent record of these items."""
+    """Return a consistent record of these items."""
     verdict = decide({entry["id"]: Status(entry["status"]) for entry in items}, [entry["id"] for entry in items])
     return {
         "schema": "otmcp-run/2",
@@ -208,7 +208,7 @@ def run(items: list[dict[str, Any]], *, complete: bool = True, timing_valid: boo
 
 
 def adapter(tools: int | None, **more: Any) -> dict[str, Any]:
-    """What a record says of an adapter."""
+    """Return what a record says of an adapter."""
     server = {"server_name": "acme", "server_version": "1", "protocol_version": "2026-07-28", "tools": tools}
     return {
         "command": ["acme-adapter"],

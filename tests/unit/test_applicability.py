@@ -1,4 +1,4 @@
-"""Which tasks apply to a subject: claimed, bound, expressible; and the reason where one does not."""
+"""The tasks that apply to a subject are claimed, bound and expressible; the others have a reason."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ result.messages = "messages"
 
 
 def judged(tmp_path: Path, task: str, *adapters: str) -> tuple[Status, str] | None:
-    """What a subject file with these adapters makes of a task of the suite."""
+    """Say why a task of the suite cannot be run for a subject file with these adapters; None when it can be."""
     (tmp_path / "otmcp.toml").write_text(HEAD + "".join(adapters), encoding="utf-8")
     return applicability(tasks_by_id()[task], load_subject(tmp_path / "otmcp.toml").adapters)
 
@@ -88,12 +88,12 @@ def test_what_is_claimed_but_bound_to_no_tool_is_not_testable(tmp_path: Path) ->
 
 def test_a_task_of_an_adapter_that_the_subject_does_not_have_does_not_apply(tmp_path: Path) -> None:
     assert judged(tmp_path, "O1", modbus()) == (Status.NOT_APPLICABLE, "the subject has no adapter for OPC UA")
-    # Even where the others would have it that it cannot be tested.
+    # This holds even where, because of the other adapters, the task could not be tested.
     assert judged(tmp_path, "X2", modbus()) == (Status.NOT_APPLICABLE, "the subject has no adapter for OPC UA")
 
 
 def test_what_does_not_apply_need_not_be_bound(tmp_path: Path) -> None:
-    # Nothing is bound to it either.
+    # No tool is bound to read_input either.
     assert judged(tmp_path, "M2", modbus('unclaimed = { read_input = "no input registers" }')) == (
         Status.NOT_APPLICABLE,
         "modbus.read_input is not claimed: no input registers",

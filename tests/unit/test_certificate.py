@@ -1,4 +1,4 @@
-"""A certificate says what the run says, and there is none where the run leaves anything open."""
+"""A certificate says what the run says, and a run that leaves anything open gets none."""
 
 from __future__ import annotations
 
@@ -217,7 +217,7 @@ def test_what_leaves_anything_open_earns_no_certificate(record: dict[str, Any], 
 
 
 def leaves(value: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
-    """Where in a document something is that is no container, or an empty one."""
+    """Yield the path of everything in a document that is no container, or an empty one."""
     children = list(value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else [])
     if not children:
         yield path
@@ -232,7 +232,7 @@ def parent(document: Any, path: tuple[str | int, ...]) -> Any:
 
 
 def other(value: Any) -> Any:
-    """Another value of the same kind."""
+    """Return another value of the same kind."""
     if isinstance(value, bool):
         return not value
     if isinstance(value, int | float):
@@ -319,7 +319,7 @@ def issue(cert: Path, run: Path, record: dict[str, Any]) -> None:
 
 
 def forge(cert: Path, run: Path, record: dict[str, Any]) -> None:
-    """Seal another record and make the certificate say that it is about that."""
+    """Seal another record and make the certificate say that it is about that record."""
     store(run, record)
     statement = json.loads(cert.read_text())
     about = next(entry for entry in statement["predicate"]["configuration"] if entry["name"] == "run.json")
@@ -366,7 +366,7 @@ def test_what_is_no_certificate_is_refused(files: tuple[Path, Path], text: str) 
 
 
 def kinds(document: Any) -> dict[str, tuple[str | int, ...]]:
-    """One place for every kind of field, whatever item or list element it is in."""
+    """Return one path for every kind of field, whatever item or list element it is in."""
     return {"/".join("*" if isinstance(name, int) else name for name in path): path for path in leaves(document)}
 
 
@@ -379,7 +379,7 @@ def test_a_run_of_which_any_kind_of_field_was_edited_is_refused(
         changed = copy.deepcopy(record)
         holder = parent(changed, path)
         holder[path[-1]] = other(holder[path[-1]])
-        # Who seals the record again meets the certificate, which is about another file.
+        # A record that is sealed again does not fit the certificate, which is about another file.
         store(files[1], changed)
         assert refusal(*files), kind
 

@@ -1,4 +1,4 @@
-"""The closing lines say what happened."""
+"""The closing lines on the terminal say what happened in the run."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from ..feeding import fed
 
 
 def entries(begin: int, end: int) -> list[JournalEntry]:
-    """Writes, by their sequence numbers."""
+    """Return writes with the sequence numbers from ``begin`` to before ``end``."""
     common: dict[str, Any] = {"t_ns": 0, "connection": 1, "direction": "in", "kind": "request", "origin": "client"}
     asks = {"request": True, "state_changing": True, "answers": None, "function": 6}
     return [cast(JournalEntry, {**common, **asks, "seq": seq}) for seq in range(begin, end)]

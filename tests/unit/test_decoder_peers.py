@@ -1,6 +1,6 @@
 """The witnesses beside independent peers: a library speaks through the tap to a mock, and two journals must agree.
 
-What the tap decoded from recorded bytes is compared with what the mock, which has a decoder of its own, wrote down.
+The entries that the tap decodes from recorded bytes are compared with those of the mock, which has its own decoder.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ ua: Any = untyped_ua
 Properties: Any = untyped_properties.Properties
 
 _LIFE = {"seq", "t_ns", "connection"}
-# A device sees its client say DISCONNECT and go; which of the two it notices first is up to the network.
+# A device sees its client's DISCONNECT and the end of the connection; the network decides which it notices first.
 _UNORDERED = {"CONNECTED", "DISCONNECTED"}
 _CONTRACT = {"direction", "kind", "request", "state_changing", "answers", "origin"}
 
@@ -176,9 +176,9 @@ async def test_the_edge_node_of_the_mock_keeps_the_rules_that_the_witness_checks
 async def test_asyncua_and_the_mock_agree_with_the_opcua_witness() -> None:
     async with tapped("opcua") as (device, tap):
         mark = await device.mark()
-        # Without reads of the client's own between those that are compared.
+        # The long interval keeps the client's own reads away from those that are compared.
         client = Client(f"opc.tcp://127.0.0.1:{tap.port}/", timeout=60, watchdog_intervall=3600)
-        # The mock's endpoints name its own port: what is asked for goes through the tap all the same.
+        # The mock's endpoints name the mock's own port; the client's requests go through the tap all the same.
         async with client:
             valve = client.get_node("ns=2;s=ValvePosition")
             await client.get_node("ns=2;s=Temperature").read_value()
@@ -207,7 +207,7 @@ async def test_asyncua_and_the_mock_agree_with_the_opcua_witness() -> None:
 
 
 def simplified(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """What both journals say of a service, whichever of their forms the details have."""
+    """Reduce an entry to what both journals say of a service; they have two forms for the details."""
     nodes = [
         {name: node[name] for name in ("node_id", "attribute", "value", "variant_type") if name in node}
         if isinstance(node, dict)

@@ -51,7 +51,7 @@ def result_of(envelope: Any, **changes: Any) -> dict[str, Any]:
 
 
 def changed(envelope: Envelope, path: str, value: Any) -> Envelope:
-    """A copy with one member replaced, or taken away when the value is Ellipsis."""
+    """Return a copy with one member replaced, or removed when the value is Ellipsis."""
     envelope = copy.deepcopy(envelope)
     *parents, last = path.split("/")
     at = envelope

@@ -1,4 +1,4 @@
-"""Replies judged against what was expected: of an adapter with envelopes, and of one whose envelopes are made for it."""
+"""Replies judged against expectations: of an adapter with envelopes, and of one whose envelopes the kit makes."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ BROKEN_KIT = {
 
 
 class Page(HTMLParser):
-    """A page taken apart; refuses tags that are not closed in order."""
+    """A parsed page; tags that are not closed in order are refused."""
 
     def __init__(self, html: str) -> None:
         super().__init__(convert_charrefs=True)
@@ -71,12 +71,12 @@ class Page(HTMLParser):
 
     @property
     def text(self) -> str:
-        """What a person reads, every gap one blank."""
+        """The text that a person reads, with one blank for every gap."""
         return " ".join(" ".join(data for tag, data in self.texts if tag != "style").split())
 
 
 def hostile(value: Any) -> Any:
-    """The record with every text that an adapter, or its subject file, can choose replaced by one that means harm."""
+    """Replace every text of the record that an adapter, or its subject file, can choose by a harmful one."""
     fixed = {"id", "suite", "status", "role", "schema", "verdict", "digest", "variant", "direction", "started_at"}
     if isinstance(value, dict):
         return {
@@ -145,7 +145,7 @@ def test_every_page_allows_its_own_style_sheet_and_nothing_else(record: dict[str
 
 def test_nothing_that_an_adapter_wrote_becomes_markup() -> None:
     harmless, harmful = Page(page(RUNS["failing"])), Page(page(RUNS["hostile"]))
-    # Some texts come from what the fixed words are made of; no tag, and no attribute, does.
+    # Some texts of the page depend on the texts that were replaced; no kind of tag, and no attribute's name, does.
     assert set(harmful.tags) == set(harmless.tags)
     assert {name for _, name, _ in harmful.attributes} == {name for _, name, _ in harmless.attributes}
     assert "<script>alert(1)</script>" in harmful.text
@@ -185,7 +185,7 @@ def test_a_call_without_an_answer_says_so() -> None:
     spoken = failed["samples"][0]["calls"][0]
     spoken |= {"latency_ms": None, "envelope": None, "ok": False, **wire("{}", None, 100, None)}
     shown = Page(page(run([failed]))).text
-    # Whatever the device saw came before the waiting was over.
+    # Everything that the device saw came before the end of the wait.
     assert shown.index("+1.50 modbus device") < shown.index("no reply not as required timeout")
 
 
@@ -238,7 +238,7 @@ def test_what_failed_around_the_repetitions_is_shown_with_its_calls_and_its_devi
     assert "Before, between and after the repetitions control: it wrote WR-004" in shown
     assert "modbus (writes disabled), closing check" in shown
     assert "modbus device, connection 1 (writes disabled)" in shown
-    # The warm-up showed no fault: its frames are not in the record, and it is no evidence.
+    # The warm-up showed no fault: its frames are not in the record, and it is not shown as evidence.
     assert "warm-up" not in shown
 
 
@@ -289,7 +289,7 @@ def test_a_run_that_fails_everywhere_with_endless_texts_is_a_page_below_twenty_m
     record = run([])
     record["items"] = [{**failed, "id": f"WR-{index:03}"} for index in range(200)]
     size = len(page(record).encode())
-    # Enough of it is there to be worth the bound.
+    # The page still shows so much that the upper bound means something.
     assert 1_000_000 < size < 20_000_000
 
 
@@ -387,7 +387,7 @@ def chromium() -> str | None:
 
 @pytest.fixture
 def browse(tmp_path: Path) -> Callable[[Path], tuple[str, list[str]]]:
-    """Opens a page in a real browser; gives the DOM it made of it, and what its console said."""
+    """A function that opens a page in a real browser, and returns the browser's DOM and the lines of its console."""
 
     def start(path: Path) -> tuple[str, list[str]]:
         program = chromium()
@@ -419,7 +419,7 @@ def test_a_browser_shows_the_page_runs_nothing_and_complains_about_nothing(tmp_p
     made, written = Page(dom), Page(path.read_text(encoding="utf-8"))
     assert made.tags == written.tags
     assert made.text == written.text
-    # That the console would have said something is not taken for granted.
+    # A console that never says anything would prove nothing: it does report what the page forbids.
     path.write_text(
         path.read_text(encoding="utf-8").replace("<body>", "<body><script>alert(1)</script>"), encoding="utf-8"
     )

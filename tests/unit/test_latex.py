@@ -1,4 +1,4 @@
-"""The tables are the paper's, to the character, and LaTeX accepts them."""
+"""The LaTeX tables equal the paper's to the character, and LaTeX accepts them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A test run leaves the long tests out unless it asks for them, and says so."""
+"""A test run leaves the long tests out unless it asks for them, and says that it does."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the kit learns of a mock device: where it is, and everything that reached it, or that something is missing."""
+"""The kit's knowledge of a mock device: its endpoints, and everything that reached it, or that something is missing."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ async def test_what_arrived_before_the_question_is_in_the_answer(
     async with running(protocol) as device:
         mark = await device.mark()
         pid = (await device.ask("ready"))["pid"]
-        # As if the machine had no time for the device: what a client sent, and the question, wait for it together.
+        # The device stands still, as if the machine had no time for it: the client's bytes and the question both wait.
         os.kill(pid, signal.SIGSTOP)
         try:
             with socket.create_connection((device.host, device.port)) as client:
@@ -68,7 +68,7 @@ THIRD_PARTIES = Path(__file__).parents[1] / "mocks"
 
 @pytest.fixture
 def third_parties(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Mocks outside the product can be imported by their dotted names."""
+    """Lets mocks outside the product be imported by their dotted names."""
     monkeypatch.setenv("PYTHONPATH", str(THIRD_PARTIES))
 
 
@@ -89,7 +89,7 @@ async def test_a_device_tells_all_its_endpoints_and_keeps_them() -> None:
             await device.stop()
             client.send(b"\x08")
             await device.start()
-            # Nothing is accepted here: it is ready when it says so, and reads what is sent from then on.
+            # A datagram endpoint accepts nothing: it is ready when it says so, and reads what is sent from then on.
             assert device.accepting_ns > begun
             client.send(b"\x09")
             (set_now,) = await device.wait(0, {"kind": "SET"}, timeout_s=60.0)

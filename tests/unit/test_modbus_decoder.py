@@ -31,7 +31,7 @@ def frame(pdu: str, *, transaction: int = 1, unit: int = 1) -> bytes:
 
 
 def journal(*exchanges: str) -> list[Entry]:
-    """Entries of "request -> response" exchanges, PDUs in hex; "-> ?" for no answer."""
+    """Return the entries of "request -> response" exchanges, PDUs in hex; "-> ?" for no answer."""
     frames: list[tuple[Direction, bytes]] = []
     for number, exchange in enumerate(exchanges, start=1):
         request, _, response = exchange.partition(" -> ")
@@ -41,7 +41,7 @@ def journal(*exchanges: str) -> list[Entry]:
     return decoded(ModbusConversation(), *frames)
 
 
-# MODBUS Application Protocol V1.1b3, the examples of section 6.
+# The examples are those of MODBUS Application Protocol V1.1b3, section 6.
 EXAMPLES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "01 0013 0013 -> 01 03 CD6B05": (
         {"function": 1, "address": 19, "quantity": 19},

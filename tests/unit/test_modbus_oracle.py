@@ -15,7 +15,7 @@ from .journals import Entry, decoded
 
 
 def journal(*exchanges: str) -> list[Entry]:
-    """Entries of "request -> response" exchanges, PDUs in hex; "-> ?" for no answer."""
+    """Return the entries of "request -> response" exchanges, PDUs in hex; "-> ?" for no answer."""
     frames: list[tuple[Direction, bytes]] = []
     for number, exchange in enumerate(exchanges, start=1):
         request, _, response = exchange.partition(" -> ")

@@ -1,4 +1,4 @@
-"""A broker of the user's own behind the tap: the same questions as to a mock, the same answers."""
+"""A broker of the user's own behind the tap: it gives the same answers to the same questions as a mock."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ async def test_the_kit_may_have_several_connections_to_one_broker() -> None:
 
 
 async def test_a_broker_that_is_not_there_is_no_fault_of_the_adapter() -> None:
-    # Bound and never listening: it refuses, and no other process can take it.
+    # The port is bound and never listens: it refuses connections, and no other process can take it.
     with socket.socket() as unused:
         unused.bind(("127.0.0.1", 0))
         port = unused.getsockname()[1]

@@ -15,7 +15,7 @@ from .journals import Entry, decoded, entry
 
 
 def packet(first: int, *parts: str) -> bytes:
-    """A control packet of less than 128 bytes; a part is hex, or text after an apostrophe."""
+    """Return a control packet of less than 128 bytes; a part is hex, or text after an apostrophe."""
     body = b"".join(part[1:].encode() if part.startswith("'") else bytes.fromhex(part) for part in parts)
     return bytes([first, len(body)]) + body
 
@@ -151,7 +151,7 @@ def test_a_topic_alias_stands_for_the_topic_it_was_given_with() -> None:
 def test_a_packet_that_must_not_be_is_an_entry_of_its_own(data: bytes, reason: str) -> None:
     connected, found = decode(("in", CONNECT), ("in", data))
     assert connected["kind"] == "CONNECT"
-    # A CONNECT may hold a password.
+    # A CONNECT may hold a password: only its first byte is shown.
     shown = data[:1] if data[0] == CONNECT[0] else data
     assert (found["kind"], found["reason"], found["bytes"]) == ("malformed", reason, shown.hex())
     assert (found["request"], found["state_changing"]) == (False, False)
@@ -226,7 +226,7 @@ def test_each_answer_names_the_packet_that_it_answers() -> None:
         *(("out", packet(0x40, "0002")), ("out", packet(0x40, "0001")), ("out", packet(0x40, "0001"))),
         *(("in", exactly_once), ("out", packet(0x50, "0003")), ("in", packet(0x62, "0003"))),
         *(("out", packet(0x70, "0003")), ("in", packet(0xC0)), ("out", packet(0xD0)), ("in", at_most_once)),
-        # What the broker delivers answers nothing, nor is what follows it a request.
+        # A message that the broker delivers answers nothing, and the packets that follow it are no requests.
         *(("out", exactly_once), ("in", packet(0x50, "0003")), ("out", packet(0x62, "0003"))),
     )
     assert [one["answers"] for one in entries if one["direction"] == "out"] == [0, 4, 3, 2, None, 9, 11, 13, None, None]

@@ -1,4 +1,4 @@
-"""The oracles of MQTT, on entries by hand."""
+"""The oracles of MQTT, on entries written by hand."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ def b64(data: bytes) -> str:
     return base64.b64encode(data).decode()
 
 
-# Answers to what they answer.
+# The kind of an answer to the kind of the request.
 ANSWERS = {"PINGRESP": "PINGREQ", "SUBACK": "SUBSCRIBE"}
 
 
 def journal(*packets: Entry) -> list[Entry]:
-    """A broker's journal: who asks for what, and which packet answers which."""
+    """Return a broker's journal that says which packets are requests, and which packet answers which."""
     entries = contract(*packets, client_id="adapter")
     asked: dict[Any, int] = {}
     for entry in entries:

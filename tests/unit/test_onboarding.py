@@ -1,4 +1,4 @@
-"""What is proposed for an adapter is guessed from its tools and found in its answers."""
+"""A proposal for an adapter is guessed from its tools and found in its answers."""
 
 from __future__ import annotations
 

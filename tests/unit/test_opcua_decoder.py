@@ -183,7 +183,7 @@ def test_a_signed_channel_is_said_to_be_sealed() -> None:
     opened = b"OPNF" + struct.pack("<I", 8 + len(body)) + body
     entries = decode(("in", opened), ("in", message(read_request(TEMPERATURE))))
     assert [one["kind"] for one in entries] == ["Sealed", "Sealed"]
-    # What it asks for cannot be known, so it may be anything.
+    # The request of a sealed message cannot be known, so the message counts as a request that changes state.
     assert [(one["request"], one["state_changing"]) for one in entries] == [(False, False), (True, True)]
 
 

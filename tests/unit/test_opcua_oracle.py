@@ -1,4 +1,4 @@
-"""The oracles of OPC UA, on entries by hand."""
+"""The oracles of OPC UA, on entries written by hand."""
 
 from __future__ import annotations
 

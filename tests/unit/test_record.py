@@ -60,7 +60,7 @@ def test_what_was_written_is_read_back_in_the_suites_order(tmp_path: Path) -> No
     assert record["environment"]["finished_at"] == "2026-11-21T07:13:43Z"
     assert list(record)[:2] == ["schema", "run_id"]
     assert list(record)[-2:] == ["items", "footer"]
-    # Other readers need not know of lines.
+    # Other readers need not know that the record is written in lines.
     assert json.loads(path.read_text()) == record
 
 
@@ -97,7 +97,7 @@ def test_an_unfinished_record_is_valid_after_every_item_and_says_so(tmp_path: Pa
 
 
 def torn(tmp_path: Path, lost: int) -> Path:
-    """A record of both items from whose last write ``lost`` bytes are missing."""
+    """Write a record of both items, and cut the last ``lost`` bytes off."""
     path, writer = begun(tmp_path)
     for entry in ITEMS:
         append(writer, entry)

@@ -1,4 +1,4 @@
-"""Secrets do not get into what a run keeps or shows."""
+"""Secrets do not get into the files that a run keeps or the texts that it shows."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_secrets_are_those_declared_and_those_named_like_it(tmp_path: Path, monk
     launch = adapter.variants["rw"].for_endpoint({})
     assert launch.command == ("adapter", "--token=from the shell")
     assert launch.env["BROKER_PIN"] == "12345678"
-    # What the record says of the launch is the template.
+    # The record holds the template of the launch.
     assert "from the shell" not in json.dumps(adapter.facts())
 
 

@@ -1,4 +1,4 @@
-"""All reports are written from a record alone, and one that cannot be written hides no other."""
+"""All reports are written from a record alone, and a report that fails prevents no other report."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_a_report_that_cannot_be_written_is_named_removed_and_hides_no_other(
     def broken(run: Any, path: Path) -> None:
         raise ValueError("no such colour")
 
-    # What an earlier run left would tell of another run.
+    # Files that an earlier run left would describe another run.
     (tmp_path / "figures").mkdir()
     for stale in ("report.html", "figures/recovery_modes.png"):
         (tmp_path / stale).write_text("stale")

@@ -86,7 +86,7 @@ CONNECTED = {**entry(0, "connected", 0), "t_ns": BEGIN_NS - 10**6, "answers": No
 
 
 def adapter() -> dict[str, Any]:
-    """What a record says of the reference adapter: nothing is started for it."""
+    """Return what a record says of the reference adapter; nothing is started for it."""
     under_test = AdapterUnderTest(reference_subject().adapters["modbus"], "rw", MockDevice("modbus"), BenchOptions())
     under_test.used = {"write_holding": None, "read_holding": None}
     return {**under_test.facts(), "tools": 17}
@@ -107,7 +107,7 @@ def look(at_ns: int, **seen: Any) -> dict[str, Any]:
 
 
 def item() -> Item:
-    """M3 as a run without fault would have it; its first repetition writes 40 to register 1."""
+    """Return M3 as a run without fault would have it; its first repetition writes 40 to register 1."""
     task = tasks_by_id()["M3"]
     cells = [0, 7, 0]
     before = {"points": points("holding_registers", 0, cells)}
@@ -126,7 +126,7 @@ def item() -> Item:
     begin = BEGIN_NS + 10**8
 
     def part(number: int) -> dict[str, Any]:
-        """Calls, entries and looks of the warm-up (0) or of the repetition (1)."""
+        """Return the calls, entries and looks of the warm-up (0) or of the repetition (1)."""
         shift = number * 10**8
         moved = [
             {**one, "sent_ns": one["sent_ns"] + shift, "received_ns": one["received_ns"] + shift}
@@ -195,7 +195,7 @@ def run(*items: Item, digest: str | None = None, **settings: Any) -> StoredRun:
         repetitions={"normal": items[0]["planned"]},
     )
     record["settings"].update(settings)  # type: ignore[typeddict-item]
-    # As if read from a file.
+    # The record is checked as if it was read from a file.
     return StoredRun.of(check(json.loads(json.dumps(record)), Run, "the record"))
 
 
@@ -426,7 +426,7 @@ def test_a_history_that_was_changed_is_found_out(change: Callable[[Item], None])
 
 
 def failing() -> Item:
-    """The same, but the register read back is another one; the frames of both calls are there."""
+    """Return the same item, but the value read back is another one; the frames of both calls are there."""
     failed = item()
     sample = failed["samples"][0]
     sample["ok"] = False
@@ -512,7 +512,7 @@ def test_what_an_interrupted_item_has_is_judged() -> None:
 
 
 def move(part: dict[str, Any], *, seq: int = 0, ns: int = 0) -> None:
-    """Move calls, entries and looks of a repetition."""
+    """Move the calls, entries and looks of a repetition in the journal and in time."""
     for spoken in part["calls"]:
         spoken["sent_ns"] += ns
         spoken["received_ns"] += ns
@@ -547,7 +547,7 @@ HOUR_NS = 3600 * 10**9
 
 
 def following() -> Item:
-    """The same item an hour later: nothing reached the device in between."""
+    """Return the same item an hour later; nothing reached the device in between."""
     later = item()
     later["devices"]["modbus"] |= {"before": [], "quiet": True}
     shift(later, seq=8, ns=HOUR_NS)
@@ -563,7 +563,7 @@ def test_the_order_of_the_items_in_the_file_does_not_matter() -> None:
 
 
 def a_write_between() -> Item:
-    """An item before which a command came although nobody had asked for one; the item says so."""
+    """Return an item before which a command came although nobody had asked for one; the item says so."""
     later = following()
     late = entry(9, "request", 6, address=1, quantity=1, values=[7], state_changing=True)
     found = later["devices"]["modbus"]

@@ -1,4 +1,4 @@
-"""One exchange on the wire, read by the rules of the subject: what it says, and what is wrong with it as such."""
+"""One exchange on the wire, read by the rules of the subject: what it says, and what is wrong with it as an exchange."""
 
 from __future__ import annotations
 

@@ -129,7 +129,7 @@ def test_a_payload_that_must_not_be_says_why(data: bytes, reason: str) -> None:
 
 
 def test_invented_field_numbers_do_not_pass_for_values() -> None:
-    # The paper's own adapter: the timestamp in alias (2), an integer in is_historical (5).
+    # The paper's own adapter puts the timestamp into alias (2) and an integer into is_historical (5).
     invented = block(2, block(1, b"temperature") + number(2, 1600000000000) + number(5, 21))
     (read,) = decode_payload(invented)["metrics"]
     assert (read["value"], read["is_null"]) == (None, False)

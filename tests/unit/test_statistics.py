@@ -1,4 +1,4 @@
-"""Figures against values worked out by hand or printed in textbooks."""
+"""Statistical figures compared with values that are calculated by hand or printed in textbooks."""
 
 from __future__ import annotations
 
@@ -57,12 +57,12 @@ def test_the_bound_for_nine_of_ten() -> None:
     ("count", "ranks"), [(6, (1, 6)), (10, (2, 9)), (15, (4, 12)), (20, (6, 15)), (30, (10, 21)), (100, (40, 61))]
 )
 def test_the_interval_of_the_median_is_the_printed_pair_of_order_statistics(count: int, ranks: tuple[int, int]) -> None:
-    # The ranks that tables of the sign test's interval give for 95 %.
+    # The ranks are those that tables of the sign test's interval give for 95 %.
     assert median_interval([float(count - index) for index in range(count)]) == ranks
 
 
 def test_five_samples_cannot_cover_the_median_with_95_percent() -> None:
-    # Smallest and largest of five miss it with probability 2 / 2**5 = 6.25 %.
+    # The smallest and the largest of five samples miss the median with probability 2 / 2**5 = 6.25 %.
     assert median_interval([1.0, 2.0, 3.0, 4.0, 5.0]) is None
     assert median_interval([1.0, 2.0, 3.0, 4.0, 5.0], confidence=0.9) == (1.0, 5.0)
 

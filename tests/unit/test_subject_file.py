@@ -1,4 +1,4 @@
-"""The subject file: what it says is understood, what it should not say is refused in one sentence."""
+"""The subject file: its keys and values are understood, and what it must not say is refused in one sentence."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ answer = "text"
 
 
 def why_not(adapter: Adapter, facet: str) -> str | None:
-    """Why the adapter does not claim a facet."""
+    """Say why the adapter does not claim a facet; None when it does."""
     return Claims.of_subject({adapter.protocol: adapter}).why_not(f"{adapter.protocol}.{facet}")
 
 
@@ -323,7 +323,7 @@ def test_the_editors_schema_accepts_what_the_kit_accepts() -> None:
 
 @pytest.mark.parametrize("name", [name for name, (text, _) in REFUSED.items() if name not in ("not TOML",)])
 def test_the_editors_schema_refuses_what_the_kit_refuses(name: str) -> None:
-    """The kit knows more: files, JMESPath and regular expressions, what belongs together in different tables."""
+    """The kit knows more than the schema: files, JMESPath, regular expressions, rules about several tables."""
     text, _ = REFUSED[name]
     found = list(jsonschema.Draft202012Validator(schema()).iter_errors(tomllib.loads(text)))
     by_kit_alone = {

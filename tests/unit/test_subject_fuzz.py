@@ -1,4 +1,4 @@
-"""A subject file with anything in it is understood or refused in one sentence, and the editors' schema agrees."""
+"""A subject file with random content is understood or refused in one sentence, and the editors' schema agrees."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def mutated(document: dict[str, Any], choice: random.Random) -> dict[str, Any]:
 
 @pytest.fixture
 def load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[dict[str, Any]], tuple[Subject | None, str]]:
-    """Load a document that need not be written: TOML cannot say everything that these can."""
+    """A function that loads a document without writing it: TOML cannot express every value of these documents."""
     file = tmp_path / "otmcp.toml"
     file.write_bytes(b"")
     reference_subject()
@@ -137,7 +137,7 @@ def test_anything_is_understood_or_refused_in_one_sentence(
             adapter.secret_values()
             for variant in adapter.variants.values():
                 variant.for_endpoint({"host": "127.0.0.1", "port": "1"})
-    # Neither everything nor nothing: else the mutations, or the reader, would be worth little.
+    # Some documents are understood and some are not: otherwise the mutations, or the reader, would be worth little.
     assert 50 < understood < 1400
 
 
@@ -159,11 +159,11 @@ BY_KIT_ALONE = (
     "more than one for the item",
     ", found nan",
 )
-"""What the schema cannot say: languages inside of strings, other files, what stands in different tables, TOML's own types."""
+"""Refusals beyond the schema: languages inside of strings, other files, rules about several tables, TOML's types."""
 
 
 def drawn(kind: Kind, choice: random.Random) -> Any:
-    """Draw a value that the grammar allows; what it says of several tables together is left to chance."""
+    """Draw a value that the grammar allows; its rules about several tables together are left to chance."""
     match kind:
         case Named() | MapOf():
             value = drawn(kind.kind, choice)

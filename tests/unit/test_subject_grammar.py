@@ -44,7 +44,7 @@ def properties(schema: Any) -> Iterator[tuple[str, dict[str, Any]]]:
         for key, value in schema.items():
             if key == "properties":
                 yield from value.items()
-            # The rules below "allOf" say what must be there, not what it means.
+            # The rules below "allOf" say which keys must be there, not what the keys mean.
             if key != "allOf":
                 yield from properties(value)
     elif isinstance(schema, list):
@@ -68,7 +68,7 @@ def test_the_schema_has_every_operation_and_facet_of_a_protocol(key: str) -> Non
 
 
 def toy() -> OtProtocol:
-    """Return a protocol of somebody else's, made of the first of the kit's."""
+    """Return a protocol of a third party, made of the first protocol of the kit."""
     return replace(
         protocols()[OWN[0]],
         key="toy",
@@ -118,7 +118,7 @@ def test_a_protocol_of_a_third_party_has_a_grammar_and_a_schema_of_its_own(chang
 
 
 def rows(section: str, header: str) -> dict[str, str]:
-    """Return a table of the documentation, first cell to the rest of the row."""
+    """Return a table of the documentation: the first cell of each row to the rest of the row."""
     _, _, text = DOCUMENTATION.partition(f"\n## {section}\n")
     _, _, table = text.partition(f"| {header} |\n")
     assert table, f"there is no table {header!r} in {section!r}"

@@ -24,7 +24,7 @@ OTHER = bytes.fromhex("0002 0000 0006 01 03 0000 0001")
 
 
 class Echo(asyncio.Protocol):
-    """Sends back what it gets, under back pressure, and ends its side when the client ends its own."""
+    """A server that sends back what it gets, under back pressure, and ends its side when the client ends its own."""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)
@@ -72,7 +72,7 @@ async def client(tap: StreamTap) -> AsyncIterator[tuple[asyncio.StreamReader, as
 
 
 async def soon(awaitable: Awaitable[Received]) -> Received:
-    """What must happen; the limit only keeps a broken tap from hanging the tests."""
+    """Wait for what must happen; the limit only keeps a broken tap from hanging the tests."""
     return await asyncio.wait_for(awaitable, 60)
 
 
@@ -208,7 +208,7 @@ async def test_a_device_that_refuses_makes_the_tap_reset() -> None:
 
 
 async def test_closing_the_tap_while_it_connects_leaves_nothing_behind() -> None:
-    # TEST-NET-1 never answers; where the route refuses at once, the tap resets, which is just as well.
+    # TEST-NET-1 never answers; where the route refuses at once, the tap resets, which the test accepts too.
     tap = StreamTap("192.0.2.1", 9, framing=protocols()["modbus"].framing)
     await tap.start()
     async with client(tap):
@@ -348,7 +348,7 @@ async def test_plans_may_change_in_the_middle_of_a_frame() -> None:
         assert await soon(reader.readexactly(4)) == READ[:4]
         tap.inject(FaultRule(action=Action.CORRUPT, direction="in", offset=1))
         writer.write(READ[4:] + OTHER + READ[:6])
-        # The frame that had begun before the plan is left alone, the next one is the plan's first.
+        # The frame that had begun before the plan is left alone; the next frame is the first one of the plan.
         assert await soon(reader.readexactly(20)) == READ[4:] + bytes([0, OTHER[1] ^ 0xFF]) + OTHER[2:]
         tap.inject()
         writer.write(READ[6:])

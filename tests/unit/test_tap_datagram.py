@@ -26,7 +26,7 @@ pytestmark = pytest.mark.asyncio
 
 
 class Telegrams:
-    """Datagrams of an identifier and a value: the device answers with the same identifier."""
+    """A protocol of datagrams with an identifier and a value: the device answers with the same identifier."""
 
     def __init__(self) -> None:
         self._outstanding = Outstanding()
@@ -52,7 +52,7 @@ class Echo(asyncio.DatagramProtocol):
 
     Attributes:
         received: all datagrams and where they came from.
-        answers: it answers.
+        answers: whether it answers.
     """
 
     def __init__(self) -> None:
@@ -83,7 +83,7 @@ async def tapped(framing: Framing | None = FRAMING) -> AsyncIterator[tuple[Datag
 
 
 class Client:
-    """A UDP client that is told by the system when its port is unreachable."""
+    """A UDP client; the system tells it when its port is unreachable."""
 
     def __init__(self, tap: DatagramTap) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -95,7 +95,7 @@ class Client:
             self._socket.send(data)
 
     async def receive(self) -> bytes:
-        """What must come; the limit only keeps a broken relay from hanging the tests."""
+        """Wait for a datagram that must come; the limit only keeps a broken relay from hanging the tests."""
         return await asyncio.wait_for(asyncio.get_running_loop().sock_recv(self._socket, 65_535), 60)
 
     async def ask(self, data: bytes) -> bytes:
@@ -128,7 +128,7 @@ def noted(tap: DatagramTap) -> list[tuple[int, str, Any, Any]]:
 async def test_datagrams_of_any_length_pass_whole_in_both_directions() -> None:
     async with tapped(None) as (tap, device):
         with client(tap) as one:
-            # asyncio, of which this device is made, answers nothing with nothing before Python 3.13.
+            # This device uses asyncio, which sends no empty datagram before Python 3.13: no answer is waited for.
             one.send(b"")
             for data in (b"x", bytes(1400), bytes(range(256)) * 255):
                 assert await one.ask(data) == data
@@ -161,7 +161,7 @@ async def test_an_outage_is_silence_and_what_is_sent_meanwhile_is_never_delivere
         with client(tap) as one, client(tap) as other:
             assert await one.ask(b"\x01\x07") == b"\x01\x07"
             await tap.down()
-            # Also from a client that the relay has never seen. A port that is gone would be told at the second send.
+            # The relay has never seen the other client. If the port was gone, the second send of a client would fail.
             for number in range(200):
                 one.send(bytes([number, 1]))
             other.send(b"\x01\x01", b"\x02\x01")
@@ -228,7 +228,7 @@ async def test_of_too_many_clients_the_one_that_was_silent_for_longest_is_forgot
         for number in (0, 1, 2, 0, 3):
             assert await clients[number].ask(b"\x01\x01") == b"\x01\x01"
         assert tap.open_connections == 3
-        # Only the second has to be begun anew.
+        # Only the second client needs a new connection.
         for number in (0, 2, 3, 1):
             assert await clients[number].ask(b"\x02\x01") == b"\x02\x01"
         asked = [entry["connection"] for entry in tap.journal.since(0) if entry["request"]]

@@ -1,4 +1,4 @@
-"""The journal of a mock and that of a tap: other code, one behaviour. A judgement must not depend on which one is read."""
+"""The journals of a mock and of a tap: separate code, one behaviour. A judgement must not depend on the choice."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from pytest_otmcp.protocols.registry import protocols
 pytestmark = pytest.mark.asyncio
 
 AnyJournal = Any
-"""Both classes have the same methods and no common base: they meet in entries only."""
+"""A journal of either class: both have the same methods and no common base; only their entries have one type."""
 
 READ = bytes.fromhex("0001 0000 0006 01 03 0001 0001")
 WRITE = bytes.fromhex("0002 0000 0006 01 06 0001 002A")
@@ -128,7 +128,7 @@ async def test_waiting_for_what_was_released_gives_what_is_kept(new_journal: Cal
 
 @asynccontextmanager
 async def serving(behind_tap: bool) -> AsyncIterator[Device]:
-    """The Modbus mock, asked directly or through the tap in front of it."""
+    """Serve the Modbus mock, which is asked directly or through the tap in front of it."""
     mock = MockDevice("modbus")
     device: Device = mock
     await mock.launch()

@@ -1,4 +1,4 @@
-"""How a run accounts for its time, and what it keeps out of what it measures."""
+"""A run's account of its time, and the garbage collection that it keeps out of its measurements."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pytest_otmcp.trial.reply import Expectation, Reply, observe
 
 
 def reply(asked: int, sent: int, received: int | None, returned: int) -> Reply:
-    """A call with these times, in milliseconds."""
+    """Return the reply to a call with these times, in milliseconds."""
     exchange = Exchange(
         tool="ping",
         arguments={},
@@ -67,7 +67,7 @@ def test_an_unanswered_call_is_waited_for_on_the_wire(repetition: Repetition) ->
 
 
 class Knot:
-    """Garbage that only the collector can find."""
+    """An object that refers to itself: only the garbage collector can find it."""
 
     def __init__(self) -> None:
         self.itself = self

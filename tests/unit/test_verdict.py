@@ -1,4 +1,4 @@
-"""The verdict over every combination of statuses of small sets: what it is, and the laws that it obeys."""
+"""The verdict over every combination of statuses of small sets of items: its value, and the laws that it obeys."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Statuses = dict[str, Status]
 
 
 def runs(items: tuple[str, ...]) -> Iterator[Statuses]:
-    """Every run over these items: each has one of the statuses, or did not run."""
+    """Yield every run over these items: each item has one of the statuses, or did not run."""
     for statuses in product([None, *Status], repeat=len(items)):
         yield {item: status for item, status in zip(items, statuses, strict=True) if status is not None}
 
@@ -122,7 +122,7 @@ def test_a_larger_set_never_improves_the_verdict() -> None:
     for statuses, required in product(RUNS, REQUIRED):
         for more in SET:
             verdict = decide(statuses, (*required, more))
-            # Nothing that applied is worse than something that is missing: it can only be seen in a complete run.
+            # That nothing applied is worse than that something is missing, and only a complete run can show it.
             if decide(statuses, required) != Verdict.INDETERMINATE:
                 assert rank(verdict) >= rank(decide(statuses, required))
             if verdict == Verdict.CONFORMANT:

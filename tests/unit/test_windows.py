@@ -1,4 +1,4 @@
-"""When the calls around an outage end: a window is closed by a call that began too late, not by a late answer."""
+"""The end of the calls around an outage: a call that began too late closes a window, a late answer does not."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ S = 1_000_000_000
 
 
 class Scripted(Rig):
-    """Gives answers that are written down: success, and when the call was sent and answered, in seconds."""
+    """A rig with given answers: success, and when the call was sent and answered, in seconds."""
 
     accepting_ns = 0
 
@@ -53,7 +53,7 @@ class Scripted(Rig):
         pass
 
 
-# What these windows never ask for.
+# The windows never use the abstract methods that are left.
 Scripted.__abstractmethods__ = frozenset()
 
 
@@ -69,7 +69,7 @@ def successes(*answers: tuple[bool, float, float]) -> list[bool | None]:
 
 
 def test_an_answer_that_comes_late_does_not_end_the_search_for_success() -> None:
-    # It was asked in time, and truthfully says that it could not connect then.
+    # The call was made in time, and its answer truthfully says that the adapter could not connect then.
     assert successes((False, 0.1, 1.5), (True, 1.6, 1.7)) == [False, True]
 
 

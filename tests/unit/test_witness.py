@@ -37,7 +37,7 @@ def test_an_answer_counts_with_the_request_that_it_answers() -> None:
     assert WITNESS.answered(journal(asked(1), answer(0))) == []
     assert WITNESS.answered(journal(asked(1), answer(0), asked(2), answer(2)), at_least=2) == []
     assert "it answered 0 of 1 [RD-004] read 1" in words(WITNESS.answered(journal(asked(1))))
-    # The request came before the slice begins: it was not made during the call.
+    # The request came before the slice begins, so it was not made during the call.
     later = journal({}, answer(0))[1:]
     assert "it saw none [RD-004] no request" in words(WITNESS.answered(later))
 
@@ -86,7 +86,7 @@ def test_points_that_changed_are_told_from_those_that_should_have() -> None:
     assert "b should hold 2, the device has no such point [WR-002]" in words(
         WITNESS.only_changed(before, {"points": {"a": 1}}, {})
     )
-    # A point that nobody had asked for.
+    # Point c is one that nobody had asked for.
     assert "c should hold None, the device holds 9 [WR-002]" in words(
         WITNESS.only_changed(before, {"points": {"a": 1, "b": 2, "c": 9}}, {})
     )

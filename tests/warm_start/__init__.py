@@ -1,11 +1,11 @@
-"""Starts adapters without the second of processor time that the imports of each one take.
+"""The warm start of adapters, which saves the second of processor time that the imports of each adapter take.
 
 Nine tenths of an adapter's start are the import of the SDK and of its protocol's library (docs/performance.md), and most
 tests start adapters by the dozen in order to look at something else. Here one process imports everything once and forks a
 process for each start (``server``); the program that a command names (``start``) hands it arguments, environment, working
 directory and its three standard streams, and lives and ends as the forked process does.
 
-What is tested of processes, such as exit codes, signals and children, is tested with processes that are started as usual.
+Tests of processes themselves, such as exit codes, signals and children, use processes that are started as usual.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ _HERE = Path(__file__).parent
 
 
 class WarmStart:
-    """A server that forks adapters, and the commands that ask it to.
+    """A server that forks adapters, and the commands that request this.
 
     Attributes:
-        python: what takes the place of ``python`` in a command: ``(*python, "adapter.py", "--option")``.
+        python: the words that replace ``python`` in a command: ``(*python, "adapter.py", "--option")``.
     """
 
     def __init__(self) -> None:
         self._directory = tempfile.TemporaryDirectory(prefix="otmcp-warm-")
         path = Path(self._directory.name, "socket")
-        # In a session of its own, so that a Ctrl-C in the terminal does not reach the adapters, as it does not otherwise.
+        # It has its own session, so that a Ctrl-C in the terminal does not reach the adapters, as without warm start.
         self._server = subprocess.Popen(
             [sys.executable, str(_HERE / "server.py"), str(path)],
             stdin=subprocess.PIPE,
@@ -42,7 +42,7 @@ class WarmStart:
         )
         assert self._server.stdout is not None
         assert self._server.stdout.readline() == b"listening\n"
-        # Isolated and without the site module: nothing of what they do is needed for handing things over.
+        # Python runs isolated and without the site module: the hand-over needs nothing of what they would do.
         self.python = (sys.executable, "-I", "-S", str(_HERE / "start.py"), str(path))
 
     def close(self) -> None:

@@ -1,4 +1,5 @@
-"""``python server.py SOCKET``: imports what adapters import, and forks one for each request; ends with standard input."""
+"""``python server.py SOCKET``: a server that imports what adapters import, forks one for each request, and ends with
+its standard input."""
 
 from __future__ import annotations
 
@@ -34,7 +35,7 @@ class Adapter:
     Attributes:
         process: its id, and that of its process group.
         handle: becomes readable when the process has ended.
-        asked: the connection of the program that asked for it; becomes readable when that is gone.
+        asked: the connection of the program that requested it; becomes readable when that program has ended.
     """
 
     process: int
@@ -44,12 +45,12 @@ class Adapter:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Request:
-    """What a forked process is to run.
+    """The program that a forked process is to run.
 
     Attributes:
         arguments: those of ``python``.
-        directory: to work in.
-        environment: the whole of it.
+        directory: the working directory.
+        environment: the whole environment.
         streams: standard input, output and error.
     """
 
@@ -68,7 +69,7 @@ class Request:
 
 
 class Server:
-    """Forks adapters, kills those that nobody waits for any more, and reports how they ended."""
+    """A server that forks adapters, kills those whose requester has ended, and reports how they ended."""
 
     def __init__(self, path: str) -> None:
         self._listener = socket.socket(socket.AF_UNIX)
@@ -90,7 +91,7 @@ class Server:
                 elif key.data is None:
                     self._end()
                     return None
-                # Both handle and connection may have become readable.
+                # The handle and the connection may both have become readable, so the adapter may be finished already.
                 elif key.data in self._running:
                     self._finish(key.data)
 
@@ -100,7 +101,7 @@ class Server:
         # A lock that another thread holds would never be released in the forked process.
         assert threading.active_count() == 1
         process = os.fork()
-        # By both, as either may come first; a session of its own could not be made from outside.
+        # Both processes do this, as either may come first; a new session could not be made from outside.
         os.setpgid(process, process)
         if process == 0:
             return request
@@ -113,12 +114,12 @@ class Server:
         return None
 
     def _finish(self, adapter: Adapter) -> None:
-        """Kill what is left of the adapter's group and tell how the adapter ended."""
+        """Kill what is left of the adapter's group and report how the adapter ended."""
         self._running.remove(adapter)
         self._selector.unregister(adapter.handle)
         self._selector.unregister(adapter.asked)
         os.close(adapter.handle)
-        # Not waited for yet, so its number is still its own.
+        # The process has not been waited for yet, so its number has not been reused.
         os.killpg(adapter.process, signal.SIGKILL)
         _, status = os.waitpid(adapter.process, 0)
         with adapter.asked:
@@ -133,7 +134,7 @@ class Server:
 
 
 def become(request: Request) -> NoReturn:
-    """Run what the request asks for, in the process that was forked for it, to the end of the process."""
+    """Run the requested program in the process that was forked for it, and end this process."""
     code: Any = 1
     try:
         run(request)
@@ -143,7 +144,7 @@ def become(request: Request) -> NoReturn:
     except BaseException:
         traceback.print_exc()
     finally:
-        # What a usual end does besides, it does to everything that was imported, and pays for each page of it.
+        # The other steps of a usual end touch everything that was imported, and each page of it has a cost.
         atexit._run_exitfuncs()
         if not isinstance(code, int | None):
             print(code, file=sys.stderr)
@@ -157,7 +158,7 @@ def run(request: Request) -> None:
     """Set up the process as it was asked for and run the program as ``__main__``."""
     for number, stream in enumerate(request.streams):
         os.dup2(stream, number)
-    # Of the server and of the other adapters.
+    # These descriptors are the server's and the other adapters'.
     os.closerange(3, os.sysconf("SC_OPEN_MAX"))
     os.environ.clear()
     os.environ.update(request.environment)
@@ -165,7 +166,7 @@ def run(request: Request) -> None:
     gc.enable()
     sys.argv = [argument for argument in request.arguments if argument != "-P"]
     module = sys.argv.pop(0) if sys.argv[0] == "-m" else None
-    # The first place to look for modules: the server's own directory until here.
+    # The first place to look for modules was the server's own directory until here.
     sys.path[:1] = [] if "-P" in request.arguments else [os.getcwd() if module else os.path.dirname(sys.argv[0])]
     if module:
         runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
@@ -174,8 +175,8 @@ def run(request: Request) -> None:
 
 
 def main() -> None:
-    """Import, serve, and run what was asked for."""
-    # As the adapters do it themselves.
+    """Import, serve, and run the requested program."""
+    # The adapters set this themselves, too.
     os.environ["PYDANTIC_DISABLE_PLUGINS"] = "__all__"
     gc.disable()
     server = Server(sys.argv[1])

@@ -1,4 +1,4 @@
-"""``python start.py SOCKET [-P] (FILE | -m MODULE) ARGUMENT...``: what ``python`` would run, by the server at SOCKET.
+"""``python start.py SOCKET [-P] (FILE | -m MODULE) ARGUMENT...``: the server at SOCKET runs what ``python`` would.
 
 This process has the forked one's exit code, or 128 and the number of the signal that ended it, as in a shell. When this
 process is killed, the server kills the forked one.

@@ -1,1 +1,1 @@
-"""What ``otmcp init`` knows of the kit's own protocols: one module a protocol, each with a ``PACK``."""
+"""The packs of the kit's own protocols for ``otmcp init``: one module per protocol, each with a ``PACK``."""

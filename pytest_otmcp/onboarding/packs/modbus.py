@@ -17,12 +17,12 @@ __all__ = ["PACK"]
 
 _READ_HOLDING, _READ_INPUT, _WRITE_SINGLE, _WRITE_MULTIPLE = 3, 4, 6, 16
 _VALUES = range(2000, 0x10000)
-"""Values that are not taken for an address, a count or a default."""
+"""Values that cannot be mistaken for an address, a count or a default."""
 
 _TABLE = r"^(kind|table|type|register_type|area|source)$"
 
 Find = Callable[[Entries], ModbusEntry | None]
-"""Finds the request that a call has to make in what reached the device."""
+"""A function that finds the request that a call has to make among the device's journal entries."""
 
 
 async def _read_input(experimenter: Experimenter, guess: Guess) -> Proposal:
@@ -68,14 +68,14 @@ async def _write_holding(experimenter: Experimenter, guess: Guess) -> Proposal:
 async def _call_at(
     experimenter: Experimenter, guess: Guess, find: Find, offsets: Sequence[int], **inputs: Any
 ) -> tuple[Shown, ModbusEntry | None, dict[str, int]]:
-    """Call the tool, with what it counts addresses from found out.
+    """Call the tool and find out from which number it counts addresses.
 
     Tools count registers from 0, from 1, or as 40001: the offset is the difference that the first call showed, or one of
     ``offsets``.
 
     Returns:
-        What a call showed, its request, and the offset with which the request was for the address that was asked for;
-        when there is no such offset, what the first call showed.
+        The observations of a call, its request, and the offset that led to the address asked for; those of the first
+        call, without an offset, when no offset led there.
     """
     address = inputs["address"]
     shown = await experimenter.call(guess, {}, **inputs)

@@ -124,7 +124,7 @@ PACK = Pack(
     },
     lists=frozenset({"metrics"}),
     names=("mqtt",),
-    # A message without acknowledgement is still on its way when the answer is there.
+    # A message without acknowledgement can still be on its way when the answer has come.
     late={"kind": "PUBLISH", "direction": "in"},
     errors={"invalid_input": (r"(?i)invalid|validation error|must not be empty|empty topic",)},
 )

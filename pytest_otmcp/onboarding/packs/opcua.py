@@ -13,7 +13,7 @@ __all__ = ["PACK"]
 _VALVE = "ns=2;s=ValvePosition"
 _MISSING_NODE = "ns=2;i=99999"
 _NAMESPACE = "2:"
-"""How browse names of the mock device begin when they are written with their namespace."""
+"""Prefix of the mock device's browse names when they are written with their namespace."""
 
 
 async def _read(experimenter: Experimenter, guess: Guess) -> Proposal:

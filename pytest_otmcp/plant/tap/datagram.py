@@ -99,7 +99,7 @@ class DatagramTap:
             self._is_up = True
 
     async def down(self) -> None:
-        """Be silent: nothing is answered, and nothing that is on its way or sent from now on is ever delivered.
+        """Stop handing on: nothing is answered, and nothing that is on its way or sent from now on is ever delivered.
 
         The socket stays: without it the system would tell clients that the port is unreachable, and a device that is gone
         tells them nothing.
@@ -145,7 +145,7 @@ class DatagramTap:
         except BlockingIOError:
             return
         client = self._clients.pop(address, None) or self._new_client(address)
-        # In the order of their newest datagrams.
+        # The clients are in the order of their newest datagrams.
         self._clients[address] = client
         client.take("in", data)
 
@@ -155,7 +155,7 @@ class DatagramTap:
         self._seen += 1
 
         def answer(data: bytes) -> None:
-            # What the system cannot send is lost, as on any network.
+            # A datagram that the system cannot send is lost, as on any network.
             with contextlib.suppress(OSError):
                 self._bound().sendto(data, address)
 
@@ -166,7 +166,7 @@ class _Client:
     """One client address: its datagrams to the device, and the device's to it.
 
     Attributes:
-        is_black_hole: swallow everything.
+        is_black_hole: everything is discarded.
     """
 
     def __init__(
@@ -196,7 +196,7 @@ class _Client:
             return
         queue = self._queues[direction]
         if self._medium.plan.empty and queue.idle:
-            # Handed on before it is recorded: what the tap does for itself must not cost the adapter time.
+            # The datagram is handed on before it is recorded: the tap's own work must not cost the adapter time.
             self._write[direction](data)
             self._note(direction, data, None)
             return
@@ -206,7 +206,7 @@ class _Client:
         queue.run()
 
     def close(self) -> None:
-        """Forget what has not been handed on, and hear no more of the device."""
+        """Discard the datagrams that have not been handed on, and close the socket to the device."""
         self._swallow()
         asyncio.get_running_loop().remove_reader(self._upstream)
         self._upstream.close()
@@ -217,7 +217,7 @@ class _Client:
             self._medium.journal.frame(self._number, direction, data, fault, self._conversation)
 
     def _to_device(self, data: bytes) -> None:
-        # A device that is not there is silent: that the system calls its port unreachable is not handed on.
+        # A device that is not there is silent: the system's error that its port is unreachable is not handed on.
         with contextlib.suppress(OSError):
             self._upstream.send(data)
 

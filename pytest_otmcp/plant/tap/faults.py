@@ -19,11 +19,11 @@ class Action(StrEnum):
     RESET = "reset"
     """Both sides get a TCP reset instead of the frame."""
     BLACK_HOLE = "black_hole"
-    """This frame and everything after it, in both directions of the connection, is swallowed; it stays open."""
+    """This frame and all after it, in both directions of the connection, are discarded; the connection stays open."""
     DROP = "drop"
-    """The frame is swallowed; those after it pass."""
+    """The frame is discarded; the frames after it pass."""
     DELAY = "delay"
-    """The frame, and what comes after it, is ``seconds`` late."""
+    """The frame, and everything after it, is ``seconds`` late."""
     DRIP = "drip"
     """The frame passes byte by byte, ``seconds`` apart."""
     TRUNCATE = "truncate"
@@ -33,7 +33,7 @@ class Action(StrEnum):
     DUPLICATE = "duplicate"
     """The frame passes twice."""
     REORDER = "reorder"
-    """The frame passes after the next one of its direction."""
+    """The frame passes after the next frame of its direction."""
 
 
 STREAM_ACTIONS = frozenset({Action.REFUSE, Action.RESET, Action.DRIP})
@@ -77,7 +77,7 @@ class FaultPlan:
 
     @property
     def empty(self) -> bool:
-        """There is nothing to do."""
+        """True when the plan has no rules."""
         return not self._rules
 
     def for_connection(self, connection: int) -> FaultRule | None:

@@ -1,4 +1,4 @@
-"""One direction of a tapped connection: frames go on in order, each as the rule of the fault plan says that hits it."""
+"""The queue of one direction of a tapped connection: frames are handed on in order, each as its fault rule says."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ __all__ = ["FrameQueue"]
 
 
 class FrameQueue:
-    """Frames that wait until those before them have gone.
+    """Frames that wait until the frames before them have been handed on.
 
     Args:
-        write: hands a frame, or what a fault has left of it, on.
-        on_connection: what to do for the actions that concern the whole connection instead of a frame.
+        write: hands on a frame, or what a fault has left of it.
+        on_connection: functions for the actions that concern the whole connection instead of a frame.
     """
 
     def __init__(self, write: Callable[[bytes], None], on_connection: Mapping[Action, Callable[[], None]]) -> None:
@@ -28,19 +28,19 @@ class FrameQueue:
 
     @property
     def idle(self) -> bool:
-        """Nothing waits and nothing is held back: a frame without a rule may be written past the queue."""
+        """True when no frame waits or is held back: a frame without a rule may be written past the queue."""
         return not self._queue and self._timer is None and self._held is None
 
     def put(self, rule: FaultRule | None, frame: bytes) -> None:
-        """Append a frame; :meth:`run` lets it go."""
+        """Append a frame; :meth:`run` hands it on."""
         self._queue.append((rule, frame))
 
     def put_end(self, act: Callable[[], None]) -> None:
-        """Append the end of the stream: what to do when all frames before it have gone."""
+        """Append the end of the stream; ``act`` is called when all frames before it have been handed on."""
         self._queue.append(act)
 
     def stop(self) -> None:
-        """Forget what has not been handed on."""
+        """Discard what has not been handed on."""
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
@@ -48,7 +48,7 @@ class FrameQueue:
         self._held = None
 
     def run(self) -> None:
-        """Let go what does not have to wait."""
+        """Hand on the frames that do not have to wait."""
         while self._queue and self._timer is None:
             step = self._queue.popleft()
             if callable(step):
@@ -61,7 +61,7 @@ class FrameQueue:
                 self._apply(step[0], step[1])
 
     def _complete(self) -> None:
-        """Hand on the frame that was held back for the one that has gone now."""
+        """Hand on the frame that was held back; the frame that had to pass before it has been handed on."""
         if self._held is not None:
             held, self._held = self._held, None
             self._write(held)
@@ -104,7 +104,7 @@ class FrameQueue:
 
 
 def _altered(rule: FaultRule, frame: bytes) -> tuple[bytes, ...]:
-    """Return the frames that go on in the place of one."""
+    """Return the frames that are handed on in the place of this one."""
     if rule.action is Action.DROP:
         return ()
     if rule.action is Action.TRUNCATE:

@@ -23,21 +23,21 @@ from ...protocols.oracle import has
 __all__ = ["TapJournal"]
 
 _CAPACITY = 200_000
-"""A bound against floods, that of the mocks. Entries that were read are to be released with :meth:`TapJournal.forget`."""
+"""A limit against floods, as in the mocks. Entries that were read are to be released with :meth:`TapJournal.forget`."""
 
 
 class TapJournal:
-    """An append-only record. Sequence numbers begin at 0 and are never reused; the oldest entries give way when the
+    """An append-only record. Sequence numbers begin at 0 and are never reused; the oldest entries are dropped when the
     capacity is reached, and are counted.
 
     Attributes:
-        dropped: how many entries gave way at the capacity before anybody released them.
+        dropped: number of entries that were dropped before they were released.
     """
 
     def __init__(self, capacity: int = _CAPACITY) -> None:
         self._entries: deque[JournalEntry] = deque(maxlen=capacity)
         self._frames: deque[tuple[int, int, Direction, bytes, str | None, Conversation]] = deque()
-        # Sequence numbers of the messages that a conversation still remembers, for their answers.
+        # Sequence numbers of the messages that a conversation still holds, for their answers.
         self._seq_of: WeakKeyDictionary[Message, int] = WeakKeyDictionary()
         self._next = 0
         self.dropped = 0
@@ -68,8 +68,8 @@ class TapJournal:
             self._entries.popleft()
 
     async def wait(self, seq: int, match: Mapping[str, object], count: int, timeout_s: float) -> list[JournalEntry]:
-        """Return the entries from ``seq`` on whose fields equal ``match``: as soon as there are ``count`` of them, or
-        those that there are after ``timeout_s`` seconds."""
+        """Wait for entries from ``seq`` on whose fields equal ``match``; return them as soon as there are ``count``, or
+        those found after ``timeout_s`` seconds."""
         waiter = _Waiter(match, count)
         for entry in self.since(seq):
             waiter.offer(entry)
@@ -98,7 +98,7 @@ class TapJournal:
         origin: Literal["client", "kit"] = "client",
         **fields: object,
     ) -> None:
-        """Record something that is no frame."""
+        """Record an event that is no frame."""
         self._catch_up()
         message = Message(direction=direction, kind=kind, fields=fields)
         self._append(time.monotonic_ns(), connection, message, None, origin)
@@ -134,7 +134,7 @@ class TapJournal:
 
 
 class _Waiter:
-    """Collects the entries that one ``wait`` asks for."""
+    """A collector of the entries that one ``wait`` asks for."""
 
     def __init__(self, match: Mapping[str, object], count: int) -> None:
         self._match = dict(match)

@@ -1,4 +1,4 @@
-"""One direction of one tapped connection: hands bytes on, and does to them what the fault plan says."""
+"""One direction of one tapped connection, which hands on bytes and applies the fault plan to them."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ def reset_connection(transport: asyncio.Transport) -> None:
 
 
 class Lane:
-    """Reads from one transport, writes to another.
+    """A lane that reads from one transport and writes to another.
 
-    Bytes that come before there is a transport to write to wait in memory; later the usual back pressure applies.
+    Bytes that arrive before there is a transport to write to are kept in memory; later the usual back pressure applies.
 
     Attributes:
         ended: the end of the stream has been handed on.
-        is_black_hole: swallow everything from now on.
+        is_black_hole: everything is discarded from now on.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class Lane:
         self._sink: asyncio.Transport | None = None
         self._early: list[bytes | None] = []
         self._queue = FrameQueue(self._write, {Action.RESET: reset, Action.BLACK_HOLE: swallow})
-        # How many bytes of the frame that is not yet complete have been handed on already.
+        # Number of bytes of the incomplete frame that have been handed on already.
         self._ahead = 0
         self.is_black_hole = False
         self.ended = False
@@ -70,7 +70,7 @@ class Lane:
         self._source = transport
 
     def write_to(self, transport: asyncio.Transport) -> None:
-        """Note the transport that gets them; what has been waiting goes out now."""
+        """Note the transport to write to, and write the bytes that have been waiting."""
         self._sink = transport
         early, self._early = self._early, []
         for data in early:
@@ -80,17 +80,17 @@ class Lane:
                 self._take(data)
 
     def pause_source(self) -> None:
-        """Read no more: the sink has enough."""
+        """Stop reading: the sink's buffer is full."""
         if self._source is not None and not self._source.is_closing():
             self._source.pause_reading()
 
     def resume_source(self) -> None:
-        """Read again: the sink takes more."""
+        """Start reading again: the sink accepts more."""
         if self._source is not None and not self._source.is_closing():
             self._source.resume_reading()
 
     def stop(self) -> None:
-        """Forget what has not been handed on."""
+        """Discard what has not been handed on."""
         self._queue.stop()
         self._early.clear()
 
@@ -104,7 +104,7 @@ class Lane:
             self._take(data)
 
     def feed_eof(self) -> None:
-        """Take note that no more bytes will come."""
+        """Note that no more bytes will come."""
         if self._sink is None:
             self._early.append(None)
         else:
@@ -120,7 +120,7 @@ class Lane:
 
     def _take_eof(self) -> None:
         if self.is_black_hole:
-            # Neither side would ever notice that the connection is over: clear it away.
+            # Neither side would ever notice the end of the connection, so it is reset.
             self._reset()
             return
         if self._framer is not None and (rest := self._framer.pending[self._ahead :]):
@@ -143,7 +143,7 @@ class Lane:
         if framer is None:
             self._write(data)
             return
-        # Written before it is cut: what the tap does for itself must not cost the adapter time.
+        # The bytes are written before they are cut into frames: the tap's own work must not cost the adapter time.
         self._write(framer.pending[self._ahead :] + data)
         for frame in framer.feed(data):
             self._note(frame, None)

@@ -1,4 +1,4 @@
-"""What the connections of one tap share."""
+"""The journal and the fault plan that the connections of one tap share."""
 
 from __future__ import annotations
 

@@ -74,7 +74,7 @@ class StreamTap:
 
     async def start(self) -> None:
         """Take a free port and accept connections."""
-        # Bound, never listening: no other process gets the port while the tap is down, and connecting to it is refused.
+        # The socket is bound and never listens: while the tap is down no process gets the port, connecting is refused.
         self._reserved = self._bound(0)
         await self.up()
 
@@ -85,7 +85,7 @@ class StreamTap:
             self._reserved.close()
 
     async def up(self) -> None:
-        """Accept connections, on the same port as ever."""
+        """Accept connections, on the same port as before."""
         if self._server is None:
             loop = asyncio.get_running_loop()
             self._server = await loop.create_server(self._accept, sock=self._bound(self.port))
@@ -166,7 +166,7 @@ class _Link:
         self._device = _Side(self, *reversed(self._lanes))
 
     def connected(self, side: _Side) -> None:
-        """Go on with a side that has its transport now."""
+        """Continue with a side that has got its transport."""
         if self.ended.is_set() or self._condemned:
             self.reset()
         elif side is self.client:
@@ -182,11 +182,11 @@ class _Link:
             async with asyncio.timeout(_CONNECT_TIMEOUT_S):
                 await loop.create_connection(lambda: self._device, *self._target)
         except OSError:
-            # The device refuses or is silent: so does the tap, as far as it still can.
+            # The device refuses or is silent. The tap has accepted the client, so it can only reset the connection.
             self.reset()
 
     def lost(self, side: _Side, failure: Exception | None) -> None:
-        """Let the other side follow one that is gone for good, in the same manner."""
+        """Close the other side of a connection that has ended, in the same manner: orderly or by a reset."""
         other = self._device if side is self.client else self.client
         if self._connecting is not None:
             self._connecting.cancel()
@@ -222,7 +222,7 @@ class _Link:
 
 
 class _Side(asyncio.Protocol):
-    """One of the two TCP connections of a link: feeds one lane, is written to by the other."""
+    """One of the two TCP connections of a link; it feeds one lane, and the other lane writes to it."""
 
     def __init__(self, link: _Link, inbound: Lane, outbound: Lane) -> None:
         self._link = link

@@ -1,4 +1,4 @@
-"""What every tap offers, and the choice of the tap for an endpoint.
+"""The interface of every tap, and the choice of the tap for an endpoint.
 
 A tap is a proxy between an adapter and its device. It records, and on demand disturbs, what passes. Without rules bytes are
 handed on as they come, before anything else is done with them.

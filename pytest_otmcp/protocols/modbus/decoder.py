@@ -1,9 +1,9 @@
-"""Decodes Modbus TCP from recorded bytes, by the specifications alone.
+"""Decoder of Modbus TCP for recorded bytes, written from the specifications alone.
 
 MODBUS Messaging on TCP/IP Implementation Guide V1.0b, section 3.1 (MBAP header); MODBUS Application Protocol V1.1b3,
 section 6 (functions) and 7 (exceptions). Requests are described as far as their bytes go, also those that the
-device refuses: what arrived is evidence. Every request counts as one; those of :data:`STATE_CHANGING` may change
-the plant.
+device refuses: the bytes that arrived are evidence. Every message of a client is a request; the functions of
+:data:`STATE_CHANGING` may change the plant.
 """
 
 from __future__ import annotations
@@ -44,13 +44,14 @@ def mbap_length(buffer: bytes | bytearray) -> int | None:
 
 
 class ModbusConversation:
-    """One connection; requests are remembered so that the answers can be read (bits are padded to whole bytes)."""
+    """One connection. It remembers requests, so that answers can be read: an answer pads its bits to whole bytes."""
 
     def __init__(self) -> None:
         self._outstanding = Outstanding()
 
     def decode(self, direction: Direction, frame: bytes) -> list[Message]:
-        """See :class:`~pytest_otmcp.protocols.conversation.Conversation`; kinds are ``request`` and ``response``."""
+        """Decode one frame, see :class:`~pytest_otmcp.protocols.conversation.Conversation`; kinds are ``request`` and
+        ``response``."""
         transaction, _, _, unit = _HEADER.unpack_from(frame)
         pdu = frame[7:]
         key = (transaction, unit, pdu[0] & 0x7F)
@@ -84,7 +85,7 @@ def _request(pdu: bytes) -> dict[str, object]:
         fields |= {"address": words[0], "quantity": 1, "values": [words[1]]}
     elif function == WRITE_COIL and len(words) >= 2:
         fields |= {"address": words[0], "quantity": 1}
-        # Section 6.5: FF00 is ON, 0000 is OFF, all other values are illegal and say nothing.
+        # Section 6.5: FF00 is ON, 0000 is OFF, all other values are illegal and have no meaning.
         if words[1] in (0x0000, 0xFF00):
             fields["values"] = [words[1] == 0xFF00]
     elif function == MASK_WRITE and len(words) >= 3:

@@ -20,11 +20,11 @@ _FUNCTIONS = {
     22: "mask write register",
     23: "read/write multiple registers",
 }
-"""Names of the specification, section 6."""
+"""Names of the functions, as in section 6 of the specification."""
 
 
 class ModbusEntry(JournalEntry, total=False):
-    """An entry of the kind ``request`` or ``response``; absent is what a PDU does not say.
+    """An entry of the kind ``request`` or ``response``; members that the PDU does not have are absent.
 
     Members:
         unit: unit identifier.
@@ -47,12 +47,12 @@ class ModbusEntry(JournalEntry, total=False):
 
 
 def as_modbus(entry: JournalEntry) -> ModbusEntry:
-    """Take an entry of a Modbus device's journal for what it is."""
+    """Return an entry of a Modbus device's journal with its own type."""
     return cast(ModbusEntry, entry)
 
 
 def title(entry: JournalEntry) -> str:
-    """Name an entry: its kind and, where it has one, its function."""
+    """Return the title of an entry: its kind and, where it has one, its function."""
     function = _FUNCTIONS.get(as_modbus(entry).get("function", 0))
     return entry["kind"] if function is None else f"{entry['kind']}: {function}"
 
@@ -67,7 +67,7 @@ def describe(entry: JournalEntry) -> str:
 
 
 def points(table: str, address: int, values: list[object], *, unit: int = 1) -> dict[str, object]:
-    """Name the points of an image that hold these values, one after the other from ``address``.
+    """Return the points of an image that hold these values, one after the other from ``address``.
 
     Args:
         table: ``holding_registers``, ``input_registers``, ``coils`` or ``discrete_inputs``.

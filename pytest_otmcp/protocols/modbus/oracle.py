@@ -1,4 +1,4 @@
-"""What a Modbus device witnesses."""
+"""Oracles on the journal and the image of a Modbus device."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ only_changed = _WITNESS.only_changed
 
 
 def exactly_one_write(entries: Entries, table: str, *, address: int, values: list[object]) -> list[Finding]:
-    """One request that may change the device reached it, and it was this write: with a single or a multiple function."""
+    """Expect that exactly one request that may change the device reached it: this write, by a single or multiple function."""
     functions = (6, 16) if table == "holding_registers" else (5, 15)
 
     def problem(entry: JournalEntry) -> tuple[str, str] | None:
@@ -45,7 +45,7 @@ def exactly_one_write(entries: Entries, table: str, *, address: int, values: lis
 
 
 def exception_sent(entries: Entries, code: int) -> list[Finding]:
-    """The device answered with this exception code."""
+    """Expect that the device answered with this exception code."""
     sent = [as_modbus(entry).get("exception") for entry in entries if entry["kind"] == "response"]
     if code in sent:
         return []
@@ -59,5 +59,5 @@ def exception_sent(entries: Entries, code: int) -> list[Finding]:
 
 
 def image_holds(image: Image, table: str, address: int, values: list[Any], unit: int = 1) -> list[Finding]:
-    """The device's memory holds these values."""
+    """Expect that the device's memory holds these values."""
     return _WITNESS.holds(image, points(table, address, values, unit=unit))

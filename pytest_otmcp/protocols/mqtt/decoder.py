@@ -1,11 +1,11 @@
-"""Decodes MQTT 3.1.1 and 5 from recorded bytes, by the specifications alone.
+"""Decoder of MQTT 3.1.1 and 5 for recorded bytes, written from the specifications alone.
 
-OASIS MQTT 3.1.1 and MQTT 5.0, chapters 1.5 (data representation), 2 (control packet format) and 3 (packets). One
-message a packet; payloads as base64, never a password. The reader is strict where a reserved bit or a length
-decides what the rest means, and a packet that it cannot read is a malformed message.
+OASIS MQTT 3.1.1 and MQTT 5.0, chapters 1.5 (data representation), 2 (control packet format) and 3 (packets). Each packet
+becomes one message; payloads as base64, never a password. The reader is strict where a reserved bit or a length decides
+what the rest means; a packet that it cannot read becomes a malformed message.
 
-Requests are the packets of a client to which the broker has to give an answer of its own (CONNECT, SUBSCRIBE, UNSUBSCRIBE,
-PINGREQ, PUBREL), and PUBLISH of any QoS. A PUBLISH of a client may change the plant: anything may subscribe to it.
+Requests are the packets of a client that the broker itself has to answer (CONNECT, SUBSCRIBE, UNSUBSCRIBE, PINGREQ, PUBREL),
+and PUBLISH of any QoS. A PUBLISH of a client may change the plant: anything may subscribe to it.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ _ANSWERS = {
     "UNSUBACK": "UNSUBSCRIBE",
     "PINGRESP": "PINGREQ",
 }
-"""The packet of a broker that answers one of a client; which one, the packet identifier says where there is one."""
+"""Answers of a broker, each with the kind of packet that it answers; a packet identifier, where it has one, says which."""
 _REQUESTS = frozenset(_ANSWERS.values())
 _FLAGS_2 = frozenset({"PUBREL", "SUBSCRIBE", "UNSUBSCRIBE"})
 MQTT_5 = 5
 
-# MQTT 5, section 2.2.2.2: property identifier to name and type. 1, 2, 4: integers of so many bytes; v: variable byte
+# MQTT 5, section 2.2.2.2: property identifier to name and type. 1, 2, 4: integers of that many bytes; v: variable byte
 # integer; s: string; b: binary data; p: pair of strings.
 _PROPERTIES = {
     1: ("payload_format_indicator", "1"),
@@ -91,7 +91,7 @@ def packet_length(buffer: bytes | bytearray) -> int | None:
 
 
 class _Reader:
-    """Reads the parts of one packet."""
+    """Reader of the parts of one packet."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data
@@ -165,7 +165,7 @@ class _Reader:
 
 
 class MqttConversation:
-    """One connection; knows its protocol level and client identifier once CONNECT has been seen."""
+    """One connection; its protocol level and client identifier are known once CONNECT has been seen."""
 
     def __init__(self) -> None:
         self.client_id: str | None = None
@@ -174,7 +174,7 @@ class MqttConversation:
         self._outstanding = Outstanding()
 
     def decode(self, direction: Direction, frame: bytes) -> list[Message]:
-        """See :class:`~pytest_otmcp.protocols.conversation.Conversation`; the kind is the packet's name."""
+        """Decode one frame, see :class:`~pytest_otmcp.protocols.conversation.Conversation`; the kind is the packet's name."""
         kind = KINDS[frame[0] >> 4]
         header = next(index for index, byte in enumerate(frame[1:], start=2) if not byte & 0x80)
         reader = _Reader(frame[header:])
@@ -237,7 +237,7 @@ class MqttConversation:
 
     def _properties(self, reader: _Reader) -> dict[str, Any]:
         properties = reader.properties() if self._level == MQTT_5 else {}
-        # Never a credential on the journal.
+        # A credential must never be in the journal.
         properties.pop("authentication_data", None)
         return {"properties": properties} if properties else {}
 
@@ -296,7 +296,7 @@ class MqttConversation:
     def _subscription(self, kind: str, reader: _Reader) -> dict[str, Any]:
         fields: dict[str, object] = {"packet_id": reader.integer(2), **self._properties(reader)}
         if kind in ("SUBACK", "UNSUBACK"):
-            # In 3.1.1 UNSUBACK has no payload.
+            # UNSUBACK has no payload in 3.1.1.
             return fields | {"reason_codes": list(reader.rest())}
         filters: list[dict[str, object]] = []
         while reader.more():
@@ -305,7 +305,7 @@ class MqttConversation:
                 filters.append({"filter": text})
                 continue
             options = reader.integer(1)
-            # The whole byte, not only the bits of the QoS: 0x05 must not look like QoS 1.
+            # The whole byte is checked, not only the bits of the QoS: 0x05 must not look like QoS 1.
             if options & 3 == 3 or options >> 6 or (self._level != MQTT_5 and options >> 2):
                 raise MalformedError(f"SUBSCRIBE {text!r} with the options {options:#04x}")
             filters.append({"filter": text, "qos": options & 3})

@@ -1,4 +1,4 @@
-"""Journal entries of an MQTT broker: control packets (MQTT 3.1.1 and 5, chapter 3), one entry a packet and direction."""
+"""Journal entries of an MQTT broker: control packets (MQTT 3.1.1 and 5, chapter 3), one for each packet and direction."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ class MqttEntry(JournalEntry, total=False):
         topic, payload, qos, retain: of a message; the payload in base64.
         filters: of SUBSCRIBE and UNSUBSCRIBE.
         reason_codes: of an answer, one for each item.
-        packet_id: that ties an answer to its request.
+        packet_id: the identifier that ties an answer to its request.
         will: of a CONNECT: topic, payload, QoS and retain of the will message, or None.
         clean_start: of a CONNECT.
         will_sent: the broker published this message as a client's will.
         reason: why a connection ended, or why a packet is malformed.
-        packet: of a malformed packet: its kind, or None when not even that could be read.
+        packet: of a malformed packet: its kind, or None when not even its kind could be read.
     """
 
     client_id: str | None
@@ -52,16 +52,16 @@ class MqttEntry(JournalEntry, total=False):
 
 
 def as_mqtt(entry: JournalEntry) -> MqttEntry:
-    """Take an entry of a broker's journal for what it is."""
+    """Return an entry of a broker's journal with its own type."""
     return cast(MqttEntry, entry)
 
 
 def adapter_packets(
     entries: Entries, kind: str | None = None, direction: str | None = None, client_id: str | None = None
 ) -> list[MqttEntry]:
-    """The entries of the adapter's connections, by kind and direction; ``client_id`` chooses one client.
+    """Return the entries of the adapter's connections, by kind and direction; ``client_id`` chooses one client.
 
-    What the simulated plant does and what the kit publishes is no doing of the adapter.
+    Entries of the simulated plant and of the kit are left out: the adapter has not caused them.
     """
     return [
         as_mqtt(entry)
@@ -74,15 +74,15 @@ def adapter_packets(
 
 
 def payload_of(message: Mapping[str, Any]) -> bytes:
-    """The payload of a PUBLISH or of a will."""
+    """Return the payload of a PUBLISH or of a will."""
     return base64.b64decode(message.get("payload") or "")
 
 
 class FirstPackets:
-    """Counts packets and keeps the first of them for a finding's evidence.
+    """A count of packets, and the first of them for a finding's evidence.
 
     Attributes:
-        count: how many there were.
+        count: number of packets.
     """
 
     def __init__(self) -> None:
@@ -112,7 +112,7 @@ def shown(entries: Entries) -> str:
 
 
 def describe(entry: JournalEntry) -> str:
-    """Describe a packet in a few words: ``<`` for one from a client, ``>`` for one to it."""
+    """Describe a packet in a few words: ``<`` for a packet from a client, ``>`` for a packet to it."""
     packet = as_mqtt(entry)
     text = f"{'<' if packet['direction'] == 'in' else '>'} {packet['kind']}"
     if packet["kind"] == "PUBLISH":

@@ -1,4 +1,4 @@
-"""A broker of the user's own in the place of the mock."""
+"""The user's broker in the place of the mock."""
 
 from __future__ import annotations
 

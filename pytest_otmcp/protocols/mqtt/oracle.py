@@ -1,7 +1,7 @@
-"""What an MQTT broker witnesses.
+"""Oracles on the journal of an MQTT broker.
 
-Journal kinds are the control packets (MQTT 3.1.1 and 5, chapter 3), one entry a packet and direction; payloads are
-base64. What the simulator's clients and the kit did is left out everywhere, see ``mqtt_entries``.
+Journal kinds are the control packets (MQTT 3.1.1 and 5, chapter 3), one entry for each packet and direction; payloads are
+base64. The packets of the simulator's clients and of the kit are left out everywhere, see ``entries``.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _WITNESS = Witness(noun="the broker", describe=describe)
 
 _HIGHEST_QOS = 2
 _COMMANDS = "control/"
-"""Where the plant listens for commands. What an adapter tells of itself elsewhere commands nothing."""
+"""Prefix of the topics on which the plant listens for commands. An adapter's messages on other topics command nothing."""
 
 
 exchange = _WITNESS.answered
@@ -48,7 +48,7 @@ class Subscriptions(SessionOracle):
         self._granted: dict[str, dict[int, int]] = {}
 
     def feed(self, entry: JournalEntry) -> None:
-        """Note what is asked for and what is granted, for each connection that lives."""
+        """Note the filters that are asked for and those that are granted, for each connection that is open."""
         for packet in adapter_packets([entry], client_id=self._client_id):
             self._first.add(packet)
             connection = packet["connection"]
@@ -68,7 +68,8 @@ class Subscriptions(SessionOracle):
                 self._waiting = {key: wanted for key, wanted in self._waiting.items() if key[0] != connection}
 
     def granted(self, filter: str, *, qos: int | None) -> list[Finding]:
-        """The adapter is subscribed to this filter, granted with this QoS (None is any), on a connection that still lives."""
+        """Expect that the adapter is subscribed to this filter, with this QoS (None is any), on a connection that is still
+        open."""
         codes = list(self._granted.get(filter, {}).values())
         if qos in codes or (qos is None and any(code <= _HIGHEST_QOS for code in codes)):
             return []
@@ -90,23 +91,23 @@ class Subscriptions(SessionOracle):
 
 
 class Publications(SessionOracle):
-    """What the adapter published, and what it sent that cannot be told from that."""
+    """The messages that the adapter published, and its malformed packets that may have been one."""
 
     def __init__(self) -> None:
         self._first = FirstPackets()
 
     def feed(self, entry: JournalEntry) -> None:
-        """Note a PUBLISH."""
+        """Count the entry if it is a PUBLISH."""
         for packet in _packets([entry], "PUBLISH", "in", None):
             self._first.add(packet)
 
     def none(self) -> list[Finding]:
-        """Nothing was published in the whole life of the session."""
+        """Expect that nothing was published in the whole life of the session."""
         return _unexpected("PUBLISH", "in", self._first)
 
 
 def delivered(entries: Entries, *, topic: str, payload: bytes, client_id: str | None = None) -> list[Finding]:
-    """The broker delivered this message to the adapter."""
+    """Expect that the broker delivered this message to the adapter."""
     messages = adapter_packets(entries, "PUBLISH", "out", client_id)
     if any(_is(entry, topic, payload) for entry in messages):
         return []
@@ -135,7 +136,7 @@ def published_once(
     retain: bool = False,
     client_id: str | None = None,
 ) -> list[Finding]:
-    """The adapter published these bytes on this topic in this manner (a QoS of None is any), once, and nothing else."""
+    """Expect that the adapter published these bytes on this topic with this QoS (None is any), once, and nothing else."""
     messages = adapter_packets(entries, "PUBLISH", "in", client_id)
     code, requirement = "not_published_once", "WR-003" if len(messages) > 1 else "MQT-001"
     if len(messages) == 1 and _is(messages[0], topic, payload):
@@ -159,7 +160,7 @@ def published_once(
 
 
 def never_published(entries: Entries, payload: bytes, *, client_id: str | None = None) -> list[Finding]:
-    """No message with these bytes reached the broker, on whatever topic."""
+    """Expect that no message with these bytes reached the broker, on any topic."""
     found = [entry for entry in adapter_packets(entries, "PUBLISH", "in", client_id) if payload_of(entry) == payload]
     if not found:
         return []
@@ -175,7 +176,7 @@ def never_published(entries: Entries, payload: bytes, *, client_id: str | None =
 
 
 def no_command(entries: Entries) -> list[Finding]:
-    """No message of the adapter reached the topics on which the plant listens for commands."""
+    """Expect that no message of the adapter reached the topics on which the plant listens for commands."""
     return _WITNESS.nothing_changed(entries, requirement="WR-010", commands=_is_command)
 
 
@@ -184,7 +185,7 @@ def _is_command(entry: JournalEntry) -> bool:
 
 
 def no_packet(entries: Entries, kind: str, *, direction: str = "in", client_id: str | None = None) -> list[Finding]:
-    """No packet of this kind, not even a malformed one."""
+    """Expect no packet of this kind, not even a malformed one."""
     found = FirstPackets()
     for packet in _packets(entries, kind, direction, client_id):
         found.add(packet)
@@ -214,7 +215,7 @@ def _unexpected(kind: str, direction: str, packets: FirstPackets) -> list[Findin
 
 
 def session_stays_up(entries: Entries, client_id: str | None = None) -> list[Finding]:
-    """The adapter's connection did not end, unless it was made for this one call and left in an orderly way."""
+    """Expect that the adapter's connection did not end, unless it was made for this one call and ended with DISCONNECT."""
     packets = adapter_packets(entries, client_id=client_id)
     made = {entry["connection"] for entry in packets if entry["kind"] == "CONNECT"}
     left = {entry["connection"] for entry in packets if entry["kind"] == "DISCONNECT" and entry["direction"] == "in"}

@@ -1,9 +1,9 @@
-"""Decodes Sparkplug B payloads, from nothing but the specification's field table.
+"""Decoder of Sparkplug B payloads, written from the specification's field table alone.
 
 The protobuf schema is built when it is first needed, in a descriptor pool of its own: no generated file, no clash with
 another package's ``sparkplug_b_pb2``, and no code shared with the adapter or the mock whose payloads are judged.
 Field names, numbers and types: Sparkplug 3.0.0, section 6.4.1 (Copyright Eclipse Foundation, used under the Eclipse
-Foundation Specification License v1.1). The four empty ``...Extension`` messages are left out; they carry nothing.
+Foundation Specification License v1.1). The four empty ``...Extension`` messages are left out; they hold nothing.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ _SCHEMA: dict[str, tuple[tuple[int, str], ...]] = {
 @cache
 def payload_class() -> Any:
     """Return the message class ``Payload``."""
-    # Imported here: a run that never meets Sparkplug does not pay for protobuf.
+    # Imported here, so that a run without Sparkplug does not spend time on protobuf.
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
     field_type = descriptor_pb2.FieldDescriptorProto
@@ -146,7 +146,7 @@ def parse_topic(topic: str) -> Topic | None:
 
 
 def decode_message(topic: str, payload: bytes) -> dict[str, Any] | None:
-    """Return what a PUBLISH says in Sparkplug's words, JSON-safe; None when the topic is none of Sparkplug's.
+    """Return the Sparkplug message of a PUBLISH, JSON-safe; None when the topic is not one of Sparkplug.
 
     The result has group, type, edge_node, device, seq, timestamp and metrics, or ``error`` with one sentence when the
     payload is no Sparkplug payload.
@@ -170,12 +170,12 @@ def decode_message(topic: str, payload: bytes) -> dict[str, Any] | None:
 def decode_payload(payload: bytes) -> dict[str, Any]:
     """Return ``{"seq", "timestamp", "metrics": [{"name", "alias", "datatype", "value", "is_null"}]}``, JSON-safe.
 
-    What is absent on the wire is None. Signed integers come out signed (section 6.4.16: two's complement), DateTime as
-    milliseconds, Bytes and File as base64, NaN and infinities as their names, a DataSet as ``{"columns", "rows"}``, a
-    Template as ``{"template_ref", "metrics"}``.
+    A field that is absent on the wire is None. Signed integers are returned signed (section 6.4.16: two's complement),
+    DateTime as milliseconds, Bytes and File as base64, NaN and infinities as their names, a DataSet as
+    ``{"columns", "rows"}``, a Template as ``{"template_ref", "metrics"}``.
 
     Raises:
-        ValueError: with one sentence: the bytes are no payload, or a value does not fit its data type.
+        ValueError: the bytes are no payload, or a value does not fit its data type; the message is one sentence.
     """
     from google.protobuf.message import DecodeError
 
@@ -208,8 +208,8 @@ def _metric(metric: Any) -> dict[str, Any]:
     }
 
 
-# Sparkplug 3.0.0, section 6.4.16: which field carries which data type. UInt32 has two, since Tahu's Java code and its
-# C code differ and consumers have to live with both.
+# Sparkplug 3.0.0, section 6.4.16: data types and the fields that carry them. UInt32 has two fields, since Tahu's Java code
+# and its C code differ and consumers have to accept both.
 _CARRIERS = {
     name: carriers
     for names, carriers in (
@@ -258,7 +258,7 @@ def _integer(value: int, datatype: str | None, carried: int, label: str) -> int:
         return value
     assert datatype is not None
     width = int(datatype.removeprefix("U").removeprefix("Int"))
-    # A negative Int8 or Int16 is found both in its own width and extended to the width of its field.
+    # A negative Int8 or Int16 occurs both in its own width and extended to the width of its field.
     if signed and value >> (carried - 1) and value >= (1 << carried) - (1 << (width - 1)):
         return value - (1 << carried)
     if value >> width:
@@ -283,8 +283,8 @@ _FORMATS |= {"UInt64": "Q", "Float": "f", "Double": "d", "DateTime": "Q"}
 
 
 def _array(data: bytes, element: str, label: str) -> list[Any]:
-    """Read an array (section 6.4.17): packed little-endian; booleans as a count and bits, most significant first; strings ended
-    by NUL."""
+    """Read an array (section 6.4.17): packed little-endian; booleans as a count and bits, most significant first; strings end
+    with NUL."""
     if element == "String":
         if data and data[-1]:
             raise ValueError(f"metric {label}: the last string of the array is not ended by NUL")

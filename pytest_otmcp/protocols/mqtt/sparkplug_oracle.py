@@ -1,7 +1,7 @@
-"""What a broker witnesses of a Sparkplug edge node: births, deaths, one sequence (Sparkplug 3.0, chapters 5 and 6).
+"""Oracles on the messages of a Sparkplug edge node: births, deaths, one sequence (Sparkplug 3.0, chapters 5 and 6).
 
-Payloads are decoded here, from the journal's bytes; what the broker's own decoder said of them does not count. The ids
-``tck-id-…`` name assertions of the specification; the words are ours.
+Payloads are decoded here, from the journal's bytes; the decoder of the broker is not relied on. The ids ``tck-id-…`` name
+assertions of the specification; the wording is not the specification's.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def ddata_metric(
     births: Entries | None = None,
     client_id: str | None = None,
 ) -> list[Finding]:
-    """The adapter published one DDATA for the device, with this metric alone, as Float or Double.
+    """Expect that the adapter published one DDATA for the device, with this metric alone, as Float or Double.
 
     Args:
         births: journal in which the device's DBIRTH is found, for metrics that are sent by alias only; default
@@ -101,8 +101,8 @@ def _messages(entries: Entries, client_id: str | None) -> Iterator[tuple[MqttEnt
 
 
 def _message(entry: MqttEntry) -> Mapping[str, object] | None:
-    """Decode a PUBLISH as a Sparkplug message; None when it is none."""
-    # A will is published by the broker, on the client's behalf.
+    """Decode a PUBLISH as a Sparkplug message; None when it is no such message."""
+    # The broker publishes a will on the client's behalf.
     if not str(entry.get("topic")).startswith(NAMESPACE + "/") or entry.get("will_sent"):
         return None
     message: Mapping[str, Any] | None = decode_message(entry["topic"], payload_of(entry))
@@ -122,16 +122,16 @@ def _declared(message: Mapping[str, Any]) -> Declared:
 
 
 class SparkplugSequence(SessionOracle):
-    """Each of the adapter's connections keeps the rules of an edge node.
+    """Oracle that expects each of the adapter's connections to keep the rules of an edge node.
 
-    Will with NDEATH and bdSeq, bdSeq counted from connection to connection, NBIRTH first, DBIRTH before DDATA, one
-    sequence number for all, QoS 0, not retained, data only of metrics that a birth declared. An adapter that publishes
-    as an edge node without having been born as one impersonates it, and is found out by the same rules. Of a connection
-    whose CONNECT was not seen nothing is said.
+    The rules: will with NDEATH and bdSeq, bdSeq counted from connection to connection, NBIRTH first, DBIRTH before DDATA,
+    one sequence number for all, QoS 0, not retained, data only of metrics that a birth declared. An adapter that publishes
+    as an edge node without its own birth impersonates that node; the same rules find it. A connection whose CONNECT was
+    not seen is not judged.
 
     Args:
-        group, edge_node: only this edge node; None for all.
-        client_id: only this client; None for all.
+        group, edge_node: judge only this edge node; None for all.
+        client_id: judge only this client; None for all.
 
     Attributes:
         findings: the first few faults.
@@ -145,7 +145,7 @@ class SparkplugSequence(SessionOracle):
         self.findings: list[Finding] = []
 
     def feed(self, entry: JournalEntry) -> None:
-        """Judge the next packet by what the connection's packets before it said."""
+        """Judge the next packet by the packets that the connection sent before it."""
         for packet in adapter_packets([entry], client_id=self._client_id):
             room = _MOST_FINDINGS - len(self.findings)
             self.findings += list(self._check(packet))[:room]
@@ -190,7 +190,7 @@ class _Session:
         return next((metric["value"] for metric in self.death["metrics"] if metric["name"] == _BD_SEQ), None)
 
     def check_count(self, deaths: dict[str, int]) -> Iterator[Finding]:
-        """tck-id-topics-nbirth-bdseq-increment: one more than at the connection before, modulo 256."""
+        """Check bdSeq: one more than at the connection before, modulo 256 (tck-id-topics-nbirth-bdseq-increment)."""
         topic = self.will.get("topic")
         if not isinstance(topic, str) or "/NDEATH/" not in topic or not isinstance(self.bd_seq, int):
             return
@@ -243,7 +243,7 @@ def _command(entry: MqttEntry, topic: Topic, message: Mapping[str, object]) -> I
 
 
 class _EdgeNode:
-    """The state that a host would have of one edge node."""
+    """The state of one edge node as a host would know it."""
 
     def __init__(self) -> None:
         self._seq: int | None = None
@@ -270,7 +270,7 @@ class _EdgeNode:
 
     def _sequence(self, entry: MqttEntry, kind: str, seq: Any) -> Iterator[Finding]:
         if kind == "NBIRTH":
-            # The specification says both "0" and "0 to 255" of the first number; the wider rule is asked for.
+            # The specification says both "0" and "0 to 255" about the first number; the wider rule is applied.
             if seq is None or not 0 <= seq <= 255:
                 yield _rule("SPB-004", f"NBIRTH must have a seq from 0 to 255, it has {seq}", entry)
         elif self._seq is None:
@@ -281,7 +281,7 @@ class _EdgeNode:
 
     def _birth(self, entry: MqttEntry, topic: Topic, message: Mapping[str, Any]) -> Iterator[Finding]:
         if topic.type == "NBIRTH":
-            # A node's birth is the death of what its devices declared before.
+            # After a node's birth the earlier births of its devices are no longer valid.
             self._declared = {}
             metrics = {metric["name"]: metric for metric in message["metrics"]}
             if _BD_SEQ not in metrics:
@@ -308,7 +308,7 @@ class _EdgeNode:
 
 
 def _rule(requirement: str, message: str, where: MqttEntry | str) -> Finding:
-    """A broken rule, seen in a packet or in what goes to a topic."""
+    """Return the finding for a broken rule, seen in a packet or in a message to a topic."""
     topic, packet = (where, None) if isinstance(where, str) else (where["topic"], where["seq"])
     return Finding(
         code="sparkplug",

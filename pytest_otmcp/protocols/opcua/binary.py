@@ -1,6 +1,6 @@
-"""Reads the built-in types of OPC UA Binary (OPC 10000-6, section 5.2.2) into JSON-safe values. Pure.
+"""Reader of the built-in types of OPC UA Binary (OPC 10000-6, section 5.2.2) into JSON-safe values. Pure.
 
-Written from the specification, not from the library that adapter and mock are made of.
+It is written from the specification, not from the library that adapter and mock use.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def symbol(status: int) -> str:
 
 
 class BinaryReader:
-    """Reads one message body from its beginning to its end."""
+    """Reader of one message body, from its beginning to its end."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data
@@ -58,7 +58,7 @@ class BinaryReader:
         """Return the next bytes.
 
         Raises:
-            MalformedError: there are not so many.
+            MalformedError: fewer bytes are left.
         """
         if count < 0 or self._at + count > len(self._data):
             raise MalformedError("the message ends in the middle of a field")
@@ -76,7 +76,7 @@ class BinaryReader:
         return None if length == -1 else self.take(length)
 
     def string(self) -> str | None:
-        """Read UTF-8; bytes that are none are replaced."""
+        """Read a String; bytes that are no UTF-8 are replaced."""
         data = self.byte_string()
         return None if data is None else data.decode("utf-8", "replace")
 
@@ -85,7 +85,7 @@ class BinaryReader:
         count = self.unpack("i")
         if count == -1:
             return None
-        # Every element has a byte at least: a larger count is a lie that must not cost memory.
+        # Every element has a byte at least: a larger count is wrong and must not cost memory.
         if not 0 <= count <= self.left:
             raise MalformedError(f"an array of {count} elements does not fit the message")
         return [element() for _ in range(count)]
@@ -127,7 +127,7 @@ class BinaryReader:
         return str(uuid.UUID(bytes_le=self.take(16)))
 
     def date_time(self) -> str | None:
-        """Read a DateTime (section 5.2.2.5): 100 ns since 1601; 0, and a time that no calendar holds, is null."""
+        """Read a DateTime (section 5.2.2.5): 100 ns since 1601; 0, and a time that Python cannot represent, is null."""
         ticks = self.unpack("q")
         try:
             return None if ticks <= 0 else (_EPOCH + timedelta(microseconds=ticks // 10)).isoformat()
@@ -147,13 +147,13 @@ class BinaryReader:
         return self.string() if mask & 2 else None
 
     def extension_object(self) -> dict[str, Any]:
-        """Read an ExtensionObject no further than the node id of its type and its body as base64."""
+        """Read an ExtensionObject: the node id of its type, and its body, undecoded, as base64."""
         type_id, encoding = self.node_id(), self.unpack("B")
         body = self.byte_string() if encoding else None
         return {"type_id": type_id, "body": None if body is None else base64.b64encode(body).decode()}
 
     def diagnostic_info(self) -> None:
-        """Read over a DiagnosticInfo (section 5.2.2.12)."""
+        """Skip a DiagnosticInfo (section 5.2.2.12)."""
         mask = self.unpack("B")
         for bit in (1, 2, 8, 4):
             if mask & bit:
@@ -166,7 +166,8 @@ class BinaryReader:
             self._nested(self.diagnostic_info)
 
     def data_value(self) -> dict[str, Any]:
-        """Read a DataValue (section 5.2.2.17): ``value``, ``variant_type``, ``status`` (symbol) and which timestamps are there."""
+        """Read a DataValue (section 5.2.2.17): ``value``, ``variant_type``, ``status`` (symbol), ``has_status`` and
+        ``has_timestamp``."""
         mask = self.unpack("B")
         variant_type, value = self.variant() if mask & 1 else (None, None)
         status = self.unpack("I") if mask & 2 else 0
@@ -177,7 +178,7 @@ class BinaryReader:
             "value": value,
             "variant_type": variant_type,
             "status": symbol(status),
-            # A Good that is spelt out says no more than one that is left out.
+            # A Good that is written out means the same as one that is left out.
             "has_status": status != 0,
             "has_timestamp": bool(mask & 12),
         }
@@ -197,7 +198,7 @@ class BinaryReader:
         return VARIANT_TYPES[number], value
 
     def _nested(self, read: Callable[[], object]) -> Any:
-        # Section 5.1.5: a decoder has to bear 100 levels at most; nothing a plant sends needs more than these.
+        # Section 5.1.5: a decoder need not accept more than 100 levels; no message of a plant needs more than these.
         if self._depth >= _DEEPEST:
             raise MalformedError("the message is nested too deeply")
         self._depth += 1

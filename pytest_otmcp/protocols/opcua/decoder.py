@@ -1,8 +1,8 @@
-"""Decodes OPC UA over TCP from recorded bytes, security policy None, by the specification alone.
+"""Decoder of OPC UA over TCP for recorded bytes, security policy None, written from the specification alone.
 
 OPC 10000-6, section 7.1 (OPC UA Connection Protocol) and 6.7 (chunks); OPC 10000-4 for the services. Every service is a
-request, but those of :data:`SESSION_KEEPING`; those of :data:`STATE_CHANGING` may change the plant. Signed channels are framed
-but not read: their messages are of kind ``Sealed``, and one of a client may ask for anything.
+request, except those of :data:`SESSION_KEEPING`; those of :data:`STATE_CHANGING` may change the plant. Signed channels are
+framed but not read: their messages are of kind ``Sealed``, and such a message of a client may ask for anything.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _CONNECTION_PROTOCOL = {"HEL": "Hello", "ACK": "Acknowledge", "ERR": "Error", "R
 _LARGEST_CHUNK = 64 * 1024 * 1024
 _POLICY_NONE = "http://opcfoundation.org/UA/SecurityPolicy#None"
 
-# Numeric id of the binary encoding of the request (OPC 10000-6, annex A); that of the response is three higher.
+# Numeric id of the binary encoding of the request (OPC 10000-6, annex A); the id of the response is three higher.
 _SERVICES = {
     422: "FindServers",
     428: "GetEndpoints",
@@ -95,7 +95,7 @@ def chunk_length(buffer: bytes | bytearray) -> int | None:
 
 
 class OpcUaConversation:
-    """One connection: puts chunks together, and answers and their requests."""
+    """One connection: it joins chunks to messages, and answers to their requests."""
 
     def __init__(self) -> None:
         self._chunks: dict[tuple[Direction, int], bytes] = {}
@@ -103,7 +103,7 @@ class OpcUaConversation:
         self._sealed = False
 
     def decode(self, direction: Direction, frame: bytes) -> list[Message]:
-        """See :class:`~pytest_otmcp.protocols.conversation.Conversation`; the kind is the service's name."""
+        """Decode one frame, see :class:`~pytest_otmcp.protocols.conversation.Conversation`; the kind is the service's name."""
         kind = frame[:3].decode()
         try:
             return self._messages(kind, direction, frame)
@@ -194,7 +194,7 @@ def _connection_message(kind: str, direction: Direction, reader: BinaryReader) -
 
 
 def _asked(name: str, reader: BinaryReader) -> dict[str, Any]:
-    """Return the parameters of a request, for the services that say which nodes they are about."""
+    """Return the parameters of a request, for the services that name nodes."""
     if name == "Read":
         reader.take(12)
         return {"nodes": reader.array(lambda: _read_value_id(reader)) or []}

@@ -1,4 +1,4 @@
-"""Journal entries of an OPC UA server (services of OPC 10000-4) and how its points hold values."""
+"""Journal entries of an OPC UA server (services of OPC 10000-4), and the comparison of values that its points hold."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ class Item(TypedDict, total=False):
 
     Members:
         node_id, attribute: of the node.
-        value: that is written.
-        has_status, has_timestamp: are written with it.
+        value: the value that is written.
+        has_status, has_timestamp: a status or a timestamp is written with it.
     """
 
     node_id: str
@@ -41,7 +41,7 @@ class OpcUaEntry(JournalEntry, total=False):
     """An entry whose kind is the name of a service.
 
     Members:
-        nodes: that a request names; of other services than Read and Write their node ids alone.
+        nodes: the nodes that a request names; for other services than Read and Write only their node ids.
         results: of an answer, one for each item: a status code's symbol, or an object with ``status``.
         service_result: symbol of the status code of the service as a whole.
     """
@@ -52,28 +52,28 @@ class OpcUaEntry(JournalEntry, total=False):
 
 
 def as_opcua(entry: JournalEntry) -> OpcUaEntry:
-    """Take an entry of an OPC UA server's journal for what it is."""
+    """Return an entry of an OPC UA server's journal with its own type."""
     return cast(OpcUaEntry, entry)
 
 
 def node_ids(entry: JournalEntry) -> list[str]:
-    """Node ids that a request names."""
+    """Return the node ids that a request names."""
     return [node["node_id"] if isinstance(node, dict) else node for node in as_opcua(entry).get("nodes", [])]
 
 
 def values_read(entry: JournalEntry) -> list[str]:
-    """Node ids whose value a Read asks for."""
+    """Return the node ids whose value a Read asks for."""
     return [node["node_id"] for node in as_opcua(entry).get("nodes", []) if node["attribute"] == "Value"]
 
 
 def statuses(entry: JournalEntry) -> list[str]:
-    """Symbols of the status codes of an answer, one for each item."""
+    """Return the symbols of the status codes of an answer, one for each item."""
     results = as_opcua(entry).get("results", [])
     return [str(result["status"] if isinstance(result, dict) else result) for result in results]
 
 
 def answers(entries: Entries, kind: str) -> list[JournalEntry]:
-    """The answers of one service."""
+    """Return the answers of one service."""
     return [entry for entry in entries if entry["direction"] == "out" and entry["kind"] == kind]
 
 
@@ -83,8 +83,8 @@ def describe(entry: JournalEntry) -> str:
 
 
 def holds_value(image: Image, node: str, held: object, wanted: object) -> bool:
-    """The node holds the wanted value, or the nearest one that its data type can hold."""
+    """Tell whether the node holds the wanted value, or the nearest value that its data type can hold."""
     if image["variables"].get(node, {}).get("data_type") == "Float" and isinstance(wanted, float):
-        # The nearest number of four bytes is all that such a node can hold.
+        # Such a node can only hold the nearest number of four bytes.
         wanted = struct.unpack("<f", struct.pack("<f", wanted))[0]
     return same_json(held, wanted)

@@ -1,4 +1,4 @@
-"""What an OPC UA server witnesses.
+"""Oracles on the journal and the image of an OPC UA server.
 
 Journal kinds are service names (OPC 10000-4); requests list their ``nodes``, answers their ``results``. The image lists
 the plant's data variables by node id, its folders by browse name.
@@ -41,12 +41,12 @@ only_changed = _WITNESS.only_changed
 
 
 def folder_id(image: Image, name: str) -> str:
-    """Node id of a folder of the plant."""
+    """Return the node id of a folder of the plant."""
     return str(image["folders"][name])
 
 
 def children_of(image: Image, name: str) -> dict[str, str]:
-    """Browse name to node id of the data variables in a folder."""
+    """Return the data variables in a folder: browse name to node id."""
     parent = folder_id(image, name)
     return {
         variable["browse_name"]: node for node, variable in image["variables"].items() if variable["parent"] == parent
@@ -54,9 +54,9 @@ def children_of(image: Image, name: str) -> dict[str, str]:
 
 
 def names_and_ids_agree(ids: object, names: object, expected: Mapping[str, str]) -> list[Finding]:
-    """A browse result holds these nodes, each with its own name; a namespace prefix of a name (``2:``) is accepted.
+    """Expect that a browse result holds these nodes, each with its own name; a namespace prefix of a name (``2:``) is accepted.
 
-    An adapter whose answers have no names gives None for them, and is judged by the nodes alone.
+    For an adapter whose answers have no names, ``names`` is None, and only the nodes are judged.
     """
     pairs: dict[str, str] = {}
     if names is None and isinstance(ids, list):
@@ -77,19 +77,19 @@ def names_and_ids_agree(ids: object, names: object, expected: Mapping[str, str])
 
 
 def browsed(entries: Entries, node: str) -> list[Finding]:
-    """The server was asked to browse this node during the call."""
+    """Expect that the server was asked to browse this node during the call."""
     if any(node in node_ids(entry) for entry in requests(entries, kind="Browse")):
         return []
     return [_missing(f"a Browse of {node}", entries)]
 
 
 def some_service(entries: Entries) -> list[Finding]:
-    """The server was asked something during the call."""
+    """Expect that the server received a service request during the call."""
     return [] if requests(entries) else [_missing("a service request", entries)]
 
 
 def read_from_device(entries: Entries, node: str | None, at_least: int = 1) -> list[Finding]:
-    """The value of ``node`` was read from the server at least that often.
+    """Expect that the value of ``node`` was read from the server so many times at least.
 
     Args:
         node: node id; None for any node of the plant (those of namespace 0 are the server's own: a client that
@@ -112,7 +112,7 @@ def _missing(what: str, entries: Entries) -> Finding:
 
 
 def exactly_one_service(entries: Entries, kind: str, *, node: str) -> list[Finding]:
-    """Exactly one request of this service named the node."""
+    """Expect that exactly one request of this service named the node."""
     count = sum(node in node_ids(entry) for entry in requests(entries, kind=kind))
     if count == 1:
         return []
@@ -127,7 +127,7 @@ def exactly_one_service(entries: Entries, kind: str, *, node: str) -> list[Findi
 
 
 def result_status(entries: Entries, kind: str, symbol: str) -> list[Finding]:
-    """The server answered a request of this service with this status code, for an item or as a whole."""
+    """Expect that the server answered a request of this service with this status code, for an item or as a whole."""
     found: list[str] = []
     for entry in entries:
         if entry["direction"] == "out" and entry["kind"] == kind:
@@ -147,7 +147,7 @@ def result_status(entries: Entries, kind: str, symbol: str) -> list[Finding]:
 
 
 def exactly_one_write(entries: Entries, node: str, value: object) -> list[Finding]:
-    """One Write reached the server, of this value to this node and of nothing but the value, and was accepted."""
+    """Expect that exactly one Write reached the server and was accepted: of this value, and nothing else, to this node."""
 
     def problem(entry: JournalEntry) -> tuple[str, str] | None:
         write = as_opcua(entry)
@@ -168,7 +168,7 @@ def exactly_one_write(entries: Entries, node: str, value: object) -> list[Findin
 
 
 def accepted_writes(entries: Entries, count: int) -> list[Finding]:
-    """The server accepted a value from so many Writes; it may have refused others."""
+    """Expect that the server accepted a value from so many Writes; it may have refused others."""
     accepted = [
         entry for entry in answers(entries, "Write") if any(status.startswith("Good") for status in statuses(entry))
     ]
@@ -185,12 +185,12 @@ def accepted_writes(entries: Entries, count: int) -> list[Finding]:
 
 
 def image_holds(image: Image, node: str, value: Any) -> list[Finding]:
-    """The server holds this value."""
+    """Expect that the node holds this value at the server."""
     return _WITNESS.holds(image, {node: value})
 
 
 def complete_enumeration(ids: object, image: Image) -> list[Finding]:
-    """An enumeration lists every data variable of the plant, each once."""
+    """Expect that an enumeration lists every data variable of the plant, each once."""
     listed = [str(node) for node in ids] if isinstance(ids, list) else []
     missing = sorted(set(image["variables"]) - set(listed))
     twice = sorted({node for node in listed if listed.count(node) > 1})

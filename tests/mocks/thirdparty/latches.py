@@ -1,7 +1,7 @@
 """A device with an endpoint of every kind: three latches, set over TCP, UDP and a pseudo terminal.
 
-A telegram is one byte. Zero asks for nothing but an answer; any other sets the latch of the endpoint on which it came.
-It is answered with the byte after it. The plant's own latch, ``clock``, counts seconds.
+A telegram is one byte. Zero only asks for an answer; any other byte sets the latch of the endpoint on which it came.
+The answer is the byte plus one. The plant's own latch, ``clock``, counts seconds.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def create() -> Latches:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rule:
-    """What is answered, as often as it says."""
+    """The answer that a fault rule gives, as often as it says."""
 
     answer: int
     times: int | None = None
@@ -47,7 +47,7 @@ RULES = Table(conditions={}, actions={"answer": integer(0, 255)}, example="{'ans
 
 
 class Latches(Device):
-    """Serves one stream client at a time, any number of senders of datagrams, and the line."""
+    """A device that serves one stream client at a time, any number of senders of datagrams, and the line."""
 
     protocol = "latches"
 

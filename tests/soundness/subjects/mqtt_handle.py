@@ -1,4 +1,4 @@
-"""Subscriptions with a handle: polling empties it, so what was fetched is kept here, as long as the session lasts."""
+"""Functions for subscriptions with a handle: polling empties it, so the session's state keeps the messages."""
 
 from pytest_otmcp.subject import Refused
 

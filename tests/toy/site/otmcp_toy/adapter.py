@@ -33,7 +33,7 @@ class _Reply(asyncio.DatagramProtocol):
 
 
 async def exchange(request: str) -> Register:
-    """Ask the device."""
+    """Send one request to the device and return its answer."""
     async with asyncio.timeout(4.0):
         if TRANSPORT == "tcp":
             reader, writer = await asyncio.open_connection(HOST, int(PORT))

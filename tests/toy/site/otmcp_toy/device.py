@@ -19,7 +19,7 @@ _REGISTERS = 10
 
 
 class ToyDevice(Device):
-    """Serves on all its endpoints; an address that does not exist is answered by ``E``."""
+    """The toy device: it serves on all its endpoints, and answers ``E`` to an address that does not exist."""
 
     protocol = "toy"
 
@@ -39,7 +39,7 @@ class ToyDevice(Device):
                 await loop.create_datagram_endpoint(lambda: _Datagrams(self), sock=listener)
 
     async def aclose(self) -> None:
-        """The process ends right after this."""
+        """Do nothing: the process ends right after this."""
 
     def image(self) -> dict[str, Any]:
         return {"points": {str(address): value for address, value in enumerate(self.registers)}}
@@ -56,10 +56,10 @@ class ToyDevice(Device):
         self.acknowledge_only = False
 
     async def tick(self) -> None:
-        """Nothing moves by itself."""
+        """Do nothing: no register changes by itself."""
 
     def answer(self, connection: int, line: bytes, send: Callable[[bytes], None]) -> None:
-        """Do what a line asks for."""
+        """Do what a line asks for, and answer it."""
         fields = parsed(line)
         asked = self.journal.append(connection=connection, direction="in", **fields)
         address, reply = fields.get("address", -1), b"E\n"

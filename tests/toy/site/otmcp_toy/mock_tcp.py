@@ -9,4 +9,4 @@ create = ToyDevice
 
 
 def warm() -> None:
-    """Nothing is slow here."""
+    """Do nothing: nothing is slow here."""

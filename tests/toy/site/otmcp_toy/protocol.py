@@ -15,7 +15,7 @@ __all__ = ["TOY", "TOY_UDP", "WITNESS"]
 
 
 def describe(entry: JournalEntry) -> str:
-    """An entry in a few words."""
+    """Describe an entry in a few words."""
     return f"{entry['kind']} {entry.get('address')}"
 
 

@@ -1,4 +1,4 @@
-"""What the tasks of both toys do."""
+"""The steps of the tasks of both toys."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lines of the toy protocol as journal entries; used by the device, and on its own by the tap."""
+"""Lines of the toy protocol as journal entries: the device uses them, and the tap does so independently of it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _KINDS = {"R": "read", "W": "write", "V": "value", "K": "written", "E": "error"}
 
 
 def parsed(line: bytes) -> dict[str, Any]:
-    """The kind of a line, and the numbers that it names."""
+    """Return the kind of a line, and the numbers that it names."""
     letter, *numbers = line.decode("ascii", "replace").split() or [""]
     names = zip(("address", "value"), map(int, numbers), strict=False)
     kind = _KINDS.get(letter, "malformed")
@@ -20,7 +20,7 @@ def parsed(line: bytes) -> dict[str, Any]:
 
 
 def line_length(buffer: bytes | bytearray) -> int | None:
-    """Length of the line at the beginning of the buffer, None while its end has not come."""
+    """Return the length of the line at the beginning of the buffer; None while its end has not come."""
     return buffer.find(b"\n") + 1 or None
 
 
