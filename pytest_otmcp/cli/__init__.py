@@ -18,7 +18,7 @@ from ..core.verdict import ExitCode
 
 __all__ = ["Refusal", "main"]
 
-_COMMANDS = ("init", "doctor", "certify", "verify", "report", "mock")
+_COMMANDS = ("init", "doctor", "certify", "verify", "explain", "report", "mock")
 
 
 class Refusal(Exception):

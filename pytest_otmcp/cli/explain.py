@@ -41,7 +41,11 @@ def run(args: argparse.Namespace) -> int:
             hint = " or ".join(near(identifier))
             raise UsageError(
                 f"there is no item, requirement or code {identifier!r}; "
-                + (f"did you mean {hint}?" if hint else "docs/items.md, docs/requirements.md and docs/codes.md list them all")
+                + (
+                    f"did you mean {hint}?"
+                    if hint
+                    else "docs/items.md, docs/requirements.md and docs/codes.md list them all"
+                )
             )
         found += meanings
     print("\n\n".join("\n".join(_lines(one)) for one in found))

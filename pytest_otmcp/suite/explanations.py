@@ -25,9 +25,9 @@ Part = tuple[str, tuple[str, ...]]
 
 _SOCKETS = ("pytest_otmcp.core", "errors.toml", "socket")
 _REPEAT = {
-    "yes": "may be repeated as it is",
-    "no": "must not be repeated without changing something",
-    "verify": "may be repeated only after reading back has shown that the first one did not happen",
+    "yes": "May be repeated as it is",
+    "no": "Must not be repeated without changing something",
+    "verify": "May be repeated only after reading back has shown that the first one did not happen",
 }
 
 
@@ -70,15 +70,15 @@ def near(identifier: str) -> list[str]:
 
 def findings() -> dict[str, tuple[FindingCode, str | None]]:
     """Return every code of findings with the name of the protocol that alone has it, or None."""
-    every: dict[str, tuple[FindingCode, str | None]] = {
-        code: (entry, None) for code, entry in finding_codes().items()
-    }
+    every: dict[str, tuple[FindingCode, str | None]] = {code: (entry, None) for code, entry in finding_codes().items()}
     for protocol in protocols().values():
         every |= {code: (entry, protocol.name) for code, entry in finding_codes(protocol.package).items()}
     return every
 
 
-def _explained(identifier: str, kind: str, about: str, *parts: tuple[str, Iterator[str] | tuple[str, ...]]) -> Explained:
+def _explained(
+    identifier: str, kind: str, about: str, *parts: tuple[str, Iterator[str] | tuple[str, ...]]
+) -> Explained:
     kept = ((label, tuple(text for text in texts if text)) for label, texts in parts)
     return Explained(id=identifier, kind=kind, about=about, parts=tuple(part for part in kept if part[1]))
 
@@ -96,8 +96,8 @@ def item(task: Task) -> Explained:
         ("Once before", (before.asked, before.said, before.seen)),
         ("Once afterwards", (after.asked, after.said, after.seen)),
         ("Why", (steps.why,)),
-        ("Suite", (f"{task.suite}, {task.family}; about {_words(task.capabilities)}",)),
-        ("Applies to", (f"a subject that claims {_list(task.needs)}",)),
+        ("Suite", (f"{task.suite.capitalize()}, {task.family}; about {_words(task.capabilities)}",)),
+        ("Applies to", (f"A subject that claims {_list(task.needs)}",)),
         ("Rules", tuple(map(_cited, task.requirements))),
         ("In the subject file", tuple(keys_of_task(task))),
     )
@@ -107,7 +107,7 @@ def requirement(row: Requirement) -> Explained:
     """Explain a row of the requirement catalogue."""
     strength = row.strength + (", and the kit asks for more than the source does" if row.stricter else "")
     source = row.source + ("" if row.checked else " (the text was not at hand: check the section before you quote it)")
-    lost = f"{_words(row.capabilities)}: not earned after a finding about this rule, whichever item the finding is in"
+    lost = f"The grade for {_words(row.capabilities)}, whichever item the finding is in"
     return _explained(
         row.id,
         "requirement",

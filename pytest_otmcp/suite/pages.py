@@ -70,7 +70,11 @@ def _sections(entries: Iterable[Explained], level: str = "###") -> Iterator[str]
         yield one.about
         for label, texts in one.parts:
             shown = [_linked(text) for text in texts]
-            yield f"**{label}.** {shown[0]}" if len(shown) == 1 else "\n".join([f"**{label}.**", *map("- {}".format, shown)])
+            yield (
+                f"**{label}.** {shown[0]}"
+                if len(shown) == 1
+                else "\n".join([f"**{label}.**", *map("- {}".format, shown)])
+            )
 
 
 def _linked(text: str) -> str:

@@ -45,9 +45,10 @@ def explanation(steps: Callable[..., object] | None) -> Explanation:
     """Return steps in words; an empty explanation where there are no steps, or nothing is said of them."""
     text = inspect.cleandoc((steps.__doc__ if steps is not None else None) or "")
     asked, *labelled = _LABEL.split(text)
-    parts = {label.lower(): _one_line(part) for label, part in zip(labelled[::2], labelled[1::2], strict=True)}
-    return Explanation(asked=_one_line(asked), **parts)
+    parts = {label.lower(): _sentence(part) for label, part in zip(labelled[::2], labelled[1::2], strict=True)}
+    return Explanation(asked=_sentence(asked), **parts)
 
 
-def _one_line(text: str) -> str:
-    return " ".join(text.split())
+def _sentence(text: str) -> str:
+    line = " ".join(text.split())
+    return line[:1].upper() + line[1:]
