@@ -10,7 +10,8 @@ import traceback
 from collections.abc import Callable
 from typing import Literal, cast
 
-from ..core.errors import KitError, SubjectError
+from ..core.errors import ExhaustedError, KitError, SubjectError
+from ..core.exhaustion import exhausted
 from ..core.finding import Finding
 from ..protocols.unsolicited import nothing_commanded
 from ..record.schema import Around, Ended, ItemBody, Role, Sample, State
@@ -80,6 +81,9 @@ class Trial:
         except NoBindingError as gap:
             self._status, self._reason = "NOT_TESTABLE", str(gap)
             self._end("binding", "not_testable", str(gap))
+        except ExhaustedError as failure:
+            self._status = "KIT_ERROR"
+            self._end("kit", "exhausted", str(failure))
         except KitError as failure:
             self._status = "KIT_ERROR"
             self._end("kit", "kit_error", str(failure))
@@ -90,7 +94,7 @@ class Trial:
         self, fault_of: Literal["subject", "binding", "kit"], code: str, message: str, requirement: str | None = None
     ) -> None:
         self._ended = {"fault_of": fault_of, "code": code, "message": message}
-        if fault_of == "kit":
+        if code == "kit_error":
             message = f"{message}. This is the kit's fault; please file a bug."
         self._findings.append(Finding(code=code, message=message, requirement=requirement))
 
@@ -184,11 +188,15 @@ class Trial:
         return self._item()
 
     def broken(self, error: Exception) -> ItemBody:
-        """Return the item as far as it was measured when an exception, which is a bug of the kit, ended it."""
+        """Return the item as far as it was measured when an exception ended it that is not the adapter's: a bug of the kit, or a
+        machine that has run out of something."""
         self._status = "KIT_ERROR"
-        trace = "".join(traceback.format_exception(error))[-2000:]
-        message = f"{type(error).__name__}: {error}. This is the kit's fault; please file a bug."
-        self._findings = [Finding(code="kit_error", message=message, evidence=trace)]
+        if (cure := exhausted(error)) is not None:
+            self._findings = [Finding(code="exhausted", message=cure)]
+        else:
+            trace = "".join(traceback.format_exception(error))[-2000:]
+            message = f"{type(error).__name__}: {error}. This is the kit's fault; please file a bug."
+            self._findings = [Finding(code="kit_error", message=message, evidence=trace)]
         return self._item()
 
     def _item(self) -> ItemBody:

@@ -181,7 +181,9 @@ def test_the_pages_are_current(name: str) -> None:
 
 def test_every_link_of_the_pages_leads_to_an_anchor() -> None:
     pages = {name: page(name) for name in PAGES}
-    anchors = {f"{name}.md#{anchor}" for name, text in pages.items() for anchor in re.findall(r'<a id="([^"]+)">', text)}
+    anchors = {
+        f"{name}.md#{anchor}" for name, text in pages.items() for anchor in re.findall(r'<a id="([^"]+)">', text)
+    }
     links = {link for text in pages.values() for link in re.findall(r"\]\(([^)]+)\)", text)}
     assert links
     assert links <= anchors

@@ -92,5 +92,7 @@ async def silent(run: object) -> None:
 
 
 def test_a_docstring_is_read_by_its_labels() -> None:
-    assert explanation(steps) == Explanation(asked="Ask for something and more.", said="This, and that.", why="It matters.")
+    assert explanation(steps) == Explanation(
+        asked="Ask for something and more.", said="This, and that.", why="It matters."
+    )
     assert explanation(silent) == explanation(None) == Explanation()
