@@ -12,7 +12,7 @@ from typing import Literal, cast
 
 from ..core.errors import ExhaustedError, KitError, SubjectError
 from ..core.exhaustion import exhausted
-from ..core.finding import Finding
+from ..core.finding import Finding, Kind, kind_of
 from ..protocols.unsolicited import nothing_commanded
 from ..record.schema import Around, Ended, ItemBody, Role, Sample, State
 from .adapter_under_test import NoBindingError
@@ -61,6 +61,8 @@ class Trial:
         self._reason: str | None = None
         self._ended: Ended | None = None
         self._around: list[Around] = []
+        self._warm_up: dict[Finding, Kind] = {}
+        self._repeated: set[Kind] = set()
 
     async def run(self) -> ItemBody:
         """Run the task to its end; faults of adapter and kit alike end up in the returned item."""
@@ -140,8 +142,10 @@ class Trial:
                 "observations": ledger.observations,
             }
         )
-        for finding in repetition.ledger.findings:
-            self._note(finding.code, f"{role}: {finding.message}", finding.requirement, finding.evidence)
+        for finding in ledger.findings:
+            noted = self._note(finding.code, f"{role}: {finding.message}", finding.requirement, finding.evidence)
+            if role == "warmup":
+                self._warm_up[noted] = kind_of(finding.code, finding.requirement, finding.message)
         if repetition.unanswered:
             self._take(await self._driver.end_sessions())
             await self._driver.open_sessions()
@@ -151,6 +155,7 @@ class Trial:
         await self._driver.perform(repetition, self._task.steps)
         ledger = repetition.ledger
         self._all_passed = self._all_passed and not ledger.findings
+        self._repeated |= {kind_of(found.code, found.requirement, found.message) for found in ledger.findings}
         self._keep(
             {
                 "repetition": rep,
@@ -165,9 +170,13 @@ class Trial:
         )
         return repetition.unanswered
 
-    def _note(self, code: str, message: str, requirement: str | None = None, evidence: str | None = None) -> None:
-        if (code, message) not in [(finding.code, finding.message) for finding in self._findings]:
-            self._findings.append(Finding(code=code, message=message, requirement=requirement, evidence=evidence))
+    def _note(self, code: str, message: str, requirement: str | None = None, evidence: str | None = None) -> Finding:
+        """Note a finding once, and return the one that was noted."""
+        for known in self._findings:
+            if (code, message) == (known.code, known.message):
+                return known
+        self._findings.append(Finding(code=code, message=message, requirement=requirement, evidence=evidence))
+        return self._findings[-1]
 
     def _take(self, sessions: list[SessionFacts]) -> None:
         for facts in sessions:
@@ -202,6 +211,8 @@ class Trial:
     def _item(self) -> ItemBody:
         task = self._task
         failed = bool(self._findings) or not self._all_passed
+        # What a repetition has found as well is said there.
+        findings = [found for found in self._findings if self._warm_up.get(found) not in self._repeated]
         return {
             "id": task.id,
             "suite": task.suite,
@@ -212,7 +223,7 @@ class Trial:
             "status": self._status or ("FAIL" if failed else "PASS"),
             "reason": self._reason,
             "planned": self._planned,
-            "findings": [stored_finding(finding) for finding in self._findings],
+            "findings": [stored_finding(finding) for finding in findings],
             "requirement_rows": [],
             "timing_ms": dict(self._driver.timing_ms()),
             "around": self._around,
