@@ -410,7 +410,8 @@ def pytest_testnodedown(node: Any, error: object) -> None:
     if INTERFERENCE in node.config.stash:
         node.config.stash[INTERFERENCE].note(*output.get(_NARROWED, ()))
     if REFUSED in output:
-        _refuse(UsageError(output[REFUSED]))
+        sentence, code = output[REFUSED]
+        pytest.exit(sentence, returncode=code)
 
 
 def pytest_terminal_summary(terminalreporter: Any, exitstatus: int, config: pytest.Config) -> None:

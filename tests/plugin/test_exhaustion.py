@@ -55,6 +55,32 @@ def test_however_few_file_descriptors_there_are_nobody_is_accused(
         assert set(outcome.statuses.values()) == {"PASS"}
 
 
+LACKING = """
+import errno
+import pytest
+from pytest_otmcp.session.loop import LoopThread
+
+def lack(self):
+    raise OSError(errno.EMFILE, "Too many open files")
+
+@pytest.fixture(autouse=True)
+def descriptors(monkeypatch):
+    monkeypatch.setattr(LoopThread, "__init__", lack)
+"""
+
+
+@pytest.mark.parametrize("parallel", [(), ("-n", "2")])
+def test_a_run_that_cannot_even_begin_ends_in_one_sentence(
+    empty_repository: Repository, parallel: tuple[str, ...]
+) -> None:
+    empty_repository.subject()
+    empty_repository.write(conftest_py=LACKING)
+    outcome = empty_repository.pytest("--otmcp-reps=1", "-k", "[M1]", *parallel, plugins="xdist")
+    assert outcome.code == 3, outcome.output
+    assert "M1 could not begin: a process of the kit has no file descriptor left; raise the limit" in outcome.output
+    assert "Traceback" not in outcome.output
+
+
 def test_a_record_that_does_not_fit_on_the_disk_ends_the_run_in_one_sentence(empty_repository: Repository) -> None:
     folder = empty_repository.root / "reports" / "latest"
     folder.mkdir(parents=True)
