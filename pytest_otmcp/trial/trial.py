@@ -200,7 +200,7 @@ class Trial:
         """Return the item as far as it was measured when an exception ended it that is not the adapter's: a bug of the kit, or a
         machine that has run out of something."""
         self._status = "KIT_ERROR"
-        if (cure := exhausted(error)) is not None:
+        if (cure := str(error) if isinstance(error, ExhaustedError) else exhausted(error)) is not None:
             self._findings = [Finding(code="exhausted", message=cure)]
         else:
             trace = "".join(traceback.format_exception(error))[-2000:]
