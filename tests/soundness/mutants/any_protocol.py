@@ -212,7 +212,7 @@ MUTANTS = (
         sentence="With writes disabled the write is sent, and then denied.",
         bend=guard_after_sending("write_register"),
         items="M4",
-        requirements="WR-002 WR-004",
+        requirements="WR-004",
         quick=True,
     ),
     Mutant(
@@ -221,7 +221,7 @@ MUTANTS = (
         sentence="With writes disabled the message is published, and then denied.",
         bend=guard_after_sending("publish_message"),
         items="Q3",
-        requirements="ERR-006",
+        requirements="WR-004",
         quick=True,
     ),
     Mutant(
@@ -230,7 +230,7 @@ MUTANTS = (
         sentence="With writes disabled the births of a Sparkplug device are published, and then denied.",
         bend=guard_after_sending("publish_device_birth"),
         items="Q4",
-        requirements="ERR-006",
+        requirements="WR-004",
     ),
     Mutant(
         id="MU-20o",
@@ -238,7 +238,7 @@ MUTANTS = (
         sentence="With writes disabled the Write is sent, and then denied.",
         bend=guard_after_sending("write_opcua_node"),
         items="O3",
-        requirements="WR-002 WR-004",
+        requirements="WR-004",
         quick=True,
     ),
     Mutant(
@@ -247,7 +247,7 @@ MUTANTS = (
         sentence="Writes are enabled where nobody has said so.",
         bend=enabled_by_default("MODBUS_WRITES_ENABLED"),
         items="M4",
-        requirements="ERR-001 WR-002 WR-004",
+        requirements="WR-004",
         quick=True,
     ),
     Mutant(
@@ -256,7 +256,7 @@ MUTANTS = (
         sentence="Messages and births are published where nobody has allowed it.",
         bend=enabled_by_default("MQTT_WRITES_ENABLED"),
         items="Q3 Q4",
-        requirements="ERR-001 ERR-006",
+        requirements="WR-004",
     ),
     Mutant(
         id="MU-21o",
@@ -264,7 +264,7 @@ MUTANTS = (
         sentence="OPC UA nodes are written where nobody has allowed it.",
         bend=enabled_by_default("OPCUA_WRITES_ENABLED"),
         items="O3",
-        requirements="ERR-001 WR-002 WR-004",
+        requirements="WR-004",
     ),
     Mutant(
         id="MU-35",
@@ -272,7 +272,7 @@ MUTANTS = (
         sentence="While the device is gone, a read succeeds with the values that were read before.",
         bend=answers_from_memory_when_gone("read_input_registers"),
         items="S10 R-modbus",
-        requirements="ERR-001",
+        requirements="REC-002",
         recovers=True,
         quick=True,
     ),
@@ -282,7 +282,7 @@ MUTANTS = (
         sentence="While the broker is gone, its status is told as it was before.",
         bend=answers_from_memory_when_gone("get_broker_info"),
         items="S11 R-mqtt",
-        requirements="ERR-001",
+        requirements="REC-002",
         recovers=True,
     ),
     Mutant(
@@ -291,7 +291,7 @@ MUTANTS = (
         sentence="While the server is gone, a read succeeds with the value that was read before.",
         bend=answers_from_memory_when_gone("read_opcua_node"),
         items="S12 R-opcua",
-        requirements="ERR-001",
+        requirements="REC-002",
         recovers=True,
     ),
     Mutant(
@@ -360,7 +360,7 @@ MUTANTS = (
         sentence="meta.endpoint holds user name and password.",
         bend=endpoint_with_password,
         items="M1 M2 M3 M4 X1 X2 X1p X2p FM1 FM2 FX1 S1 S4 S7 S10",
-        requirements="ENV-006",
+        requirements="KEY-001",
     ),
     Mutant(
         id="MU-111",
@@ -368,7 +368,7 @@ MUTANTS = (
         sentence="Every call to the Modbus adapter is refused.",
         bend=each(change=rejects_everything),
         items="M1 M2 M3 M4 X1 X2 X1p X2p FM1 FM2 FX1 S1 S4 S7 S10",
-        requirements="ENV-005 ENV-007 ERR-001 ERR-002 RD-004 WR-001",
+        requirements="ENV-005 ENV-007 ERR-002 RD-001 RD-004 REC-001 REC-002 WR-001",
     ),
     Mutant(
         id="MU-111q",
@@ -376,7 +376,7 @@ MUTANTS = (
         sentence="Every call to the MQTT adapter is refused.",
         bend=each(change=rejects_everything),
         items="Q1 Q2 Q3 Q4 X1 X2 X1p X2p FQ1 FQ2 FX1 S2 S5 S8 S11",
-        requirements="ERR-001 MQT-001 MQT-002 MQT-004 RD-004 SPB-001",
+        requirements="ADR-006 MQT-001 MQT-002 MQT-004 RD-001 RD-004 REC-001 REC-002 SPB-001 SPB-003",
         waits=True,
     ),
     Mutant(
@@ -385,7 +385,7 @@ MUTANTS = (
         sentence="Every call to the OPC UA adapter is refused.",
         bend=each(change=rejects_everything),
         items="O1 O2 O3 O4 X1 X2 X1p X2p FO1 FO2 FX1 S3 S6 S9 S12",
-        requirements="ENV-005 ENV-007 ERR-001 ERR-003 OUA-006 RD-004 WR-001 WR-004",
+        requirements="ADR-004 ENV-005 ENV-007 ERR-003 OUA-001 OUA-006 RD-001 RD-004 REC-001 REC-002 WR-001",
     ),
     Mutant(
         id="MU-113",
@@ -409,7 +409,7 @@ MUTANTS = (
         sentence="The envelope's error is a word instead of an object.",
         bend=result(error_is_a_word),
         items="M4 FM1 FM2 S10",
-        requirements="ENV-001 ERR-001 ERR-006",
+        requirements="ENV-001",
     ),
     Mutant(
         id="MU-117",
@@ -425,7 +425,7 @@ MUTANTS = (
         sentence="A lost connection to the device is never made again.",
         bend=never_reconnects(),
         items="S10 R-modbus",
-        requirements="ENV-005",
+        requirements="RD-001 REC-001",
         recovers=True,
         quick=True,
     ),
@@ -435,7 +435,7 @@ MUTANTS = (
         sentence="A lost connection to the broker is never used again.",
         bend=never_reconnects(),
         items="S11 R-mqtt",
-        requirements="",
+        requirements="RD-001 REC-001",
         recovers=True,
     ),
     Mutant(
@@ -444,7 +444,7 @@ MUTANTS = (
         sentence="A lost session with the server is never made again.",
         bend=never_reconnects(),
         items="S12 R-opcua",
-        requirements="RD-004",
+        requirements="RD-001 REC-001",
         recovers=True,
     ),
 )

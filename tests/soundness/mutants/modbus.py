@@ -125,7 +125,7 @@ MUTANTS = (
         sentence="Reads go to the register after the one that was asked for.",
         bend=next_register(_READ_INPUT, _READ_HOLDING),
         items="M2 M3 X1 X1p FM1 FX1 S1 S4 S7 S10",
-        requirements="CON-004 ENV-005 RD-001",
+        requirements="ADR-001 CON-004 RD-001",
         quick=True,
     ),
     Mutant(
@@ -134,7 +134,7 @@ MUTANTS = (
         sentence="Writes and the reads of holding registers both go to the next register.",
         bend=next_register(_WRITE, _READ_HOLDING),
         items="M3 M4 X2 X2p FM1 FM2 S4",
-        requirements="CON-004 ENV-005 WR-001 WR-002",
+        requirements="ADR-001 CON-004 RD-001 WR-001 WR-002",
     ),
     Mutant(
         id="MU-04",
@@ -142,7 +142,7 @@ MUTANTS = (
         sentence="The bytes of every register are swapped, in reads and writes alike.",
         bend=swapped_bytes,
         items="M2 M3 M4 X1 X2 X1p X2p FX1 S1 S4 S7",
-        requirements="CON-004 RD-001 WR-001",
+        requirements="CON-004 ENC-001 RD-001 WR-001",
     ),
     Mutant(
         id="MU-07",
@@ -150,7 +150,7 @@ MUTANTS = (
         sentence="Holding registers are read with function 4.",
         bend=input_registers_for_holding,
         items="M3 FM1 S4",
-        requirements="CON-004 ENV-005 RD-001",
+        requirements="CON-004 RD-001 RD-002",
         quick=True,
     ),
     Mutant(
@@ -159,7 +159,7 @@ MUTANTS = (
         sentence="70000 is written as 4464, and told as a success.",
         bend=lambda server: fitted(server, lambda value: value & 0xFFFF),
         items="FM2",
-        requirements="ERR-001 WR-002 WR-004",
+        requirements="ADR-003",
         quick=True,
     ),
     Mutant(
@@ -168,7 +168,7 @@ MUTANTS = (
         sentence="70000 is written as 65535, and told as a success.",
         bend=lambda server: fitted(server, lambda value: min(value, 0xFFFF)),
         items="FM2",
-        requirements="ERR-001 WR-002 WR-004",
+        requirements="ADR-003",
     ),
     Mutant(
         id="MU-14",
@@ -176,7 +176,7 @@ MUTANTS = (
         sentence="A write succeeds, and nothing is sent.",
         bend=write_not_sent,
         items="M3 M4 X2 X2p FM2 S4 S10",
-        requirements="ERR-001 RD-001 WR-001",
+        requirements="WR-001",
         quick=True,
     ),
     Mutant(
@@ -185,7 +185,7 @@ MUTANTS = (
         sentence="A write succeeds, nothing is sent, and the value is read back from memory.",
         bend=write_only_remembered,
         items="M3 M4 X2 X2p FM2 S4 S10",
-        requirements="ERR-001 WR-001",
+        requirements="RD-001 WR-001",
     ),
     Mutant(
         id="MU-45",
@@ -193,7 +193,7 @@ MUTANTS = (
         sentence="Every exception of the device becomes protocol_error.",
         bend=failing(change=_without_exception_codes),
         items="FM1",
-        requirements="ERR-001",
+        requirements="ERR-002",
     ),
     Mutant(
         id="MU-53b",
@@ -201,7 +201,7 @@ MUTANTS = (
         sentence="The tool that reads input registers writes a heartbeat.",
         bend=also(_READ_INPUT, action=_heartbeat),
         items="M2 S10",
-        requirements="WR-004",
+        requirements="MCP-008 WR-010",
     ),
     Mutant(
         id="MU-53c",
@@ -218,6 +218,6 @@ MUTANTS = (
         sentence="Reads go to the next register, and meta.trace says that they went to the right one.",
         bend=next_register_with_invented_trace,
         items="M2 M3 X1 X1p FM1 FX1 S1 S4 S7 S10",
-        requirements="CON-004 ENV-005 RD-001",
+        requirements="ADR-001 CON-004 RD-001",
     ),
 )

@@ -106,7 +106,7 @@ MUTANTS = (
         sentence="A publish succeeds, and nothing is sent.",
         bend=each(_PUBLISH, change=publish_not_sent),
         items="Q3 X2 X2p FQ1 FX1 S5 S11",
-        requirements="ERR-001 MQT-001",
+        requirements="MQT-001",
         waits=True,
     ),
     Mutant(
@@ -133,7 +133,7 @@ MUTANTS = (
         sentence="The tool that tells the broker's status publishes a heartbeat below control/.",
         bend=also("get_broker_info", action=_heartbeat),
         items="Q3 Q4 S5",
-        requirements="ERR-006 WR-003",
+        requirements="WR-003 WR-004",
     ),
     Mutant(
         id="MU-66",
@@ -158,6 +158,6 @@ MUTANTS = (
         sentence="QoS 5 is taken for QoS 2.",
         bend=clamped_qos,
         items="FQ2",
-        requirements="ERR-001 ERR-006",
+        requirements="ADR-007",
     ),
 )

@@ -61,7 +61,7 @@ MUTANTS = (
         sentence="Values are rounded to two decimals.",
         bend=told("read_opcua_node", "read_multiple_opcua_nodes", change=_rounded),
         items="O1 X1 X1p S3 S6 S9",
-        requirements="CON-004 RD-001",
+        requirements="CON-004 ENC-003",
         quick=True,
     ),
     Mutant(
@@ -70,7 +70,7 @@ MUTANTS = (
         sentence="Every number is written as Int64, whatever the node's data type.",
         bend=always_int64,
         items="O3 X2 X2p FO2 S6",
-        requirements="RD-001 WR-001 WR-004",
+        requirements="OUA-001 WR-001",
         quick=True,
     ),
     Mutant(
@@ -79,7 +79,7 @@ MUTANTS = (
         sentence="Every Bad status becomes protocol_error.",
         bend=failing(change=_without_symbols),
         items="FO1 FX1",
-        requirements="ERR-001",
+        requirements="ERR-003",
     ),
     Mutant(
         id="MU-129",
