@@ -13,7 +13,7 @@ FAILS_IN_WORDS = "M4 FM1 FM2 S10 R-modbus"
 EXPECTED = {
     "none": ("", "", ""),
     "unknown-tool": ("M1", "MCP-007", "Unknown tool: ping"),
-    "traceback-as-text": (FAILS_IN_WORDS, "MCP-006", "no structuredContent object"),
+    "traceback-as-text": (FAILS_IN_WORDS, "ENV-001", "no structuredContent object"),
     "write-sent-twice": ("M3 M4 X2 X2p FM2 S4", "WR-003", "it saw 2"),
     "hang": (READS_INPUT, "TMO-001", "no reply within the deadline"),
     "wrong-value": ("M2 X1 X1p FX1 S1 S7", "RD-001", "values should be"),
