@@ -41,13 +41,16 @@ UNCERTAIN = ("not_sent", "unknown")
 Witness = Callable[[Entries], list[Finding]]
 
 
-async def survive_a_restart(run: Repetition, rig: Rig, operation: str, **inputs: Any) -> None:
-    """Perform the operation before, during and after an outage of the endpoint; all three phases are asserted."""
+async def survive_a_restart(run: Repetition, rig: Rig, operation: str, **inputs: Any) -> bool:
+    """Perform the operation before, during and after an outage of the endpoint, assert all three phases, and return whether
+    the adapter came back."""
     run.succeeds(await rig.call(operation, **inputs))
     await rig.stop_device()
-    run.fails(await rig.call_until_failure(operation, window_s=NOTICING_S, **inputs), *CONNECTION_FAULTS)
+    failing = await rig.call_until_failure(operation, window_s=NOTICING_S, **inputs)
+    run.fails(failing, *CONNECTION_FAULTS, requirement="REC-002")
     await rig.start_device()
-    run.succeeds((await rig.call_until_success(operation, window_s=SETTLING_S, **inputs))[-1])
+    last = (await rig.call_until_success(operation, window_s=SETTLING_S, **inputs))[-1]
+    return run.succeeds(last, requirement="REC-001")
 
 
 async def outage(run: Repetition, rig: Rig, operation: str, witness: Witness, **inputs: Any) -> None:
@@ -63,15 +66,15 @@ async def outage(run: Repetition, rig: Rig, operation: str, witness: Witness, **
     run.witnessed(nothing_commanded(rig.protocol, await rig.journal()))
     stop_ms = await rig.stop_device()
     failing = await rig.call_until_failure(operation, window_s=NOTICING_S, **inputs)
-    run.fails(failing, *CONNECTION_FAULTS)
+    run.fails(failing, *CONNECTION_FAULTS, requirement="REC-002")
     restart_ms = await rig.start_device()
 
     attempts = []
     # An adapter that only claims to work in a new session is not tested in the same session.
     if rig.claims("recovery"):
         attempts = await rig.call_until_success(operation, window_s=RECOVERING_S, **inputs)
-        run.succeeds(attempts[-1])
-        run.witnessed(witness(await rig.journal()))
+        if run.succeeds(attempts[-1], requirement="REC-001"):
+            run.witnessed(witness(await rig.journal()))
     recovered = attempts[-1] if attempts and attempts[-1].success else None
     accepting_ns = rig.accepting_ns
 

@@ -169,7 +169,7 @@ async def one_bad_step_of_three(run: Repetition, modbus: Rig, mqtt: Rig, opcua: 
     missing = await opcua.call("read", node=missing_node)
     message = await mqtt.call("publish", topic="control/pump", payload=payload, qos=0)
     run.succeeds(block, values=registers)
-    run.fails(missing, "illegal_address")
+    run.fails(missing, "illegal_address", requirement="ERR-003")
     run.succeeds(message, topic="control/pump")
     qos = mqtt.expected_if_accepted("publish", "qos", 0)
     await mqtt.wait_for(kind="PUBLISH", direction="in", topic="control/pump", timeout_s=1.0)

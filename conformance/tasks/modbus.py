@@ -6,6 +6,8 @@ device. Values are different in every repetition, so that no cached or mixed-up 
 
 from __future__ import annotations
 
+from functools import partial
+
 from pytest_otmcp.protocols.modbus import oracle
 from pytest_otmcp.protocols.modbus.entries import points
 from pytest_otmcp.protocols.session_oracle import StateChanges
@@ -66,7 +68,7 @@ async def read_sensor_block(run: Repetition, modbus: Rig) -> None:
     journal = await modbus.journal()
     run.witnessed(
         oracle.exactly_one_request(journal, function=READ_INPUT_REGISTERS, address=0, quantity=4),
-        oracle.no_state_changing_request(journal),
+        oracle.no_state_changing_request(journal, requirement="MCP-008"),
         oracle.image_holds(await modbus.image(), "input_registers", 0, values),
     )
 
@@ -95,9 +97,12 @@ async def write_and_read_back(run: Repetition, modbus: Rig) -> None:
     after = await modbus.image()
     read = await modbus.call("read_holding", address=1, count=1)
     run.succeeds(written, value=value)
-    run.succeeds(read, values=[value])
+    # What the device holds now may not be the value, which is the fault of the write; the read has to tell it.
+    run.succeeds(read, values=[oracle.held(after, "holding_registers", 1)])
+    journal = await modbus.journal()
     run.witnessed(
-        oracle.exactly_one_write(await modbus.journal(), "holding_registers", address=1, values=[value]),
+        oracle.exactly_one_write(journal, "holding_registers", address=1, values=[value]),
+        oracle.read_where_asked(journal, function=READ_HOLDING_REGISTERS, address=1),
         oracle.only_changed(before, after, points("holding_registers", 1, [value])),
     )
 
@@ -119,10 +124,10 @@ async def guarded_write(run: Repetition, modbus_ro: Rig) -> None:
     """
     before = await modbus_ro.image()
     reply = await modbus_ro.call("write_holding", address=1, value=999)
-    run.fails(reply, "writes_disabled", outcome="not_sent")
+    run.fails(reply, "writes_disabled", outcome="not_sent", requirement="WR-004")
     run.witnessed(
         oracle.no_state_changing_request(await modbus_ro.journal()),
-        oracle.only_changed(before, await modbus_ro.image(), {}),
+        oracle.only_changed(before, await modbus_ro.image(), {}, otherwise="WR-004"),
     )
 
 
@@ -165,7 +170,7 @@ async def read_missing_register(run: Repetition, modbus: Rig) -> None:
     """
     missing = modbus.probe("missing_address")
     reply = await modbus.call("read_holding", address=missing, count=1)
-    run.fails(reply, "illegal_address", trace={"exception_code": ILLEGAL_DATA_ADDRESS})
+    run.fails(reply, "illegal_address", trace={"exception_code": ILLEGAL_DATA_ADDRESS}, requirement="ERR-002")
     journal = await modbus.journal()
     run.witnessed(
         oracle.exactly_one_request(journal, function=3, address=missing, quantity=1),
@@ -190,10 +195,15 @@ async def write_overflow(run: Repetition, modbus: Rig) -> None:
     """
     before = await modbus.image()
     reply = await modbus.call("write_holding", address=1, value=70000)
-    run.fails(reply, "range_overflow", outcome="not_sent")
+    journal = await modbus.journal()
+    after = await modbus.image()
+    if reply.success:
+        run.judge(reply, oracle.stored_otherwise(after, "holding_registers", 1, 70000, told=reply.outputs.get("value")))
+        return
+    run.fails(reply, "range_overflow", outcome="not_sent", requirement="ADR-003")
     run.witnessed(
-        oracle.no_state_changing_request(await modbus.journal()),
-        oracle.only_changed(before, await modbus.image(), {}),
+        oracle.no_state_changing_request(journal, requirement="ERR-006"),
+        oracle.only_changed(before, after, {}, otherwise="ERR-006"),
     )
 
 
@@ -204,7 +214,7 @@ async def the_largest_value_is_accepted(run: Repetition, modbus: Rig) -> None:
     Said: success.
     Seen: one write, and the value in the register.
     """
-    await modbus.stays_quiet(QUIET_S, oracle.no_state_changing_request)
+    await modbus.stays_quiet(QUIET_S, partial(oracle.no_state_changing_request, requirement="ERR-006"))
     run.succeeds(await modbus.call("write_holding", address=1, value=65535), value=65535)
     run.witnessed(
         oracle.exactly_one_write(await modbus.journal(), "holding_registers", address=1, values=[65535]),
@@ -308,8 +318,8 @@ async def modbus_restart(run: Repetition, modbus: Rig) -> None:
     Seen: a read after the device is back.
     Why: an outage of the line must not need a person who restarts the adapter, and old values must not hide it.
     """
-    await survive_a_restart(run, modbus, "read_input", address=0, count=4)
-    run.witnessed(oracle.exactly_one_request(await modbus.journal(), function=4, address=0, quantity=4))
+    if await survive_a_restart(run, modbus, "read_input", address=0, count=4):
+        run.witnessed(oracle.exactly_one_request(await modbus.journal(), function=4, address=0, quantity=4))
 
 
 @modbus_restart.after
@@ -323,14 +333,15 @@ async def a_failed_register_write_is_not_delivered_later(run: Repetition, modbus
         return
     await modbus.stop_device()
     reply = await modbus.call("write_holding", address=30, value=run.rng.randrange(1, 0x10000))
-    run.fails(reply, *CONNECTION_FAULTS, outcome=UNCERTAIN)
+    run.fails(reply, *CONNECTION_FAULTS, outcome=UNCERTAIN, requirement="WR-001", code_requirement="REC-002")
     await modbus.start_device()
     # An adapter that answers again has its connection back: a write that it had kept for later would have been sent by now.
-    run.succeeds((await modbus.call_until_success("read_input", window_s=SETTLING_S, address=0, count=4))[-1])
-    await modbus.stays_quiet(QUIET_S, oracle.no_state_changing_request)
+    last = (await modbus.call_until_success("read_input", window_s=SETTLING_S, address=0, count=4))[-1]
+    run.succeeds(last, requirement="REC-001")
+    await modbus.stays_quiet(QUIET_S, partial(oracle.no_state_changing_request, requirement="WR-010"))
     # A further answer shows that adapter and device ran during that time.
-    run.succeeds(await modbus.call("read_input", address=0, count=4))
-    run.witnessed(oracle.no_state_changing_request(await modbus.journal()))
+    run.succeeds(await modbus.call("read_input", address=0, count=4), requirement="REC-001")
+    run.witnessed(oracle.no_state_changing_request(await modbus.journal(), requirement="WR-010"))
 
 
 @TASKS.task(

@@ -127,7 +127,7 @@ async def nothing_is_published_with_writes_disabled(run: Repetition, mqtt_ro: Ri
 async def guarded_publish(run: Repetition, guarded: Rig | None, operation: str, **inputs: Any) -> None:
     if guarded is None:
         return
-    run.fails(await guarded.call(operation, **inputs), "writes_disabled", outcome="not_sent")
+    run.fails(await guarded.call(operation, **inputs), "writes_disabled", outcome="not_sent", requirement="WR-004")
     # The refusal only proves the guard if the session reaches its broker; the same call works in the task itself.
     if guarded.claims("info"):
         run.succeeds(await guarded.call("info"))
@@ -201,7 +201,7 @@ async def publish_to_nowhere(run: Repetition, mqtt: Rig) -> None:
     Why: a broker ends the connection at such a packet, and every subscription with it.
     """
     reply = await mqtt.call("publish", topic="", payload=json.dumps({"pump_speed": 50}), qos=0)
-    run.fails(reply, "invalid_input", outcome="not_sent")
+    run.fails(reply, "invalid_input", outcome="not_sent", requirement="ADR-006")
     journal = await mqtt.journal()
     run.witnessed(oracle.no_packet(journal, "PUBLISH", direction="in"), oracle.session_stays_up(journal))
 
@@ -238,9 +238,9 @@ async def subscribe_with_qos_5(run: Repetition, mqtt: Rig) -> None:
     Why: a value that is cut down in silence is not what was asked for.
     """
     reply = await mqtt.call("subscribe", filter="sensors/#", qos=mqtt.probe("bad_qos"))
-    run.fails(reply, "invalid_input")
+    run.fails(reply, "invalid_input", requirement="ADR-007")
     journal = await mqtt.journal()
-    run.witnessed(oracle.no_packet(journal, "SUBSCRIBE", direction="in"), oracle.session_stays_up(journal))
+    run.witnessed(oracle.no_packet(journal, "SUBSCRIBE", requirement="ADR-007"), oracle.session_stays_up(journal))
 
 
 @subscribe_with_qos_5.after
@@ -250,7 +250,7 @@ async def a_proper_qos_is_accepted(run: Repetition, mqtt: Rig) -> None:
     Said: success.
     Seen: a subscription that the broker granted with QoS 1.
     """
-    await mqtt.stays_quiet(QUIET_S, lambda journal: oracle.no_packet(journal, "SUBSCRIBE", direction="in"))
+    await mqtt.stays_quiet(QUIET_S, lambda journal: oracle.no_packet(journal, "SUBSCRIBE", requirement="ADR-007"))
     run.succeeds(await mqtt.call("subscribe", filter="sensors/#", qos=1), granted_qos=1)
     run.witnessed((await mqtt.follow(oracle.Subscriptions)).granted("sensors/#", qos=1))
 
@@ -363,8 +363,8 @@ async def broker_restart(run: Repetition, mqtt: Rig) -> None:
     Seen: an exchange with the broker after it is back.
     Why: an outage of the broker must not need a person who restarts the adapter, and must not be hidden.
     """
-    await survive_a_restart(run, mqtt, "info")
-    run.witnessed(oracle.exchange(await mqtt.journal()))
+    if await survive_a_restart(run, mqtt, "info"):
+        run.witnessed(oracle.exchange(await mqtt.journal()))
 
 
 @broker_restart.after
@@ -379,11 +379,11 @@ async def a_failed_publish_is_not_delivered_later(run: Repetition, mqtt: Rig) ->
     payload = f"nonce-{run.rng.getrandbits(64):016x}"
     await mqtt.stop_device()
     reply = await mqtt.call("publish", topic="control/pump", payload=payload, qos=1)
-    run.fails(reply, *CONNECTION_FAULTS, outcome=UNCERTAIN)
+    run.fails(reply, *CONNECTION_FAULTS, outcome=UNCERTAIN, requirement="MQT-001", code_requirement="REC-002")
     await mqtt.start_device()
-    run.succeeds((await mqtt.call_until_success("info", window_s=SETTLING_S))[-1])
+    run.succeeds((await mqtt.call_until_success("info", window_s=SETTLING_S))[-1], requirement="REC-001")
     await mqtt.stays_quiet(QUIET_S, lambda journal: oracle.never_published(journal, payload.encode()))
-    run.succeeds(await mqtt.call("info"))
+    run.succeeds(await mqtt.call("info"), requirement="REC-001")
     run.witnessed(oracle.never_published(await mqtt.journal(), payload.encode()))
 
 

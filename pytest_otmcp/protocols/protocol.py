@@ -53,6 +53,8 @@ class Operation:
         optional: inputs that a tool may lack; each is a facet of its own, such as ``subscribe.qos``.
         waits: the input that limits how many seconds a call may wait for the messages that it returns; None where no call
             waits.
+        requirement: id of the requirement that a call breaks which should succeed and does not, or whose outputs are wrong.
+            Default: that the device holds what was written, or that the answer is what the device holds.
     """
 
     meaning: str
@@ -62,6 +64,11 @@ class Operation:
     writes: bool = False
     optional: tuple[str, ...] = ()
     waits: str | None = None
+    requirement: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.requirement:
+            object.__setattr__(self, "requirement", "WR-001" if self.writes else "RD-001")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

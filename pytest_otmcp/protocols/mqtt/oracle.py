@@ -103,7 +103,7 @@ class Publications(SessionOracle):
 
     def none(self) -> list[Finding]:
         """Expect that nothing was published in the whole life of the session."""
-        return _unexpected("PUBLISH", "in", self._first)
+        return _unexpected("PUBLISH", "in", self._first, "WR-004")
 
 
 def delivered(entries: Entries, *, topic: str, payload: bytes, client_id: str | None = None) -> list[Finding]:
@@ -184,12 +184,19 @@ def _is_command(entry: JournalEntry) -> bool:
     return as_mqtt(entry)["topic"].startswith(_COMMANDS)
 
 
-def no_packet(entries: Entries, kind: str, *, direction: str = "in", client_id: str | None = None) -> list[Finding]:
+def no_packet(
+    entries: Entries,
+    kind: str,
+    *,
+    direction: str = "in",
+    requirement: str = "ERR-006",
+    client_id: str | None = None,
+) -> list[Finding]:
     """Expect no packet of this kind, not even a malformed one."""
     found = FirstPackets()
     for packet in _packets(entries, kind, direction, client_id):
         found.add(packet)
-    return _unexpected(kind, direction, found)
+    return _unexpected(kind, direction, found, requirement)
 
 
 def _packets(entries: Entries, kind: str, direction: str, client_id: str | None) -> list[MqttEntry]:
@@ -200,7 +207,7 @@ def _packets(entries: Entries, kind: str, direction: str, client_id: str | None)
     ]
 
 
-def _unexpected(kind: str, direction: str, packets: FirstPackets) -> list[Finding]:
+def _unexpected(kind: str, direction: str, packets: FirstPackets, requirement: str) -> list[Finding]:
     if not packets.count:
         return []
     who = "from" if direction == "in" else "to"
@@ -208,7 +215,7 @@ def _unexpected(kind: str, direction: str, packets: FirstPackets) -> list[Findin
         Finding(
             code="unexpected_packet",
             message=f"the broker should have seen no {kind} {who} the adapter, it saw {packets.count}",
-            requirement="ERR-006",
+            requirement=requirement,
             evidence=packets.shown(),
         )
     ]
