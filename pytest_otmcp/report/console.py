@@ -13,6 +13,7 @@ from ..core.matrix import SUITES
 from ..core.statistics import mean, mean_interval, percentile
 from ..record.consistency import count_calls
 from . import Item, Run, applies, durations, least, phases, recovered, tally, timing_valid
+from .strangers import strangers
 from .text import count, interval, number, printable, shortened
 
 __all__ = ["summary"]
@@ -45,7 +46,15 @@ def summary(run: Run, width: int = 100) -> list[Line]:
         if items:
             table = _recovery(run, items, width) if suite == "recovery" else _suite(run, suite, items, width)
             lines += [("", "plain"), *table]
-    return [*lines, ("", "plain"), *_findings(run, width), *_counts(run, width), *_narrowed(run, width), _verdict(run)]
+    return [
+        *lines,
+        ("", "plain"),
+        *_findings(run, width),
+        *_counts(run, width),
+        *_narrowed(run, width),
+        *_strangers(run, width),
+        _verdict(run),
+    ]
 
 
 def _suite(run: Run, suite: str, items: list[Item], width: int) -> Iterator[Line]:
@@ -104,6 +113,9 @@ def _findings(run: Run, width: int) -> Iterator[Line]:
     yield "findings", "head"
     for item in failing:
         yield shortened(f"  {item['id']} {item['status']}: {item['title']}", width), "bad"
+        if item["status"] == "KIT_ERROR" and item["reason"]:
+            for line in _wrapped(f"      {item['reason']}", width, "        "):
+                yield line, "plain"
         shown = [("", finding) for finding in item["findings"]]
         for sample in item["samples"]:
             where = f"rep {sample['repetition'] + 1}/{item['planned']}: "
@@ -144,6 +156,12 @@ def _narrowed(run: Run, width: int) -> Iterator[Line]:
     for sentence in run["settings"].get("narrowed", ()):
         for line in _wrapped(f"narrowed: {sentence}", width, "  "):
             yield line, "bad"
+
+
+def _strangers(run: Run, width: int) -> Iterator[Line]:
+    for sentence in strangers(run):
+        for line in _wrapped(f"note: {sentence}", width, "  "):
+            yield line, "plain"
 
 
 def _verdict(run: Run) -> Line:

@@ -17,6 +17,7 @@ from .evidence import failures, findings_of
 from .families import families
 from .limits import narrowed
 from .overview import deviations, tasks
+from .strangers import strangers
 from .text import printable
 
 __all__ = ["code", "escape", "summary", "write_markdown"]
@@ -71,6 +72,7 @@ def summary(run: Run) -> str:
         f"**{good}** of **{planned}** repetitions passed in {len(items)} items.",
         "",
         *(f"- {escape(reason)}" for reason in narrowed(run)),
+        *(f"- Note: {escape(sentence)}." for sentence in strangers(run)),
         *(
             f"- known deviation {escape(one.item)}: {code(one.reason)}, until {escape(one.expires)}; {one.state}"
             for one in deviations(run)
