@@ -71,6 +71,14 @@ class Sessions:
 
     def __init__(self) -> None:
         self._by_token: dict[str, _Session] = {}
+        self._expected = False
+
+    def expect(self) -> None:
+        """Expect the adapter under test: whoever it is not, is a stranger from now on.
+
+        Who uses a device without an adapter under test, such as a test of the user's, is its client.
+        """
+        self._expected = True
 
     def begin(self, token: str, pid: Callable[[], int | None]) -> None:
         """Begin a session, before its process is started.
@@ -127,7 +135,7 @@ class Sessions:
         elif session is not None:
             over = session.ended_ns is not None and entry["t_ns"] > session.ended_ns
             entry["origin"] = "former" if over else "client"
-        elif self._by_token:
+        elif self._expected:
             entry["origin"] = "stranger"
         if found is not None and (entry["kind"] == "CONNECTED" or entry["origin"] != "client"):
             entry["process"] = OwnerProcess(pid=found.pid, name=found.name)

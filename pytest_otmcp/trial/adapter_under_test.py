@@ -120,6 +120,7 @@ class AdapterUnderTest:
         self.adapter = adapter
         self.variant = variant
         self.device = device
+        device.sessions.expect()
         self.session: McpSession | None = None
         self.tools: Mapping[str, Mapping[str, object]] | None = None
         self.unmet: set[str] = set()

@@ -1,6 +1,6 @@
-"""Another program on the machine, which speaks to devices that are none of its business: ``python scanner.py WHAT PORT...``.
+"""Another program on the machine, which speaks to devices that are none of its business: ``python scanner.py WHAT PAUSE_S PORT...``.
 
-It goes on until its standard input ends, from port to port, a few times a second each. After the first round it says so.
+It goes on until its standard input ends, from port to port, with a pause between the rounds. After the first round it says so.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-PAUSE_S = 0.02
 PATIENCE_S = 2.0
 
 
@@ -120,13 +119,13 @@ KINDS: dict[str, Callable[[int], None]] = {
 
 
 def main() -> None:
-    what, *ports = sys.argv[1:]
-    # What the kernel calls it.
-    Path("/proc/self/comm").write_text("scanner")
+    what, pause_s, *ports = sys.argv[1:]
+    # What the kernel calls it, in 15 letters.
+    Path("/proc/self/comm").write_text(what)
     ended = selectors.DefaultSelector()
     ended.register(sys.stdin, selectors.EVENT_READ)
     said = False
-    while not ended.select(PAUSE_S):
+    while not ended.select(float(pause_s)):
         for port in map(int, ports):
             # A device may be down just now, and need not like what it is asked.
             with contextlib.suppress(OSError, TimeoutError):
