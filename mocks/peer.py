@@ -14,6 +14,7 @@ import struct
 from collections import OrderedDict
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 
 __all__ = ["Process", "holder", "process_of", "socket_of"]
 
@@ -49,7 +50,21 @@ class Process:
     token: str | None
 
 
-_known: OrderedDict[tuple[int, str | None], Process] = OrderedDict()
+@dataclass(slots=True)
+class _Known:
+    process: Process
+    place: str
+
+    def at_the_same_place(self, link: str) -> bool:
+        return _link(self.place) == link
+
+    def anywhere(self, link: str) -> bool:
+        place = _place(self.process.pid, link)
+        self.place = place or self.place
+        return place is not None
+
+
+_known: OrderedDict[tuple[int, str | None], _Known] = OrderedDict()
 """Processes by number and time of their start, the one that was found last at the end."""
 
 
@@ -72,15 +87,20 @@ def socket_of(own: Address, peer: Address) -> int:
     return _inode(socket.IPPROTO_UDP, own, peer)
 
 
+@cache
+def _kernel() -> socket.socket:
+    return socket.socket(socket.AF_NETLINK, socket.SOCK_DGRAM, _SOCK_DIAG)
+
+
 def _inode(protocol: int, local: Address, remote: Address) -> int:
     """Return the number of the socket with these two addresses, 0 when there is none."""
     addresses = b"".join(socket.inet_aton(host).ljust(16, b"\0") for host, _ in (local, remote))
     ports = struct.pack(">HH", local[1], remote[1])
     query = _QUERY.pack(socket.AF_INET, protocol, 0, _ANY_STATE) + ports + addresses + bytes(4) + _ANY_COOKIE
     try:
-        with socket.socket(socket.AF_NETLINK, socket.SOCK_DGRAM, _SOCK_DIAG) as kernel:
-            kernel.send(_HEADER.pack(_HEADER.size + len(query), _BY_FAMILY, _REQUEST, 1, 0) + query)
-            answer = kernel.recv(4096)
+        kernel = _kernel()
+        kernel.send(_HEADER.pack(_HEADER.size + len(query), _BY_FAMILY, _REQUEST, 1, 0) + query)
+        answer = kernel.recv(4096)
     except (AttributeError, OSError):
         return 0
     _, kind, _, _, _ = _HEADER.unpack_from(answer)
@@ -92,25 +112,28 @@ def holder(number: int) -> Process | None:
     if not number:
         return None
     link = f"socket:[{number}]"
-    for (pid, start), process in reversed(_known.items()):
-        if _holds(pid, link) and _start(pid) == start:
-            _known.move_to_end((pid, start))
-            return process
+    # A process that connects anew for each request gets the same file descriptor for it.
+    for looked_at in (_Known.at_the_same_place, _Known.anywhere):
+        for key, known in reversed(_known.items()):
+            if looked_at(known, link) and _start(known.process.pid) == key[1]:
+                _known.move_to_end(key)
+                return known.process
     # The youngest first: what a process has opened and handed on to a child is found at the child.
     for pid in sorted((int(name) for name in os.listdir("/proc") if name.isdigit()), reverse=True):
-        if _holds(pid, link):
-            return _found(pid)
+        if (place := _place(pid, link)) is not None:
+            return _found(pid, place)
     return None
 
 
-def _holds(pid: int, link: str) -> bool:
+def _place(pid: int, link: str) -> str | None:
+    """Return the file descriptor of a process, as a path, that is this socket; None if it has none."""
     directory = f"/proc/{pid}/fd"
     try:
-        numbers = os.listdir(directory)
+        places = [f"{directory}/{number}" for number in os.listdir(directory)]
     except OSError:
         # It has ended, or it belongs to somebody else.
-        return False
-    return any(_link(f"{directory}/{number}") == link for number in numbers)
+        return None
+    return next((place for place in places if _link(place) == link), None)
 
 
 def _link(path: str) -> str | None:
@@ -121,12 +144,12 @@ def _link(path: str) -> str | None:
         return None
 
 
-def _found(pid: int) -> Process | None:
+def _found(pid: int, place: str) -> Process | None:
     try:
         process = Process(pid=pid, name=_name(pid), ancestors=tuple(_ancestors(pid)), token=_token(pid))
     except OSError:
         return None
-    _known[pid, _start(pid)] = process
+    _known[pid, _start(pid)] = _Known(process, place)
     if len(_known) > _MOST_KNOWN:
         _known.popitem(last=False)
     return process
