@@ -71,8 +71,8 @@ _known: OrderedDict[tuple[int, str | None], _Known] = OrderedDict()
 def process_of(transport: asyncio.BaseTransport) -> Process | None:
     """Return the process that has the other end of a TCP connection.
 
-    None when it cannot be known: the other end is closed already, belongs to a process of another user or of another network
-    namespace, or the system is not Linux.
+    None when it cannot be known: the other end is closed already, belongs to a process of another user or in a container, or the
+    system is not Linux.
     """
     own, peer = transport.get_extra_info("sockname"), transport.get_extra_info("peername")
     return holder(_inode(socket.IPPROTO_TCP, peer, own))
@@ -146,6 +146,9 @@ def _link(path: str) -> str | None:
 
 def _found(pid: int, place: str) -> Process | None:
     try:
+        if os.stat(f"/proc/{pid}/ns/pid").st_ino != os.stat("/proc/self/ns/pid").st_ino:
+            # In a container: whose child it is cannot be told from here.
+            return None
         process = Process(pid=pid, name=_name(pid), ancestors=tuple(_ancestors(pid)), token=_token(pid))
     except OSError:
         return None

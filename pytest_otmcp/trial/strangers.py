@@ -114,4 +114,4 @@ def _shown(at: str, entry: JournalEntry) -> str:
     if entry["kind"] != "malformed":
         return protocols()[at.partition("@")[0]].describe(entry)
     first = bytes.fromhex(fields.get("bytes") or "")[:_SHOWN_BYTES]
-    return f"no message of the protocol: {first!r}"
+    return f"{first!r}, which is no message of the protocol"

@@ -54,7 +54,7 @@ def noted(results: Results) -> dict[tuple[str, str, str | None], set[str]]:
 
 
 SENT = {
-    "http": ("modbus mqtt opcua", {"mqtt": "no message of the protocol: b'GET / HTTP/1.1"}),
+    "http": ("modbus mqtt opcua", {"mqtt": "b'GET / HTTP/1.1"}),
     "silence": ("modbus mqtt opcua", {}),
     "half-a-handshake": ("modbus mqtt opcua", {"modbus": "no message of the protocol"}),
     "modbus-read": ("modbus", {"modbus": "FC 04 address 0 quantity 4"}),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 from typing import Any
 
 import psutil
@@ -37,7 +38,10 @@ def _process(kind: str, is_peer: Any) -> PeerProcess | None:
     return None
 
 
-def _found(process: psutil.Process) -> PeerProcess:
+def _found(process: psutil.Process) -> PeerProcess | None:
+    if os.stat(f"/proc/{process.pid}/ns/pid").st_ino != os.stat("/proc/self/ns/pid").st_ino:
+        # In a container: whose child it is cannot be told from here.
+        return None
     ancestors = tuple(parent.pid for parent in process.parents())
     token = None
     with contextlib.suppress(psutil.AccessDenied):
