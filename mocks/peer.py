@@ -8,6 +8,8 @@ was found once is looked at first the next time; only when none of those holds t
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import itertools
 import os
 import socket
 import struct
@@ -87,6 +89,9 @@ def socket_of(own: Address, peer: Address) -> int:
     return _inode(socket.IPPROTO_UDP, own, peer)
 
 
+_numbers = itertools.count(1)
+
+
 @cache
 def _kernel() -> socket.socket:
     return socket.socket(socket.AF_NETLINK, socket.SOCK_DGRAM, _SOCK_DIAG)
@@ -97,13 +102,16 @@ def _inode(protocol: int, local: Address, remote: Address) -> int:
     addresses = b"".join(socket.inet_aton(host).ljust(16, b"\0") for host, _ in (local, remote))
     ports = struct.pack(">HH", local[1], remote[1])
     query = _QUERY.pack(socket.AF_INET, protocol, 0, _ANY_STATE) + ports + addresses + bytes(4) + _ANY_COOKIE
+    number, answered = next(_numbers), None
     try:
         kernel = _kernel()
-        kernel.send(_HEADER.pack(_HEADER.size + len(query), _BY_FAMILY, _REQUEST, 1, 0) + query)
-        answer = kernel.recv(4096)
+        kernel.send(_HEADER.pack(_HEADER.size + len(query), _BY_FAMILY, _REQUEST, number, 0) + query)
+        while answered != number:
+            # The answer is there when the question has been sent.
+            answer = kernel.recv(4096, socket.MSG_DONTWAIT)
+            _, kind, _, answered, _ = _HEADER.unpack_from(answer)
     except (AttributeError, OSError):
         return 0
-    _, kind, _, _, _ = _HEADER.unpack_from(answer)
     return int(struct.unpack_from("=I", answer, _INODE_AT)[0]) if kind == _BY_FAMILY else 0
 
 
@@ -172,8 +180,10 @@ def _start(pid: int) -> str | None:
 
 
 def _ancestors(pid: int) -> Iterator[int]:
-    while (pid := int(_stat(pid)[1])) > 0:
-        yield pid
+    with contextlib.suppress(OSError):
+        # A parent may end meanwhile.
+        while (pid := int(_stat(pid)[1])) > 0:
+            yield pid
 
 
 def _name(pid: int) -> str:
