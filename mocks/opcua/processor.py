@@ -16,6 +16,7 @@ from asyncua.server.internal_server import InternalServer
 from asyncua.server.uaprocessor import UaProcessor
 from asyncua.ua.ua_binary import struct_from_binary
 
+from ..peer import process_of
 from .exchange import Exchange, current
 from .state import DeviceState
 
@@ -113,14 +114,11 @@ class PlantProtocol(OPCUAProtocol):  # type: ignore[misc]
         self._number = number
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._journal("CONNECTED")
+        self._device.journal.connected(self._number, process_of(transport))
         super().connection_made(transport)
         self.processor = _Processor(self.iserver, self.transport, self.limits, self._device, self._number)
         self.processor.set_policies(self.policies)
 
     def connection_lost(self, ex: BaseException | None) -> None:
-        self._journal("DISCONNECTED")
+        self._device.journal.append(connection=self._number, direction="in", kind="DISCONNECTED")
         super().connection_lost(ex)
-
-    def _journal(self, kind: str) -> None:
-        self._device.journal.append(connection=self._number, direction="in", kind=kind)

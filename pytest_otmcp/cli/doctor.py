@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.errors import SubjectError, UsageError
+from ..protocols.journal import judged
 from ..protocols.registry import protocols
 from .init import parse_environment, recognise_protocol
 
@@ -95,7 +96,7 @@ async def _examine(adapter: Adapter, variant: str) -> bool:
         count, first = session.stray_output()
         if count:
             print(f"  {variant}: {count} line(s) on stdout are no MCP message, the first: {first[0]!r}")
-        connected = bool((await device.journal(0)).entries)
+        connected = bool(judged((await device.journal(0)).entries))
         print(f"  {variant}: the device {'has seen a connection' if connected else 'has seen nothing yet'}")
         faults = check_bindings(adapter, session.tools) if variant == READ_WRITE else []
         for fault in faults:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from ..core.strict_json import parse_strict
 from ..plant.mock_device import MockDevice
-from ..protocols.journal import JournalEntry
+from ..protocols.journal import JournalEntry, judged
 from ..subject.answers import read_answer
 from ..subject.model import Answering, Binding
 from ..trial.adapter_under_test import AdapterUnderTest
@@ -121,7 +121,7 @@ class Experimenter:
         exchange = await adapter.session.call(guess.tool, arguments, timeout_s=1.2 * adapter.deadline_s)
         if self._late is not None:
             await self.device.wait(since, dict(self._late), timeout_s=_LATE_S)
-        entries = (await self.device.journal(since)).entries
+        entries = judged((await self.device.journal(since)).entries)
         if exchange.response is None:
             return Shown(message=None, entries=entries, words=f"no answer ({exchange.failure})")
         try:

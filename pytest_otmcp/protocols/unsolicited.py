@@ -7,7 +7,7 @@ journal is read between the items as well.
 from __future__ import annotations
 
 from ..core.finding import Finding
-from .journal import Entries
+from .journal import Entries, judged
 from .registry import protocols
 
 __all__ = ["nothing_commanded"]
@@ -15,4 +15,4 @@ __all__ = ["nothing_commanded"]
 
 def nothing_commanded(protocol: str, entries: Entries) -> list[Finding]:
     """Expect that the adapter sent the device of ``protocol`` nothing that commands the plant."""
-    return protocols()[protocol].unsolicited(entries)
+    return protocols()[protocol].unsolicited(judged(entries))

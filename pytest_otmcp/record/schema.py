@@ -50,6 +50,7 @@ __all__ = [
     "ShapeError",
     "State",
     "StoredBinding",
+    "Stranger",
     "Subject",
     "check",
 ]
@@ -428,6 +429,21 @@ class SessionRemark(TypedDict):
     first_stray: str
 
 
+class Stranger(TypedDict):
+    """A program other than the adapter under test that was at a device during an item; it was left out of the judgement.
+
+    ``at``: name of the adapter whose device it is. ``origin``: as in the journal's entries. ``program``: its name; None if that
+    cannot be known. ``connections``, ``messages``: how many it made and sent. ``sent``: the first of them in words.
+    """
+
+    at: str
+    origin: Literal["former", "stranger", "unknown"]
+    program: Name | None
+    connections: Count
+    messages: Count
+    sent: list[str]
+
+
 class Ended(TypedDict):
     """Why an item ended before its time, and whose fault that was."""
 
@@ -470,6 +486,7 @@ class ItemBody(TypedDict):
     devices: dict[str, ItemDevice]
     around: list[Around]
     sessions: list[SessionRemark]
+    strangers: NotRequired[list[Stranger]]
     ended: Ended | None
 
 

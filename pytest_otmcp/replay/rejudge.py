@@ -160,6 +160,7 @@ class _Judge:
         yield from found
         if objection is None and not driver.objections:
             yield from _differing(name, shown, head, _OF_ITEM)
+            yield from _differing(name, {"strangers": []} | shown, {"strangers": []} | head, ("strangers",))
             for part, told in zip(shown["around"], head["around"], strict=True):
                 yield from _of_calls(f"{name} {told['role']}", part["calls"], told["calls"])
             yield from _of_findings(name, shown["findings"], head["findings"])

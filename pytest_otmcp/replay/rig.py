@@ -238,11 +238,11 @@ class ReplayRig(Rig):
             deadline_s=self._state.adapter.deadline_s,
         )
 
-    async def journal(self) -> list[Entry]:
+    async def _journal(self) -> list[Entry]:
         seen = self._seen("journal")
         return self._until(seen["journal"], seen["seen_ns"])
 
-    async def wait_for(self, *, timeout_s: float, count: int = 1, **match: object) -> list[Entry]:
+    async def _wait(self, match: Mapping[str, object], *, timeout_s: float, count: int) -> list[Entry]:
         seen = self._seen("wait")
         found = [
             entry
@@ -256,7 +256,7 @@ class ReplayRig(Rig):
             )
         return found[: seen["wait"]]
 
-    async def session_journal(self) -> list[Entry]:
+    async def _session_journal(self) -> list[Entry]:
         seen = self._seen("session_journal")
         begin, end = seen["session_journal"]
         if begin != self._cursor.began:

@@ -14,6 +14,7 @@ from ..core.statistics import mean, mean_interval, percentile
 from ..record.consistency import count_calls
 from . import Item, Run, applied, deadlines, durations, least, phases, recovered, tally, timing_valid
 from .findings import cited, faults, subject_keys
+from .strangers import strangers
 from .text import count, interval, number, printable, shortened
 
 __all__ = ["summary"]
@@ -46,7 +47,15 @@ def summary(run: Run, width: int = 100) -> list[Line]:
         if items:
             table = _recovery(run, items, width) if suite == "recovery" else _suite(run, suite, items, width)
             lines += [("", "plain"), *table]
-    return [*lines, ("", "plain"), *_findings(run, width), *_counts(run, width), *_narrowed(run, width), _verdict(run)]
+    return [
+        *lines,
+        ("", "plain"),
+        *_findings(run, width),
+        *_counts(run, width),
+        *_narrowed(run, width),
+        *_strangers(run, width),
+        _verdict(run),
+    ]
 
 
 def _suite(run: Run, suite: str, items: list[Item], width: int) -> Iterator[Line]:
@@ -112,8 +121,8 @@ def _findings(run: Run, width: int) -> Iterator[Line]:
         texts = texts[:_SHOWN_FINDINGS]
         if len(shown) > _SHOWN_FINDINGS:
             texts.append(f"and {len(shown) - _SHOWN_FINDINGS} more in run.json")
-        if not shown and item["reason"]:
-            texts.append(item["reason"])
+        if item["reason"] and (item["status"] == "KIT_ERROR" or not shown):
+            texts.insert(0, item["reason"])
         texts += [f"in the subject file: {key}" for key in subject_keys(item)]
         for text in texts:
             for line in _wrapped(f"      {text}", width, "        "):
@@ -151,6 +160,12 @@ def _narrowed(run: Run, width: int) -> Iterator[Line]:
     for sentence in run["settings"].get("narrowed", ()):
         for line in _wrapped(f"narrowed: {sentence}", width, "  "):
             yield line, "bad"
+
+
+def _strangers(run: Run, width: int) -> Iterator[Line]:
+    for sentence in strangers(run):
+        for line in _wrapped(f"note: {sentence}", width, "  "):
+            yield line, "plain"
 
 
 def _verdict(run: Run) -> Line:

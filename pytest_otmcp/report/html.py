@@ -26,6 +26,7 @@ from .drawings import latencies, recovery, strip
 from .evidence import failures
 from .families import families, style_sheet
 from .limits import narrowed
+from .strangers import strangers
 from .text import clipped, printable
 
 __all__ = ["page", "write_html"]
@@ -81,6 +82,7 @@ def page(run: Run) -> str:
         good=good,
         planned=planned,
         narrowed=narrowed(run),
+        strangers=strangers(run),
         deviations=overview.deviations(run),
         families=families(run),
         capabilities=earned(run),

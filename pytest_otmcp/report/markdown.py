@@ -18,6 +18,7 @@ from .families import families
 from .findings import cited, faults, subject_keys
 from .limits import narrowed
 from .overview import deviations, tasks
+from .strangers import strangers
 from .text import printable
 
 __all__ = ["code", "escape", "summary", "write_markdown"]
@@ -73,6 +74,7 @@ def summary(run: Run) -> str:
         "",
         *(f"- deadlines of a call: {escape(told)}" for told in [deadlines(run)] if told),
         *(f"- {escape(reason)}" for reason in narrowed(run)),
+        *(f"- Note: {escape(sentence)}." for sentence in strangers(run)),
         *(
             f"- known deviation {escape(one.item)}: {code(one.reason)}, until {escape(one.expires)}; {one.state}"
             for one in deviations(run)

@@ -232,6 +232,12 @@ class McpSession:
         )
 
     @property
+    def pid(self) -> int | None:
+        """Number of the process; None as long as it has not been started."""
+        process = self._transport.process
+        return None if process is None else process.pid
+
+    @property
     def died(self) -> bool:
         """True when the session has no process, or the process has closed the connection."""
         return self._transport.died

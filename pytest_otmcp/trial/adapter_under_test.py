@@ -9,6 +9,7 @@ import socket
 import sys
 import tempfile
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TypedDict, cast
@@ -19,6 +20,7 @@ from ..core.strict_json import parse_strict
 from ..core.text import printable
 from ..plant.device import Device
 from ..plant.endpoint import Endpoint, first_port
+from ..plant.owners import TOKEN_VARIABLE, new_token
 from ..protocols.envelope import check_result
 from ..protocols.registry import protocols
 from ..record.schema import AdapterFacts, StoredBinding
@@ -118,12 +120,14 @@ class AdapterUnderTest:
         self.adapter = adapter
         self.variant = variant
         self.device = device
+        device.sessions.expect()
         self.session: McpSession | None = None
         self.tools: Mapping[str, Mapping[str, object]] | None = None
         self.unmet: set[str] = set()
         self._options = options
         self._start_failure: SubjectError | None = None
         self._work: tempfile.TemporaryDirectory[str] | None = None
+        self._token: str | None = None
         self._server: ServerFacts = {}
         self.used: dict[str, None] = {}
         self.first = first
@@ -204,7 +208,10 @@ class AdapterUnderTest:
             exit_grace_s=_EXIT_GRACE_S * self._options.time_scale,
             url=None if self.adapter.url is None else str(replace_placeholders(self.adapter.url, values)),
         )
-        return McpSession(launch.command, launch.env, launch.cwd, options)
+        self._token = new_token()
+        session = McpSession(launch.command, {**launch.env, TOKEN_VARIABLE: self._token}, launch.cwd, options)
+        self.device.sessions.begin(self._token, lambda: session.pid)
+        return session
 
     async def open(self) -> None:
         """Make sure that there is a usable session.
@@ -263,6 +270,13 @@ class AdapterUnderTest:
         self.cursor.close_session()
         if session is not None:
             await session.close()
+        token, self._token = self._token, None
+        if token is not None:
+            if self.device.running:
+                # What its process has sent before it ended is its own; it is in the journal before the answer.
+                with suppress(KitError):
+                    await self.device.mark()
+            self.device.sessions.end(token)
         work, self._work = self._work, None
         if work is not None:
             work.cleanup()

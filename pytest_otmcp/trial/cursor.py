@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TypeVar
 
+from ..protocols.journal import judged
 from ..protocols.registry import protocols
 from ..protocols.session_oracle import SessionOracle
 from ..record.schema import SessionStart
@@ -82,7 +83,7 @@ class JournalCursor:
 
     def feed(self, entries: Iterable[Entry], until: int) -> None:
         """Show the session's oracles the entries that they have not seen, which are all before ``until``."""
-        for entry in entries:
+        for entry in judged(entries):
             if self._began is not None and entry["seq"] >= max(self.fed, self._began):
                 for oracle in self._oracles.values():
                     oracle.feed(entry)

@@ -11,6 +11,7 @@ from typing import Any, cast
 
 from ..core.finding import Finding
 from ..plant.device import Journal
+from ..protocols.journal import ADAPTER
 from ..record.images import Images, keep_image
 from ..record.schema import ItemDevice, Observation, SessionStart
 from ..session.session import McpSession
@@ -150,12 +151,12 @@ class LiveRig(Rig):
         with self._observing():
             return await self.device.journal(since), asked_ns
 
-    async def journal(self) -> list[Entry]:
+    async def _journal(self) -> list[Entry]:
         journal, asked_ns = await self._look(self._cursor.next)
         self._noted({"journal": journal.next}, asked_ns)
         return journal.entries
 
-    async def wait_for(self, *, timeout_s: float, count: int = 1, **match: object) -> list[Entry]:
+    async def _wait(self, match: Mapping[str, object], *, timeout_s: float, count: int) -> list[Entry]:
         asked_ns = time.monotonic_ns()
         with self._observing():
             scaled = timeout_s * self._ledger.time_scale
@@ -163,7 +164,7 @@ class LiveRig(Rig):
         self._noted({"wait": len(entries)}, asked_ns)
         return entries
 
-    async def session_journal(self) -> list[Entry]:
+    async def _session_journal(self) -> list[Entry]:
         begin = self._cursor.began
         journal, asked_ns = await self._look(begin)
         self._noted({"session_journal": [begin, journal.next]}, asked_ns)
@@ -198,8 +199,9 @@ class LiveRig(Rig):
         # An adapter may reconnect in its own time: a new connection is the sign to call it again. Without one it is called
         # after a pause, so that an adapter which fails at once is not called without pause.
         since = self._cursor.next
-        seen = len(await self.device.wait(since, {"kind": "CONNECTED"}, timeout_s=0.0))
-        await self.device.wait(since, {"kind": "CONNECTED"}, timeout_s=0.05, count=seen + 1)
+        connected = {"origin": ADAPTER, "kind": "CONNECTED"}
+        seen = len(await self.device.wait(since, connected, timeout_s=0.0))
+        await self.device.wait(since, connected, timeout_s=0.05, count=seen + 1)
         if self.under_test.adapter.recovery == "connect_step":
             # The connect step may fail as long as the device is not ready; then the call after it fails as well, and says so.
             with self._bench.spent.on("tool calls"):

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar, cast
 
 from ..core.finding import Finding
+from ..protocols.journal import ADAPTER, judged
 from ..record.schema import DeviceEntry, Role
 from ..subject.model import READ_WRITE
 from .cursor import JournalCursor, Oracle
@@ -180,20 +181,21 @@ class Rig(ABC):
     def accepting_ns(self) -> int:
         """Monotonic time since which the device accepts connections."""
 
-    @abstractmethod
     async def journal(self) -> list[Entry]:
         """Return what reached the device, and what it answered, since this repetition began."""
+        return judged(await self._journal())
 
-    @abstractmethod
     async def wait_for(self, *, timeout_s: float, count: int = 1, **match: object) -> list[Entry]:
-        """Return the journal entries of this repetition that match, as soon as there are ``count``, or after the timeout."""
+        """Return the adapter's journal entries of this repetition that match, as soon as there are ``count``, or after the
+        timeout."""
+        return await self._wait({"origin": ADAPTER, **match}, timeout_s=timeout_s, count=count)
 
-    @abstractmethod
     async def session_journal(self) -> list[Entry]:
         """Return the entries of this repetition since the adapter's session was opened.
 
         A session of earlier repetitions caused more entries than these: :meth:`follow` judges all of them.
         """
+        return judged(await self._session_journal())
 
     async def follow(self, kind: type[Oracle]) -> Oracle:
         """Return the session oracle of this kind, which has seen everything that the session did at the device so far."""
@@ -226,6 +228,17 @@ class Rig(ABC):
 
     @abstractmethod
     async def _perform(self, operation: str, inputs: Mapping[str, object]) -> Reply: ...
+
+    @abstractmethod
+    async def _journal(self) -> list[Entry]:
+        """Return the entries since this repetition began, whoever caused them."""
+
+    @abstractmethod
+    async def _session_journal(self) -> list[Entry]:
+        """Return the entries of this repetition since the adapter's session was opened, whoever caused them."""
+
+    @abstractmethod
+    async def _wait(self, match: Mapping[str, object], *, timeout_s: float, count: int) -> list[Entry]: ...
 
     @abstractmethod
     async def _feed(self) -> None:

@@ -14,11 +14,15 @@ from ..core.errors import ExhaustedError, KitError, SubjectError
 from ..core.exhaustion import exhausted
 from ..core.finding import Finding, Kind, kind_of
 from ..protocols.unsolicited import nothing_commanded
-from ..record.schema import Around, Ended, ItemBody, Role, Sample, State
+from ..record.schema import Around, DeviceEntry, Ended, ItemBody, Role, Sample, State
+from ..subject.model import READ_WRITE
 from .adapter_under_test import NoBindingError
 from .driver import SessionFacts, TrialDriver
+from .ledger import Ledger
 from .repetition import Repetition
+from .rig import adapter_name
 from .stored import stored_calls, stored_finding
+from .strangers import Strangers
 from .task import Steps, Task
 
 __all__ = ["Repetition", "Trial"]
@@ -26,6 +30,11 @@ __all__ = ["Repetition", "Trial"]
 _GIVE_UP_AFTER = 3
 """Consecutive repetitions without any reply after which an item is not continued: a hanging adapter is then found within
 a few deadlines, not after thirty."""
+
+
+class _DisturbedError(Exception):
+    """Another program has changed a device: what is seen there from now on says nothing about the adapter."""
+
 
 ReportProgress = Callable[[int, int], None]
 
@@ -63,6 +72,7 @@ class Trial:
         self._around: list[Around] = []
         self._warm_up: dict[Finding, Kind] = {}
         self._repeated: set[Kind] = set()
+        self._strangers = Strangers()
 
     async def run(self) -> ItemBody:
         """Run the task to its end; faults of adapter and kit alike end up in the returned item."""
@@ -78,6 +88,11 @@ class Trial:
     async def _guarded(self) -> None:
         try:
             await self._execute()
+        except _DisturbedError as disturbance:
+            # What was found before stands.
+            if not self._failed:
+                self._status = "KIT_ERROR"
+            self._reason = str(disturbance)
         except SubjectError as failure:
             self._end("subject", failure.code, str(failure), "MCP-002")
         except NoBindingError as gap:
@@ -103,6 +118,8 @@ class Trial:
     async def _execute(self) -> None:
         task, driver = self._task, self._driver
         await driver.prepare()
+        for at, found in driver.history()["devices"].items():
+            self._strangers.take(at, found["before"], watched=False)
         for protocol, entries in driver.before():
             for finding in nothing_commanded(protocol, entries):
                 when = "before this item, when nobody called the adapter"
@@ -142,6 +159,9 @@ class Trial:
                 "observations": ledger.observations,
             }
         )
+        self._watch_strangers(ledger)
+        if self._strangers.disturbance is not None:
+            raise _DisturbedError(self._strangers.disturbance)
         for finding in ledger.findings:
             noted = self._note(finding.code, f"{role}: {finding.message}", finding.requirement, finding.evidence)
             if role == "warmup":
@@ -154,21 +174,33 @@ class Trial:
         repetition = self._driver.repetition(rep, "task")
         await self._driver.perform(repetition, self._task.steps)
         ledger = repetition.ledger
-        self._all_passed = self._all_passed and not ledger.findings
-        self._repeated |= {kind_of(found.code, found.requirement, found.message) for found in ledger.findings}
+        self._watch_strangers(ledger)
+        disturbance = self._strangers.disturbance
+        findings = ledger.findings if disturbance is None else []
+        self._all_passed = self._all_passed and not findings
+        self._repeated |= {kind_of(found.code, found.requirement, found.message) for found in findings}
         self._keep(
             {
                 "repetition": rep,
-                "ok": not ledger.findings,
+                "ok": not ledger.findings and disturbance is None,
                 "duration_ms": round(repetition.duration_ms, 4),
                 "calls": stored_calls(ledger),
                 "device": ledger.journal,
                 "observations": ledger.observations,
-                "findings": [stored_finding(finding) for finding in ledger.findings],
+                "findings": [stored_finding(finding) for finding in findings],
                 "phases": repetition.phases,
             }
         )
+        if disturbance is not None:
+            raise _DisturbedError(disturbance)
         return repetition.unanswered
+
+    def _watch_strangers(self, ledger: Ledger) -> None:
+        slices: dict[str, list[DeviceEntry]] = {}
+        for entry in ledger.journal:
+            slices.setdefault(adapter_name(entry["protocol"], entry.get("variant", READ_WRITE)), []).append(entry)
+        for at, entries in slices.items():
+            self._strangers.take(at, entries)
 
     def _note(self, code: str, message: str, requirement: str | None = None, evidence: str | None = None) -> Finding:
         """Note a finding once, and return the one that was noted."""
@@ -208,19 +240,22 @@ class Trial:
             self._findings = [Finding(code="kit_error", message=message, evidence=trace)]
         return self._item()
 
+    @property
+    def _failed(self) -> bool:
+        return bool(self._findings) or not self._all_passed
+
     def _item(self) -> ItemBody:
         task = self._task
-        failed = bool(self._findings) or not self._all_passed
         # What a repetition has found as well is said there.
         findings = [found for found in self._findings if self._warm_up.get(found) not in self._repeated]
-        return {
+        item: ItemBody = {
             "id": task.id,
             "suite": task.suite,
             "family": task.family,
             "title": task.title,
             "capabilities": list(task.capabilities),
             "requirements": list(task.requirements),
-            "status": self._status or ("FAIL" if failed else "PASS"),
+            "status": self._status or ("FAIL" if self._failed else "PASS"),
             "reason": self._reason,
             "planned": self._planned,
             "findings": [stored_finding(finding) for finding in findings],
@@ -229,4 +264,8 @@ class Trial:
             "around": self._around,
             "ended": self._ended,
             **self._driver.history(),
+            "strangers": self._strangers.noted(),
         }
+        if not item["strangers"]:
+            del item["strangers"]
+        return item

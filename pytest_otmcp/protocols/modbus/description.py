@@ -7,7 +7,7 @@ import re
 from ..protocol import Colour, Framing, OtProtocol
 from ..session_oracle import StateChanges
 from .decoder import ModbusConversation, mbap_length
-from .entries import describe, title
+from .entries import carried_out, describe, title
 from .operations import OPERATIONS
 from .oracle import no_state_changing_request
 
@@ -22,6 +22,7 @@ PROTOCOL = OtProtocol(
     probes={"missing_address": 9999},
     framing=Framing(frame_length=mbap_length, conversation=ModbusConversation),
     unsolicited=no_state_changing_request,
+    carried_out=carried_out,
     describe=describe,
     title=title,
     mock="modbus",

@@ -10,7 +10,7 @@ from .entries import describe
 from .external import EXTERNAL
 from .operations import OPERATIONS
 from .oracle import Publications, Subscriptions, no_command
-from .sparkplug_oracle import SparkplugSequence
+from .sparkplug_oracle import SparkplugSequence, kept_or_executed
 
 __all__ = ["PROTOCOL"]
 
@@ -41,6 +41,7 @@ PROTOCOL = OtProtocol(
     ),
     framing=Framing(frame_length=packet_length, conversation=MqttConversation),
     unsolicited=no_command,
+    carried_out=kept_or_executed,
     describe=describe,
     mock="mqtt",
     clients="an MQTT client, version 3.1.1 or 5",

@@ -6,7 +6,7 @@ import base64
 from collections.abc import Mapping
 from typing import Any, TypedDict, cast
 
-from ..journal import Entries, JournalEntry
+from ..journal import ADAPTER, Entries, JournalEntry
 
 __all__ = ["Filter", "FirstPackets", "MqttEntry", "adapter_packets", "as_mqtt", "describe", "payload_of", "shown"]
 
@@ -66,7 +66,7 @@ def adapter_packets(
     return [
         as_mqtt(entry)
         for entry in entries
-        if entry["origin"] == "client"
+        if entry["origin"] == ADAPTER
         and kind in (None, entry["kind"])
         and direction in (None, entry["direction"])
         and client_id in (None, as_mqtt(entry).get("client_id"))

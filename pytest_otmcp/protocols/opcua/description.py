@@ -7,7 +7,7 @@ import re
 from ..protocol import Colour, Framing, OtProtocol
 from ..session_oracle import StateChanges
 from .decoder import OpcUaConversation, chunk_length
-from .entries import describe
+from .entries import carried_out, describe
 from .operations import OPERATIONS
 from .oracle import no_state_changing_service
 
@@ -22,6 +22,7 @@ PROTOCOL = OtProtocol(
     probes={"missing_node": "ns=2;i=99999"},
     framing=Framing(frame_length=chunk_length, conversation=OpcUaConversation),
     unsolicited=no_state_changing_service,
+    carried_out=carried_out,
     describe=describe,
     mock="opcua",
     clients="an OPC UA client with security None",

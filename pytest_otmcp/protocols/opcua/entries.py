@@ -13,6 +13,7 @@ __all__ = [
     "OpcUaEntry",
     "answers",
     "as_opcua",
+    "carried_out",
     "describe",
     "holds_value",
     "node_ids",
@@ -75,6 +76,14 @@ def statuses(entry: JournalEntry) -> list[str]:
 def answers(entries: Entries, kind: str) -> list[JournalEntry]:
     """Return the answers of one service."""
     return [entry for entry in entries if entry["direction"] == "out" and entry["kind"] == kind]
+
+
+def carried_out(request: JournalEntry, answer: JournalEntry | None) -> bool:
+    """Tell whether the server did at least a part of what a request asked for."""
+    if answer is None:
+        return True
+    results = statuses(answer) or [as_opcua(answer).get("service_result", "Good")]
+    return any(not status.startswith("Bad") for status in results)
 
 
 def describe(entry: JournalEntry) -> str:
