@@ -144,4 +144,5 @@ def test_a_command_without_descriptors_says_so_in_one_sentence(tmp_path: Path, c
     done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 3, done.stderr
     assert done.stderr.count("\n") == 1
-    assert done.stderr.startswith("otmcp: a process of the kit has no file descriptor left; raise the limit")
+    assert done.stderr.startswith("otmcp: ")
+    assert ": a process of the kit has no file descriptor left; raise the limit" in done.stderr
