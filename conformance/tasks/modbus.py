@@ -99,9 +99,10 @@ async def write_and_read_back(run: Repetition, modbus: Rig) -> None:
     run.succeeds(written, value=value)
     # What the device holds now may not be the value, which is the fault of the write; the read has to tell it.
     run.succeeds(read, values=[oracle.held(after, "holding_registers", 1)])
+    journal = await modbus.journal()
     run.witnessed(
-        oracle.exactly_one_write(await modbus.journal(), "holding_registers", address=1, values=[value]),
-        oracle.read_where_asked(await modbus.journal(), function=READ_HOLDING_REGISTERS, address=1),
+        oracle.exactly_one_write(journal, "holding_registers", address=1, values=[value]),
+        oracle.read_where_asked(journal, function=READ_HOLDING_REGISTERS, address=1),
         oracle.only_changed(before, after, points("holding_registers", 1, [value])),
     )
 
@@ -194,13 +195,14 @@ async def write_overflow(run: Repetition, modbus: Rig) -> None:
     """
     before = await modbus.image()
     reply = await modbus.call("write_holding", address=1, value=70000)
+    journal = await modbus.journal()
     after = await modbus.image()
     if reply.success:
         run.judge(reply, oracle.stored_otherwise(after, "holding_registers", 1, 70000, told=reply.outputs.get("value")))
         return
     run.fails(reply, "range_overflow", outcome="not_sent", requirement="ADR-003")
     run.witnessed(
-        oracle.no_state_changing_request(await modbus.journal(), requirement="ERR-006"),
+        oracle.no_state_changing_request(journal, requirement="ERR-006"),
         oracle.only_changed(before, after, {}, otherwise="ERR-006"),
     )
 
