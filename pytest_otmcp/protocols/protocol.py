@@ -169,8 +169,8 @@ class OtProtocol:
         framing: decoding of recorded bytes; None when only the mock can be the witness.
         unsolicited: returns findings for everything in a journal slice that commands the plant, although the adapter was
             asked for nothing.
-        carried_out: tells whether the device did what a state-changing request asked for, from the request and its answer (None
-            if there is none); whatever it did is assumed to have changed what it holds.
+        carried_out: tells whether the device did what a state-changing request asked for, from the request and its answer, which
+            is None as long as there is none; None if that cannot be told without the answer.
         describe: describes one journal entry in a few words, for findings and the report.
         title: names a journal entry, for the report's conversations; None where the entry's kind is name enough.
         mock: name of the mock as ``python -m pytest_otmcp.mocks`` takes it: a folder of ``mocks``, or the dotted name of
@@ -203,7 +203,7 @@ class OtProtocol:
     tasks: str
     recognise: re.Pattern[str]
     colour: Colour
-    carried_out: Callable[[JournalEntry, JournalEntry | None], bool] = _assumed
+    carried_out: Callable[[JournalEntry, JournalEntry | None], bool | None] = _assumed
     composites: Mapping[str, Composite] = field(default_factory=dict)
     probes: Mapping[str, object] = field(default_factory=dict)
     choices: tuple[Choice, ...] = ()

@@ -39,6 +39,7 @@ class Strangers:
 
     def __init__(self) -> None:
         self._groups: dict[tuple[str, _Other, str | None], _Group] = {}
+        self._unanswered: dict[str, dict[int, JournalEntry]] = {}
         self.disturbance: str | None = None
 
     def take(self, at: str, entries: Entries, *, watched: bool = True) -> None:
@@ -48,16 +49,29 @@ class Strangers:
             at: name of the adapter whose device it is.
             watched: the device is in the state that the item needs; before, a change does no harm.
         """
-        answers = {entry["answers"]: entry for entry in entries if entry["answers"] is not None}
+        unanswered = self._unanswered.setdefault(at, {})
         for entry in entries:
+            if entry["seq"] == 0:
+                # The device was started anew; what was asked of the one before has changed nothing here.
+                unanswered.clear()
+            asked = None if entry["answers"] is None else unanswered.pop(entry["answers"], None)
+            if asked is not None and protocols()[at.partition("@")[0]].carried_out(asked, entry):
+                self._disturbed(at, asked)
             origin = entry["origin"]
             if origin == "stranger" or origin == "former" or origin == "unknown":
                 self._note(at, entry, origin)
-                if watched and self.disturbance is None and _disturbs(at, entry, answers.get(entry["seq"])):
-                    self.disturbance = (
-                        f"another program, {_program(entry)}, changed the device of {at} meanwhile "
-                        f"({printable(_shown(at, entry))}): nothing can be judged; end that program and run this again"
-                    )
+                if watched and entry["state_changing"]:
+                    disturbs = _disturbs(at, entry)
+                    if disturbs:
+                        self._disturbed(at, entry)
+                    elif disturbs is None:
+                        unanswered[entry["seq"]] = entry
+
+    def _disturbed(self, at: str, entry: JournalEntry) -> None:
+        self.disturbance = self.disturbance or (
+            f"another program, {_program(entry)}, changed the device of {at} meanwhile "
+            f"({printable(_shown(at, entry))}): nothing can be judged; end that program and run this again"
+        )
 
     def _note(self, at: str, entry: JournalEntry, origin: _Other) -> None:
         if origin == "unknown" and entry["kind"] == "CONNECTED":
@@ -89,14 +103,13 @@ class Strangers:
         ]
 
 
-def _disturbs(at: str, entry: JournalEntry, answer: JournalEntry | None) -> bool:
+def _disturbs(at: str, entry: JournalEntry) -> bool | None:
+    """Tell whether a state-changing request leaves nothing to be judged; None if its answer decides."""
     protocol = protocols()[at.partition("@")[0]]
-    if not entry["state_changing"]:
-        return False
     if entry["origin"] == "former":
         # What an adapter says of itself as it ends is its own affair, commands are not.
         return bool(protocol.unsolicited([entry]))
-    return protocol.carried_out(entry, answer)
+    return protocol.carried_out(entry, None)
 
 
 def _name(entry: JournalEntry) -> str | None:

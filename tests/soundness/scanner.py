@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 PATIENCE_S = 2.0
+STAYS_S = 0.3
 
 
 def utf8(text: str) -> bytes:
@@ -51,15 +52,22 @@ def http_and_gone(port: int) -> None:
 
 
 def silence(port: int) -> None:
-    with socket.create_connection(("127.0.0.1", port), PATIENCE_S):
-        pass
+    stay(port, b"")
+
+
+def stay(port: int, begin: bytes) -> None:
+    """Send the beginning of something and wait for a while what comes."""
+    with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as connection:
+        connection.sendall(begin)
+        connection.settimeout(STAYS_S)
+        with contextlib.suppress(TimeoutError):
+            connection.recv(4096)
 
 
 def half_a_handshake(port: int) -> None:
     # The beginning of what each of the three protocols begins with.
     for begin in (b"\0\1\0\0\0\6\1", CONNECT[:9], b"HELF\x30\0\0\0"):
-        with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as connection:
-            connection.sendall(begin)
+        stay(port, begin)
 
 
 def modbus_read(port: int) -> None:

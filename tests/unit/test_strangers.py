@@ -68,7 +68,7 @@ def test_without_strangers_there_is_nothing_to_say() -> None:
         ("opcua", "Write", {"request": True, "state_changing": True}, {"results": [{"status": "Good"}]}, True),
         ("opcua", "Write", {"request": True, "state_changing": True}, {"results": ["BadTypeMismatch"]}, False),
         ("opcua", "Call", {"request": True, "state_changing": True}, {"service_result": "BadTimeout"}, False),
-        ("opcua", "Write", {"request": True, "state_changing": True}, None, True),
+        ("opcua", "Write", {"request": True, "state_changing": True}, None, False),
         ("mqtt", "PUBLISH", message("control/pump", retain=False), None, False),
         ("mqtt", "PUBLISH", message("control/pump", retain=True), None, True),
         ("mqtt", "PUBLISH", message("spBv1.0/factory/DCMD/edge-node-1/device-1", retain=False), None, True),
@@ -88,6 +88,22 @@ def test_an_item_is_disturbed_by_what_a_stranger_really_changed(
         assert str(found.disturbance).startswith(f"another program, curl (process 4242), changed the device of {at}")
     # What was changed before the item is brought back when it begins.
     assert watched(at, *entries, before=True).disturbance is None
+
+
+def test_an_answer_that_comes_later_decides_unless_the_device_was_started_anew_meanwhile() -> None:
+    common = {"origin": "stranger", "process": CURL}
+    write = entry("request", **WRITE, **common) | {"seq": 7}
+    answer = entry("response", "out", answers=7, **common, **RESPONSE) | {"seq": 8}
+    found = watched("modbus", entry("CONNECTED", **common))
+    found.take("modbus", [write])
+    assert found.disturbance is None
+    found.take("modbus", [answer])
+    assert found.disturbance is not None
+    again = Strangers()
+    again.take("modbus", [write])
+    again.take("modbus", numbered(entry("CONNECTED")))
+    again.take("modbus", [answer])
+    assert again.disturbance is None
 
 
 @pytest.mark.parametrize(("topic", "disturbs"), [("adapter/status", False), ("control/pump", True)])

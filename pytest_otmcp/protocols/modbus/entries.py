@@ -66,9 +66,9 @@ def describe(entry: JournalEntry) -> str:
     return text + (f" values {request['values']}" if request.get("values") else "")
 
 
-def carried_out(request: JournalEntry, answer: JournalEntry | None) -> bool:
+def carried_out(request: JournalEntry, answer: JournalEntry | None) -> bool | None:
     """Tell whether the device did what a request asked for: it did not answer with an exception."""
-    return answer is None or as_modbus(answer).get("exception") is None
+    return None if answer is None else as_modbus(answer).get("exception") is None
 
 
 def points(table: str, address: int, values: list[object], *, unit: int = 1) -> dict[str, object]:

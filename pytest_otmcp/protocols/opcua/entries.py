@@ -78,10 +78,10 @@ def answers(entries: Entries, kind: str) -> list[JournalEntry]:
     return [entry for entry in entries if entry["direction"] == "out" and entry["kind"] == kind]
 
 
-def carried_out(request: JournalEntry, answer: JournalEntry | None) -> bool:
+def carried_out(request: JournalEntry, answer: JournalEntry | None) -> bool | None:
     """Tell whether the server did at least a part of what a request asked for."""
     if answer is None:
-        return True
+        return None
     results = statuses(answer) or [as_opcua(answer).get("service_result", "Good")]
     return any(not status.startswith("Bad") for status in results)
 
