@@ -15,6 +15,7 @@ from .conversation import Conversation
 from .external import ExternalDevice
 from .framing import FrameLength
 from .journal import Entries, JournalEntry
+from .proof import Proof
 from .session_oracle import SessionOracle
 
 __all__ = [
@@ -173,6 +174,7 @@ class OtProtocol:
         colour: in figures and reports.
         external: the user's device in the mock's place; None when the mock cannot be replaced.
         session_oracles: the oracles that judge the whole life of a session.
+        proof: what shows that a session talks to the mock device, before anything is written through it.
         always: the protocol's items are part of every run, as the paper's matrix has it; otherwise only of runs whose
             subject has an adapter for it.
         origin: None for the kit's own protocols.
@@ -201,6 +203,7 @@ class OtProtocol:
     packages: tuple[str, ...] = ()
     external: ExternalDevice | None = None
     session_oracles: tuple[type[SessionOracle], ...] = ()
+    proof: Proof = field(default_factory=Proof)
     always: bool = False
     origin: Origin | None = None
 

@@ -25,6 +25,7 @@ from ..record.schema import AdapterFacts, StoredBinding
 from ..record.schema import Device as DeviceFacts
 from ..session.exchange import Exchange, joined
 from ..session.session import McpSession, SessionOptions
+from ..subject.addressing import addressed_by
 from ..subject.answers import interpret, read_answer
 from ..subject.functions import Refused, ToolAnswer, checked_outputs
 from ..subject.model import (
@@ -148,7 +149,7 @@ class AdapterUnderTest:
     def facts(self) -> AdapterFacts:
         """Return what ``run.json`` says about the adapter."""
         adapter = self.adapter
-        used = {name: adapter.operations.get(name) for name in self.used}
+        used = {name: adapter.operations.get(name) for name in self.used if name in adapter.operations}
         return {
             **adapter.facts(),
             **self._server,
@@ -157,6 +158,7 @@ class AdapterUnderTest:
                 for name, cases in used.items()
             },
             "unmet": sorted(self.unmet),
+            "addressed_by": addressed_by(adapter),
         }
 
     def device_facts(self) -> DeviceFacts:
@@ -285,7 +287,9 @@ class AdapterUnderTest:
 
         Raises:
             NoBindingError: the subject does not say how it is performed.
+            KitError: the operation writes, and the session is not proven to talk to the mock device.
         """
+        self._guard(operation, writes=protocols()[self.adapter.protocol].operations[operation].writes)
         bound = self.adapter.operations.get(operation)
         self.used[operation] = None
         session = self._current(session)
@@ -308,6 +312,30 @@ class AdapterUnderTest:
         if not binding.answering.native:
             self._note_unmet(exchange)
         return observe(exchange, expected)
+
+    async def call_tool(
+        self, tool: str, arguments: Mapping[str, object], *, writes: bool, timeout_s: float
+    ) -> Exchange:
+        """Call a tool by its own name.
+
+        Args:
+            writes: it may write, as far as is known.
+
+        Raises:
+            KitError: the tool may write, and the session is not proven to talk to the mock device.
+        """
+        self._guard(tool, writes=writes)
+        return await self._current(None).call(tool, arguments, timeout_s=timeout_s)
+
+    def _guard(self, what: str, *, writes: bool) -> None:
+        # The last of several: whoever wants to write has proven the session before, or was told why he cannot.
+        if writes and self.cursor.proven is None:
+            raise KitError(f"{what} may write, and nothing has proven that the session talks to the mock device")
+
+    def is_bound(self, operation: str, inputs: Mapping[str, object]) -> bool:
+        """Tell whether the subject says how the operation is performed with these inputs."""
+        bound = self.adapter.operations.get(operation)
+        return isinstance(bound, Function) or any(case.fits(inputs) for case in bound or ())
 
     def _expectation(
         self, operation: str, answering: Answering, outputs: Mapping[str, OutputRule], *, listed: bool = True

@@ -29,6 +29,10 @@ a few deadlines, not after thirty."""
 ReportProgress = Callable[[int, int], None]
 
 
+class _ItemOverError(Exception):
+    """End of the item: nothing may be written, and the findings say why."""
+
+
 class Trial:
     """One item of a run. :meth:`run` returns the item as ``run.json`` has it, without its samples.
 
@@ -75,6 +79,8 @@ class Trial:
     async def _guarded(self) -> None:
         try:
             await self._execute()
+        except _ItemOverError:
+            pass
         except SubjectError as failure:
             self._end("subject", failure.code, str(failure), "MCP-002")
         except NoBindingError as gap:
@@ -138,6 +144,7 @@ class Trial:
         )
         for finding in repetition.ledger.findings:
             self._note(finding.code, f"{role}: {finding.message}", finding.requirement, finding.evidence)
+        self._stop_if_refused(repetition)
         if repetition.unanswered:
             self._take(await self._driver.end_sessions())
             await self._driver.open_sessions()
@@ -146,11 +153,12 @@ class Trial:
         repetition = self._driver.repetition(rep, "task")
         await self._driver.perform(repetition, self._task.steps)
         ledger = repetition.ledger
-        self._all_passed = self._all_passed and not ledger.findings
+        passed = not ledger.findings and ledger.refused is None
+        self._all_passed = self._all_passed and passed
         self._keep(
             {
                 "repetition": rep,
-                "ok": not ledger.findings,
+                "ok": passed,
                 "duration_ms": round(repetition.duration_ms, 4),
                 "calls": stored_calls(ledger),
                 "device": ledger.journal,
@@ -159,7 +167,14 @@ class Trial:
                 "phases": repetition.phases,
             }
         )
+        self._stop_if_refused(repetition)
         return repetition.unanswered
+
+    def _stop_if_refused(self, repetition: Repetition) -> None:
+        refused = repetition.ledger.refused
+        if refused is not None:
+            self._findings.append(refused)
+            raise _ItemOverError
 
     def _note(self, code: str, message: str, requirement: str | None = None, evidence: str | None = None) -> None:
         if (code, message) not in [(finding.code, finding.message) for finding in self._findings]:

@@ -1,0 +1,193 @@
+"""Proves that an adapter's session talks to the mock device, before anything is written through it.
+
+What is asked comes from the protocol (``protocols.proof``); here is in which order, how long, and what is said when nothing came
+back. The same steps are taken on a bench and on the stored history of a run.
+"""
+
+from __future__ import annotations
+
+import json
+import random
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from ..protocols.journal import JournalEntry
+from ..protocols.proof import ENOUGH_BITS, Way
+from ..protocols.registry import protocols
+from .reply import Reply
+
+__all__ = ["ARRIVAL", "Provable", "is_cut_off", "prove"]
+
+ARRIVAL = "arrival"
+"""What proved the session of an adapter that has no operation but such as write."""
+
+_WINDOW_S = 1.0
+"""How long a value may take to come back: an adapter may answer from a poll of its own, or from a short memory."""
+
+_PAUSE_S = 0.05
+
+_ADDRESS = re.compile(r"[a-z][a-z0-9+.-]*://[\w.\[\]:-]+|\b(?:\d{1,3}\.){3}\d{1,3}:\d{1,5}\b|\blocalhost:\d{1,5}\b")
+
+
+class Provable(Protocol):
+    """An adapter at its device, as far as a proof needs them."""
+
+    protocol: str
+
+    @property
+    def device_url(self) -> str:
+        """Where the mock device is."""
+
+    @property
+    def addressed_by(self) -> Sequence[str]:
+        """Keys of the subject file that tell the adapter where the device is."""
+
+    def can_ask(self, operation: str, inputs: Mapping[str, object]) -> bool:
+        """The subject claims the operation and says how to ask for it with these inputs."""
+
+    def blocks(self, operation: str) -> bool:
+        """The operation is performed by a call that waits for what it answers."""
+
+    async def ask(self, operation: str, inputs: Mapping[str, object]) -> Reply:
+        """Perform an operation that writes nothing; nothing is expected of its reply."""
+
+    async def poke(self, **params: object) -> None:
+        """Set a value out of band."""
+
+    async def journal(self) -> list[JournalEntry]:
+        """Return what has reached the device; every answer goes on where the one before ended."""
+
+    async def arrived(self) -> bool:
+        """The device has seen a client arrive since the session began."""
+
+    async def pause(self, seconds: float) -> None:
+        """Let time pass."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Attempt:
+    """What came of one way: the last reply, whether the mock saw a request meanwhile, whether it is the proof."""
+
+    reply: Reply
+    reached: bool
+    proven: bool
+
+
+async def prove(
+    at: Provable, rng: random.Random, *, preferred: str | None, time_scale: float
+) -> tuple[str | None, str]:
+    """Try the ways of the protocol until one proves the session.
+
+    Args:
+        rng: source of what nobody can guess.
+        preferred: the operation that proved an earlier session of the adapter; it is tried first.
+
+    Returns:
+        The operation that proved it, or None and the sentence that says why nothing may be written.
+    """
+    proof = protocols()[at.protocol].proof
+    failed: list[_Attempt] = []
+    strong = False
+    for way in sorted(proof.ways, key=lambda way: way.operation != preferred):
+        if (way.weak and strong) or way.waiting not in (None, at.blocks(way.operation)):
+            continue
+        attempt = await _try(at, way, rng, int(_WINDOW_S * max(1.0, time_scale) * 1e9))
+        if attempt is None:
+            continue
+        if attempt.proven:
+            return way.operation, ""
+        failed.append(attempt)
+        strong = strong or not way.weak
+    if not failed and proof.arrival is not None and await at.arrived():
+        return ARRIVAL, ""
+    return None, _explained(at, failed)
+
+
+async def _try(at: Provable, way: Way, rng: random.Random, window_ns: int) -> _Attempt | None:
+    """Ask in one way until enough random bits came through; None when the session has no tool for it."""
+    total, begun_ns, reached = 0, 0, False
+    while True:
+        question = way.ask(rng)
+        if not at.can_ask(way.operation, question.inputs):
+            return None
+        before = len(await at.journal())
+        while True:
+            for poke in question.pokes:
+                await at.poke(**poke)
+            reply = await at.ask(way.operation, question.inputs)
+            if not reply.listed:
+                return None
+            entries = (await at.journal())[before:]
+            reached = reached or any(entry["request"] and entry["origin"] == "client" for entry in entries)
+            bits = question.bits(reply.outputs, entries)
+            begun_ns = begun_ns or reply.exchange.sent_ns
+            if bits or not reply.answered or reply.exchange.sent_ns - begun_ns >= window_ns:
+                break
+            await at.pause(_PAUSE_S)
+        total += bits
+        if total >= ENOUGH_BITS or not bits:
+            return _Attempt(reply=reply, reached=reached, proven=total >= ENOUGH_BITS)
+
+
+def is_cut_off(reply: Reply) -> bool:
+    """The reply says that the device is away: it is a failure, or says ``false`` where it says whether there is a connection."""
+    return not reply.success or any(value is False for value in reply.outputs.values())
+
+
+def _explained(at: Provable, failed: Sequence[_Attempt]) -> str:
+    told = next((attempt for attempt in failed if attempt.reply.success and not attempt.reached), None)
+    where = f"the mock device at {at.device_url}"
+    if told is not None:
+        # An adapter that answers, while the mock sees nothing, has its answers from somewhere else.
+        problem = (
+            f"the adapter does not talk to {where} but to another device{_named(at, failed)}: {told.reply.label} succeeded, "
+            "the mock saw nothing of it, and the random value that was set there did not come back"
+        )
+    elif any(attempt.reached for attempt in failed):
+        reply = next(attempt for attempt in failed if attempt.reached).reply
+        problem = (
+            f"the adapter reaches {where}, but no answer proves that it talks to it alone: {reply.label} did not bring back the "
+            "random value that was set there"
+        )
+        return f"{problem}; nothing was written"
+    elif failed:
+        problem = (
+            f"nothing shows that the adapter talks to {where}: the mock saw nothing of {failed[0].reply.label}, "
+            f"which {_outcome(failed[0].reply)}{_named(at, failed)}"
+        )
+    else:
+        return (
+            f"nothing shows that the adapter talks to {where}: no operation is bound that reads and writes nothing; "
+            "nothing was written"
+        )
+    return f"{problem}; nothing was written. {_advice(at)}"
+
+
+def _outcome(reply: Reply) -> str:
+    if not reply.answered:
+        return "was not answered"
+    if reply.success:
+        return "succeeded"
+    error = (reply.envelope or {}).get("error")
+    text = error.get("message") if isinstance(error, dict) else None
+    return f"failed ({str(text or 'without a word')[:160]})"
+
+
+def _named(at: Provable, failed: Sequence[_Attempt]) -> str:
+    """Say which device an answer names, if it names another one than the mock."""
+    mock = at.device_url.rpartition("://")[2].rstrip("/")
+    for attempt in failed:
+        for found in _ADDRESS.findall(json.dumps(attempt.reply.envelope, ensure_ascii=False, default=str)):
+            if found.rpartition("://")[2] != mock:
+                return f", it names {found}"
+    return ""
+
+
+def _advice(at: Provable) -> str:
+    keys = ", ".join(at.addressed_by)
+    if not keys:
+        return f"Nothing below [adapter.{at.protocol}] of the subject file holds {{host}}, {{port}} or {{url}}."
+    return f"Look at {keys} below [adapter.{at.protocol}] of the subject file: is that where the adapter takes its address from?"
