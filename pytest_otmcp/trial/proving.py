@@ -18,7 +18,7 @@ from ..protocols.proof import ENOUGH_BITS, Way
 from ..protocols.registry import protocols
 from .reply import Reply
 
-__all__ = ["ARRIVAL", "Provable", "is_cut_off", "prove"]
+__all__ = ["ARRIVAL", "Provable", "prove", "why_reachable"]
 
 ARRIVAL = "arrival"
 """What proved the session of an adapter that has no operation but such as write."""
@@ -27,6 +27,12 @@ _WINDOW_S = 1.0
 """How long a value may take to come back: an adapter may answer from a poll of its own, or from a short memory."""
 
 _PAUSE_S = 0.05
+
+_NOTICING_S = 1.0
+"""How long an adapter may take to notice that its device is away (requirement REC-002: one keep-alive)."""
+
+_FAILURES_IN_A_ROW = 2
+"""Calls that must fail during an outage before something is written: an adapter may try another device after the first one."""
 
 _ADDRESS = re.compile(r"[a-z][a-z0-9+.-]*://[\w.\[\]:-]+|\b(?:\d{1,3}\.){3}\d{1,3}:\d{1,5}\b|\blocalhost:\d{1,5}\b")
 
@@ -132,8 +138,33 @@ async def _try(at: Provable, way: Way, rng: random.Random, window_ns: int) -> _A
             return _Attempt(reply=reply, reached=reached, proven=total >= ENOUGH_BITS)
 
 
-def is_cut_off(reply: Reply) -> bool:
-    """The reply says that the device is away: it is a failure, or says ``false`` where it says whether there is a connection."""
+async def why_reachable(at: Provable, *, time_scale: float) -> str | None:
+    """Make sure that the adapter reaches nothing while the mock is away: one that goes over to another device would write there.
+
+    Returns:
+        None when nothing is reached; else why nothing may be written, a sentence.
+    """
+    ways = protocols()[at.protocol].proof.unreachable
+    asked = next((way for way in ways if at.can_ask(*way)), None)
+    if asked is None:
+        return "no operation shows whether the adapter reaches another device during an outage; nothing was written"
+    failures, begun_ns = 0, 0
+    while failures < _FAILURES_IN_A_ROW:
+        reply = await at.ask(*asked)
+        begun_ns = begun_ns or reply.exchange.sent_ns
+        failures = failures + 1 if _is_cut_off(reply) else 0
+        if not failures:
+            if reply.exchange.sent_ns - begun_ns >= _NOTICING_S * time_scale * 1e9:
+                return (
+                    f"the mock device at {at.device_url} is stopped, and {reply.label} still succeeds: the answer comes from "
+                    f"memory or from another device; nothing was written"
+                )
+            await at.pause(_PAUSE_S)
+    return None
+
+
+def _is_cut_off(reply: Reply) -> bool:
+    # Some adapters answer with success, and then say ``false`` where they say whether there is a connection.
     return not reply.success or any(value is False for value in reply.outputs.values())
 
 

@@ -17,16 +17,10 @@ from ..protocols.oracle import state_changing
 from ..protocols.registry import protocols
 from .cursor import JournalCursor
 from .ledger import Ledger
-from .proving import is_cut_off, prove
+from .proving import prove, why_reachable
 from .reply import Reply
 
 __all__ = ["EndedError", "WriteGate"]
-
-_NOTICING_S = 1.0
-"""How long an adapter may take to notice that its device is away (requirement REC-002: one keep-alive)."""
-
-_FAILURES_IN_A_ROW = 2
-"""Calls that must fail during an outage before something is written: an adapter may try another device after the first one."""
 
 
 class EndedError(Exception):
@@ -90,7 +84,9 @@ class WriteGate(ABC):
         elif self._cursor.proven is None:
             raise KitError(f"the steps write while {self.protocol} is stopped, and did not prove the session before")
         else:
-            await self._prove_unreachable()
+            problem = await why_reachable(self, time_scale=self._ledger.time_scale)
+            if problem is not None:
+                self._refuse(problem)
         return True
 
     def _after(self, reply: Reply) -> None:
@@ -102,38 +98,6 @@ class WriteGate(ABC):
         """Withdraw the proof when the mock saw fewer writes than claim success since the slice of these entries began."""
         if len(state_changing(list(entries))) < self._claimed:
             self._cursor.withdraw_proof()
-
-    async def _prove_unreachable(self) -> None:
-        """Make sure that the adapter reaches nothing while the mock is away.
-
-        An adapter that goes over to another device then would write there.
-        """
-        asked = next(
-            (
-                (operation, inputs)
-                for operation, inputs in protocols()[self.protocol].proof.unreachable
-                if self.can_ask(operation, inputs)
-            ),
-            None,
-        )
-        if asked is None:
-            self._refuse(
-                "no operation shows whether the adapter reaches another device during an outage; nothing was written"
-            )
-            return
-        failures, begun_ns = 0, 0
-        while failures < _FAILURES_IN_A_ROW:
-            reply = await self.ask(*asked)
-            if not reply.answered:
-                raise EndedError
-            begun_ns = begun_ns or reply.exchange.sent_ns
-            failures = failures + 1 if is_cut_off(reply) else 0
-            if not failures and reply.exchange.sent_ns - begun_ns >= _NOTICING_S * self._ledger.time_scale * 1e9:
-                self._refuse(
-                    f"the mock device is away, and {reply.label} still succeeds: the answer comes from memory or from another "
-                    "device; nothing was written"
-                )
-            await self.pause(0.0 if failures else 0.05)
 
     # -- what a proof needs -------------------------------------------------------------------------------
 
