@@ -75,11 +75,11 @@ class Provable(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Attempt:
-    """What came of one way: the last reply, whether the mock saw a request meanwhile, whether it is the proof."""
+    """What came of one way: the last reply, whether the mock saw a request meanwhile, how many random bits came through."""
 
     reply: Reply
     reached: bool
-    proven: bool
+    bits: int
 
 
 async def prove(
@@ -96,14 +96,15 @@ async def prove(
     """
     proof = protocols()[at.protocol].proof
     failed: list[_Attempt] = []
-    strong = False
+    strong, bits = False, 0
     for way in sorted(proof.ways, key=lambda way: way.operation != preferred):
         if (way.weak and strong) or way.waiting not in (None, at.blocks(way.operation)):
             continue
-        attempt = await _try(at, way, rng, int(_WINDOW_S * max(1.0, time_scale) * 1e9))
+        attempt = await _try(at, way, rng, bits, int(_WINDOW_S * max(1.0, time_scale) * 1e9))
         if attempt is None:
             continue
-        if attempt.proven:
+        bits = attempt.bits
+        if bits >= ENOUGH_BITS:
             return way.operation, ""
         failed.append(attempt)
         strong = strong or not way.weak
@@ -112,9 +113,9 @@ async def prove(
     return None, _explained(at, failed)
 
 
-async def _try(at: Provable, way: Way, rng: random.Random, window_ns: int) -> _Attempt | None:
-    """Ask in one way until enough random bits came through; None when the session has no tool for it."""
-    total, begun_ns, reached = 0, 0, False
+async def _try(at: Provable, way: Way, rng: random.Random, total: int, window_ns: int) -> _Attempt | None:
+    """Ask in one way until enough random bits came through, with those of other ways; None when the session has no tool for it."""
+    begun_ns, reached = 0, False
     while True:
         question = way.ask(rng)
         if not at.can_ask(way.operation, question.inputs):
@@ -135,7 +136,7 @@ async def _try(at: Provable, way: Way, rng: random.Random, window_ns: int) -> _A
             await at.pause(_PAUSE_S)
         total += bits
         if total >= ENOUGH_BITS or not bits:
-            return _Attempt(reply=reply, reached=reached, proven=total >= ENOUGH_BITS)
+            return _Attempt(reply=reply, reached=reached, bits=total)
 
 
 async def why_reachable(at: Provable, *, time_scale: float) -> str | None:
@@ -174,14 +175,14 @@ def _explained(at: Provable, failed: Sequence[_Attempt]) -> str:
     if told is not None:
         # An adapter that answers, while the mock sees nothing, has its answers from somewhere else.
         problem = (
-            f"the adapter does not talk to {where} but to another device{_named(at, failed)}: {told.reply.label} succeeded, "
-            "the mock saw nothing of it, and the random value that was set there did not come back"
+            f"the adapter does not talk to {where}: {told.reply.label} succeeded, but the mock saw nothing of it, and the random "
+            f"value that was set there did not come back. The answer is from another device or from memory{_named(at, failed)}"
         )
     elif any(attempt.reached for attempt in failed):
         reply = next(attempt for attempt in failed if attempt.reached).reply
         problem = (
-            f"the adapter reaches {where}, but no answer proves that it talks to it alone: {reply.label} did not bring back the "
-            "random value that was set there"
+            f"nothing shows that the adapter talks to {where} alone: the mock saw {reply.label}, but the answer did not bring back "
+            "the random value that was set there"
         )
         return f"{problem}; nothing was written"
     elif failed:
