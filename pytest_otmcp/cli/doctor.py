@@ -77,6 +77,7 @@ async def _examine(adapter: Adapter, variant: str) -> bool:
     from ..subject.binding_check import check_bindings
     from ..subject.model import READ_WRITE
     from ..trial.adapter_under_test import AdapterUnderTest, BenchOptions
+    from ..trial.session_proof import prove_session
 
     program = adapter.variants[variant].command[0]
     device = MockDevice(protocols()[adapter.protocol].mock, adapter.protocol)
@@ -100,7 +101,13 @@ async def _examine(adapter: Adapter, variant: str) -> bool:
         faults = check_bindings(adapter, session.tools) if variant == READ_WRITE else []
         for fault in faults:
             print(f"  {variant}: {fault}")
-        return not faults
+        if faults or not adapter.operations:
+            return not faults
+        problem = await prove_session(under_test)
+        print(
+            f"  {variant}: {problem or 'a random value went between the mock device and the adapter: it talks to the mock'}"
+        )
+        return problem is None
     except SubjectError as failure:
         print(f"  {variant}: {failure}")
         known = protocols()[adapter.protocol].onboarding is not None

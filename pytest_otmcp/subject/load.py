@@ -21,6 +21,7 @@ from .. import __version__
 from ..core.errors import UsageError
 from ..protocols.protocol import RECOVERY
 from ..protocols.registry import protocols
+from .addressing import check_addresses
 from .bindings import read_answering, read_bindings
 from .functions import load_functions
 from .grammar import subject_file
@@ -100,14 +101,16 @@ def _deviations(tables: list[dict[str, Any]]) -> tuple[Deviation, ...]:
 def _adapter(protocol: str, table: Mapping[str, Any], path: Path) -> Adapter:
     key, known = f"adapter.{protocol}", protocols()[protocol]
     answering = read_answering(table, key, Answering())
+    operations, connect = _operations(protocol, table, key, answering, path), _connect(table)
+    check_addresses(protocol, operations, connect, f"{key}.bind")
     return Adapter(
         protocol=protocol,
         directory=path.parent.resolve(),
         variants={name: _variant(table, name, key, path.parent) for name in (READ_WRITE, READ_ONLY)},
-        operations=_operations(protocol, table, key, answering, path),
+        operations=operations,
         answering=answering,
         unclaimed=_unclaimed(protocol, table),
-        connect=_connect(table),
+        connect=connect,
         recovery=table["recovery"],
         probes={**known.probes, **table["probes"]},
         secrets=tuple(table["secrets"]),

@@ -17,9 +17,15 @@ def _nonce(experimenter: Experimenter) -> str:
 
 
 async def _subscribe(experimenter: Experimenter, guess: Guess) -> Proposal:
-    shown = await experimenter.call(guess, {}, filter="otmcp/init/#", qos=0)
-    seen = any(entry["kind"] == "SUBSCRIBE" and "otmcp/init/#" in str(entry) for entry in shown.entries)
-    return experimenter.propose(guess, shown, proven=seen, seen="a SUBSCRIBE for the filter" if seen else "")
+    wanted = f"otmcp/{_nonce(experimenter)}/#"
+    shown = await experimenter.call(guess, {}, filter=wanted, qos=0)
+    seen = any(entry["kind"] == "SUBSCRIBE" and wanted in str(entry) for entry in shown.entries)
+    proposal = experimenter.propose(guess, shown, proven=seen, seen="a SUBSCRIBE for the filter" if seen else "")
+    proposal.returned = seen
+    if seen:
+        # For the messages that the next experiment publishes.
+        await experimenter.call(guess, {}, filter="otmcp/init/#", qos=0)
+    return proposal
 
 
 async def _messages(experimenter: Experimenter, guess: Guess) -> Proposal:
@@ -34,6 +40,7 @@ async def _messages(experimenter: Experimenter, guess: Guess) -> Proposal:
     proposal = experimenter.propose(
         guess, shown, proven=proven, seen="to it that the message it published is in the answer"
     )
+    proposal.returned = proven
     if not proven:
         proposal.evidence = [f"a message that was published was not in the answer: {shown.words}"]
         return proposal
