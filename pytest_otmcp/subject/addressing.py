@@ -9,7 +9,7 @@ from ..protocols.registry import protocols
 from .kinds import Refusal
 from .model import Adapter, Binding, Connect, Function
 
-__all__ = ["addressed_by", "check_addresses", "mentions_address"]
+__all__ = ["addressed_by", "carries_address", "check_addresses", "mentions_address"]
 
 _PLACEHOLDER = re.compile(r"\{(host|port|url|serial|\w+_port)(:int)?\}")
 _NO_DEVICE = "{http_port}"
@@ -29,6 +29,21 @@ def mentions_address(value: object) -> bool:
     if isinstance(value, Mapping):
         return any(map(mentions_address, value.values()))
     return isinstance(value, list) and any(map(mentions_address, value))
+
+
+def carries_address(arguments: object, endpoint: Mapping[str, str]) -> bool:
+    """Tell whether the arguments of a call say where the device is.
+
+    Args:
+        endpoint: what the placeholders stand for, by name.
+    """
+    if isinstance(arguments, Mapping):
+        return any(carries_address(value, endpoint) for value in arguments.values())
+    if isinstance(arguments, list):
+        return any(carries_address(value, endpoint) for value in arguments)
+    return isinstance(arguments, str) and (
+        arguments in endpoint.values() or f"{endpoint.get('host')}:{endpoint.get('port')}" in arguments
+    )
 
 
 def addressed_by(adapter: Adapter) -> list[str]:

@@ -25,7 +25,7 @@ from ..record.schema import AdapterFacts, StoredBinding
 from ..record.schema import Device as DeviceFacts
 from ..session.exchange import Exchange, joined
 from ..session.session import McpSession, SessionOptions
-from ..subject.addressing import addressed_by
+from ..subject.addressing import addressed_by, carries_address
 from ..subject.answers import interpret, read_answer
 from ..subject.functions import Refused, ToolAnswer, checked_outputs
 from ..subject.model import (
@@ -127,6 +127,7 @@ class AdapterUnderTest:
         self._work: tempfile.TemporaryDirectory[str] | None = None
         self._server: ServerFacts = {}
         self.used: dict[str, None] = {}
+        self._addressed = False
         self.first = first
         self.cursor = JournalCursor(adapter.protocol, first)
 
@@ -306,7 +307,11 @@ class AdapterUnderTest:
         if binding.resource:
             exchange = await session.read_resource(binding.tool, timeout_s=timeout_s)
         else:
-            exchange = await session.call(binding.tool, binding.fill(inputs, self.endpoint), timeout_s=timeout_s)
+            arguments = binding.fill(inputs, self.endpoint)
+            self.check_address(
+                binding.tool, arguments, writes=protocols()[self.adapter.protocol].operations[operation].writes
+            )
+            exchange = await session.call(binding.tool, arguments, timeout_s=timeout_s)
         listed = self.variant == READ_WRITE or binding.resource or binding.tool in session.tools
         expected = self._expectation(operation, binding.answering, binding.outputs, listed=listed)
         if not binding.answering.native:
@@ -325,12 +330,28 @@ class AdapterUnderTest:
             KitError: the tool may write, and the session is not proven to talk to the mock device.
         """
         self._guard(tool, writes=writes)
+        self.check_address(tool, arguments, writes=writes)
         return await self._current(None).call(tool, arguments, timeout_s=timeout_s)
 
     def _guard(self, what: str, *, writes: bool) -> None:
         # The last of several: whoever wants to write has proven the session before, or was told why he cannot.
         if writes and self.cursor.proven is None:
             raise KitError(f"{what} may write, and nothing has proven that the session talks to the mock device")
+
+    def check_address(self, tool: str, arguments: Mapping[str, object], *, writes: bool) -> None:
+        """Refuse a call that may write and is not told where the device is, although calls that read are.
+
+        Raises:
+            NoBindingError: it would reach whatever the tool takes without being told.
+        """
+        carries = carries_address(arguments, self.endpoint)
+        if not writes:
+            self._addressed = self._addressed or carries
+        elif self._addressed and not carries and self.adapter.connect is None:
+            raise NoBindingError(
+                f"{self.adapter.protocol}: {tool} may write and is not told where the mock device is, although tools that read "
+                "are; nothing was written"
+            )
 
     def is_bound(self, operation: str, inputs: Mapping[str, object]) -> bool:
         """Tell whether the subject says how the operation is performed with these inputs."""
@@ -359,13 +380,15 @@ class AdapterUnderTest:
             self.unmet |= {fault.requirement for fault in check_result(result["result"]) if fault.requirement}
 
     async def _perform(self, function: Function, session: McpSession, inputs: dict[str, object]) -> Reply:
-        tools = _Tools(self, session)
+        tools = _Tools(self, session, writes=protocols()[self.adapter.protocol].operations[function.name].writes)
         outputs: Mapping[str, object] = {}
         refusal: Refused | None = None
         try:
             outputs = checked_outputs(function, self.adapter.protocol, await function.call(tools, **inputs))
         except Refused as stated:
             refusal = stated
+        except (NoBindingError, KitError):
+            raise
         except _NoAnswerError:
             pass
         except UsageError as error:
@@ -392,16 +415,22 @@ class _NoAnswerError(Exception):
 class _Tools:
     """The object that a function of the bindings file is given: it calls the adapter's tools and records every exchange."""
 
-    def __init__(self, under_test: AdapterUnderTest, session: McpSession) -> None:
+    def __init__(self, under_test: AdapterUnderTest, session: McpSession, *, writes: bool) -> None:
         self.host = under_test.device.host
         self.port = under_test.device.port
         self.url = under_test.endpoint["url"]
         self.state = session.state
         self.exchanges: list[Exchange] = []
+        self._under_test = under_test
+        self._writes = writes
+        self._told = False
         self._session = session
         self._timeout_s = 1.2 * under_test.deadline_s
 
     async def call(self, tool: str, /, **arguments: object) -> ToolAnswer:
+        # A function may open a connection first, which the calls after it use.
+        self._told = self._told or carries_address(arguments, self._under_test.endpoint)
+        self._under_test.check_address(tool, arguments, writes=self._writes and not self._told)
         return self._answer(await self._session.call(tool, arguments, timeout_s=self._timeout_s))
 
     async def read_resource(self, uri: str) -> ToolAnswer:
