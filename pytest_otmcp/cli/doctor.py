@@ -24,7 +24,10 @@ def add_parser(subparsers: Any) -> None:
     parser: argparse.ArgumentParser = subparsers.add_parser(
         "doctor",
         help="find out why an adapter does not start",
-        description="Start the adapters of a subject file, or a COMMAND, at mock devices, and explain what goes wrong.",
+        description=(
+            "Start the adapters of a subject file, or a COMMAND, at mock devices, and explain what goes wrong: also whether an "
+            "adapter really talks to the mock device. Nothing is written."
+        ),
     )
     parser.add_argument("--subject", metavar="FILE", type=Path, help="a subject file (default: otmcp.toml)")
     parser.add_argument("--protocol", choices=tuple(protocols()), help="what COMMAND speaks (default: seen in it)")
