@@ -96,6 +96,10 @@ async def _examine(adapter: Adapter, variant: str) -> bool:
             f"  {variant}: starts in {took:.1f} s: {session.server_name} {session.server_version}, "
             f"MCP {session.protocol_version}, {len(session.tools)} tools"
         )
+        if under_test.legacy:
+            print(
+                f"  {variant}: ends at the first request of today's handshake, so it was given that of 2025: say era = 'legacy'"
+            )
         count, first = session.stray_output()
         if count:
             print(f"  {variant}: {count} line(s) on stdout are no MCP message, the first: {first[0]!r}")

@@ -30,9 +30,11 @@ def describe_launch(
     deadline_s: float,
     start_timeout_s: float,
     connect: Connect | None = None,
+    files: Mapping[str, str] | None = None,
+    era: str | None = None,
 ) -> Adapter:
     """Describe an adapter whose launch is all that is known."""
-    variant = Variant(command=tuple(command), env=dict(env), cwd=None, files={})
+    variant = Variant(command=tuple(command), env=dict(env), cwd=None, files=dict(files or {}))
     return Adapter(
         protocol=protocol,
         directory=Path.cwd(),
@@ -46,7 +48,7 @@ def describe_launch(
         secrets=(),
         transport="stdio" if url is None else "http",
         url=url,
-        era=None,
+        era=era,
         deadline_s=deadline_s,
         start_timeout_s=start_timeout_s,
     )
@@ -91,6 +93,7 @@ async def draft(adapter: Adapter, pack: Pack, device: MockDevice, say: Callable[
                 proposals[operation] = proposal
             say(_line(operation, proposal))
     finally:
+        legacy = under_test.legacy
         await under_test.close()
     goods = [proposal.good for proposal in proposals.values() if proposal.proven and proposal.good is not None]
     results = [result for good in goods if isinstance(result := good.get("result"), dict)]
@@ -98,9 +101,11 @@ async def draft(adapter: Adapter, pack: Pack, device: MockDevice, say: Callable[
     return Draft(
         protocol=adapter.protocol,
         name=name or Path(adapter.variants["rw"].command[0]).name,
-        version=version or "0",
+        server_version=version,
         command=adapter.variants["rw"].command,
         env=adapter.variants["rw"].env,
+        files=adapter.variants["rw"].files,
+        era="legacy" if legacy else adapter.era,
         transport_url=adapter.url,
         native=native,
         proposals=proposals,

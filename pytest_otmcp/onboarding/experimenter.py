@@ -127,7 +127,7 @@ class Experimenter:
         Raises:
             _NotProvenError: it may talk to any device.
         """
-        addressed = [proposal for proposal, _ in self._read if mentions_address(proposal.guess.arguments)]
+        addressed = [proposal for proposal, _ in self._proofs() if mentions_address(proposal.guess.arguments)]
         if addressed and not mentions_address(guess.arguments) and self._adapter.adapter.connect is None:
             raise _NotProvenError(
                 f"{addressed[0].guess.tool} is told with each call where the device is, this tool is not"

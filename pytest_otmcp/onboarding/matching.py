@@ -109,7 +109,7 @@ def _guess(pack: Pack, operation: str, name: str, tool: Mapping[str, Any]) -> Gu
     # A call that waits is not proposed: only the adapter's author can say how long it may wait.
     names = {**_ARGUMENTS, **pack.arguments}
     inputs = {name: tuple(names[name].split()) for name in asked.inputs if name in names}
-    arguments, convert = _arguments(pack, hints, inputs, tool)
+    arguments, optional, convert = _arguments(pack, hints, inputs, tool)
     placed = placeholders(arguments)
     score += 2.0 * len(placed & set(inputs)) - 2.0 * len(set(inputs) - placed - set(asked.optional))
     required = (tool.get("inputSchema") or {}).get("required") or []
@@ -132,6 +132,7 @@ def _guess(pack: Pack, operation: str, name: str, tool: Mapping[str, Any]) -> Gu
         convert=convert,
         missing=missing,
         trials=trials,
+        optional=optional,
     )
 
 
@@ -146,9 +147,10 @@ Inputs = Mapping[str, tuple[str, ...]]
 
 def _arguments(
     pack: Pack, hints: Hints, inputs: Inputs, tool: Mapping[str, Any]
-) -> tuple[dict[str, Any], dict[str, str]]:
+) -> tuple[dict[str, Any], dict[str, Any], dict[str, str]]:
     properties = _properties(tool)
     arguments: dict[str, Any] = {}
+    optional: dict[str, Any] = {}
     convert: dict[str, str] = {}
     for name in inputs:
         actual = _named(inputs[name], properties, arguments)
@@ -160,13 +162,13 @@ def _arguments(
     for key, schema in properties.items():
         if key in arguments:
             continue
-        if (choice := _choice(hints, schema)) is not None:
+        choice, constant, endpoint = _choice(hints, schema), _constant(pack, key), _endpoint(key, schema)
+        if choice is not None:
+            # What an enumeration is about, such as a table, has to be said in any case.
             arguments[key] = choice
-        elif (constant := _constant(pack, key)) is not None:
-            arguments[key] = constant
-        elif (endpoint := _endpoint(key, schema)) is not None and (key in required or schema.get("default") is None):
-            arguments[key] = endpoint
-    return arguments, convert
+        elif (value := endpoint if constant is None else constant) is not None:
+            (arguments if key in required else optional)[key] = value
+    return arguments, optional, convert
 
 
 def _named(names: tuple[str, ...], properties: Mapping[str, object], taken: Mapping[str, object]) -> str | None:

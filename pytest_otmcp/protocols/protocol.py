@@ -54,6 +54,7 @@ class Operation:
         optional: inputs that a tool may lack; each is a facet of its own, such as ``subscribe.qos``.
         waits: the input that limits how many seconds a call may wait for the messages that it returns; None where no call
             waits.
+        tells: the output that says whether the device can be reached; where it says ``false``, the device could not.
     """
 
     meaning: str
@@ -63,6 +64,7 @@ class Operation:
     writes: bool = False
     optional: tuple[str, ...] = ()
     waits: str | None = None
+    tells: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -74,6 +74,9 @@ class NoBindingError(Exception):
     """The subject claims something but does not say how to ask for it: the item is not testable."""
 
 
+AUTO = "auto"
+"""The era in which an adapter is asked what it speaks."""
+
 MAIN = "main"
 """Name of the worker of a run that has only one."""
 
@@ -110,6 +113,7 @@ class AdapterUnderTest:
         first: sequence number at which the adapter took over the journal of its device.
         cursor: where the adapter is in the journal of its device.
         used: operations that were performed.
+        legacy: the adapter ended at the first request of today's handshake, and was started with the one of 2025-11-25.
         unmet: requirements of the envelope that the adapter's own answers do not meet, where it does not claim to have one.
     """
 
@@ -128,6 +132,7 @@ class AdapterUnderTest:
         self._server: ServerFacts = {}
         self.used: dict[str, None] = {}
         self._addressed = False
+        self.legacy = False
         self.first = first
         self.cursor = JournalCursor(adapter.protocol, first)
 
@@ -202,7 +207,7 @@ class AdapterUnderTest:
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_text(content, encoding="utf-8")
         options = SessionOptions(
-            era=self.adapter.era or self._options.era,
+            era="legacy" if self.legacy else self.adapter.era or self._options.era,
             start_timeout_s=self.adapter.start_timeout_s * self._options.time_scale,
             exit_grace_s=_EXIT_GRACE_S * self._options.time_scale,
             url=None if self.adapter.url is None else str(replace_placeholders(self.adapter.url, values)),
@@ -223,9 +228,8 @@ class AdapterUnderTest:
         await self.close()
         # Everything that this session does at its device is in the journal from this sequence number on.
         self.cursor.open_session(await self.device.mark())
-        session = self.new_session()
         try:
-            await session.open()
+            session = await self._opened()
             self.session, self.tools = session, session.tools
             self._server = {
                 "server_name": printable(session.server_name),
@@ -238,6 +242,28 @@ class AdapterUnderTest:
             self._start_failure = failure
             await self.close()
             raise
+
+    async def _opened(self) -> McpSession:
+        """Start the adapter; one that ends at the first request of today's handshake is started with the one of 2025.
+
+        Raises:
+            SubjectError: it cannot be started in either way; what is said is about the first.
+        """
+        session = self.new_session()
+        try:
+            await session.open()
+        except SubjectError as failure:
+            ended = session.stop_report is not None and session.stop_report.how == "exited"
+            if not ended or (self.adapter.era or self._options.era) != AUTO or self.legacy:
+                raise
+            self.legacy = True
+            session = self.new_session()
+            try:
+                await session.open()
+            except SubjectError:
+                self.legacy = False
+                raise failure from None
+        return session
 
     async def _connect(self) -> None:
         failure = await self.connect()
