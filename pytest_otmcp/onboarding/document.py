@@ -160,6 +160,8 @@ def _binding(draft: Draft, operation: str, form: str) -> list[str]:
         ]
     guess = proposal.guess
     body = [f"tool = {_value(guess.tool)}", f"arguments = {_value(dict(guess.arguments))}"]
+    if proposal.blocking:
+        body.append("blocking = true")
     if proposal.offset:
         body.append(f"offset = {_value(dict(proposal.offset))}")
     if guess.convert:

@@ -42,6 +42,7 @@ class Proposal:
         outputs: output to its rule.
         good, bad: answers to a call that succeeded and to one that had to fail.
         bad_code: the error code that the latter should have.
+        blocking: the call waits for what it answers.
         returned: a random value came from the mock device through the tool, or to it.
     """
 
@@ -54,6 +55,7 @@ class Proposal:
     good: Mapping[str, object] | None = None
     bad: Mapping[str, object] | None = None
     bad_code: str | None = None
+    blocking: bool = False
     returned: bool = False
 
 

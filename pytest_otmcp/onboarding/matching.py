@@ -106,12 +106,13 @@ def _guess(pack: Pack, operation: str, name: str, tool: Mapping[str, Any]) -> Gu
         return None
     score = 2.0 * len(words & likely) - 3.0 * len(words & set(hints.unlikely.split()))
     score += 0.25 * len(_words(str(tool.get("description") or "")[:400]) & likely)
-    # A call that waits is not proposed: only the adapter's author can say how long it may wait.
     names = {**_ARGUMENTS, **pack.arguments}
     inputs = {name: tuple(names[name].split()) for name in asked.inputs if name in names}
     arguments, optional, convert = _arguments(pack, hints, inputs, tool)
     placed = placeholders(arguments)
-    score += 2.0 * len(placed & set(inputs)) - 2.0 * len(set(inputs) - placed - set(asked.optional))
+    # Whether a call waits speaks neither for a tool nor against it.
+    telling = set(inputs) - {asked.waits}
+    score += 2.0 * len(placed & telling) - 2.0 * len(telling - placed - set(asked.optional))
     required = (tool.get("inputSchema") or {}).get("required") or []
     trials = {
         str(argument): values

@@ -13,6 +13,7 @@ from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.subject import load_subject
 from tests.warm_start import WarmStart
 
+FOREIGN = Path(__file__).parents[1] / "soundness" / "foreign.py"
 OTMCP = [sys.executable, "-m", "pytest_otmcp.cli"]
 
 # A typical adapter: two tools, answers in prose, isError always false, one-based addresses.
@@ -143,6 +144,18 @@ def test_every_tool_of_a_reference_adapter_is_found_and_proven(
     written = load_subject(tmp_path / "otmcp.toml").adapters[protocol]
     assert written.answering.native
     assert set(written.operations) == set(protocols()[protocol].operations)
+
+
+def test_a_call_that_waits_is_proposed_as_one(otmcp: Otmcp, tmp_path: Path, warm_start: WarmStart) -> None:
+    endpoint = ("--env", "BROKER_HOST={host}", "--env", "BROKER_PORT={port}")
+    done = otmcp("init", "--protocol", "mqtt", *endpoint, "--", *warm_start.python, str(FOREIGN), "mqtt-collect")
+    assert done.returncode == 0, done.stderr
+    assert (
+        "messages        collect (proven: the device saw a SUBSCRIBE, and its message is in the answer)" in done.stdout
+    )
+    (collect,) = load_subject(tmp_path / "otmcp.toml").adapters["mqtt"].operations["messages"]
+    assert collect.blocking
+    assert collect.fill({"filter": "a/#", "seconds": 3}, {}) == {"topic": "a/#", "timeout": 3}
 
 
 def test_an_old_server_is_described_beside_another_adapter(otmcp: Otmcp, tmp_path: Path) -> None:
