@@ -277,7 +277,7 @@ class AdapterUnderTest:
         if step is None:
             return None
         arguments = replace_template(step.arguments, {}, self.endpoint)
-        exchange = await self._current(None).call(step.tool, arguments, timeout_s=1.2 * self.deadline_s)
+        exchange = await self._current().call(step.tool, arguments, timeout_s=1.2 * self.deadline_s)
         if exchange.response is None:
             return f"no reply ({exchange.failure})"
         try:
@@ -296,20 +296,18 @@ class AdapterUnderTest:
         if work is not None:
             work.cleanup()
 
-    def _current(self, session: McpSession | None) -> McpSession:
-        session = session or self.session
-        if session is None:
+    def _current(self) -> McpSession:
+        if self.session is None:
             raise KitError(f"the {self.adapter.protocol} session was used before it was opened")
-        return session
+        return self.session
 
     # -- calls --------------------------------------------------------------------------------------------
 
-    async def call(self, operation: str, *, session: McpSession | None = None, **inputs: object) -> Reply:
+    async def call(self, operation: str, **inputs: object) -> Reply:
         """Perform an abstract operation through the adapter's own tools.
 
         Args:
             operation: name of the operation.
-            session: a session other than the adapter's own.
             inputs: the operation's inputs.
 
         Raises:
@@ -319,7 +317,7 @@ class AdapterUnderTest:
         self._guard(operation, writes=protocols()[self.adapter.protocol].operations[operation].writes)
         bound = self.adapter.operations.get(operation)
         self.used[operation] = None
-        session = self._current(session)
+        session = self._current()
         if isinstance(bound, Function):
             return await self._perform(bound, session, inputs)
         binding = next((case for case in bound or () if case.fits(inputs)), None)
@@ -357,7 +355,7 @@ class AdapterUnderTest:
         """
         self._guard(tool, writes=writes)
         self.check_address(tool, arguments, writes=writes)
-        return await self._current(None).call(tool, arguments, timeout_s=timeout_s)
+        return await self._current().call(tool, arguments, timeout_s=timeout_s)
 
     def _guard(self, what: str, *, writes: bool) -> None:
         # The last of several: whoever wants to write has proven the session before, or was told why he cannot.
