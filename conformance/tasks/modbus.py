@@ -331,6 +331,7 @@ async def a_failed_register_write_is_not_delivered_later(run: Repetition, modbus
     """
     if not modbus.claims("write_holding"):
         return
+    await modbus.prove()
     await modbus.stop_device()
     reply = await modbus.call("write_holding", address=30, value=run.rng.randrange(1, 0x10000))
     run.fails(reply, *CONNECTION_FAULTS, outcome=UNCERTAIN, requirement="WR-001", code_requirement="REC-002")

@@ -377,6 +377,7 @@ async def a_failed_publish_is_not_delivered_later(run: Repetition, mqtt: Rig) ->
     if not mqtt.claims("publish"):
         return
     payload = f"nonce-{run.rng.getrandbits(64):016x}"
+    await mqtt.prove()
     await mqtt.stop_device()
     reply = await mqtt.call("publish", topic="control/pump", payload=payload, qos=1)
     run.fails(reply, *CONNECTION_FAULTS, outcome=UNCERTAIN, requirement="MQT-001", code_requirement="REC-002")

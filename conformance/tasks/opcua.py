@@ -332,6 +332,7 @@ async def a_failed_node_write_is_not_delivered_later(run: Repetition, opcua: Rig
     """
     if not opcua.claims("write"):
         return
+    await opcua.prove()
     await opcua.stop_device()
     reply = await opcua.call("write", node="ns=2;s=FanSpeed", value=round(run.rng.uniform(0.0, 100.0), 6))
     run.fails(reply, *CONNECTION_FAULTS, outcome=UNCERTAIN, requirement="WR-001", code_requirement="REC-002")

@@ -15,6 +15,7 @@ from .conversation import Conversation
 from .external import ExternalDevice
 from .framing import FrameLength
 from .journal import Entries, JournalEntry
+from .proof import Proof
 from .session_oracle import SessionOracle
 
 __all__ = [
@@ -55,6 +56,7 @@ class Operation:
             waits.
         requirement: id of the requirement that a call breaks which should succeed and does not, or whose outputs are wrong.
             Default: that the device holds what was written, or that the answer is what the device holds.
+        tells: the output that says whether the device can be reached; where it says ``false``, the device could not.
     """
 
     meaning: str
@@ -65,6 +67,7 @@ class Operation:
     optional: tuple[str, ...] = ()
     waits: str | None = None
     requirement: str = ""
+    tells: str | None = None
 
     def __post_init__(self) -> None:
         if not self.requirement:
@@ -186,6 +189,7 @@ class OtProtocol:
         colour: in figures and reports.
         external: the user's device in the mock's place; None when the mock cannot be replaced.
         session_oracles: the oracles that judge the whole life of a session.
+        proof: what shows that a session talks to the mock device, before anything is written through it.
         always: the protocol's items are part of every run, as the paper's matrix has it; otherwise only of runs whose
             subject has an adapter for it.
         origin: None for the kit's own protocols.
@@ -215,6 +219,7 @@ class OtProtocol:
     packages: tuple[str, ...] = ()
     external: ExternalDevice | None = None
     session_oracles: tuple[type[SessionOracle], ...] = ()
+    proof: Proof = field(default_factory=Proof)
     always: bool = False
     origin: Origin | None = None
 

@@ -44,6 +44,7 @@ __all__ = [
     "Role",
     "Run",
     "Sample",
+    "SessionProof",
     "SessionRemark",
     "SessionStart",
     "Settings",
@@ -168,7 +169,8 @@ class AdapterFacts(TypedDict):
     ``lacks``: optional inputs that no tool takes. ``probes``: what is asked for where something must be refused.
     ``bindings``: every operation that was used; None for one that a Python function performs. ``unmet``: requirements of the
     envelope that its own answers do not meet. ``unjudged``: outputs that the subject file does not say where to find.
-    The members of the server are None when no session was ever opened.
+    The members of the server are None when no session was ever opened. ``addressed_by``: keys of the subject file that hold the
+    address of the mock device.
     """
 
     command: list[str]
@@ -186,6 +188,7 @@ class AdapterFacts(TypedDict):
     server_version: Name | None
     protocol_version: Name | None
     tools: Count | None
+    addressed_by: NotRequired[list[str]]
 
 
 class Subject(TypedDict):
@@ -397,13 +400,25 @@ class Around(TypedDict):
     observations: list[Observation]
 
 
+class SessionProof(TypedDict):
+    """How far a session is proven to talk to its mock device.
+
+    ``proven``: the operation whose call proved it, None when none did. ``preferred``: the operation that proved a session of the
+    adapter last. ``refused``: the item that could not prove it, and why; then nothing is written through it.
+    """
+
+    proven: str | None
+    preferred: str | None
+    refused: tuple[str, str] | None
+
+
 class ItemDevice(TypedDict):
     """A device as an item found it.
 
     ``device``: its name in the run's ``devices``. ``begin``: sequence number at which the item began, seen between ``asked_ns``
     and ``seen_ns``. ``starts``: how often the device had been started again before. ``before``: the entries from the end of the
     last item that had the device to this one. ``quiet``: nobody called the adapter meanwhile. ``session``: its session, None when
-    there was none yet.
+    there was none yet. ``proof``: absent as long as no session of the adapter was to be proven.
     """
 
     device: str
@@ -415,6 +430,7 @@ class ItemDevice(TypedDict):
     before: list[JournalEntry]
     quiet: bool
     session: SessionStart | None
+    proof: NotRequired[SessionProof]
 
 
 class SessionRemark(TypedDict):

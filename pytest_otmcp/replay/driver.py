@@ -151,7 +151,7 @@ class ReplayDriver:
             state.history.cursor.looked_through = False
         try:
             try:
-                await execute(steps, repetition)
+                await execute(self._task, steps, repetition)
             except EndedError:
                 for at in repetition.all:
                     if not at.running:

@@ -5,7 +5,7 @@ Each call or observation that the steps ask for must be the next one in the hist
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, cast
 
 from ..core.strict_json import same_json
@@ -185,6 +185,19 @@ class ReplayRig(Rig):
         return f"{operation}.{name}" not in self._state.adapter.facts["lacks"]
 
     @property
+    def device_url(self) -> str:
+        return self._state.history.facts["placeholders"].get("url", "")
+
+    @property
+    def addressed_by(self) -> Sequence[str]:
+        return self._state.adapter.facts.get("addressed_by", [])
+
+    def _is_bound(self, operation: str, inputs: Mapping[str, object]) -> bool:
+        # An operation that was never used has no bindings in the record: then it was no way to prove anything.
+        cases = self._state.adapter.bindings.get(operation, [])
+        return cases is None or any(case.fits(inputs) for case in cases)
+
+    @property
     def running(self) -> bool:
         return self._state.running
 
@@ -278,7 +291,7 @@ class ReplayRig(Rig):
     async def tick(self, steps: int) -> None:
         pass
 
-    async def _watch(self, seconds: float) -> None:
+    async def pause(self, seconds: float) -> None:
         pass
 
     async def _reconnecting(self) -> None:

@@ -221,7 +221,11 @@ def _bind(protocol: OtProtocol) -> Table:
 def _answering(otherwise: str) -> dict[str, Key]:
     return {
         "answer": Key(_ANSWER, f"What an answer is{otherwise}."),
-        "outcome": Key(_OUTCOME, "Whether an answer is a success; first match wins, without a match isError decides."),
+        "outcome": Key(
+            _OUTCOME,
+            "Whether an answer is a success; first match wins. Without a match isError decides, and what a structured answer says "
+            "of itself: success or ok that is false, an error.",
+        ),
         "errors": Key(_ERRORS, "Codes of failures; first match wins."),
     }
 

@@ -87,7 +87,7 @@ class LiveDriver:
             state.under_test.cursor.looked_through = False
         try:
             with uncollected():
-                await execute(steps, repetition)
+                await execute(self._task, steps, repetition)
         except EndedError:
             await _all_running(repetition)
         except (NoBindingError, SubjectError):

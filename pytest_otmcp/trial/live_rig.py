@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict
 from typing import Any, cast
@@ -15,6 +15,7 @@ from ..protocols.journal import ADAPTER
 from ..record.images import Images, keep_image
 from ..record.schema import ItemDevice, Observation, SessionStart
 from ..session.session import McpSession
+from ..subject.addressing import addressed_by
 from ..subject.claims import Claims
 from .adapter_under_test import AdapterUnderTest
 from .bench import Bench
@@ -61,6 +62,8 @@ class LiveItemState:
             "quiet": cursor.quiet,
             "session": cursor.session,
         }
+        if (proof := cursor.proof) is not None:
+            self._found["proof"] = proof
         self.told_session = cursor.session
         cursor.take(journal.entries, journal.next)
         await self.release()
@@ -114,6 +117,17 @@ class LiveRig(Rig):
 
     def accepts_input(self, operation: str, name: str) -> bool:
         return f"{operation}.{name}" not in self.under_test.adapter.missing_inputs()
+
+    @property
+    def device_url(self) -> str:
+        return self.under_test.endpoint.get("url", "")
+
+    @property
+    def addressed_by(self) -> Sequence[str]:
+        return addressed_by(self.under_test.adapter)
+
+    def _is_bound(self, operation: str, inputs: Mapping[str, object]) -> bool:
+        return self.under_test.is_bound(operation, inputs)
 
     @property
     def running(self) -> bool:
@@ -191,7 +205,7 @@ class LiveRig(Rig):
         with self._observing():
             await self.device.tick(steps)
 
-    async def _watch(self, seconds: float) -> None:
+    async def pause(self, seconds: float) -> None:
         with self._bench.spent.on("quiet windows"):
             await asyncio.sleep(seconds)
 

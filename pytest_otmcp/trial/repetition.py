@@ -47,9 +47,10 @@ class Repetition:
         self.rep = rep
         self.role = role
         self.time_scale = time_scale
-        self.ledger = Ledger(role, time_scale)
+        origin = f"{seed}/{task_id}/{role}/{rep}"
+        self.ledger = Ledger(role, time_scale, item=task_id, origin=origin)
         # The same seed gives the same nonces, whatever ran before.
-        self.rng = random.Random(f"{seed}/{task_id}/{role}/{rep}")
+        self.rng = random.Random(origin)
         self.phases: Phases | None = None
         self.notes: dict[str, object] = {}
         self._at = {(at.protocol, at.variant): at for at in rigs}
@@ -137,8 +138,8 @@ class Repetition:
 
     @property
     def unanswered(self) -> bool:
-        """At least one call got no response at all."""
-        return not all(call.reply.answered for call in self.ledger.calls)
+        """At least one call of the steps got no response at all."""
+        return not all(call.reply.answered for call in self.ledger.calls if not call.proof)
 
     @property
     def duration_ms(self) -> float:

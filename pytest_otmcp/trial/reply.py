@@ -182,8 +182,12 @@ def _read_answer(exchange: Exchange, message: Mapping[str, object], expected: Ex
         # A tool that is not listed counts as "writes disabled" (requirement MCP-008), even if a rule meant for other
         # answers matches the text "Unknown tool".
         answer = replace(answer, code="writes_disabled")
-    writes = protocols()[expected.adapter].operations[expected.operation].writes
-    envelope = synthesised(answer, protocol=expected.adapter, operation=expected.operation, writes=writes)
+    operation = protocols()[expected.adapter].operations[expected.operation]
+    told = None if operation.tells is None else extract(expected.outputs, answer.document).get(operation.tells)
+    if answer.success and told is False:
+        # The answer came, and says that the device did not: no success, whatever else it says.
+        answer = replace(answer, success=False, code="connect_failed")
+    envelope = synthesised(answer, protocol=expected.adapter, operation=expected.operation, writes=operation.writes)
     if answer.admission is None:
         return envelope, []
     fault = Finding(

@@ -22,7 +22,10 @@ def stored_calls(ledger: Ledger) -> list[Call]:
     The envelope of a good reply says all that its frames said. The frames are kept where they show more: where there is a
     fault, or where the answer is no envelope.
     """
-    return [_call(call, with_frames=bool(ledger.findings) or not call.reply.native) for call in ledger.calls]
+    return [
+        _call(call, with_frames=bool(ledger.findings or call.reply.faults) or not call.reply.native)
+        for call in ledger.calls
+    ]
 
 
 def _call(judged: Judged, *, with_frames: bool) -> Call:

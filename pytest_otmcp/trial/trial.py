@@ -39,6 +39,10 @@ class _DisturbedError(Exception):
 ReportProgress = Callable[[int, int], None]
 
 
+class _ItemOverError(Exception):
+    """End of the item: nothing may be written, and the findings say why."""
+
+
 class Trial:
     """One item of a run. :meth:`run` returns the item as ``run.json`` has it, without its samples.
 
@@ -93,6 +97,8 @@ class Trial:
             if not self._failed:
                 self._status = "KIT_ERROR"
             self._reason = str(disturbance)
+        except _ItemOverError:
+            pass
         except SubjectError as failure:
             self._end("subject", failure.code, str(failure), "MCP-002")
         except NoBindingError as gap:
@@ -166,6 +172,7 @@ class Trial:
             noted = self._note(finding.code, f"{role}: {finding.message}", finding.requirement, finding.evidence)
             if role == "warmup":
                 self._warm_up[noted] = kind_of(finding.code, finding.requirement, finding.message)
+        self._stop_if_refused(repetition)
         if repetition.unanswered:
             self._take(await self._driver.end_sessions())
             await self._driver.open_sessions()
@@ -177,12 +184,13 @@ class Trial:
         self._watch_strangers(ledger)
         disturbance = self._strangers.disturbance
         findings = ledger.findings if disturbance is None else []
-        self._all_passed = self._all_passed and not findings
+        passed = not findings and ledger.refused is None
+        self._all_passed = self._all_passed and passed
         self._repeated |= {kind_of(found.code, found.requirement, found.message) for found in findings}
         self._keep(
             {
                 "repetition": rep,
-                "ok": not ledger.findings and disturbance is None,
+                "ok": passed and disturbance is None,
                 "duration_ms": round(repetition.duration_ms, 4),
                 "calls": stored_calls(ledger),
                 "device": ledger.journal,
@@ -193,6 +201,7 @@ class Trial:
         )
         if disturbance is not None:
             raise _DisturbedError(disturbance)
+        self._stop_if_refused(repetition)
         return repetition.unanswered
 
     def _watch_strangers(self, ledger: Ledger) -> None:
@@ -201,6 +210,12 @@ class Trial:
             slices.setdefault(adapter_name(entry["protocol"], entry.get("variant", READ_WRITE)), []).append(entry)
         for at, entries in slices.items():
             self._strangers.take(at, entries)
+
+    def _stop_if_refused(self, repetition: Repetition) -> None:
+        refused = repetition.ledger.refused
+        if refused is not None:
+            self._findings.append(refused)
+            raise _ItemOverError
 
     def _note(self, code: str, message: str, requirement: str | None = None, evidence: str | None = None) -> Finding:
         """Note a finding once, and return the one that was noted."""

@@ -210,3 +210,16 @@ def test_no_answer_is_odd_enough_to_break_the_kit(form: str, listed: bool) -> No
         reply = observed(message, answering, listed=listed, outputs=rules)
         assert reply.success in (True, False, None)
         json.dumps([reply.envelope, reply.outputs], allow_nan=False)
+
+
+@pytest.mark.parametrize(("connected", "success"), [(True, True), (False, False)])
+def test_a_status_that_says_that_there_is_no_connection_is_no_success(connected: bool, success: bool) -> None:
+    reply = observed(
+        result(json.dumps({"alive": connected})),
+        Answering(form="json"),
+        operation="ping",
+        outputs={"reachable": OutputRule(path="alive")},
+    )
+    assert reply.success is success
+    assert reply.outputs == {"reachable": connected}
+    assert reply.error_code == (None if success else "connect_failed")

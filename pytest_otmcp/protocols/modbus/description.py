@@ -10,6 +10,7 @@ from .decoder import ModbusConversation, mbap_length
 from .entries import carried_out, describe, title
 from .operations import OPERATIONS
 from .oracle import no_state_changing_request
+from .proof import PROOF
 
 __all__ = ["PROTOCOL"]
 
@@ -34,5 +35,6 @@ PROTOCOL = OtProtocol(
     packages=("pymodbus",),
     colour=Colour(light="#0072b2", dark="#56b4e9"),
     session_oracles=(StateChanges,),
+    proof=PROOF,
     always=True,
 )

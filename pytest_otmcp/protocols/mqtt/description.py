@@ -10,6 +10,7 @@ from .entries import describe
 from .external import EXTERNAL
 from .operations import OPERATIONS
 from .oracle import Publications, Subscriptions, no_command
+from .proof import PROOF
 from .sparkplug_oracle import SparkplugSequence, kept_or_executed
 
 __all__ = ["PROTOCOL"]
@@ -59,5 +60,6 @@ PROTOCOL = OtProtocol(
     colour=Colour(light="#009e73", dark="#2fc79a"),
     external=EXTERNAL,
     session_oracles=(Publications, Subscriptions, SparkplugSequence),
+    proof=PROOF,
     always=True,
 )

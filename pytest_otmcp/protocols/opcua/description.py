@@ -10,6 +10,7 @@ from .decoder import OpcUaConversation, chunk_length
 from .entries import carried_out, describe
 from .operations import OPERATIONS
 from .oracle import no_state_changing_service
+from .proof import PROOF
 
 __all__ = ["PROTOCOL"]
 
@@ -32,5 +33,6 @@ PROTOCOL = OtProtocol(
     packages=("asyncua",),
     colour=Colour(light="#e69f00", dark="#e69f00"),
     session_oracles=(StateChanges,),
+    proof=PROOF,
     always=True,
 )
