@@ -18,9 +18,9 @@ from ..core.statistics import (
     percentile,
     standard_deviation,
 )
+from ..record.warnings import failing, findings_of
 from . import Item, Run, durations, least, phases, recovered, tally
 from . import adapters as having_sessions
-from .evidence import findings_of
 from .text import count, interval, number
 
 __all__ = [
@@ -110,7 +110,7 @@ def requirements(run: Run) -> list[tuple[str, dict[str, Cell]]]:
     """
     found: dict[str, dict[str, dict[str, str]]] = {}
     for item in run["items"]:
-        broken = {requirement for finding in findings_of(item) if (requirement := finding["requirement"])}
+        broken = {requirement for finding in failing(findings_of(item)) if (requirement := finding["requirement"])}
         for name in [*item.get("requirements", ()), *sorted(broken)]:
             state = "violated" if name in broken else "passed" if item["status"] == "PASS" else "not shown"
             if item["status"] == "NOT_APPLICABLE":

@@ -96,6 +96,11 @@ class Reply:
         return code if isinstance(code, str) else None
 
     @property
+    def faulty(self) -> bool:
+        """Whether a MUST for replies as such is not met."""
+        return any(fault.is_must for fault in self.faults)
+
+    @property
     def label(self) -> str:
         """Name of this call in findings."""
         return _label(self.exchange)
