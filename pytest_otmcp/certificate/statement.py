@@ -135,6 +135,8 @@ def _adapter(protocol: str, facts: AdapterFacts, run: Run, tasks: Tasks) -> dict
         "envelope_requirements_unmet": facts["unmet"],
         "outputs_not_judged": facts["unjudged"],
         "recovery": facts["recovery"],
+        "recovery_s": facts["recovery_s"],
+        "cached_s": facts["cached"],
         "facets": {"earned": earned, "claimed_not_exercised": not_exercised, "not_claimed": not_claimed},
     }
 

@@ -98,8 +98,8 @@ class Trial:
     async def _execute(self) -> None:
         task, driver = self._task, self._driver
         await driver.prepare()
-        for protocol, entries in driver.before():
-            for finding in nothing_commanded(protocol, entries):
+        for protocol, entries, declared in driver.before():
+            for finding in nothing_commanded(protocol, entries, declared):
                 when = "before this item, when nobody called the adapter"
                 self._add(replace(finding, message=f"{protocol}: {when}: {finding.message}"))
         if task.begin is not None:

@@ -2,34 +2,53 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from ...core.finding import Finding
 from ...core.strict_json import same_json
 from ..journal import Entries, Image, JournalEntry
-from ..oracle import Witness
+from ..oracle import Witness, requests
 from .entries import as_modbus, describe, points
 
 __all__ = [
-    "exactly_one_request",
     "exactly_one_write",
     "exception_sent",
     "image_holds",
     "no_state_changing_request",
     "nothing_changed_by",
     "only_changed",
-    "request_count",
+    "reached",
+    "read_from_device",
     "some_exchange",
 ]
 
 _WITNESS = Witness(noun="the device", describe=describe)
 
 some_exchange = _WITNESS.answered
-exactly_one_request = _WITNESS.exactly_one
-request_count = _WITNESS.request_count
 no_state_changing_request = _WITNESS.nothing_changed
 nothing_changed_by = _WITNESS.nothing_changed_by
 only_changed = _WITNESS.only_changed
+
+
+def read_from_device(entries: Entries, *, function: int, address: int, count: int) -> list[Finding]:
+    """Expect that the device answered reads by this function that cover these cells, by whatever requests."""
+    what = f"{count} cell(s) from {address} by function {function}"
+    return _WITNESS.was_asked(entries, what, lambda asked: _covered(asked, function, address, count))
+
+
+def reached(entries: Entries, *, function: int, address: int, count: int) -> bool:
+    """Tell whether requests by this function that cover these cells reached the device."""
+    return _covered(requests(entries), function, address, count)
+
+
+def _covered(asked: Sequence[JournalEntry], function: int, address: int, count: int) -> bool:
+    cells: set[int] = set()
+    for request in map(as_modbus, asked):
+        if request.get("function") == function:
+            first = request.get("address", 0)
+            cells.update(range(first, first + request.get("quantity", 0)))
+    return cells.issuperset(range(address, address + count))
 
 
 def exactly_one_write(entries: Entries, table: str, *, address: int, values: list[object]) -> list[Finding]:
