@@ -184,7 +184,7 @@ def adapter_table(protocol: OtProtocol) -> Table:
                 "Time within which work goes on after an outage.",
                 default=LONGEST_RECOVERY_S,
             ),
-            **{name: Key(strings(meaning), meaning, default=[]) for name, meaning in protocol.lists.items()},
+            **{name: Key(strings(f"the {name}"), meaning, default=[]) for name, meaning in protocol.lists.items()},
             **_answering("; without it the adapter answers in the kit's own envelope"),
             "probes": Key(probes, "What to ask for where something must be refused.", default={}),
             "bindings": Key(TEXT, "Python file with functions for operations."),

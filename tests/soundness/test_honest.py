@@ -22,9 +22,7 @@ def warnings(results: Results) -> Iterator[tuple[str | None, str]]:
 @pytest.mark.parametrize("name", ZOO)
 def test_an_honest_adapter_is_accused_of_nothing(judge: Judge, name: str) -> None:
     choice = ZOO[name]
-    results: dict[str, dict[str, Any]] = judge(
-        choice.protocol, "honest/adapter.py", name, described=choice.described
-    )
+    results: dict[str, dict[str, Any]] = judge(choice.protocol, "honest/adapter.py", name, described=choice.described)
     assert failing(results) == set(), words(results)
     assert passing(results) == results.keys()
     assert set(warnings(results)) == choice.warnings, words(results)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
+
 from tests.soundness.defective import Handler, wrap
 
 if TYPE_CHECKING:
@@ -108,7 +109,9 @@ def backed_off(connect: Callable[..., Awaitable[Any]], seconds: float) -> Callab
         now = asyncio.get_running_loop().time
         if now() < until:
             message = "no connection; the next attempt comes in a moment"
-            raise AdapterError("connect_failed", message, outcome="not_sent", retry_after_ms=int(1000 * (until - now())))
+            raise AdapterError(
+                "connect_failed", message, outcome="not_sent", retry_after_ms=int(1000 * (until - now()))
+            )
         try:
             return await connect(*arguments)
         except AdapterError:

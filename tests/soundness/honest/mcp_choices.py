@@ -14,11 +14,9 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from mcp.types import Tool
-
-from pytest_otmcp.reference_adapters.core import AdapterServer, Call
+from pytest_otmcp.reference_adapters.core import AdapterServer, Call, stdio
 from pytest_otmcp.reference_adapters.core import call as core_call
 from pytest_otmcp.reference_adapters.core import server as core_server
-from pytest_otmcp.reference_adapters.core import stdio
 from pytest_otmcp.reference_adapters.modbus.shapes import Unit
 
 from tests.soundness.defective import Handler
@@ -35,7 +33,9 @@ CHOICES, choice = choices("modbus")
 Envelope = dict[str, Any]
 Result = dict[str, Any]
 
-TEXT_IS_A_SHOULD = "MCP, server/tools, Structured Content: a tool SHOULD also return the serialised JSON in a text block"
+TEXT_IS_A_SHOULD = (
+    "MCP, server/tools, Structured Content: a tool SHOULD also return the serialised JSON in a text block"
+)
 NO_TEXT = ("MCP-006", "no_text")
 PROSE = ("MCP-006", "prose_text")
 TICK_S = 0.015625
@@ -135,7 +135,9 @@ def other_errors(change: Callable[[dict[str, Any]], dict[str, Any]]) -> None:
 
 @choice("explains its errors in German", "codes are for programs, messages for people")
 def errors_in_german(server: AdapterServer) -> None:
-    other_errors(lambda error: {**error, "message": "Das Gerät hat den Auftrag nicht ausgeführt; bitte prüfen Sie die Angaben."})
+    other_errors(
+        lambda error: {**error, "message": "Das Gerät hat den Auftrag nicht ausgeführt; bitte prüfen Sie die Angaben."}
+    )
 
 
 @choice("explains its errors at length", "the envelope has room for field, allowed, details and retry_after_ms")
@@ -219,7 +221,11 @@ def spoken_to_by_handshake(adapter: Adapter) -> Adapter:
     return dataclasses.replace(adapter, era="legacy")
 
 
-@choice("speaks MCP of 2025-11-25 only to those who ask so", "era = \"legacy\" in the subject file", described=spoken_to_by_handshake)
+@choice(
+    "speaks MCP of 2025-11-25 only to those who ask so",
+    'era = "legacy" in the subject file',
+    described=spoken_to_by_handshake,
+)
 def addressed_by_handshake(server: AdapterServer) -> None:
     """Nothing is bent: the subject file decides."""
 

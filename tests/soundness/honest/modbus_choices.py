@@ -67,7 +67,10 @@ def single_reads(server: AdapterServer) -> None:
     other_reads(server, in_parts(1))
 
 
-@choice("reads the whole block of twenty registers and answers the part", "the values are fresh; nobody forbids a larger quantity")
+@choice(
+    "reads the whole block of twenty registers and answers the part",
+    "the values are fresh; nobody forbids a larger quantity",
+)
 def block_reads(server: AdapterServer) -> None:
     def whole(genuine: Read) -> Read:
         async def read(call: Call, arguments: Any, address: int, count: int) -> list[int]:
@@ -83,7 +86,10 @@ def block_reads(server: AdapterServer) -> None:
     other_reads(server, whole)
 
 
-@choice("reads everything twice and answers the second result", "a read changes nothing and may be repeated; meta.attempts says so")
+@choice(
+    "reads everything twice and answers the second result",
+    "a read changes nothing and may be repeated; meta.attempts says so",
+)
 def repeated_reads(server: AdapterServer) -> None:
     def twice(genuine: Read) -> Read:
         async def read(call: Call, arguments: Any, address: int, count: int) -> list[int]:
@@ -118,7 +124,10 @@ def background_call(server: AdapterServer) -> Call:
     return Call(protocol="modbus-tcp", operation="modbus.poll", endpoint=server.endpoint, writes=False)
 
 
-@choice("polls the registers that the tasks read, fifty times a second", "meta.attempts counts what is sent for the call; nobody forbids polling")
+@choice(
+    "polls the registers that the tasks read, fifty times a second",
+    "meta.attempts counts what is sent for the call; nobody forbids polling",
+)
 def polls_the_same_registers(server: AdapterServer) -> None:
     polling("_inputs", 0, 4)(server)
 
@@ -148,12 +157,18 @@ def with_register_map(code: str, outcome: str) -> Bend:
     return bend
 
 
-@choice("has a register map and refuses what is not in it by itself", "a refusal that reaches no device is as good as the device's")
+@choice(
+    "has a register map and refuses what is not in it by itself",
+    "a refusal that reaches no device is as good as the device's",
+)
 def register_map(server: AdapterServer) -> None:
     with_register_map("illegal_address", "not_sent")(server)
 
 
-@choice("has a register map and calls what is not in it an invalid input", "a refusal that reaches no device is as good as the device's")
+@choice(
+    "has a register map and calls what is not in it an invalid input",
+    "a refusal that reaches no device is as good as the device's",
+)
 def register_map_as_validation(server: AdapterServer) -> None:
     with_register_map("invalid_input", "not_sent")(server)
 
@@ -246,7 +261,9 @@ def pause_after_failure(seconds: float) -> Bend:
     return bend
 
 
-@choice("tries to connect again 1.5 s after it has failed", "requirement REC-001: back within recovery_s, by default 5 s")
+@choice(
+    "tries to connect again 1.5 s after it has failed", "requirement REC-001: back within recovery_s, by default 5 s"
+)
 def backs_off_for_1500_ms(server: AdapterServer) -> None:
     pause_after_failure(1.5)(server)
 
@@ -256,7 +273,11 @@ def backs_off_for_4_s(server: AdapterServer) -> None:
     pause_after_failure(4.0)(server)
 
 
-@choice("declares that it is back within 3 s, and is", "requirement REC-001", described=lambda adapter: dataclasses.replace(adapter, recovery_s=3.0))
+@choice(
+    "declares that it is back within 3 s, and is",
+    "requirement REC-001",
+    described=lambda adapter: dataclasses.replace(adapter, recovery_s=3.0),
+)
 def backs_off_as_declared(server: AdapterServer) -> None:
     pause_after_failure(2.0)(server)
 

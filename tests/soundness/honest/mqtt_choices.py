@@ -12,7 +12,6 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import paho.mqtt.client as paho
-
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
 from pytest_otmcp.reference_adapters.mqtt import connection as connections
 from pytest_otmcp.reference_adapters.mqtt.connection import Connection, ConnectionLostError, Message
@@ -95,7 +94,7 @@ def say_online(connection: Connection) -> None:
 
 
 @choice(
-    "publishes a retained \"online\" at every connection, also with writes disabled",
+    'publishes a retained "online" at every connection, also with writes disabled',
     "it commands nothing; with writes disabled it is remarkable",
     warnings=(RETAINED,),
 )
@@ -103,7 +102,7 @@ def retained_online(server: AdapterServer) -> None:
     after_connecting(link_of(server), say_online)
 
 
-@choice("publishes a retained \"online\" at every connection, but not with writes disabled", "it commands nothing")
+@choice('publishes a retained "online" at every connection, but not with writes disabled', "it commands nothing")
 def retained_online_unless_guarded(server: AdapterServer) -> None:
     if server.writes_enabled:
         after_connecting(link_of(server), say_online)
@@ -112,7 +111,10 @@ def retained_online_unless_guarded(server: AdapterServer) -> None:
 UPTIME = Metric(name="uptime", datatype="Int64", value=0)
 
 
-@choice("reports data of its edge node by itself, ten times a second", "Sparkplug: an edge node publishes NDATA when it has any")
+@choice(
+    "reports data of its edge node by itself, ten times a second",
+    "Sparkplug: an edge node publishes NDATA when it has any",
+)
 def node_data_of_its_own(server: AdapterServer) -> None:
     link = link_of(server)
     node = link.edge_node
@@ -182,7 +184,9 @@ def subscribed_to_the_broker(server: AdapterServer) -> None:
     link_of(server).needed["$SYS/#"] = 0
 
 
-@choice("tries to connect again a second after it has failed", "requirement REC-001: back within recovery_s, by default 5 s")
+@choice(
+    "tries to connect again a second after it has failed", "requirement REC-001: back within recovery_s, by default 5 s"
+)
 def backs_off_for_1_s(server: AdapterServer) -> None:
     link = link_of(server)
     link._connected = backed_off(link._connected, 1.0)
@@ -311,7 +315,7 @@ def declared_as_cached(adapter: Adapter) -> Adapter:
 
 @choice(
     "answers its status from what it learned by a ping at most a second ago, says so, and declares it",
-    "requirements REC-002 and RD-004: source = \"cache\" and max_age_s in the subject file, source and age_ms in meta",
+    'requirements REC-002 and RD-004: source = "cache" and max_age_s in the subject file, source and age_ms in meta',
     described=declared_as_cached,
 )
 def status_from_a_declared_cache(server: AdapterServer) -> None:

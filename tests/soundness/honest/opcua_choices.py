@@ -9,7 +9,6 @@ from datetime import UTC, datetime
 from typing import Any
 
 from asyncua import ua
-
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
 from pytest_otmcp.reference_adapters.opcua.link import Link, Session
 from pytest_otmcp.reference_adapters.opcua.services import Services
@@ -64,7 +63,9 @@ class Notified:
         del waiting
 
 
-@choice("reads every value by a monitored item made for it", "the server's notification is its answer to this very call")
+@choice(
+    "reads every value by a monitored item made for it", "the server's notification is its answer to this very call"
+)
 def reads_by_monitored_items(server: AdapterServer) -> None:
     async def monitored(services: Services, nodes: Sequence[ua.NodeId], genuine: Any) -> list[ua.DataValue]:
         client = services._session.client.uaclient
@@ -99,7 +100,9 @@ def reads_by_monitored_items(server: AdapterServer) -> None:
             TimestampsToReturn=ua.TimestampsToReturn.Both,
             ItemsToCreate=items,
         )
-        created = await session.request(call, lambda client: client.create_monitored_items(parameters), items=len(nodes))
+        created = await session.request(
+            call, lambda client: client.create_monitored_items(parameters), items=len(nodes)
+        )
         found = {
             index: ua.DataValue(StatusCode=result.StatusCode)
             for index, result in enumerate(created)
@@ -155,7 +158,9 @@ def reads_more_than_asked(server: AdapterServer) -> None:
 def registers_nodes(server: AdapterServer) -> None:
     async def registered(services: Services, nodes: Sequence[ua.NodeId], genuine: Any) -> Any:
         call = services._call
-        known = await services._session.request(call, lambda client: client.register_nodes(list(nodes)), items=len(nodes))
+        known = await services._session.request(
+            call, lambda client: client.register_nodes(list(nodes)), items=len(nodes)
+        )
         return await genuine(services, known)
 
     other_reads(registered)
@@ -196,7 +201,10 @@ def watches_the_server(server: AdapterServer) -> None:
 # -- refusing ---------------------------------------------------------------------------------------------------------
 
 
-@choice("has a list of the plant's nodes and refuses what is not in it by itself", "a refusal that reaches no server is as good as the server's")
+@choice(
+    "has a list of the plant's nodes and refuses what is not in it by itself",
+    "a refusal that reaches no server is as good as the server's",
+)
 def node_list(server: AdapterServer) -> None:
     def known(genuine: Handler) -> Handler:
         async def handler(call: Call, arguments: Any) -> Any:
@@ -280,7 +288,9 @@ def session_per_call(server: AdapterServer) -> None:
     link.perform = perform
 
 
-@choice("tries to connect again 1.5 s after it has failed", "requirement REC-001: back within recovery_s, by default 5 s")
+@choice(
+    "tries to connect again 1.5 s after it has failed", "requirement REC-001: back within recovery_s, by default 5 s"
+)
 def backs_off_for_1500_ms(server: AdapterServer) -> None:
     link = link_of(server)
     link._connect = backed_off(link._connect, 1.5)
