@@ -320,8 +320,7 @@ def declared_as_cached(adapter: Adapter) -> Adapter:
 )
 def status_from_a_declared_cache(server: AdapterServer) -> None:
     link = link_of(server)
-    clock, learned = asyncio.get_event_loop_policy, [-MAX_AGE_S]
-    del clock
+    learned = [-MAX_AGE_S]
 
     def now() -> float:
         return asyncio.get_running_loop().time()
@@ -377,10 +376,6 @@ def always_qos_1(server: AdapterServer) -> None:
         return handler
 
     wrap(server, "publish_message", surely)
-
-
-class Broken(Exception):
-    """The connection ended."""
 
 
 class Publisher:

@@ -51,24 +51,11 @@ def other_reads(read: Callable[..., Any]) -> None:
 # -- reading ----------------------------------------------------------------------------------------------------------
 
 
-class Notified:
-    """Takes the first value of each monitored item."""
-
-    def __init__(self, count: int) -> None:
-        self._loop = asyncio.get_running_loop()
-        self.values = [self._loop.create_future() for _ in range(count)]
-
-    def datachange_notification(self, node: Any, value: Any, data: Any) -> None:
-        waiting = self.values[data.subscription_data.mfilter_index] if hasattr(data, "index") else None
-        del waiting
-
-
 @choice(
     "reads every value by a monitored item made for it", "the server's notification is its answer to this very call"
 )
 def reads_by_monitored_items(server: AdapterServer) -> None:
     async def monitored(services: Services, nodes: Sequence[ua.NodeId], genuine: Any) -> list[ua.DataValue]:
-        client = services._session.client.uaclient
         call, session = services._call, services._session
         arrived: asyncio.Queue[tuple[int, ua.DataValue]] = asyncio.Queue()
 
