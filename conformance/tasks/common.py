@@ -95,7 +95,9 @@ async def status_is_known(run: Repetition, rig: Rig, witness: Witness, *replies:
     exchanges = await rig.follow(Exchanges)
     for reply in replies:
         if findings := _cached(reply, max_age_s, exchanges):
+            # The same lie fifty times is one.
             run.judge(reply, findings)
+            return
 
 
 def _cached(reply: Reply, max_age_s: float, exchanges: Exchanges) -> list[Finding]:

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import pytest
 
 from .conftest import Judge, Results, failing, passing, words
+from .honest.table import DOCUMENT, written
 from .honest.zoo import ZOO
+
+QUICK = {
+    "modbus": "M1 M2 M3 M4 FM1",
+    "mqtt": "Q1 Q2 Q3 Q4",
+    "opcua": "O1 O3 FO1",
+}
 
 
 def warnings(results: Results) -> Iterator[tuple[str | None, str]]:
@@ -19,10 +25,25 @@ def warnings(results: Results) -> Iterator[tuple[str | None, str]]:
                     yield finding["requirement"], finding["code"]
 
 
-@pytest.mark.parametrize("name", ZOO)
-def test_an_honest_adapter_is_accused_of_nothing(judge: Judge, name: str) -> None:
+def accused_of_nothing(judge: Judge, name: str, tasks: str | None) -> None:
     choice = ZOO[name]
-    results: dict[str, dict[str, Any]] = judge(choice.protocol, "honest/adapter.py", name, described=choice.described)
+    results = judge(choice.protocol, "honest/adapter.py", name, described=choice.described, tasks=tasks)
     assert failing(results) == set(), words(results)
     assert passing(results) == results.keys()
     assert set(warnings(results)) == choice.warnings, words(results)
+
+
+@pytest.mark.parametrize("name", ZOO)
+def test_an_honest_adapter_is_accused_of_nothing_in_the_items_that_say_most(judge: Judge, name: str) -> None:
+    accused_of_nothing(judge, name, QUICK[ZOO[name].protocol])
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ZOO)
+def test_an_honest_adapter_is_accused_of_nothing_in_the_whole_suite(judge: Judge, name: str) -> None:
+    accused_of_nothing(judge, name, None)
+
+
+def test_the_documentation_has_every_honest_adapter() -> None:
+    document = DOCUMENT.read_text(encoding="utf-8")
+    assert document == written(document), "out of date: python -m tests.soundness.honest.table"
