@@ -285,7 +285,7 @@ def status_asked_twice(server: AdapterServer) -> None:
     link.ask = ask
 
 
-@choice("asks for the broker's state by a connection of its own", "the answer to CONNECT is one")
+@choice("asks for the broker's state over a connection of its own, too", "asking changes nothing; meta.attempts says so")
 def status_by_connecting(server: AdapterServer) -> None:
     link, alone = link_of(server), asyncio.Lock()
 
@@ -299,7 +299,9 @@ def status_by_connecting(server: AdapterServer) -> None:
 
     def asked(genuine: Handler) -> Handler:
         async def handler(call: Call, arguments: Any) -> Any:
-            await ask(background_call(server))
+            question = background_call(server)
+            await ask(question)
+            call.attempts += question.attempts
             return await genuine(call, arguments)
 
         return handler
