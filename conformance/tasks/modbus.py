@@ -154,9 +154,18 @@ async def read_missing_register(run: Repetition, modbus: Rig) -> None:
     if not oracle.reached(seen, function=READ_HOLDING_REGISTERS, address=missing, count=1):
         # A register map of its own refuses as well as the device does.
         run.fails(reply, "illegal_address", "invalid_input", outcome=NOTHING_SENT)
+        run.witnessed(oracle.refused_nothing_else(seen, function=READ_HOLDING_REGISTERS, address=missing, count=1))
         return
     run.fails(reply, "illegal_address", trace={"exception_code": ILLEGAL_DATA_ADDRESS})
     run.witnessed(oracle.exception_sent(seen, ILLEGAL_DATA_ADDRESS))
+
+
+@read_missing_register.after
+async def a_register_that_is_there_can_be_read(run: Repetition, modbus: Rig) -> None:
+    # A refusal proves something only if the same call works elsewhere.
+    value = run.rng.randrange(0x10000)
+    await modbus.poke(unit=1, table="holding_registers", address=40, values=[value])
+    run.succeeds(await modbus.call("read_holding", address=40, count=1), values=[value])
 
 
 @TASKS.task(

@@ -161,6 +161,14 @@ async def read_missing_node(run: Repetition, opcua: Rig) -> None:
     run.witnessed(oracle.refused_with(seen, missing, "BadNodeIdUnknown"))
 
 
+@read_missing_node.after
+async def a_node_that_is_there_can_be_read(run: Repetition, opcua: Rig) -> None:
+    # A refusal proves something only if the same call works elsewhere.
+    value = round(run.rng.uniform(-50.0, 150.0), 6)
+    await opcua.poke(node="Temperature", value=value)
+    run.succeeds(await opcua.call("read", node=TEMPERATURE), value=value, status="Good")
+
+
 @TASKS.task(
     "FO2",
     "fault",

@@ -61,6 +61,16 @@ def test_a_read_is_fresh_when_requests_cover_what_was_asked_whichever_they_are()
     assert fresh("03 0000 0002 -> 03 04 00FA 0096") != []
 
 
+def test_a_refusal_of_something_else_is_found() -> None:
+    def other(*exchanges: str, function: int = 3) -> list[Any]:
+        return oracle.refused_nothing_else(journal(*exchanges), function=function, address=0x270F, count=1)
+
+    assert other(READ, MISSING) == other() == []
+    neighbour = words(other("03 2710 0001 -> 83 02"))
+    assert "refused 1 cell(s) from 9999 by function 3, it refused FC 03 address 10000 quantity 1 [RD-001]" in neighbour
+    assert other(MISSING, function=4) != []
+
+
 def test_a_request_reached_the_device_also_when_it_was_refused() -> None:
     assert oracle.reached(journal(MISSING), function=3, address=0x270F, count=1)
     assert not oracle.reached(journal(READ), function=3, address=0x270F, count=1)

@@ -20,6 +20,7 @@ __all__ = [
     "only_changed",
     "reached",
     "read_from_device",
+    "refused_nothing_else",
     "some_exchange",
 ]
 
@@ -61,6 +62,26 @@ def exactly_one_write(entries: Entries, table: str, *, address: int, values: lis
         return None if right and same_json(write.get("values"), values) else ("WR-001", "it saw another write")
 
     return _WITNESS.exactly_one_write(entries, f"write of {values} to {table} {address}", problem)
+
+
+def refused_nothing_else(entries: Entries, *, function: int, address: int, count: int) -> list[Finding]:
+    """Expect that every read that the device refused was of these cells by this function, among others."""
+    refused = {entry["answers"] for entry in entries if as_modbus(entry).get("exception")}
+    other = [
+        entry
+        for entry in requests(entries)
+        if entry["seq"] in refused and not entry["state_changing"] and not _covered([entry], function, address, count)
+    ]
+    if not other:
+        return []
+    return [
+        Finding(
+            code="refused_other",
+            message=f"the device should have refused {count} cell(s) from {address} by function {function}, "
+            f"it refused {describe(other[0])}",
+            requirement="RD-001",
+        )
+    ]
 
 
 def exception_sent(entries: Entries, code: int) -> list[Finding]:

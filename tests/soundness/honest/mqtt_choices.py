@@ -285,7 +285,9 @@ def status_asked_twice(server: AdapterServer) -> None:
     link.ask = ask
 
 
-@choice("asks for the broker's state over a connection of its own, too", "asking changes nothing; meta.attempts says so")
+@choice(
+    "asks for the broker's state over a connection of its own, too", "asking changes nothing; meta.attempts says so"
+)
 def status_by_connecting(server: AdapterServer) -> None:
     link, alone = link_of(server), asyncio.Lock()
 
