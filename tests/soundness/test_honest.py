@@ -15,6 +15,17 @@ QUICK = {
     "mqtt": "Q1 Q2 Q3 Q4",
     "opcua": "O1 O3 FO1",
 }
+"""Items that most choices show in, by protocol."""
+
+CLOSEST = """
+    mcp/no-text-block mcp/prose-before-json mcp/coarse-clock
+    modbus/split-reads modbus/block-reads modbus/polls-the-same-registers modbus/register-map
+    modbus/asks-twice-for-a-missing-register
+    mqtt/status-ten-times-a-second mqtt/retained-online mqtt/node-data-of-its-own mqtt/status-from-a-declared-cache
+    mqtt/always-qos-1 mqtt/delivers-again-with-dup
+    opcua/reads-by-monitored-items opcua/browses-before-reading opcua/node-list opcua/writes-a-timestamp
+""".split()
+"""Those that are closest to what the suite forbids; earlier suites accused each of them."""
 
 
 def warnings(results: Results) -> Iterator[tuple[str | None, str]]:
@@ -33,7 +44,7 @@ def accused_of_nothing(judge: Judge, name: str, tasks: str | None) -> None:
     assert set(warnings(results)) == choice.warnings, words(results)
 
 
-@pytest.mark.parametrize("name", ZOO)
+@pytest.mark.parametrize("name", CLOSEST)
 def test_an_honest_adapter_is_accused_of_nothing_in_the_items_that_say_most(judge: Judge, name: str) -> None:
     accused_of_nothing(judge, name, QUICK[ZOO[name].protocol])
 
