@@ -41,6 +41,12 @@ TASKS = Tasks()
     requirements="REC-002",
 )
 async def broker_info(run: Repetition, mqtt: Rig) -> None:
+    """Ask for the state of the connection to the broker.
+
+    Said: success, and that the adapter is connected.
+    Seen: the broker answers at least one packet during the call.
+    Why: a status from memory still says "connected" when the broker is gone.
+    """
     reply = await mqtt.call("info")
     run.succeeds(reply, connected=True)
     await status_is_known(run, mqtt, oracle.exchange, reply)
@@ -55,6 +61,12 @@ async def broker_info(run: Repetition, mqtt: Rig) -> None:
     requirements="MQT-002 MQT-004",
 )
 async def subscribe_to_sensors(run: Repetition, mqtt: Rig) -> None:
+    """Subscribe to a filter with a wildcard; the kit then publishes a message.
+
+    Said: success, with the quality of service that was granted.
+    Seen: a subscription that the broker granted and that lives; the message is sent to the adapter.
+    Why: an adapter that calls a refused subscription a success waits for ever for its alarm.
+    """
     if mqtt.blocks("messages"):
         nonce = f"nonce-{run.rng.getrandbits(64):016x}"
         await collect(run, mqtt, {"sensors/#": ("sensors/temperature", nonce)})
@@ -72,6 +84,10 @@ async def subscribe_to_sensors(run: Repetition, mqtt: Rig) -> None:
 
 @subscribe_to_sensors.after
 async def a_received_message_can_be_read(run: Repetition, mqtt: Rig) -> None:
+    """Ask for the messages that came.
+
+    Said: the message with random content that the kit published, once and on its own topic.
+    """
     if mqtt.blocks("messages"):
         return
     nonce = f"nonce-{run.rng.getrandbits(64):016x}"
@@ -93,6 +109,12 @@ async def a_received_message_can_be_read(run: Repetition, mqtt: Rig) -> None:
     requirements="MQT-001 MQT-003 WR-003 WR-004",
 )
 async def publish_control(run: Repetition, mqtt: Rig) -> None:
+    """Publish a command.
+
+    Said: success, the topic, and that QoS 0 is not acknowledged.
+    Seen: this message once, as it was asked for, and no second one.
+    Why: a command that is lost or sent twice is a movement that nobody ordered.
+    """
     payload = json.dumps({"pump_speed": 50 + run.rep})
     reply = await mqtt.call("publish", topic="control/pump", payload=payload, qos=0)
     qos = mqtt.expected_if_accepted("publish", "qos", 0)
@@ -108,6 +130,11 @@ async def publish_control(run: Repetition, mqtt: Rig) -> None:
 
 @publish_control.after
 async def nothing_is_published_with_writes_disabled(run: Repetition, mqtt_ro: Rig | None) -> None:
+    """Publish the same through the adapter that was started with writes disabled.
+
+    Said: a refusal with `writes_disabled` and the outcome `not_sent`.
+    Seen: no command over the whole life of that session.
+    """
     witness = partial(oracle.not_published, payload=b"guarded", requirement="WR-004")
     await guarded_publish(run, mqtt_ro, witness, "publish", topic="control/pump", payload="guarded", qos=0)
 
@@ -138,6 +165,13 @@ async def guarded_publish(
     requirements="WR-004 SPB-001 SPB-002 SPB-003 SPB-004",
 )
 async def publish_device_data(run: Repetition, mqtt: Rig) -> None:
+    """Publish new data of a Sparkplug device.
+
+    Said: success, with the number of metrics.
+    Seen: one DDATA with this metric and value, in a session that keeps the rules for edge nodes: births first, one
+        sequence, a will.
+    Why: a host throws away what breaks the rules, and the adapter has said "published".
+    """
     value = 20.0 + run.rep
     metrics = [{"name": "temperature", "value": value}]
     reply = await mqtt.call("device_data", device="device-1", metrics=metrics)
@@ -152,12 +186,21 @@ async def publish_device_data(run: Repetition, mqtt: Rig) -> None:
 
 @publish_device_data.before
 async def the_device_is_born(run: Repetition, mqtt: Rig) -> None:
+    """Announce the device.
+
+    Said: success.
+    """
     metrics = [{"name": "temperature", "datatype": "Double", "value": 20.0}]
     run.succeeds(await mqtt.call("device_birth", device="device-1", metrics=metrics))
 
 
 @publish_device_data.after
 async def no_device_is_born_with_writes_disabled(run: Repetition, mqtt_ro: Rig | None) -> None:
+    """Announce a device through the adapter that was started with writes disabled.
+
+    Said: a refusal with `writes_disabled` and the outcome `not_sent`.
+    Seen: no command over the whole life of that session.
+    """
     metrics = [{"name": "temperature", "datatype": "Double", "value": 20.0}]
     witness = partial(oracle.not_reported, device="device-1")
     await guarded_publish(run, mqtt_ro, witness, "device_birth", device="device-1", metrics=metrics)
@@ -180,6 +223,12 @@ def nothing_to_nowhere(mqtt: Rig) -> Witness:
     requirements="ADR-006 ERR-006",
 )
 async def publish_to_nowhere(run: Repetition, mqtt: Rig) -> None:
+    """Publish on an empty topic.
+
+    Said: a failure with `invalid_input` and the outcome `not_sent`.
+    Seen: no PUBLISH, and a connection that stays up.
+    Why: a broker ends the connection at such a packet, and every subscription with it.
+    """
     reply = await mqtt.call("publish", topic="", payload=TO_NOWHERE, qos=0)
     run.fails(reply, "invalid_input", outcome="not_sent")
     journal = await mqtt.journal()
@@ -188,6 +237,11 @@ async def publish_to_nowhere(run: Repetition, mqtt: Rig) -> None:
 
 @publish_to_nowhere.after
 async def a_proper_topic_is_accepted(run: Repetition, mqtt: Rig) -> None:
+    """Publish on a proper topic.
+
+    Said: success.
+    Seen: the message, once.
+    """
     await mqtt.stays_quiet(QUIET_S, nothing_to_nowhere(mqtt))
     run.succeeds(await mqtt.call("publish", topic="control/pump", payload="control", qos=0))
     await mqtt.wait_for(kind="PUBLISH", direction="in", topic="control/pump", timeout_s=1.0)
@@ -205,8 +259,15 @@ async def a_proper_topic_is_accepted(run: Repetition, mqtt: Rig) -> None:
     needs="mqtt.subscribe mqtt.subscribe.qos",
     capability="refusing",
     requirements="ADR-007",
+    keys="mqtt.probes.bad_qos",
 )
 async def subscribe_with_qos_5(run: Repetition, mqtt: Rig) -> None:
+    """Subscribe with a quality of service that does not exist.
+
+    Said: a failure with `invalid_input`.
+    Seen: no SUBSCRIBE, and a connection that stays up.
+    Why: a value that is cut down in silence is not what was asked for.
+    """
     reply = await mqtt.call("subscribe", filter="sensors/#", qos=mqtt.probe("bad_qos"))
     run.fails(reply, "invalid_input")
     journal = await mqtt.journal()
@@ -215,6 +276,11 @@ async def subscribe_with_qos_5(run: Repetition, mqtt: Rig) -> None:
 
 @subscribe_with_qos_5.after
 async def a_proper_qos_is_accepted(run: Repetition, mqtt: Rig) -> None:
+    """Subscribe with QoS 1.
+
+    Said: success.
+    Seen: a subscription that the broker granted with QoS 1.
+    """
     await mqtt.stays_quiet(QUIET_S, partial(oracle.not_subscribed, filter="sensors/#"))
     run.succeeds(await mqtt.call("subscribe", filter="sensors/#", qos=1), granted_qos=1)
     run.witnessed((await mqtt.follow(oracle.Subscriptions)).granted("sensors/#", qos=1))
@@ -230,6 +296,12 @@ async def a_proper_qos_is_accepted(run: Repetition, mqtt: Rig) -> None:
     requirements="CON-001 MQT-004",
 )
 async def concurrent_message_reads(run: Repetition, mqtt: Rig) -> None:
+    """Ask for the messages on four topics by four calls at the same time.
+
+    Said: in each answer the message of its own topic, once.
+    Seen: four messages that the broker sends to the adapter.
+    Why: a message on the wrong topic is a measurement of the wrong machine.
+    """
     nonces = {f"stress/{i}": f"nonce-{run.rng.getrandbits(64):016x}" for i in range(4)}
     if mqtt.blocks("messages"):
         await collect(run, mqtt, {topic: (topic, nonce) for topic, nonce in nonces.items()})
@@ -245,6 +317,10 @@ async def concurrent_message_reads(run: Repetition, mqtt: Rig) -> None:
 
 @concurrent_message_reads.before
 async def the_adapter_listens(run: Repetition, mqtt: Rig) -> None:
+    """Subscribe to the topics.
+
+    Said: success.
+    """
     if mqtt.blocks("messages"):
         return
     run.succeeds(await mqtt.call("subscribe", filter="stress/#", qos=0))
@@ -260,6 +336,12 @@ async def the_adapter_listens(run: Repetition, mqtt: Rig) -> None:
     requirements="CON-004 WR-003",
 )
 async def concurrent_info_and_publish(run: Repetition, mqtt: Rig) -> None:
+    """Ask for the state of the connection and publish a command at the same time.
+
+    Said: connected, and success with the topic.
+    Seen: the message once.
+    Why: a lost or doubled command shows only under load.
+    """
     payload = json.dumps({"pump_speed": 50 + run.rep, "nonce": run.rng.getrandbits(32)})
     info, message = await run.together(
         mqtt.call("info"),
@@ -285,6 +367,12 @@ async def concurrent_info_and_publish(run: Repetition, mqtt: Rig) -> None:
     requirements="CON-006",
 )
 async def rapid_broker_inspections(run: Repetition, mqtt: Rig) -> None:
+    """Ask for the state of the connection fifty times, one call after the other.
+
+    Said: connected, every time.
+    Seen: the broker answers a packet during each call.
+    Why: leaks, caches and connections that are used up show in a long series only.
+    """
     replies = [await mqtt.call("info") for _ in range(RAPID_CALLS)]
     for reply in replies:
         run.succeeds(reply, connected=True)
@@ -299,14 +387,27 @@ async def rapid_broker_inspections(run: Repetition, mqtt: Rig) -> None:
     capability="outages",
     position=11,
     requirements="REC-001 REC-002",
+    keys="mqtt.recovery",
 )
 async def broker_restart(run: Repetition, mqtt: Rig) -> None:
+    """Ask for the state of the connection; again after the broker was stopped; and again after it was started.
+
+    Said: success; then a failure with `connect_failed`, `connection_lost` or `timeout`; then success in the same
+        session.
+    Seen: an exchange with the broker after it is back.
+    Why: an outage of the broker must not need a person who restarts the adapter, and must not be hidden.
+    """
     reply = await survive_a_restart(run, mqtt, "info")
     await status_is_known(run, mqtt, oracle.exchange, reply)
 
 
 @broker_restart.after
 async def a_failed_publish_is_not_delivered_later(run: Repetition, mqtt: Rig) -> None:
+    """Publish while the broker is away, and ask for the state when it is back.
+
+    Said: a failure for the message, success for the state.
+    Seen: nothing of the message: what was reported as failed is not made up for.
+    """
     if not mqtt.claims("publish"):
         return
     payload = f"nonce-{run.rng.getrandbits(64):016x}"
@@ -327,6 +428,14 @@ async def a_failed_publish_is_not_delivered_later(run: Repetition, mqtt: Rig) ->
     needs="mqtt.info",
     capability="outages",
     requirements="REC-001 REC-002 MCP-009",
+    keys="mqtt.recovery",
 )
 async def recovery(run: Repetition, mqtt: Rig) -> None:
+    """Ask for the state of the connection; again after the broker was stopped; then, after it was started, in the same
+    session and in a fresh one with a new process.
+
+    Said: success; a failure of the connection; success in both sessions.
+    Seen: an exchange of both sessions with the broker, and no command.
+    Why: how soon an outage is noticed, and how soon work goes on, decides what the adapter can be used for.
+    """
     await outage(run, mqtt, "info", oracle.exchange)

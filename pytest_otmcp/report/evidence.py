@@ -15,6 +15,7 @@ from markupsafe import escape
 from ..record.warnings import failing
 from . import Item, Run, command
 from .exchange import Event, conversation
+from .findings import subject_keys
 from .text import clipped
 
 __all__ = ["Evidence", "Failure", "failures"]
@@ -45,7 +46,7 @@ class Evidence:
 
     Attributes:
         command: shell command that runs this part again.
-        findings: with ``message``, ``requirement`` and ``evidence``.
+        findings: with ``message``, ``requirement``, ``code`` and ``evidence``.
         more_findings: number of findings that are not shown.
         events: the conversation; see :func:`pytest_otmcp.report.exchange.conversation`.
     """
@@ -68,10 +69,15 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Failure:
-    """An item that did not pass, with the evidence that is shown, and a note on the evidence that is not."""
+    """An item that did not pass, with the evidence that is shown, and a note on the evidence that is not.
+
+    Attributes:
+        keys: keys of the subject file that may be why, each with its meaning.
+    """
 
     item: Item
     evidence: list[Evidence]
+    keys: list[str]
     note: str
 
 
@@ -108,7 +114,7 @@ def _failure(run: Run, item: Item, limits: _Limits) -> Failure:
         notes.append(f"{missing} of {item['planned']} repetitions did not run.")
     if not limits.conversation:
         notes.append("What was said and seen is in run.json.")
-    return Failure(item=item, evidence=evidence, note=" ".join(notes))
+    return Failure(item=item, evidence=evidence, keys=subject_keys(item), note=" ".join(notes))
 
 
 def _repetition(run: Run, item: Item, alike: Sequence[int], limits: _Limits) -> Evidence:
@@ -132,6 +138,7 @@ def _evidence(
         {
             "message": clipped(finding["message"], limits.letters),
             "requirement": finding.get("requirement"),
+            "code": finding["code"],
             "evidence": clipped(str(finding.get("evidence") or ""), limits.letters),
         }
         for finding in findings[: limits.findings]

@@ -81,6 +81,7 @@ class Adapter:
     server: str
     revision: str
     tools: str
+    deadline: str
     command: str
     notes: tuple[str, ...]
 
@@ -227,6 +228,7 @@ def _adapter(protocol: str, facts: Mapping[str, Any]) -> Adapter:
         server=f"{facts.get('server_name') or NONE} {facts.get('server_version') or ''}",
         revision=str(facts.get("protocol_version") or NONE),
         tools=str(facts.get("tools", NONE)),
+        deadline=f"{facts['deadline_s']:g}",
         command=" ".join(facts.get("command", ())) or NONE,
         notes=tuple(notes),
     )
