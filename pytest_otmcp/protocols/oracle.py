@@ -78,7 +78,9 @@ class Witness:
         ]
 
     def was_asked(self, entries: Entries, what: str, covers: Callable[[Sequence[JournalEntry]], bool]) -> list[Finding]:
-        """Expect that the device was asked for something and answered; by how many requests is the adapter's own affair.
+        """Expect that the device was asked for something and answered.
+
+        By how many requests is the adapter's own affair, as long as ``meta.attempts`` says so (requirement ENV-005).
 
         Args:
             what: words that follow "asked for".

@@ -218,11 +218,11 @@ def _adapter(protocol: str, facts: Mapping[str, Any]) -> Adapter:
         notes.append(f"Not claimed, and not met by its own answers: {', '.join(unmet)}.")
     if unjudged := facts.get("unjudged"):
         notes.append(f"Not found in its answers, so not judged: {', '.join(unjudged)}.")
+    notes += [f"Does not claim {facet}: {reason}." for facet, reason in facts.get("unclaimed", {}).items()]
     if "recovery_s" in facts:
         notes.append(f"Has {facts['recovery_s']:g} s to work again after an outage.")
     for operation, seconds in facts.get("cached", {}).items():
         notes.append(f"Declares that {operation} may be known from up to {seconds:g} s ago.")
-    notes += [f"Does not claim {facet}: {reason}." for facet, reason in facts.get("unclaimed", {}).items()]
     return Adapter(
         protocol=protocol,
         server=f"{facts.get('server_name') or NONE} {facts.get('server_version') or ''}",
