@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from ..core.matrix import SUITES
 from ..core.statistics import mean, mean_interval, percentile
 from ..record.consistency import count_calls
+from ..record.warnings import failing, said, warnings
 from . import Item, Run, applies, durations, least, phases, recovered, tally, timing_valid
 from .text import count, interval, number, printable, shortened
 
@@ -45,7 +46,15 @@ def summary(run: Run, width: int = 100) -> list[Line]:
         if items:
             table = _recovery(run, items, width) if suite == "recovery" else _suite(run, suite, items, width)
             lines += [("", "plain"), *table]
-    return [*lines, ("", "plain"), *_findings(run, width), *_counts(run, width), *_narrowed(run, width), _verdict(run)]
+    return [
+        *lines,
+        ("", "plain"),
+        *_findings(run, width),
+        *_warnings(run, width),
+        *_counts(run, width),
+        *_narrowed(run, width),
+        _verdict(run),
+    ]
 
 
 def _suite(run: Run, suite: str, items: list[Item], width: int) -> Iterator[Line]:
@@ -98,22 +107,33 @@ def _wrapped(text: str, width: int, indent: str) -> Iterator[str]:
 
 
 def _findings(run: Run, width: int) -> Iterator[Line]:
-    failing = [item for item in run["items"] if item["status"] not in ("PASS", "NOT_APPLICABLE")]
-    if not failing:
+    failed = [item for item in run["items"] if item["status"] not in ("PASS", "NOT_APPLICABLE")]
+    if not failed:
         return
     yield "findings", "head"
-    for item in failing:
+    for item in failed:
         yield shortened(f"  {item['id']} {item['status']}: {item['title']}", width), "bad"
-        shown = [("", finding) for finding in item["findings"]]
+        shown = [("", finding) for finding in failing(item["findings"])]
         for sample in item["samples"]:
             where = f"rep {sample['repetition'] + 1}/{item['planned']}: "
-            shown += [(where, finding) for finding in sample["findings"]]
+            shown += [(where, finding) for finding in failing(sample["findings"])]
         for where, finding in shown[:_SHOWN_FINDINGS]:
             rule = f" [{finding['requirement']}]" if finding.get("requirement") else ""
             for line in _wrapped(f"      {where}{finding['message']}{rule}", width, "        "):
                 yield line, "plain"
         if len(shown) > _SHOWN_FINDINGS:
             yield f"      and {len(shown) - _SHOWN_FINDINGS} more in run.json", "plain"
+    yield "", "plain"
+
+
+def _warnings(run: Run, width: int) -> Iterator[Line]:
+    found = warnings(run["items"])
+    if not found:
+        return
+    yield "warnings", "head"
+    for one in found:
+        for line in _wrapped(f"  {said(one)}", width, "    "):
+            yield line, "plain"
     yield "", "plain"
 
 
@@ -152,6 +172,8 @@ def _verdict(run: Run) -> Line:
     note = f"{good}/{planned} runs passed in {len(items)} items"
     if unclaimed := sum(not applies(item) for item in items):
         note += f", {unclaimed} of them not applicable"
+    if found := len(warnings(items)):
+        note += f", {found} warning{'s' if found > 1 else ''}"
     if footer.get("reason"):
         note += f"; {footer['reason']}"
     verdict = footer.get("verdict", "INCOMPLETE")

@@ -19,6 +19,7 @@ from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
 from ..core.matrix import SUITES
+from ..record.warnings import warnings
 from . import Item, Run, command, overview, tally, timing_valid
 from .capabilities import earned
 from .drawings import latencies, recovery, strip
@@ -75,6 +76,7 @@ def page(run: Run) -> str:
         sentence=_SENTENCES.get(verdict, ""),
         good=good,
         planned=planned,
+        warnings=warnings(run["items"]),
         narrowed=narrowed(run),
         deviations=overview.deviations(run),
         families=families(run),

@@ -11,9 +11,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from ..core.matrix import SUITES
+from ..record.warnings import failing, findings_of, said, warnings
 from . import Item, Run, command, tally
 from .capabilities import earned
-from .evidence import failures, findings_of
+from .evidence import failures
 from .families import families
 from .limits import narrowed
 from .overview import deviations, tasks
@@ -70,6 +71,7 @@ def summary(run: Run) -> str:
         "",
         f"**{good}** of **{planned}** repetitions passed in {len(items)} items.",
         "",
+        *(f"- warning: {code(said(one))}" for one in warnings(items)),
         *(f"- {escape(reason)}" for reason in narrowed(run)),
         *(
             f"- known deviation {escape(one.item)}: {code(one.reason)}, until {escape(one.expires)}; {one.state}"
@@ -121,7 +123,7 @@ def _finding(run: Run, item: Item) -> Iterator[str]:
     yield f"- **{escape(item['id'])}** {escape(item['status'])}: {escape(item['title'])}"
     # A message that several repetitions share is listed once.
     messages = list(
-        dict.fromkeys((finding["message"], finding.get("requirement") or "") for finding in findings_of(item))
+        dict.fromkeys((finding["message"], finding.get("requirement") or "") for finding in failing(findings_of(item)))
     )
     for message, requirement in messages[:_FINDINGS]:
         yield f"  - {code(message)}" + (f" {escape(requirement)}" if requirement else "")

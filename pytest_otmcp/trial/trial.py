@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Literal, cast
 
 from ..core.errors import KitError, SubjectError
@@ -97,12 +98,10 @@ class Trial:
     async def _execute(self) -> None:
         task, driver = self._task, self._driver
         await driver.prepare()
-        for protocol, entries in driver.before():
-            for finding in nothing_commanded(protocol, entries):
+        for protocol, entries, declared in driver.before():
+            for finding in nothing_commanded(protocol, entries, declared):
                 when = "before this item, when nobody called the adapter"
-                self._note(
-                    finding.code, f"{protocol}: {when}: {finding.message}", finding.requirement, finding.evidence
-                )
+                self._add(replace(finding, message=f"{protocol}: {when}: {finding.message}"))
         if task.begin is not None:
             await self._execute_around(task.begin, "setup")
         if task.warm_up:
@@ -137,7 +136,7 @@ class Trial:
             }
         )
         for finding in repetition.ledger.findings:
-            self._note(finding.code, f"{role}: {finding.message}", finding.requirement, finding.evidence)
+            self._add(replace(finding, message=f"{role}: {finding.message}"))
         if repetition.unanswered:
             self._take(await self._driver.end_sessions())
             await self._driver.open_sessions()
@@ -146,11 +145,11 @@ class Trial:
         repetition = self._driver.repetition(rep, "task")
         await self._driver.perform(repetition, self._task.steps)
         ledger = repetition.ledger
-        self._all_passed = self._all_passed and not ledger.findings
+        self._all_passed = self._all_passed and not ledger.failed
         self._keep(
             {
                 "repetition": rep,
-                "ok": not ledger.findings,
+                "ok": not ledger.failed,
                 "duration_ms": round(repetition.duration_ms, 4),
                 "calls": stored_calls(ledger),
                 "device": ledger.journal,
@@ -161,9 +160,12 @@ class Trial:
         )
         return repetition.unanswered
 
-    def _note(self, code: str, message: str, requirement: str | None = None, evidence: str | None = None) -> None:
-        if (code, message) not in [(finding.code, finding.message) for finding in self._findings]:
-            self._findings.append(Finding(code=code, message=message, requirement=requirement, evidence=evidence))
+    def _note(self, code: str, message: str, requirement: str | None = None) -> None:
+        self._add(Finding(code=code, message=message, requirement=requirement))
+
+    def _add(self, finding: Finding) -> None:
+        if (finding.code, finding.message) not in [(known.code, known.message) for known in self._findings]:
+            self._findings.append(finding)
 
     def _take(self, sessions: list[SessionFacts]) -> None:
         for facts in sessions:
@@ -193,7 +195,7 @@ class Trial:
 
     def _item(self) -> ItemBody:
         task = self._task
-        failed = bool(self._findings) or not self._all_passed
+        failed = any(finding.is_must for finding in self._findings) or not self._all_passed
         return {
             "id": task.id,
             "suite": task.suite,

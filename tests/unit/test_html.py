@@ -31,7 +31,9 @@ BROKEN_KIT = {
     **item("O1", "normal", "OPC UA", "Read.", []),
     "status": "KIT_ERROR",
     "planned": 3,
-    "findings": [{"code": "kit_error", "message": "the device died", "requirement": None, "evidence": None}],
+    "findings": [
+        {"code": "kit_error", "message": "the device died", "requirement": None, "evidence": None, "strength": "MUST"}
+    ],
 }
 
 
@@ -279,7 +281,7 @@ def test_a_run_that_passes_is_a_small_page() -> None:
 
 def test_a_run_that_fails_everywhere_with_endless_texts_is_a_page_below_twenty_megabytes() -> None:
     endless = '"<&>' * 3_000
-    finding = {"message": endless, "requirement": None, "evidence": endless}
+    finding = {"message": endless, "requirement": None, "evidence": endless, "strength": "MUST"}
     failed = written_twice(6)
     for index, sample in enumerate(failed["samples"]):
         spoken = {**sample["calls"][0], "arguments": {"x": endless}, "envelope": {"success": True, "data": endless}}

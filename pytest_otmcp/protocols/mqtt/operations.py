@@ -9,7 +9,7 @@ from ..protocol import Operation
 __all__ = ["OPERATIONS"]
 
 OPERATIONS: Mapping[str, Operation] = {
-    "info": Operation(meaning="is the broker reachable", outputs=("connected", "endpoint", "client_id")),
+    "info": Operation(meaning="is the broker reachable", outputs=("connected", "endpoint", "client_id"), status=True),
     "subscribe": Operation(
         meaning="subscribe to a topic filter",
         inputs=("filter", "qos"),

@@ -21,7 +21,7 @@ PROTOCOL = OtProtocol(
     operations=OPERATIONS,
     probes={"missing_node": "ns=2;i=99999"},
     framing=Framing(frame_length=chunk_length, conversation=OpcUaConversation),
-    unsolicited=no_state_changing_service,
+    unsolicited=lambda entries, declared: no_state_changing_service(entries),
     describe=describe,
     mock="opcua",
     clients="an OPC UA client with security None",
