@@ -54,11 +54,11 @@ async def survive_a_restart(run: Repetition, rig: Rig, operation: str, **inputs:
     run.succeeds(warm)
     stop_ms = await rig.stop_device()
     failing = await rig.call_until_failure(operation, window_s=_noticing_s(rig, operation), **inputs)
-    run.fails(failing, *CONNECTION_FAULTS)
+    run.fails(failing, *CONNECTION_FAULTS, requirement="REC-002")
     restart_ms = await rig.start_device()
     attempts = await rig.call_until_success(operation, window_s=rig.recovery_s, **inputs)
     last = attempts[-1]
-    run.succeeds(last)
+    run.succeeds(last, requirement="REC-001")
     run.phases = {
         "warm_call": warm.latency_ms,
         "stop": stop_ms,
@@ -140,15 +140,15 @@ async def outage(run: Repetition, rig: Rig, operation: str, witness: Witness, **
     run.witnessed(nothing_commanded(rig.protocol, await rig.journal(), rig.declared))
     stop_ms = await rig.stop_device()
     failing = await rig.call_until_failure(operation, window_s=_noticing_s(rig, operation), **inputs)
-    run.fails(failing, *CONNECTION_FAULTS)
+    run.fails(failing, *CONNECTION_FAULTS, requirement="REC-002")
     restart_ms = await rig.start_device()
 
     attempts = []
     # An adapter that only claims to work in a new session is not tested in the same session.
     if rig.claims("recovery"):
         attempts = await rig.call_until_success(operation, window_s=rig.recovery_s, **inputs)
-        run.succeeds(attempts[-1])
-        run.witnessed(witness(await rig.journal()))
+        if run.succeeds(attempts[-1], requirement="REC-001"):
+            run.witnessed(witness(await rig.journal()))
     recovered = attempts[-1] if attempts and attempts[-1].success else None
     accepting_ns = rig.accepting_ns
 

@@ -175,10 +175,10 @@ async def one_bad_step_of_three(run: Repetition, modbus: Rig, mqtt: Rig, opcua: 
     run.succeeds(block, values=registers)
     asked = missing.during(await opcua.journal())
     if opcua_oracle.reached(asked, missing_node):
-        run.fails(missing, "illegal_address")
+        run.fails(missing, "illegal_address", requirement="ERR-003")
         run.witnessed(opcua_oracle.refused_with(asked, missing_node, "BadNodeIdUnknown"))
     else:
-        run.fails(missing, "illegal_address", "invalid_input", outcome=NOTHING_SENT)
+        run.fails(missing, "illegal_address", "invalid_input", outcome=NOTHING_SENT, requirement="ERR-003")
     run.succeeds(message, topic="control/pump")
     qos = mqtt.expected_if_accepted("publish", "qos", 0)
     await mqtt.wait_for(kind="PUBLISH", direction="in", topic="control/pump", timeout_s=1.0)

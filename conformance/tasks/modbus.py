@@ -87,7 +87,7 @@ async def read_sensor_block(run: Repetition, modbus: Rig) -> None:
     journal = await modbus.journal()
     run.witnessed(
         fresh(journal, (reply, SENSOR_BLOCK)),
-        oracle.no_state_changing_request(journal),
+        oracle.no_state_changing_request(journal, requirement="MCP-008"),
         oracle.image_holds(await modbus.image(), "input_registers", 0, values),
     )
 
@@ -116,9 +116,11 @@ async def write_and_read_back(run: Repetition, modbus: Rig) -> None:
     after = await modbus.image()
     read = await modbus.call("read_holding", address=1, count=1)
     run.succeeds(written, value=value)
-    run.succeeds(read, values=[value])
+    # What the device holds now may not be the value, which is the fault of the write; the read has to tell it.
+    run.succeeds(read, values=[oracle.held(after, "holding_registers", 1)])
     run.witnessed(
         oracle.exactly_one_write(await modbus.journal(), "holding_registers", address=1, values=[value]),
+        oracle.read_where_asked(await modbus.journal(), function=READ_HOLDING_REGISTERS, address=1),
         oracle.only_changed(before, after, points("holding_registers", 1, [value])),
     )
 
@@ -140,10 +142,10 @@ async def guarded_write(run: Repetition, modbus_ro: Rig) -> None:
     """
     before = await modbus_ro.image()
     reply = await modbus_ro.call("write_holding", address=1, value=999)
-    run.fails(reply, "writes_disabled", outcome="not_sent")
+    run.fails(reply, "writes_disabled", outcome="not_sent", requirement="WR-004")
     run.witnessed(
         oracle.no_state_changing_request(await modbus_ro.journal()),
-        oracle.only_changed(before, await modbus_ro.image(), {}),
+        oracle.only_changed(before, await modbus_ro.image(), {}, otherwise="WR-004"),
     )
 
 
@@ -190,10 +192,10 @@ async def read_missing_register(run: Repetition, modbus: Rig) -> None:
     seen = reply.during(await modbus.journal())
     if not oracle.reached(seen, function=READ_HOLDING_REGISTERS, address=missing, count=1):
         # A register map of its own refuses as well as the device does.
-        run.fails(reply, "illegal_address", "invalid_input", outcome=NOTHING_SENT)
+        run.fails(reply, "illegal_address", "invalid_input", outcome=NOTHING_SENT, requirement="ERR-002")
         run.witnessed(oracle.refused_nothing_else(seen, function=READ_HOLDING_REGISTERS, address=missing, count=1))
         return
-    run.fails(reply, "illegal_address", trace={"exception_code": ILLEGAL_DATA_ADDRESS})
+    run.fails(reply, "illegal_address", trace={"exception_code": ILLEGAL_DATA_ADDRESS}, requirement="ERR-002")
     run.witnessed(oracle.exception_sent(seen, ILLEGAL_DATA_ADDRESS))
 
 
@@ -226,10 +228,14 @@ async def write_overflow(run: Repetition, modbus: Rig) -> None:
     """
     before = await modbus.image()
     reply = await modbus.call("write_holding", address=1, value=70000)
-    run.fails(reply, "range_overflow", outcome="not_sent")
+    after = await modbus.image()
+    if reply.success:
+        run.judge(reply, oracle.stored_otherwise(after, "holding_registers", 1, 70000, told=reply.outputs.get("value")))
+        return
+    run.fails(reply, "range_overflow", outcome="not_sent", requirement="ADR-003")
     run.witnessed(
-        oracle.no_state_changing_request(await modbus.journal()),
-        oracle.only_changed(before, await modbus.image(), {}),
+        oracle.no_state_changing_request(await modbus.journal(), requirement="ERR-006"),
+        oracle.only_changed(before, after, {}, otherwise="ERR-006"),
     )
 
 
@@ -240,7 +246,7 @@ async def the_largest_value_is_accepted(run: Repetition, modbus: Rig) -> None:
     Said: success.
     Seen: one write, and the value in the register.
     """
-    await modbus.stays_quiet(QUIET_S, oracle.no_state_changing_request)
+    await modbus.stays_quiet(QUIET_S, partial(oracle.no_state_changing_request, requirement="ERR-006"))
     run.succeeds(await modbus.call("write_holding", address=1, value=65535), value=65535)
     run.witnessed(
         oracle.exactly_one_write(await modbus.journal(), "holding_registers", address=1, values=[65535]),
@@ -348,7 +354,8 @@ async def modbus_restart(run: Repetition, modbus: Rig) -> None:
     Why: an outage of the line must not need a person who restarts the adapter, and old values must not hide it.
     """
     reply = await survive_a_restart(run, modbus, "read_input", address=0, count=4)
-    run.witnessed(fresh(await modbus.journal(), (reply, SENSOR_BLOCK)))
+    if reply.success:
+        run.witnessed(fresh(await modbus.journal(), (reply, SENSOR_BLOCK)))
 
 
 @modbus_restart.after
@@ -362,14 +369,15 @@ async def a_failed_register_write_is_not_delivered_later(run: Repetition, modbus
         return
     await modbus.stop_device()
     reply = await modbus.call("write_holding", address=30, value=run.rng.randrange(1, 0x10000))
-    run.fails(reply, *CONNECTION_FAULTS, outcome=UNCERTAIN)
+    run.fails(reply, *CONNECTION_FAULTS, outcome=UNCERTAIN, requirement="WR-001", code_requirement="REC-002")
     await modbus.start_device()
     # An adapter that answers again has its connection back: a write that it had kept for later would have been sent by now.
-    run.succeeds((await modbus.call_until_success("read_input", window_s=modbus.recovery_s, address=0, count=4))[-1])
-    await modbus.stays_quiet(QUIET_S, oracle.no_state_changing_request)
+    last = (await modbus.call_until_success("read_input", window_s=modbus.recovery_s, address=0, count=4))[-1]
+    run.succeeds(last, requirement="REC-001")
+    await modbus.stays_quiet(QUIET_S, partial(oracle.no_state_changing_request, requirement="WR-010"))
     # A further answer shows that adapter and device ran during that time.
-    run.succeeds(await modbus.call("read_input", address=0, count=4))
-    run.witnessed(oracle.no_state_changing_request(await modbus.journal()))
+    run.succeeds(await modbus.call("read_input", address=0, count=4), requirement="REC-001")
+    run.witnessed(oracle.no_state_changing_request(await modbus.journal(), requirement="WR-010"))
 
 
 @TASKS.task(

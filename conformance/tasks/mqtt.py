@@ -144,7 +144,7 @@ async def guarded_publish(
 ) -> None:
     if guarded is None:
         return
-    run.fails(await guarded.call(operation, **inputs), "writes_disabled", outcome="not_sent")
+    run.fails(await guarded.call(operation, **inputs), "writes_disabled", outcome="not_sent", requirement="WR-004")
     # The refusal only proves the guard if the session reaches its broker; the same call works in the task itself.
     if guarded.claims("info"):
         info = await guarded.call("info")
@@ -230,7 +230,7 @@ async def publish_to_nowhere(run: Repetition, mqtt: Rig) -> None:
     Why: a broker ends the connection at such a packet, and every subscription with it.
     """
     reply = await mqtt.call("publish", topic="", payload=TO_NOWHERE, qos=0)
-    run.fails(reply, "invalid_input", outcome="not_sent")
+    run.fails(reply, "invalid_input", outcome="not_sent", requirement="ADR-006")
     journal = await mqtt.journal()
     run.witnessed(nothing_to_nowhere(mqtt)(journal), oracle.session_stays_up(journal))
 
@@ -269,7 +269,7 @@ async def subscribe_with_qos_5(run: Repetition, mqtt: Rig) -> None:
     Why: a value that is cut down in silence is not what was asked for.
     """
     reply = await mqtt.call("subscribe", filter="sensors/#", qos=mqtt.probe("bad_qos"))
-    run.fails(reply, "invalid_input")
+    run.fails(reply, "invalid_input", requirement="ADR-007")
     journal = await mqtt.journal()
     run.witnessed(oracle.not_subscribed(reply.during(journal), "sensors/#"), oracle.session_stays_up(journal))
 
@@ -398,7 +398,8 @@ async def broker_restart(run: Repetition, mqtt: Rig) -> None:
     Why: an outage of the broker must not need a person who restarts the adapter, and must not be hidden.
     """
     reply = await survive_a_restart(run, mqtt, "info")
-    await status_is_known(run, mqtt, oracle.exchange, reply)
+    if reply.success:
+        await status_is_known(run, mqtt, oracle.exchange, reply)
 
 
 @broker_restart.after
@@ -413,11 +414,11 @@ async def a_failed_publish_is_not_delivered_later(run: Repetition, mqtt: Rig) ->
     payload = f"nonce-{run.rng.getrandbits(64):016x}"
     await mqtt.stop_device()
     reply = await mqtt.call("publish", topic="control/pump", payload=payload, qos=1)
-    run.fails(reply, *CONNECTION_FAULTS, outcome=UNCERTAIN)
+    run.fails(reply, *CONNECTION_FAULTS, outcome=UNCERTAIN, requirement="MQT-001", code_requirement="REC-002")
     await mqtt.start_device()
-    run.succeeds((await mqtt.call_until_success("info", window_s=mqtt.recovery_s))[-1])
+    run.succeeds((await mqtt.call_until_success("info", window_s=mqtt.recovery_s))[-1], requirement="REC-001")
     await mqtt.stays_quiet(QUIET_S, lambda journal: oracle.never_published(journal, payload.encode()))
-    run.succeeds(await mqtt.call("info"))
+    run.succeeds(await mqtt.call("info"), requirement="REC-001")
     run.witnessed(oracle.never_published(await mqtt.journal(), payload.encode()))
 
 

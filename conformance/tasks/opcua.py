@@ -62,7 +62,7 @@ async def read_temperature(run: Repetition, opcua: Rig) -> None:
     journal = await opcua.journal()
     run.witnessed(
         fresh(journal, (reply, reading(TEMPERATURE))),
-        oracle.no_state_changing_service(journal),
+        oracle.no_state_changing_service(journal, requirement="MCP-008"),
         oracle.image_holds(await opcua.image(), "ns=2;s=Temperature", value),
     )
 
@@ -117,7 +117,8 @@ async def write_valve_position(run: Repetition, opcua: Rig) -> None:
     after = await opcua.image()
     read = await opcua.call("read", node=valve)
     run.succeeds(written, value=value)
-    run.succeeds(read, value=value, status="Good")
+    # What the server holds now may not be the value, which is the fault of the write; the read has to tell it.
+    run.succeeds(read, value=oracle.held(after, valve), status="Good")
     await opcua.tick(2)
     run.witnessed(
         oracle.exactly_one_write(await opcua.journal(), valve, value),
@@ -136,15 +137,14 @@ async def nothing_is_written_with_writes_disabled(run: Repetition, opcua_ro: Rig
     if opcua_ro is None:
         return
     before = await opcua_ro.image()
-    run.fails(
-        await opcua_ro.call("write", node="ns=2;s=ValvePosition", value=99.5), "writes_disabled", outcome="not_sent"
-    )
+    refused = await opcua_ro.call("write", node="ns=2;s=ValvePosition", value=99.5)
+    run.fails(refused, "writes_disabled", outcome="not_sent", requirement="WR-004")
     run.succeeds(await opcua_ro.call("read", node="ns=2;s=ValvePosition"))
     await opcua_ro.close_session()
     run.witnessed(
         oracle.read_from_device(await opcua_ro.journal(), "ns=2;s=ValvePosition"),
         oracle.nothing_changed_by(await opcua_ro.follow(StateChanges)),
-        oracle.only_changed(before, await opcua_ro.image(), {}),
+        oracle.only_changed(before, await opcua_ro.image(), {}, otherwise="WR-004"),
     )
 
 
@@ -193,9 +193,10 @@ async def read_missing_node(run: Repetition, opcua: Rig) -> None:
     seen = reply.during(await opcua.journal())
     if not oracle.reached(seen, missing):
         # A list of nodes of its own refuses as well as the server does.
-        run.fails(reply, "illegal_address", "invalid_input", outcome=NOTHING_SENT)
+        run.fails(reply, "illegal_address", "invalid_input", outcome=NOTHING_SENT, requirement="ERR-003")
         return
-    run.fails(reply, "illegal_address", trace={"status_code": {"symbol": "BadNodeIdUnknown"}})
+    unknown = {"status_code": {"symbol": "BadNodeIdUnknown"}}
+    run.fails(reply, "illegal_address", trace=unknown, requirement="ERR-003")
     run.witnessed(oracle.refused_with(seen, missing, "BadNodeIdUnknown"))
 
 
@@ -228,10 +229,10 @@ async def write_wrong_type(run: Repetition, opcua: Rig) -> None:
     """
     before = await opcua.image()
     reply = await opcua.call("write", node=VALVE, value="fully open")
-    run.fails(reply, "type_mismatch", outcome=("not_sent", "rejected"))
+    run.fails(reply, "type_mismatch", outcome=("not_sent", "rejected"), requirement="ADR-004")
     run.witnessed(
-        oracle.only_changed(before, await opcua.image(), {}),
-        oracle.accepted_writes(await opcua.journal(), 0),
+        oracle.only_changed(before, await opcua.image(), {}, otherwise="ADR-004"),
+        oracle.accepted_writes(await opcua.journal(), 0, requirement="ADR-004"),
     )
 
 
@@ -242,10 +243,10 @@ async def a_number_is_accepted(run: Repetition, opcua: Rig) -> None:
     Said: success.
     Seen: one write that the server accepted, and the value in the variable.
     """
-    await opcua.stays_quiet(QUIET_S, lambda journal: oracle.accepted_writes(journal, 0))
+    await opcua.stays_quiet(QUIET_S, lambda journal: oracle.accepted_writes(journal, 0, requirement="ADR-004"))
     run.succeeds(await opcua.call("write", node=VALVE, value=31.25), value=31.25)
     run.witnessed(
-        oracle.accepted_writes(await opcua.journal(), 1),
+        oracle.accepted_writes(await opcua.journal(), 1, requirement="OUA-001"),
         oracle.image_holds(await opcua.image(), VALVE, 31.25),
     )
 
@@ -353,7 +354,8 @@ async def opcua_restart(run: Repetition, opcua: Rig) -> None:
     Why: an outage of the line must not need a person who restarts the adapter, and old values must not hide it.
     """
     reply = await survive_a_restart(run, opcua, "read", node=TEMPERATURE)
-    run.witnessed(fresh(await opcua.journal(), (reply, reading(TEMPERATURE))))
+    if reply.success:
+        run.witnessed(fresh(await opcua.journal(), (reply, reading(TEMPERATURE))))
 
 
 @opcua_restart.after
@@ -367,13 +369,13 @@ async def a_failed_node_write_is_not_delivered_later(run: Repetition, opcua: Rig
         return
     await opcua.stop_device()
     reply = await opcua.call("write", node="ns=2;s=FanSpeed", value=round(run.rng.uniform(0.0, 100.0), 6))
-    run.fails(reply, *CONNECTION_FAULTS, outcome=UNCERTAIN)
+    run.fails(reply, *CONNECTION_FAULTS, outcome=UNCERTAIN, requirement="WR-001", code_requirement="REC-002")
     await opcua.start_device()
     read = await opcua.call_until_success("read", window_s=opcua.recovery_s, node="ns=2;s=Temperature")
-    run.succeeds(read[-1])
-    await opcua.stays_quiet(QUIET_S, oracle.no_state_changing_service)
-    run.succeeds(await opcua.call("read", node="ns=2;s=Temperature"))
-    run.witnessed(oracle.no_state_changing_service(await opcua.journal()))
+    run.succeeds(read[-1], requirement="REC-001")
+    await opcua.stays_quiet(QUIET_S, partial(oracle.no_state_changing_service, requirement="WR-010"))
+    run.succeeds(await opcua.call("read", node="ns=2;s=Temperature"), requirement="REC-001")
+    run.witnessed(oracle.no_state_changing_service(await opcua.journal(), requirement="WR-010"))
 
 
 @TASKS.task(

@@ -303,6 +303,7 @@ def _written(item: ua.WriteValue) -> dict[str, Any]:
         "attribute": _attribute(item.AttributeId),
         "value": to_json(value.Value),
         "variant_type": value.VariantType.name,
+        "has_status": item.Value.StatusCode is not None and item.Value.StatusCode.value != 0,
         "has_timestamp": item.Value.SourceTimestamp is not None or item.Value.ServerTimestamp is not None,
     }
 

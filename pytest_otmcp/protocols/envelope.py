@@ -227,7 +227,7 @@ def _meta_faults(meta: Mapping[str, object], measured_ms: float | None, delay_ms
     endpoint = meta.get("endpoint")
     if isinstance(endpoint, str):
         if "@" in endpoint.partition("://")[2].partition("/")[0]:
-            yield Finding(code="credentials", message="meta.endpoint carries user information", requirement="ENV-006")
+            yield Finding(code="credentials", message="meta.endpoint carries user information", requirement="KEY-001")
         elif not _ENDPOINT.fullmatch(endpoint):
             yield Finding(
                 code="endpoint",

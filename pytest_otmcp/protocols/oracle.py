@@ -175,11 +175,17 @@ class Witness:
         """Expect that the device's points hold these values."""
         return self._differing(image, expected, dict.fromkeys(expected, "WR-001"))
 
-    def only_changed(self, before: Image, after: Image, expected: Mapping[str, object]) -> list[Finding]:
-        """Expect that these points got these values between two images; every other point is unchanged, and none is gone."""
+    def only_changed(
+        self, before: Image, after: Image, expected: Mapping[str, object], *, otherwise: str = "WR-002"
+    ) -> list[Finding]:
+        """Expect that these points got these values between two images; every other point is unchanged, and none is gone.
+
+        Args:
+            otherwise: id of the requirement that a change of another point breaks.
+        """
         old = before["points"]
         points = {**dict.fromkeys(after["points"]), **old, **expected}
-        requirements = {point: "WR-001" if point in expected else "WR-002" for point in points}
+        requirements = {point: "WR-001" if point in expected else otherwise for point in points}
         return self._differing(after, points, requirements)
 
     def _differing(

@@ -59,6 +59,8 @@ class Operation:
         status: it asks whether the device is reachable, which an adapter may know from a moment ago.
         waits: the input that limits how many seconds a call may wait for the messages that it returns; None where no call
             waits.
+        requirement: id of the requirement that a call breaks which should succeed and does not, or whose outputs are wrong.
+            Default: that the device holds what was written, that the status is true, or that the answer is what the device holds.
     """
 
     meaning: str
@@ -69,6 +71,11 @@ class Operation:
     optional: tuple[str, ...] = ()
     status: bool = False
     waits: str | None = None
+    requirement: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.requirement:
+            object.__setattr__(self, "requirement", "WR-001" if self.writes else "REC-002" if self.status else "RD-001")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -110,13 +110,13 @@ class Repetition:
 
     # -- judging ------------------------------------------------------------------------------------------
 
-    def succeeds(self, reply: Reply, **outputs: object) -> None:
-        """Expect success with these outputs."""
-        self.judge(reply, oracle.succeeded(reply, **outputs))
+    def succeeds(self, reply: Reply, *, requirement: str | None = None, **outputs: object) -> bool:
+        """Expect success with these outputs, and return whether it was so; ``requirement`` as for ``expectations``."""
+        return self.judge(reply, oracle.succeeded(reply, requirement=requirement, **outputs))
 
     def must_succeed(self, reply: Reply, **outputs: object) -> None:
         """Expect success with these outputs; without it the repetition ends here."""
-        if not self.judge(reply, oracle.succeeded(reply, **outputs)):
+        if not self.succeeds(reply, requirement=None, **outputs):
             raise EndedError
 
     def fails(self, reply: Reply, *codes: str, **expected: Any) -> None:

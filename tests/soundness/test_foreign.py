@@ -70,7 +70,7 @@ LIES = {
     ("modbus-json", "cache"): ("S10 R-modbus", "says itself that it is not the device's: source is 'cache'"),
     ("modbus-json", "silent-cache"): ("M2 S7 S10 R-modbus", "values should be"),
     ("modbus-json", "dry-run"): ("M3 M4 FM2 S4 S10", "not the device's: dry_run is True"),
-    ("modbus-json", "clamps-value"): ("FM2", "it claims success"),
+    ("modbus-json", "clamps-value"): ("FM2", "asked to write 70000; the adapter said"),
     ("modbus-json", "applied-late"): ("FM2", "should have seen one write of [65535] to holding_registers 1, it saw 3"),
     ("modbus-json", "makes-up-late"): ("R-modbus", "the device should have seen no state-changing request, it saw 1"),
     ("modbus-json", "applied-later"): ("M4", "the device should have seen no state-changing request, it saw"),

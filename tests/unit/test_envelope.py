@@ -191,7 +191,7 @@ ONE_FAULT: list[tuple[Callable[[], dict[str, Any]], list[tuple[str, str | None]]
     (lambda: result_of(changed(FAILURE, "error/class", "policy")), [("wrong_class", "ERR-001")]),
     (lambda: result_of(changed(FAILURE, "error/retryable", True)), [("wrong_retryable", "ERR-001")]),
     (lambda: result_of(changed(FAILURE, "error/outcome", "applied")), [("impossible_outcome", "ERR-006")]),
-    (lambda: result_of(changed(SUCCESS, "meta/endpoint", "mqtt://me:secret@127.0.0.1:1883")), [("credentials", "ENV-006")]),
+    (lambda: result_of(changed(SUCCESS, "meta/endpoint", "mqtt://me:secret@127.0.0.1:1883")), [("credentials", "KEY-001")]),
     (lambda: result_of(changed(SUCCESS, "meta/endpoint", "None:None")), [("endpoint", "ENV-006")]),
     (lambda: result_of(changed(SUCCESS, "meta/endpoint", "mqtt://127.0.0.1")), [("endpoint", "ENV-006")]),
     (lambda: result_of(changed(SUCCESS, "meta/started_at", "2026-13-21T05:45:28Z")), [("started_at", "ENC-007")]),

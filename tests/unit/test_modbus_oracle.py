@@ -76,6 +76,25 @@ def test_a_request_reached_the_device_also_when_it_was_refused() -> None:
     assert not oracle.reached(journal(READ), function=3, address=0x270F, count=1)
 
 
+def test_a_read_of_another_address_or_table_is_told_apart_from_none() -> None:
+    assert oracle.read_where_asked(journal(READ, READ), function=4, address=1) == []
+    assert oracle.read_where_asked([], function=4, address=1) == []
+    assert "[ADR-001]" in words(oracle.read_where_asked(journal(READ), function=4, address=2))
+    assert "[RD-002]" in words(oracle.read_where_asked(journal(READ), function=3, address=1))
+    assert "[RD-002]" in words(oracle.read_from_device(journal(READ), function=3, address=1, count=1))
+    assert "[ADR-001]" in words(oracle.read_from_device(journal(READ), function=4, address=2, count=1))
+    assert "[RD-004]" in words(oracle.read_from_device([], function=4, address=2, count=1))
+
+
+def test_a_value_that_was_stored_otherwise_is_told_in_plain_words() -> None:
+    (finding,) = oracle.stored_otherwise(image(r1=4464), "holding_registers", 1, 70000, told=70000)
+    assert finding.requirement == "ADR-003"
+    expected = "asked to write 70000; the adapter said that it wrote 70000; holding register 1 holds 4464"
+    assert finding.message == expected
+    (finding,) = oracle.stored_otherwise(image(r1=4464), "holding_registers", 1, 70000, told=None)
+    assert "the adapter said success" in finding.message
+
+
 @pytest.mark.parametrize("exchange", [WRITE, WRITE_MANY])
 def test_a_write_counts_whichever_function_it_uses(exchange: str) -> None:
     assert oracle.exactly_one_write(journal(READ, exchange), "holding_registers", address=1, values=[40]) == []
@@ -85,10 +104,13 @@ def test_a_write_that_is_repeated_or_another_one_is_found() -> None:
     twice = words(oracle.exactly_one_write(journal(WRITE, WRITE), "holding_registers", address=1, values=[40]))
     assert "one write of [40] to holding_registers 1, it saw 2" in twice
     assert "[WR-003]" in twice
-    for address, values, table in ((2, [40], "holding_registers"), (1, [41], "holding_registers")):
-        assert "it saw another write" in words(
-            oracle.exactly_one_write(journal(WRITE), table, address=address, values=values)
-        )
+    for address, values, problem in (
+        (2, [40], "it saw the same write to 1 [ADR-001]"),
+        (1, [41], "it saw a write of [40] to 1 [WR-001]"),
+        (1, [0x2800], "it saw a write of [40] to 1 [ENC-001]"),
+    ):
+        found = oracle.exactly_one_write(journal(WRITE), "holding_registers", address=address, values=values)
+        assert problem in words(found)
     assert "it saw 0" in words(oracle.exactly_one_write(journal(READ), "holding_registers", address=1, values=[40]))
     coil = journal("05 0001 FF00 -> 05 0001 FF00")
     assert oracle.exactly_one_write(coil, "coils", address=1, values=[True]) == []

@@ -87,7 +87,11 @@ def test_a_write_counts_once_with_its_value_and_nothing_else() -> None:
         ([write(26.0)], "it saw Write [['ns=2;s=ValvePosition', 'Value', 26.0]]"),
         ([write(True)], "it saw Write [['ns=2;s=ValvePosition', 'Value', True]]"),
         ([write(has_status=True)], "a status was written with it [OUA-005]"),
-        ([write(), answer("Write", "BadTypeMismatch")], "the server refused it with BadTypeMismatch"),
+        ([write(), answer("Write", "BadNotWritable")], "the server refused it with BadNotWritable [WR-001]"),
+        (
+            [write(25, variant_type="Int64"), answer("Write", "BadTypeMismatch")],
+            "the adapter sent 25 as Int64, which is not the node's data type [OUA-001]",
+        ),
     ):
         assert problem in words(oracle.exactly_one_write(entries, VALVE, 25.0))
     assert "it saw" in words(oracle.exactly_one_write([write(1)], VALVE, True))

@@ -15,6 +15,7 @@ OPERATIONS: Mapping[str, Operation] = {
         inputs=("filter", "qos"),
         outputs=("granted_qos",),
         optional=("qos",),
+        requirement="MQT-002",
     ),
     "messages": Operation(
         meaning="messages received so far on a topic filter, each with topic and payload",
@@ -23,6 +24,7 @@ OPERATIONS: Mapping[str, Operation] = {
         needed=("messages",),
         optional=("filter",),
         waits="seconds",
+        requirement="MQT-004",
     ),
     "publish": Operation(
         meaning="publish a text payload",
@@ -30,16 +32,19 @@ OPERATIONS: Mapping[str, Operation] = {
         outputs=("topic", "delivery"),
         writes=True,
         optional=("qos",),
+        requirement="MQT-001",
     ),
     "device_birth": Operation(
         meaning="announce a Sparkplug B device with its metrics (DBIRTH)",
         inputs=("device", "metrics"),
         writes=True,
+        requirement="SPB-003",
     ),
     "device_data": Operation(
         meaning="report metrics of a Sparkplug B device (DDATA)",
         inputs=("device", "metrics"),
         outputs=("metric_count",),
         writes=True,
+        requirement="SPB-001",
     ),
 }

@@ -22,6 +22,7 @@ __all__ = [
     "complete_enumeration",
     "exactly_one_write",
     "folder_id",
+    "held",
     "image_holds",
     "names_and_ids_agree",
     "no_state_changing_service",
@@ -136,12 +137,16 @@ def exactly_one_write(entries: Entries, node: str, value: object) -> list[Findin
         write = as_opcua(entry)
         items = write.get("nodes", [])
         written = [[item["node_id"], item["attribute"], item.get("value")] for item in items]
+        refused = [status for answer in answers(entries, "Write") for status in statuses(answer) if status != "Good"]
+        if write["kind"] == "Write" and "BadTypeMismatch" in refused:
+            # The value and its type are in one Variant: a Boolean that was sent as a number is no other value.
+            sent = f"{items[0].get('value')!r} as {items[0].get('variant_type')}" if items else "nothing"
+            return "OUA-001", f"the adapter sent {sent}, which is not the node's data type"
         if write["kind"] != "Write" or not same_json(written, [[node, "Value", value]]):
             return "WR-001", f"it saw {write['kind']} {written}"
         if items[0].get("has_status"):
             # OPC 10000-4, section 5.11.4.1: servers may refuse to have a status written.
             return "OUA-005", "a status was written with it"
-        refused = [status for answer in answers(entries, "Write") for status in statuses(answer) if status != "Good"]
         if refused and not refused[0].startswith("Good"):
             return "WR-001", f"the server refused it with {refused[0]}"
         return None
@@ -167,8 +172,12 @@ def _timestamps_written(entries: Entries) -> list[Finding]:
     ]
 
 
-def accepted_writes(entries: Entries, count: int) -> list[Finding]:
-    """Expect that the server accepted a value from so many Writes; it may have refused others."""
+def accepted_writes(entries: Entries, count: int, *, requirement: str) -> list[Finding]:
+    """Expect that the server accepted a value from so many Writes; it may have refused others.
+
+    Args:
+        requirement: id of the requirement that another number breaks.
+    """
     accepted = [
         entry for entry in answers(entries, "Write") if any(status.startswith("Good") for status in statuses(entry))
     ]
@@ -178,10 +187,15 @@ def accepted_writes(entries: Entries, count: int) -> list[Finding]:
         Finding(
             code="wrote",
             message=f"the server should have accepted {count} Write(s), it accepted {len(accepted)}",
-            requirement="WR-004",
+            requirement=requirement,
             evidence=_WITNESS.seen(entries),
         )
     ]
+
+
+def held(image: Image, node: str) -> object:
+    """Return the value that the node holds at the server."""
+    return image["points"].get(node)
 
 
 def image_holds(image: Image, node: str, value: Any) -> list[Finding]:
