@@ -15,7 +15,18 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.rig import Rig
 from pytest_otmcp.trial.task import Tasks
 
-from .common import CONNECTION_FAULTS, QUIET_S, RAPID_CALLS, SETTLING_S, UNCERTAIN, outage, survive_a_restart
+from .common import (
+    CONNECTION_FAULTS,
+    NOTHING_SENT,
+    QUIET_S,
+    RAPID_CALLS,
+    UNCERTAIN,
+    Witness,
+    fresh,
+    outage,
+    status_is_known,
+    survive_a_restart,
+)
 
 __all__ = ["TASKS"]
 
@@ -24,6 +35,14 @@ TASKS = Tasks()
 READ_HOLDING_REGISTERS = 3
 READ_INPUT_REGISTERS = 4
 ILLEGAL_DATA_ADDRESS = 2
+
+
+def input_register(address: int, count: int = 1) -> Witness:
+    """Return the check that the device was asked for these input registers."""
+    return partial(oracle.read_from_device, function=READ_INPUT_REGISTERS, address=address, count=count)
+
+
+SENSOR_BLOCK = input_register(0, 4)
 
 
 @TASKS.task(
@@ -43,7 +62,7 @@ async def ping(run: Repetition, modbus: Rig) -> None:
     """
     reply = await modbus.call("ping")
     run.succeeds(reply, reachable=True)
-    run.witnessed(oracle.some_exchange(await modbus.journal()))
+    await status_is_known(run, modbus, oracle.some_exchange, reply)
 
 
 @TASKS.task(
@@ -67,7 +86,7 @@ async def read_sensor_block(run: Repetition, modbus: Rig) -> None:
     run.succeeds(reply, values=values)
     journal = await modbus.journal()
     run.witnessed(
-        oracle.exactly_one_request(journal, function=READ_INPUT_REGISTERS, address=0, quantity=4),
+        fresh(journal, (reply, SENSOR_BLOCK)),
         oracle.no_state_changing_request(journal, requirement="MCP-008"),
         oracle.image_holds(await modbus.image(), "input_registers", 0, values),
     )
@@ -164,18 +183,33 @@ async def the_guard_was_put_to_the_test(run: Repetition, modbus: Rig, modbus_ro:
 async def read_missing_register(run: Repetition, modbus: Rig) -> None:
     """Read a register that the device does not have.
 
-    Said: a failure with `illegal_address`, and the device's exception code in the trace.
-    Seen: the read, which the device refuses with an exception.
+    Said: a failure with `illegal_address`, and the device's exception code in the trace. An adapter that refuses by a
+        register map of its own may also say `invalid_input`; nothing was sent then.
+    Seen: the read, which the device refuses with an exception; or no read of anything else that it refuses.
     Why: an assistant that gets a zero for an address that does not exist believes the zero.
     """
     missing = modbus.probe("missing_address")
     reply = await modbus.call("read_holding", address=missing, count=1)
+    seen = reply.during(await modbus.journal())
+    if not oracle.reached(seen, function=READ_HOLDING_REGISTERS, address=missing, count=1):
+        # A register map of its own refuses as well as the device does.
+        run.fails(reply, "illegal_address", "invalid_input", outcome=NOTHING_SENT, requirement="ERR-002")
+        run.witnessed(oracle.refused_nothing_else(seen, function=READ_HOLDING_REGISTERS, address=missing, count=1))
+        return
     run.fails(reply, "illegal_address", trace={"exception_code": ILLEGAL_DATA_ADDRESS}, requirement="ERR-002")
-    journal = await modbus.journal()
-    run.witnessed(
-        oracle.exactly_one_request(journal, function=3, address=missing, quantity=1),
-        oracle.exception_sent(journal, ILLEGAL_DATA_ADDRESS),
-    )
+    run.witnessed(oracle.exception_sent(seen, ILLEGAL_DATA_ADDRESS))
+
+
+@read_missing_register.after
+async def a_register_that_is_there_can_be_read(run: Repetition, modbus: Rig) -> None:
+    """Read a register that is there: a refusal proves something only if the same call works elsewhere.
+
+    Said: success, and the value.
+    Seen: the register holds it.
+    """
+    value = run.rng.randrange(0x10000)
+    await modbus.poke(unit=1, table="holding_registers", address=40, values=[value])
+    run.succeeds(await modbus.call("read_holding", address=40, count=1), values=[value])
 
 
 @TASKS.task(
@@ -235,7 +269,7 @@ async def concurrent_register_reads(run: Repetition, modbus: Rig) -> None:
     """Read four registers by four calls at the same time.
 
     Said: in each answer the value of its own register.
-    Seen: four reads.
+    Seen: for each call a read that covers its register, during the call.
     Why: an answer that belongs to another call is a wrong value that looks right.
     """
     values = [run.rng.randrange(0x10000) for _ in range(4)]
@@ -243,7 +277,7 @@ async def concurrent_register_reads(run: Repetition, modbus: Rig) -> None:
     replies = await run.together(*(modbus.call("read_input", address=10 + i, count=1) for i in range(4)))
     for reply, value in zip(replies, values, strict=True):
         run.succeeds(reply, values=[value])
-    run.witnessed(oracle.request_count(await modbus.journal(), function=4, count=4))
+    run.witnessed(fresh(await modbus.journal(), *zip(replies, map(input_register, range(10, 14)), strict=True)))
 
 
 @TASKS.task(
@@ -290,14 +324,17 @@ async def rapid_register_reads(run: Repetition, modbus: Rig) -> None:
     """Read fifty registers, one call after the other.
 
     Said: the right value in every answer.
-    Seen: fifty reads.
+    Seen: for each call a read that covers its register, during the call.
     Why: leaks, caches and connections that are used up show in a long series only.
     """
     values = [run.rng.randrange(0x10000) for _ in range(RAPID_CALLS)]
     await modbus.poke(unit=1, table="input_registers", address=0, values=values)
+    asked = []
     for address, value in enumerate(values):
-        run.succeeds(await modbus.call("read_input", address=address, count=1), values=[value])
-    run.witnessed(oracle.request_count(await modbus.journal(), function=4, count=RAPID_CALLS))
+        reply = await modbus.call("read_input", address=address, count=1)
+        run.succeeds(reply, values=[value])
+        asked.append((reply, input_register(address)))
+    run.witnessed(fresh(await modbus.journal(), *asked))
 
 
 @TASKS.task(
@@ -318,8 +355,9 @@ async def modbus_restart(run: Repetition, modbus: Rig) -> None:
     Seen: a read after the device is back.
     Why: an outage of the line must not need a person who restarts the adapter, and old values must not hide it.
     """
-    if await survive_a_restart(run, modbus, "read_input", address=0, count=4):
-        run.witnessed(oracle.exactly_one_request(await modbus.journal(), function=4, address=0, quantity=4))
+    reply = await survive_a_restart(run, modbus, "read_input", address=0, count=4)
+    if reply.success:
+        run.witnessed(fresh(await modbus.journal(), (reply, SENSOR_BLOCK)))
 
 
 @modbus_restart.after
@@ -337,7 +375,7 @@ async def a_failed_register_write_is_not_delivered_later(run: Repetition, modbus
     run.fails(reply, *CONNECTION_FAULTS, outcome=UNCERTAIN, requirement="WR-001", code_requirement="REC-002")
     await modbus.start_device()
     # An adapter that answers again has its connection back: a write that it had kept for later would have been sent by now.
-    last = (await modbus.call_until_success("read_input", window_s=SETTLING_S, address=0, count=4))[-1]
+    last = (await modbus.call_until_success("read_input", window_s=modbus.recovery_s, address=0, count=4))[-1]
     run.succeeds(last, requirement="REC-001")
     await modbus.stays_quiet(QUIET_S, partial(oracle.no_state_changing_request, requirement="WR-010"))
     # A further answer shows that adapter and device ran during that time.

@@ -30,7 +30,9 @@ _SERVICES = {
     if name.endswith(_SUFFIX)
 }
 # The session journals these services itself, with the nodes that they are about.
-_WITH_NODES = frozenset({"Read", "Write", "Browse", "BrowseNext", "TranslateBrowsePaths", "Call"})
+_WITH_NODES = frozenset(
+    {"Read", "Write", "Browse", "BrowseNext", "TranslateBrowsePaths", "Call", "CreateMonitoredItems"}
+)
 
 
 class _Processor(UaProcessor):  # type: ignore[misc]
@@ -90,7 +92,9 @@ class _Processor(UaProcessor):  # type: ignore[misc]
     ) -> None:
         exchange = current()
         # A notification is sent when a value changes, not while a request is handled: it belongs to no exchange.
-        if not isinstance(response, ua.PublishResponse):
+        if isinstance(response, ua.PublishResponse):
+            self._notified(response.Parameters)
+        else:
             rule = exchange.rule
             if rule.close or rule.reset:
                 self._transport.abort() if rule.reset else self._transport.close()
@@ -98,6 +102,17 @@ class _Processor(UaProcessor):  # type: ignore[misc]
                 return
             exchange.answered(response.ResponseHeader.ServiceResult)
         super().send_response(requesthandle, seqhdr, response, msgtype)
+
+    def _notified(self, result: ua.PublishResult) -> None:
+        """Journal the nodes whose values a notification has; one without values keeps the subscription alive."""
+        nodes = [
+            {"node_id": self.session.monitored[result.SubscriptionId, item.ClientHandle], "attribute": "Value"}
+            for data in result.NotificationMessage.NotificationData or []
+            for item in getattr(data, "MonitoredItems", None) or []
+            if (result.SubscriptionId, item.ClientHandle) in self.session.monitored
+        ]
+        if nodes:
+            self._device.journal.append(connection=self._number, direction="out", kind="Publish", nodes=nodes)
 
     async def close(self) -> None:
         for task in list(self._late):

@@ -42,6 +42,8 @@ class PlantSession(InternalSession):  # type: ignore[misc]
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self.browser = Browser(self.aspace, lambda: self.device.limits)
+        # Node ids by subscription and the client's handle of the item.
+        self.monitored: dict[tuple[int, int], str] = {}
 
     async def create_session(self, params: ua.CreateSessionParameters, sockname: Any = None) -> Any:
         if self.device.limits.sessions and len(self.device.browsers) >= self.device.limits.sessions:
@@ -197,6 +199,25 @@ class PlantSession(InternalSession):  # type: ignore[misc]
         for path, result in zip(params, results, strict=True):
             if path.StartingNode not in self.aspace:
                 result.StatusCode = ua.StatusCode(Codes.BadNodeIdUnknown)
+        exchange.answer["results"] = [{"status": result.StatusCode.name} for result in results]
+        return results
+
+    # -- monitored items ----------------------------------------------------------------------------------
+
+    async def create_monitored_items(
+        self, params: ua.CreateMonitoredItemsParameters
+    ) -> list[ua.MonitoredItemCreateResult]:
+        exchange, items = current(), params.ItemsToCreate or []
+        asked = [item.ItemToMonitor for item in items]
+        exchange.asked(
+            nodes=[{"node_id": item.NodeId.to_string(), "attribute": _attribute(item.AttributeId)} for item in asked]
+        )
+        await exchange.suffer(_names(item.NodeId for item in asked))
+        for item in items:
+            if item.ItemToMonitor.AttributeId == Ids.Value:
+                handle = item.RequestedParameters.ClientHandle
+                self.monitored[params.SubscriptionId, handle] = item.ItemToMonitor.NodeId.to_string()
+        results: list[ua.MonitoredItemCreateResult] = await super().create_monitored_items(params)
         exchange.answer["results"] = [{"status": result.StatusCode.name} for result in results]
         return results
 

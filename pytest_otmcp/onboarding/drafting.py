@@ -11,6 +11,7 @@ from ..plant.mock_device import MockDevice
 from ..protocols.envelope import check_result
 from ..protocols.journal import Entries
 from ..protocols.registry import protocols
+from ..subject.grammar import LONGEST_RECOVERY_S
 from ..subject.model import READ_WRITE, Adapter, Answering, Connect, Variant
 from ..trial.adapter_under_test import AdapterUnderTest, BenchOptions
 from .document import Draft
@@ -44,6 +45,8 @@ def describe_launch(
         unclaimed={},
         connect=connect,
         recovery="same_session",
+        recovery_s=LONGEST_RECOVERY_S,
+        lists={},
         probes={},
         secrets=(),
         transport="stdio" if url is None else "http",

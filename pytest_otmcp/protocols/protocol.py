@@ -24,6 +24,7 @@ __all__ = [
     "Choice",
     "Colour",
     "Composite",
+    "Declared",
     "Framing",
     "Operation",
     "Origin",
@@ -36,6 +37,10 @@ GUARD = "guard"
 
 RECOVERY = "recovery"
 """Facet: after an outage of the endpoint the same session works again."""
+
+
+Declared = Mapping[str, Sequence[str]]
+"""The lists of its protocol that a subject file has about an adapter, by key."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,10 +57,11 @@ class Operation:
         needed: the outputs without which nothing could be judged.
         writes: the operation changes the state of the plant.
         optional: inputs that a tool may lack; each is a facet of its own, such as ``subscribe.qos``.
+        status: it asks whether the device is reachable, which an adapter may know from a moment ago.
         waits: the input that limits how many seconds a call may wait for the messages that it returns; None where no call
             waits.
         requirement: id of the requirement that a call breaks which should succeed and does not, or whose outputs are wrong.
-            Default: that the device holds what was written, or that the answer is what the device holds.
+            Default: that the device holds what was written, that the status is true, or that the answer is what the device holds.
         tells: the output that says whether the device can be reached; where it says ``false``, the device could not.
     """
 
@@ -65,13 +71,14 @@ class Operation:
     needed: tuple[str, ...] = ()
     writes: bool = False
     optional: tuple[str, ...] = ()
+    status: bool = False
     waits: str | None = None
     requirement: str = ""
     tells: str | None = None
 
     def __post_init__(self) -> None:
         if not self.requirement:
-            object.__setattr__(self, "requirement", "WR-001" if self.writes else "RD-001")
+            object.__setattr__(self, "requirement", "WR-001" if self.writes else "REC-002" if self.status else "RD-001")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -169,6 +176,7 @@ class OtProtocol:
         composites: facets that tasks need and that are no operation, by name.
         probes: values that tasks ask for where the request must be refused; a subject file may replace each.
         choices: keys that the protocol adds to a subject file.
+        lists: further keys in a subject file whose values are lists of strings, each with its meaning.
         framing: decoding of recorded bytes; None when only the mock can be the witness.
         unsolicited: returns findings for everything in a journal slice that commands the plant, although the adapter was
             asked for nothing.
@@ -200,7 +208,7 @@ class OtProtocol:
     package: str
     scheme: str
     operations: Mapping[str, Operation]
-    unsolicited: Callable[[Entries], list[Finding]]
+    unsolicited: Callable[[Entries, Declared], list[Finding]]
     describe: Callable[[JournalEntry], str]
     mock: str
     clients: str
@@ -211,6 +219,7 @@ class OtProtocol:
     composites: Mapping[str, Composite] = field(default_factory=dict)
     probes: Mapping[str, object] = field(default_factory=dict)
     choices: tuple[Choice, ...] = ()
+    lists: Mapping[str, str] = field(default_factory=dict)
     framing: Framing | None = None
     onboarding: str | None = None
     title: Callable[[JournalEntry], str] | None = None

@@ -160,12 +160,15 @@ class StoredBinding(TypedDict):
     offset: dict[str, float]
     names: dict[str, dict[str, Any]]
     convert: dict[str, str]
+    max_age_s: NotRequired[float | None]
 
 
 class AdapterFacts(TypedDict):
     """One adapter under test: what its subject file says, and how its server introduced itself.
 
     ``unclaimed``: facet to the reason why it is not claimed. ``blocking``: operations whose call waits for what it answers.
+    ``recovery_s``: the time within which work goes on after an outage. ``lists``: the lists of the protocol's own keys.
+    ``cached``: operations whose answers may come from a cache, and how old they may be, in seconds.
     ``lacks``: optional inputs that no tool takes. ``probes``: what is asked for where something must be refused.
     ``bindings``: every operation that was used; None for one that a Python function performs. ``unmet``: requirements of the
     envelope that its own answers do not meet. ``unjudged``: outputs that the subject file does not say where to find.
@@ -176,6 +179,9 @@ class AdapterFacts(TypedDict):
     command: list[str]
     envelope: Literal["native", "synthesised"]
     recovery: str
+    recovery_s: NotRequired[Deadline]
+    lists: NotRequired[dict[str, list[str]]]
+    cached: NotRequired[dict[str, float]]
     deadline_s: Deadline
     unclaimed: dict[str, str]
     blocking: list[str]
@@ -375,7 +381,7 @@ class Phases(TypedDict):
     same_session_attempts: Count
     same_session_ok: bool
     fresh_session: float | None
-    fresh_session_ok: bool
+    fresh_session_ok: bool | None
 
 
 class Sample(TypedDict):

@@ -8,6 +8,7 @@ from contextlib import AbstractContextManager, nullcontext
 from ..core.errors import ExhaustedError, KitError, SubjectError
 from ..core.verdict import Status
 from ..protocols.journal import Entries
+from ..protocols.protocol import Declared
 from ..record.reader import StoredItem
 from ..record.schema import Around, Role, Sample
 from ..subject.model import READ_ONLY
@@ -102,9 +103,13 @@ class ReplayDriver:
             raise HistoryError(f"{' and '.join(missing)} did not take part")
         await self.open_sessions()
 
-    def before(self) -> Sequence[tuple[str, Entries]]:
+    def before(self) -> Sequence[tuple[str, Entries, Declared]]:
         """Return what had reached the devices while nobody called their adapters."""
-        return [(state.protocol, state.found["before"]) for state in self._states if state.found["quiet"]]
+        return [
+            (state.protocol, state.found["before"], state.adapter.facts["lists"])
+            for state in self._states
+            if state.found["quiet"]
+        ]
 
     def repetition(self, rep: int, role: Role) -> Repetition:
         """Return the next stored repetition, ready to be played back."""

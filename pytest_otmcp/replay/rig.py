@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, cast
 
 from ..core.strict_json import same_json
+from ..protocols.protocol import Declared
 from ..record.images import Images, restore_image
 from ..record.schema import AdapterFacts, Call, DeviceEntry, ItemDevice, Observation
 from ..subject.claims import Claims
@@ -177,6 +178,17 @@ class ReplayRig(Rig):
 
     def blocks(self, operation: str) -> bool:
         return operation in self._state.adapter.facts["blocking"]
+
+    def max_age_s(self, operation: str) -> float | None:
+        return self._state.adapter.facts["cached"].get(operation)
+
+    @property
+    def recovery_s(self) -> float:
+        return self._state.adapter.facts["recovery_s"]
+
+    @property
+    def declared(self) -> Declared:
+        return self._state.adapter.facts["lists"]
 
     def probe(self, name: str) -> Any:
         return self._state.adapter.facts["probes"][name]

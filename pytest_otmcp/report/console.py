@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from ..core.matrix import SUITES
 from ..core.statistics import mean, mean_interval, percentile
 from ..record.consistency import count_calls
+from ..record.warnings import said, warnings
 from . import Item, Run, applied, deadlines, durations, least, phases, recovered, tally, timing_valid
 from .findings import cited, faults, subject_keys
 from .strangers import strangers
@@ -51,6 +52,7 @@ def summary(run: Run, width: int = 100) -> list[Line]:
         *lines,
         ("", "plain"),
         *_findings(run, width),
+        *_warnings(run, width),
         *_counts(run, width),
         *_narrowed(run, width),
         *_strangers(run, width),
@@ -108,11 +110,11 @@ def _wrapped(text: str, width: int, indent: str) -> Iterator[str]:
 
 
 def _findings(run: Run, width: int) -> Iterator[Line]:
-    failing = [item for item in run["items"] if item["status"] not in ("PASS", "NOT_APPLICABLE")]
-    if not failing:
+    failed = [item for item in run["items"] if item["status"] not in ("PASS", "NOT_APPLICABLE")]
+    if not failed:
         return
     yield "findings", "head"
-    for item in failing:
+    for item in failed:
         yield shortened(f"  {item['id']} {item['status']}: {item['title']}", width), "bad"
         shown = faults(item)
         texts = [
@@ -128,6 +130,17 @@ def _findings(run: Run, width: int) -> Iterator[Line]:
             for line in _wrapped(f"      {text}", width, "        "):
                 yield line, "plain"
     yield "  otmcp explain says what an item, or an id in brackets, means", "plain"
+    yield "", "plain"
+
+
+def _warnings(run: Run, width: int) -> Iterator[Line]:
+    found = warnings(run["items"])
+    if not found:
+        return
+    yield "warnings", "head"
+    for one in found:
+        for line in _wrapped(f"  {said(one)}", width, "    "):
+            yield line, "plain"
     yield "", "plain"
 
 
@@ -172,6 +185,8 @@ def _verdict(run: Run) -> Line:
     footer, items = run["footer"], run["items"]
     good, planned = tally(items)
     note = f"{applied(run)}, {good}/{planned} runs passed"
+    if found := len(warnings(items)):
+        note += f", {found} warning{'s' if found > 1 else ''}"
     if footer.get("reason"):
         note += f"; {footer['reason']}"
     verdict = footer.get("verdict", "INCOMPLETE")

@@ -19,6 +19,7 @@ from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
 from ..core.matrix import SUITES
+from ..record.warnings import warnings
 from ..suite.requirements import requirements
 from . import Item, Run, applied, command, deadlines, overview, tally, timing_valid
 from .capabilities import earned
@@ -81,6 +82,7 @@ def page(run: Run) -> str:
         catalogue=requirements(),
         good=good,
         planned=planned,
+        warnings=warnings(run["items"]),
         narrowed=narrowed(run),
         strangers=strangers(run),
         deviations=overview.deviations(run),

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from ..core.matrix import SUITES
+from ..record.warnings import said, warnings
 from . import Item, Run, applied, command, deadlines, tally
 from .capabilities import earned
 from .evidence import failures
@@ -72,6 +73,7 @@ def summary(run: Run) -> str:
         "",
         f"**{applied(run)}**, **{good}** of **{planned}** repetitions passed.",
         "",
+        *(f"- warning: {code(said(one))}" for one in warnings(items)),
         *(f"- deadlines of a call: {escape(told)}" for told in [deadlines(run)] if told),
         *(f"- {escape(reason)}" for reason in narrowed(run)),
         *(f"- Note: {escape(sentence)}." for sentence in strangers(run)),

@@ -114,6 +114,8 @@ def _adapter(protocol: str, table: Mapping[str, Any], path: Path) -> Adapter:
         unclaimed=_unclaimed(protocol, table),
         connect=connect,
         recovery=table["recovery"],
+        recovery_s=float(table["recovery_s"]),
+        lists={key: tuple(table[key]) for key in known.lists},
         probes={**known.probes, **table["probes"]},
         secrets=tuple(table["secrets"]),
         transport=table["transport"],

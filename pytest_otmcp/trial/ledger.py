@@ -94,6 +94,11 @@ class Ledger:
             self._together = False
 
     @property
+    def failed(self) -> bool:
+        """Whether a MUST was not met."""
+        return any(finding.is_must for finding in self.findings)
+
+    @property
     def together(self) -> bool:
         """Calls are being made at the same time."""
         return self._together
@@ -101,7 +106,7 @@ class Ledger:
     def judge(self, reply: Reply, findings: Iterable[Finding]) -> bool:
         """Note the findings of the task's expectation of a reply; return whether it was met."""
         found = list(findings)
-        met = not found and not reply.faults
+        met = not any(finding.is_must for finding in found) and not reply.faulty
         self._replace(reply, ok=met)
         # A missing reply, or one that is no envelope, has been reported as such.
         if not (reply.envelope is None and reply.faults):

@@ -12,6 +12,7 @@ from typing import Any, cast
 from ..core.finding import Finding
 from ..plant.device import Journal
 from ..protocols.journal import ADAPTER
+from ..protocols.protocol import Declared
 from ..record.images import Images, keep_image
 from ..record.schema import ItemDevice, Observation, SessionStart
 from ..session.session import McpSession
@@ -111,6 +112,17 @@ class LiveRig(Rig):
 
     def blocks(self, operation: str) -> bool:
         return operation in self.under_test.adapter.blocking
+
+    def max_age_s(self, operation: str) -> float | None:
+        return self.under_test.adapter.cached.get(operation)
+
+    @property
+    def recovery_s(self) -> float:
+        return self.under_test.adapter.recovery_s
+
+    @property
+    def declared(self) -> Declared:
+        return self.under_test.adapter.lists
 
     def probe(self, name: str) -> Any:
         return self.under_test.adapter.probes[name]

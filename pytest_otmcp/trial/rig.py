@@ -13,6 +13,7 @@ from typing import Any, TypeVar, cast
 
 from ..core.finding import Finding
 from ..protocols.journal import ADAPTER, judged
+from ..protocols.protocol import Declared
 from ..record.schema import DeviceEntry, Role
 from ..subject.model import READ_WRITE
 from .cursor import JournalCursor, Oracle
@@ -68,6 +69,20 @@ class Rig(WriteGate):
         self._ledger = ledger
 
     # -- what the subject says of itself ------------------------------------------------------------------
+
+    @abstractmethod
+    def max_age_s(self, operation: str) -> float | None:
+        """Return how old the operation's answer may be, as the subject declares; None when it must come from the device."""
+
+    @property
+    @abstractmethod
+    def recovery_s(self) -> float:
+        """The time within which work goes on after an outage, as the subject declares."""
+
+    @property
+    @abstractmethod
+    def declared(self) -> Declared:
+        """The lists of the protocol's own keys in the subject file."""
 
     @abstractmethod
     def probe(self, name: str) -> Any:

@@ -23,7 +23,7 @@ def stored_calls(ledger: Ledger) -> list[Call]:
     fault, or where the answer is no envelope.
     """
     return [
-        _call(call, with_frames=bool(ledger.findings or call.reply.faults) or not call.reply.native)
+        _call(call, with_frames=ledger.failed or bool(call.reply.faults) or not call.reply.native)
         for call in ledger.calls
     ]
 
@@ -38,7 +38,7 @@ def _call(judged: Judged, *, with_frames: bool) -> Call:
         "tool": reply.tool,
         "arguments": dict(reply.arguments),
         "latency_ms": None if reply.latency_ms is None else round(reply.latency_ms, 4),
-        "ok": bool(judged.ok) and not reply.faults,
+        "ok": bool(judged.ok) and not reply.faulty,
         "envelope": reply.envelope,
         "native": reply.native,
         "listed": reply.listed,

@@ -108,7 +108,7 @@ def _disturbs(at: str, entry: JournalEntry) -> bool | None:
     protocol = protocols()[at.partition("@")[0]]
     if entry["origin"] == "former":
         # What an adapter says of itself as it ends is its own affair, commands are not.
-        return bool(protocol.unsolicited([entry]))
+        return bool(protocol.unsolicited([entry], {}))
     return protocol.carried_out(entry, None)
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Literal, cast
 
 from ..core.errors import ExhaustedError, KitError, SubjectError
@@ -126,12 +127,10 @@ class Trial:
         await driver.prepare()
         for at, found in driver.history()["devices"].items():
             self._strangers.take(at, found["before"], watched=False)
-        for protocol, entries in driver.before():
-            for finding in nothing_commanded(protocol, entries):
+        for protocol, entries, declared in driver.before():
+            for finding in nothing_commanded(protocol, entries, declared):
                 when = "before this item, when nobody called the adapter"
-                self._note(
-                    finding.code, f"{protocol}: {when}: {finding.message}", finding.requirement, finding.evidence
-                )
+                self._add(replace(finding, message=f"{protocol}: {when}: {finding.message}"))
         if task.begin is not None:
             await self._execute_around(task.begin, "setup")
         if task.warm_up:
@@ -169,7 +168,7 @@ class Trial:
         if self._strangers.disturbance is not None:
             raise _DisturbedError(self._strangers.disturbance)
         for finding in ledger.findings:
-            noted = self._note(finding.code, f"{role}: {finding.message}", finding.requirement, finding.evidence)
+            noted = self._add(replace(finding, message=f"{role}: {finding.message}"))
             if role == "warmup":
                 self._warm_up[noted] = kind_of(finding.code, finding.requirement, finding.message)
         self._stop_if_refused(repetition)
@@ -184,7 +183,7 @@ class Trial:
         self._watch_strangers(ledger)
         disturbance = self._strangers.disturbance
         findings = ledger.findings if disturbance is None else []
-        passed = not findings and ledger.refused is None
+        passed = ledger.refused is None and not (ledger.failed and disturbance is None)
         self._all_passed = self._all_passed and passed
         self._repeated |= {kind_of(found.code, found.requirement, found.message) for found in findings}
         self._keep(
@@ -217,13 +216,16 @@ class Trial:
             self._findings.append(refused)
             raise _ItemOverError
 
-    def _note(self, code: str, message: str, requirement: str | None = None, evidence: str | None = None) -> Finding:
+    def _note(self, code: str, message: str, requirement: str | None = None) -> Finding:
+        return self._add(Finding(code=code, message=message, requirement=requirement))
+
+    def _add(self, finding: Finding) -> Finding:
         """Note a finding once, and return the one that was noted."""
         for known in self._findings:
-            if (code, message) == (known.code, known.message):
+            if (finding.code, finding.message) == (known.code, known.message):
                 return known
-        self._findings.append(Finding(code=code, message=message, requirement=requirement, evidence=evidence))
-        return self._findings[-1]
+        self._findings.append(finding)
+        return finding
 
     def _take(self, sessions: list[SessionFacts]) -> None:
         for facts in sessions:
@@ -257,7 +259,7 @@ class Trial:
 
     @property
     def _failed(self) -> bool:
-        return bool(self._findings) or not self._all_passed
+        return any(finding.is_must for finding in self._findings) or not self._all_passed
 
     def _item(self) -> ItemBody:
         task = self._task

@@ -47,13 +47,33 @@ def test_an_exchange_needs_a_request_and_its_answer() -> None:
     assert "it answered 0 of 1" in words(oracle.some_exchange(journal("03 0000 0001 -> ?")))
 
 
-def test_one_request_means_one() -> None:
-    assert oracle.exactly_one_request(journal(READ, MISSING), function=4, address=0, quantity=2) == []
-    twice = words(oracle.exactly_one_request(journal(READ, READ), function=4, address=0, quantity=2))
-    assert "should have seen 1 request(s) with function 4, address 0, quantity 2, it saw 2" in twice
-    assert "FC 04 address 0 quantity 2; FC 04 address 0 quantity 2" in twice
-    assert "it saw 0" in words(oracle.exactly_one_request(journal(READ), function=4, address=1))
-    assert oracle.request_count(journal(READ, READ), function=4, count=2) == []
+def test_a_read_is_fresh_when_requests_cover_what_was_asked_whichever_they_are() -> None:
+    def fresh(*exchanges: str, address: int = 0, count: int = 2) -> list[Any]:
+        return oracle.read_from_device(journal(*exchanges), function=4, address=address, count=count)
+
+    single, next_one = "04 0000 0001 -> 04 02 00FA", "04 0001 0001 -> 04 02 0096"
+    assert fresh(READ) == fresh(READ, READ) == fresh(single, next_one) == fresh(MISSING, READ) == []
+    assert fresh(READ, address=1, count=1) == []
+    part = words(fresh(single))
+    assert "should have been asked for 2 cell(s) from 0 by function 4 during the call, it was not [RD-004]" in part
+    assert "FC 04 address 0 quantity 1" in part
+    assert fresh("04 0000 0002 -> ?") != []
+    assert fresh("03 0000 0002 -> 03 04 00FA 0096") != []
+
+
+def test_a_refusal_of_something_else_is_found() -> None:
+    def other(*exchanges: str, function: int = 3) -> list[Any]:
+        return oracle.refused_nothing_else(journal(*exchanges), function=function, address=0x270F, count=1)
+
+    assert other(READ, MISSING) == other() == []
+    neighbour = words(other("03 2710 0001 -> 83 02"))
+    assert "refused 1 cell(s) from 9999 by function 3, it refused FC 03 address 10000 quantity 1 [RD-001]" in neighbour
+    assert other(MISSING, function=4) != []
+
+
+def test_a_request_reached_the_device_also_when_it_was_refused() -> None:
+    assert oracle.reached(journal(MISSING), function=3, address=0x270F, count=1)
+    assert not oracle.reached(journal(READ), function=3, address=0x270F, count=1)
 
 
 def test_a_read_of_another_address_or_table_is_told_apart_from_none() -> None:
@@ -61,7 +81,9 @@ def test_a_read_of_another_address_or_table_is_told_apart_from_none() -> None:
     assert oracle.read_where_asked([], function=4, address=1) == []
     assert "[ADR-001]" in words(oracle.read_where_asked(journal(READ), function=4, address=2))
     assert "[RD-002]" in words(oracle.read_where_asked(journal(READ), function=3, address=1))
-    assert "[RD-002]" in words(oracle.exactly_one_request(journal(READ), function=3, address=1))
+    assert "[RD-002]" in words(oracle.read_from_device(journal(READ), function=3, address=1, count=1))
+    assert "[ADR-001]" in words(oracle.read_from_device(journal(READ), function=4, address=2, count=1))
+    assert "[RD-004]" in words(oracle.read_from_device([], function=4, address=2, count=1))
 
 
 def test_a_value_that_was_stored_otherwise_is_told_in_plain_words() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -12,7 +13,6 @@ from ..oracle import Witness, requests
 from .entries import as_modbus, describe, points
 
 __all__ = [
-    "exactly_one_request",
     "exactly_one_write",
     "exception_sent",
     "held",
@@ -20,8 +20,10 @@ __all__ = [
     "no_state_changing_request",
     "nothing_changed_by",
     "only_changed",
+    "reached",
+    "read_from_device",
     "read_where_asked",
-    "request_count",
+    "refused_nothing_else",
     "some_exchange",
     "stored_otherwise",
 ]
@@ -30,10 +32,56 @@ _WITNESS = Witness(noun="the device", describe=describe)
 _READS = (1, 2, 3, 4)
 
 some_exchange = _WITNESS.answered
-request_count = _WITNESS.request_count
 no_state_changing_request = _WITNESS.nothing_changed
 nothing_changed_by = _WITNESS.nothing_changed_by
 only_changed = _WITNESS.only_changed
+
+
+def read_from_device(entries: Entries, *, function: int, address: int, count: int) -> list[Finding]:
+    """Expect that the device answered reads by this function that cover these cells, by whatever requests."""
+    what = f"{count} cell(s) from {address} by function {function}"
+    findings = _WITNESS.was_asked(entries, what, lambda asked: _covered(asked, function, address, count))
+    requirement = _misdirected(entries, function, address)
+    return [replace(finding, requirement=requirement or finding.requirement) for finding in findings]
+
+
+def read_where_asked(entries: Entries, *, function: int, address: int) -> list[Finding]:
+    """Expect that no read went to another cell, or another table, instead of this one."""
+    requirement = _misdirected(entries, function, address)
+    if requirement is None:
+        return []
+    return [
+        Finding(
+            code="read_elsewhere",
+            message=f"the device should have seen a read of address {address} with function {function}, it saw others",
+            requirement=requirement,
+            evidence=_WITNESS.seen(entries),
+        )
+    ]
+
+
+def _misdirected(entries: Entries, function: int, address: int) -> str | None:
+    """Return the requirement that reads break which should have gone to this cell and went elsewhere; None without any."""
+    reads = [read for read in requests(entries) if as_modbus(read).get("function") in _READS]
+    if any(_covered([read], function, address, 1) for read in reads):
+        return None
+    if any(_covered([read], other, address, 1) for read in reads for other in _READS):
+        return "RD-002"
+    return "ADR-001" if any(as_modbus(read)["function"] == function for read in reads) else None
+
+
+def reached(entries: Entries, *, function: int, address: int, count: int) -> bool:
+    """Tell whether requests by this function that cover these cells reached the device."""
+    return _covered(requests(entries), function, address, count)
+
+
+def _covered(asked: Sequence[JournalEntry], function: int, address: int, count: int) -> bool:
+    cells: set[int] = set()
+    for request in map(as_modbus, asked):
+        if request.get("function") == function:
+            first = request.get("address", 0)
+            cells.update(range(first, first + request.get("quantity", 0)))
+    return cells.issuperset(range(address, address + count))
 
 
 def exactly_one_write(entries: Entries, table: str, *, address: int, values: list[object]) -> list[Finding]:
@@ -53,43 +101,30 @@ def exactly_one_write(entries: Entries, table: str, *, address: int, values: lis
     return _WITNESS.exactly_one_write(entries, f"write of {values} to {table} {address}", problem)
 
 
+def refused_nothing_else(entries: Entries, *, function: int, address: int, count: int) -> list[Finding]:
+    """Expect that every read that the device refused was of these cells by this function, among others."""
+    refused = {entry["answers"] for entry in entries if as_modbus(entry).get("exception")}
+    other = [
+        entry
+        for entry in requests(entries)
+        if entry["seq"] in refused and not entry["state_changing"] and not _covered([entry], function, address, count)
+    ]
+    if not other:
+        return []
+    return [
+        Finding(
+            code="refused_other",
+            message=f"the device should have refused {count} cell(s) from {address} by function {function}, "
+            f"it refused {describe(other[0])}",
+            requirement=_misdirected(other, function, address) or "RD-001",
+        )
+    ]
+
+
 def _swapped(found: object, wanted: list[object]) -> bool:
     """Tell whether these are the wanted registers, each with its bytes in the other order."""
     words = [value for value in wanted if isinstance(value, int)]
     return found == [(word & 0xFF) << 8 | word >> 8 for word in words]
-
-
-def exactly_one_request(entries: Entries, *, function: int, address: int, quantity: int = 1) -> list[Finding]:
-    """Expect that exactly one request with this function reached the device: for these registers."""
-    findings = _WITNESS.exactly_one(entries, function=function, address=address, quantity=quantity)
-    requirement = misdirected(entries, function=function, address=address)
-    return [replace(finding, requirement=requirement or finding.requirement) for finding in findings]
-
-
-def misdirected(entries: Entries, *, function: int, address: int) -> str | None:
-    """Return the requirement that reads break which should have gone to this cell and went elsewhere; None without any."""
-    reads = [read for read in map(as_modbus, requests(entries)) if read.get("function") in _READS]
-    covering = [read for read in reads if 0 <= address - read.get("address", 0) < read.get("quantity", 0)]
-    if any(read["function"] == function for read in covering):
-        return None
-    if covering:
-        return "RD-002"
-    return "ADR-001" if any(read["function"] == function for read in reads) else None
-
-
-def read_where_asked(entries: Entries, *, function: int, address: int) -> list[Finding]:
-    """Expect that no read went to another cell, or another table, instead of this one."""
-    requirement = misdirected(entries, function=function, address=address)
-    if requirement is None:
-        return []
-    return [
-        Finding(
-            code="read_elsewhere",
-            message=f"the device should have seen a read of address {address} with function {function}, it saw others",
-            requirement=requirement,
-            evidence=_WITNESS.seen(entries),
-        )
-    ]
 
 
 def stored_otherwise(image: Image, table: str, address: int, asked: int, *, told: object) -> list[Finding]:

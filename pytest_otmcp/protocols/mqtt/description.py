@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 
 from ..protocol import Choice, Colour, Composite, Framing, OtProtocol, Simulator
+from ..session_oracle import Exchanges
+from .commands import COMMAND_TOPICS
 from .decoder import MqttConversation, packet_length
 from .entries import describe
 from .external import EXTERNAL
@@ -40,6 +42,7 @@ PROTOCOL = OtProtocol(
             },
         ),
     ),
+    lists={COMMAND_TOPICS: "Topic filters, beside control/#, below which a publication commands the plant."},
     framing=Framing(frame_length=packet_length, conversation=MqttConversation),
     unsolicited=no_command,
     carried_out=kept_or_executed,
@@ -59,7 +62,7 @@ PROTOCOL = OtProtocol(
     packages=("paho-mqtt", "protobuf"),
     colour=Colour(light="#009e73", dark="#2fc79a"),
     external=EXTERNAL,
-    session_oracles=(Publications, Subscriptions, SparkplugSequence),
+    session_oracles=(Publications, Subscriptions, SparkplugSequence, Exchanges),
     proof=PROOF,
     always=True,
 )

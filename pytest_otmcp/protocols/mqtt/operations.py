@@ -10,7 +10,10 @@ __all__ = ["OPERATIONS"]
 
 OPERATIONS: Mapping[str, Operation] = {
     "info": Operation(
-        meaning="is the broker reachable", outputs=("connected", "endpoint", "client_id"), tells="connected"
+        meaning="is the broker reachable",
+        outputs=("connected", "endpoint", "client_id"),
+        status=True,
+        tells="connected",
     ),
     "subscribe": Operation(
         meaning="subscribe to a topic filter",

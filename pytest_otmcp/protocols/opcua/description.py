@@ -22,7 +22,7 @@ PROTOCOL = OtProtocol(
     operations=OPERATIONS,
     probes={"missing_node": "ns=2;i=99999"},
     framing=Framing(frame_length=chunk_length, conversation=OpcUaConversation),
-    unsolicited=no_state_changing_service,
+    unsolicited=lambda entries, declared: no_state_changing_service(entries),
     carried_out=carried_out,
     describe=describe,
     mock="opcua",

@@ -54,7 +54,7 @@ TOY = OtProtocol(
     },
     probes={"missing_address": 99},
     framing=Framing(frame_length=line_length, conversation=ToyConversation),
-    unsolicited=WITNESS.nothing_changed,
+    unsolicited=lambda entries, declared: WITNESS.nothing_changed(entries),
     describe=describe,
     mock="otmcp_toy.mock_tcp",
     clients="any client that sends lines",
