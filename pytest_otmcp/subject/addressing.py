@@ -41,9 +41,11 @@ def carries_address(arguments: object, endpoint: Mapping[str, str]) -> bool:
         return any(carries_address(value, endpoint) for value in arguments.values())
     if isinstance(arguments, list):
         return any(carries_address(value, endpoint) for value in arguments)
-    return isinstance(arguments, str) and (
-        arguments in endpoint.values() or f"{endpoint.get('host')}:{endpoint.get('port')}" in arguments
-    )
+    if not isinstance(arguments, str):
+        return False
+    # Port 502 is not port 5020.
+    address = re.escape(f"{endpoint.get('host')}:{endpoint.get('port')}")
+    return arguments in endpoint.values() or re.search(rf"(?<![\w.]){address}(?!\d)", arguments) is not None
 
 
 def addressed_by(adapter: Adapter) -> list[str]:

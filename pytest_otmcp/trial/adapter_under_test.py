@@ -372,7 +372,7 @@ class AdapterUnderTest:
         return await self._current().call(tool, arguments, timeout_s=timeout_s)
 
     def _guard(self, what: str, *, writes: bool) -> None:
-        # The last of several: whoever wants to write has proven the session before, or was told why he cannot.
+        # The last of several: whoever wants to write has proven the session before, or was told why that is not possible.
         if writes and self.cursor.proven is None:
             raise KitError(f"{what} may write, and nothing has proven that the session talks to the mock device")
 

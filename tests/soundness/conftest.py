@@ -212,11 +212,11 @@ def words(results: Results) -> str:
 
 
 def requirements(results: Results) -> set[str]:
-    """Return the requirements that the findings cite."""
+    """Return the requirements that the findings cite, and the codes of findings that cite none."""
     return {
-        finding["requirement"]
+        finding["requirement"] or finding["code"]
         for result in results.values()
         for findings in (result["findings"], *(sample["findings"] for sample in result["samples"]))
         for finding in findings
-        if finding["cause"] is None and finding["requirement"] is not None
+        if finding["cause"] is None
     }

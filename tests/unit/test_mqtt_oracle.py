@@ -234,6 +234,13 @@ def test_commands_in_a_guarded_session_are_counted_and_the_first_ones_are_shown(
     assert len(malformed.guarded({})) == 1
 
 
+def test_a_command_is_not_lost_among_thousands_of_own_topics() -> None:
+    own = [publish(topic=f"acme/{number}") for number in range(1200)]
+    told = fed(oracle.Publications(), journal(*SUBSCRIBED, *own, publish(topic="control/pump")))
+    (finding,) = told.guarded({})
+    assert "it saw 1" in finding.message
+
+
 def test_what_a_guarded_session_leaves_behind_on_a_topic_of_its_own_is_a_warning() -> None:
     (finding,) = fed(oracle.Publications(), journal(*(publish(b"online", **OWN) for _ in range(3)))).guarded({})
     assert (finding.code, finding.requirement, finding.strength) == ("retained_own", "WR-004", "SHOULD")

@@ -15,6 +15,9 @@ _REGISTERS = {0: 6, 18: 5}
 """First address to number of the registers that are set: more than are asked for, and the same in both tables. An adapter that
 takes the neighbour's value or the other table's is wrong, but it is this device that it reads."""
 
+_BITS = 13
+"""Random bits of a value that is found: one of six stands in a register by chance once in 10922 times, which is less than 2 to the -13."""
+
 
 def _reading(first: int, inputs: Mapping[str, int]) -> Callable[[random.Random], Question]:
     def ask(rng: random.Random) -> Question:
@@ -23,7 +26,8 @@ def _reading(first: int, inputs: Mapping[str, int]) -> Callable[[random.Random],
 
         def bits(outputs: Mapping[str, object], entries: Entries) -> int:
             found = outputs.get("values")
-            return 16 * sum(value in values for value in found) if isinstance(found, list) else 0
+            # Each value counts once: registers that all hold the same are one chance, not four.
+            return _BITS * sum(value in found for value in values) if isinstance(found, list) else 0
 
         return Question(inputs=inputs, pokes=pokes, bits=bits)
 

@@ -39,6 +39,7 @@ _WITNESS = Witness(noun="the broker", describe=describe)
 
 _HIGHEST_QOS = 2
 _TOPICS_KEPT = 1000
+"""Topics of a session's own messages whose first packets are kept; those on which every plant listens for commands always are."""
 
 exchange = _WITNESS.answered
 
@@ -110,7 +111,7 @@ class Publications(SessionOracle):
             topic = packet.get("topic")
             if topic is None:
                 self._malformed.add(packet)
-            elif topic in self._by_topic or len(self._by_topic) < _TOPICS_KEPT:
+            elif topic in self._by_topic or len(self._by_topic) < _TOPICS_KEPT or commands(packet, {}):
                 self._by_topic.setdefault(topic, FirstPackets()).add(packet)
                 if packet.get("retain"):
                     self._retained.setdefault(topic, packet)

@@ -24,10 +24,10 @@ def _pokes(values: list[float]) -> tuple[Mapping[str, object], ...]:
 
 
 def _bits(found: object, value: float) -> int:
-    """Count the random bits of a value that was found, also of one that an adapter has rounded."""
+    """Count the random bits of a value that was found, also of one that an adapter has rounded: it is one of 10 million, or of 5000."""
     if isinstance(found, bool) or not isinstance(found, int | float) or not math.isfinite(found):
         return 0
-    return 26 if abs(found - value) < 1e-5 else 12 if abs(found - value) < 0.02 else 0
+    return 23 if abs(found - value) < 1e-5 else 12 if abs(found - value) < 0.02 else 0
 
 
 def _read_one(rng: random.Random) -> Question:

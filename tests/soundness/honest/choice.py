@@ -14,7 +14,16 @@ from tests.soundness.defective import Handler, wrap
 if TYPE_CHECKING:
     from pytest_otmcp.subject import Adapter
 
-__all__ = ["Bend", "Choice", "backed_off", "choices", "every_tool", "in_background", "twice_where_missing"]
+__all__ = [
+    "Bend",
+    "Choice",
+    "backed_off",
+    "choices",
+    "every_tool",
+    "in_background",
+    "one_call_at_a_time",
+    "twice_where_missing",
+]
 
 Bend = Callable[[AdapterServer], None]
 Declare = Callable[[Bend], Bend]
@@ -98,6 +107,20 @@ def in_background(server: AdapterServer, work: Callable[[], Awaitable[None]]) ->
         return handler
 
     every_tool(server, beginning)
+
+
+def one_call_at_a_time(server: AdapterServer) -> None:
+    """Let every call wait until the one before it is over."""
+    alone = asyncio.Lock()
+
+    def in_turn(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Any:
+            async with alone:
+                return await genuine(call, arguments)
+
+        return handler
+
+    every_tool(server, in_turn)
 
 
 def backed_off(connect: Callable[..., Awaitable[Any]], seconds: float) -> Callable[..., Awaitable[Any]]:

@@ -14,7 +14,7 @@ from pytest_otmcp.reference_adapters.modbus.tools import Tools
 
 from tests.soundness.defective import Handler, wrap
 
-from .choice import Bend, backed_off, choices, every_tool, in_background, twice_where_missing
+from .choice import Bend, backed_off, choices, in_background, one_call_at_a_time, twice_where_missing
 
 __all__ = ["CHOICES"]
 
@@ -307,15 +307,6 @@ def ping_by_an_input_register(server: AdapterServer) -> None:
     wrap(server, "ping", lambda genuine: ping)
 
 
-@choice("performs one call after the other", "the order of calls made at the same time is the adapter's own affair")
-def one_call_at_a_time(server: AdapterServer) -> None:
-    alone = asyncio.Lock()
-
-    def in_turn(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Any:
-            async with alone:
-                return await genuine(call, arguments)
-
-        return handler
-
-    every_tool(server, in_turn)
+choice("performs one call after the other", "the order of calls made at the same time is the adapter's own affair")(
+    one_call_at_a_time
+)

@@ -15,7 +15,7 @@ from pytest_otmcp.reference_adapters.opcua.services import Services
 
 from tests.soundness.defective import Handler, wrap
 
-from .choice import backed_off, choices, every_tool, in_background, twice_where_missing
+from .choice import backed_off, choices, in_background, one_call_at_a_time, twice_where_missing
 
 __all__ = ["CHOICES"]
 
@@ -283,18 +283,9 @@ def backs_off_for_1500_ms(server: AdapterServer) -> None:
     link._connect = backed_off(link._connect, 1.5)
 
 
-@choice("performs one call after the other", "the order of calls made at the same time is the adapter's own affair")
-def one_call_at_a_time(server: AdapterServer) -> None:
-    alone = asyncio.Lock()
-
-    def in_turn(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Any:
-            async with alone:
-                return await genuine(call, arguments)
-
-        return handler
-
-    every_tool(server, in_turn)
+choice("performs one call after the other", "the order of calls made at the same time is the adapter's own affair")(
+    one_call_at_a_time
+)
 
 
 @choice("does not list its writing tools where writes are disabled", "what is not there cannot be used")

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from tests.soundness.document import DOCUMENT, with_section
 
 from .choice import Choice
 from .zoo import ZOO
 
-__all__ = ["DOCUMENT", "section", "written"]
-
-DOCUMENT = Path(__file__).parents[3] / "docs" / "soundness.md"
-_BEGIN, _END = "<!-- honest: begin -->\n", "<!-- honest: end -->"
+__all__ = ["section"]
 
 
 def section() -> str:
@@ -32,14 +29,5 @@ def _row(name: str, choice: Choice) -> str:
     return f"| `{name}` | {choice.sentence} | {choice.rule} | {warnings} |"
 
 
-def written(document: str) -> str:
-    """Return the document with the table in its place."""
-    before, begin, rest = document.partition(_BEGIN)
-    _, end, after = rest.partition(_END)
-    assert begin, "the document has no place for the table"
-    assert end, "the table's place has no end"
-    return before + begin + section() + end + after
-
-
 if __name__ == "__main__":
-    DOCUMENT.write_text(written(DOCUMENT.read_text(encoding="utf-8")), encoding="utf-8")
+    DOCUMENT.write_text(with_section("honest", section()), encoding="utf-8")

@@ -272,7 +272,7 @@ MUTANTS = (
         sentence="While the device is gone, a read succeeds with the values that were read before.",
         bend=answers_from_memory_when_gone("read_input_registers"),
         items="S10 R-modbus",
-        requirements="REC-002",
+        requirements="REC-002 not_proven",
         recovers=True,
         quick=True,
     ),
@@ -282,7 +282,7 @@ MUTANTS = (
         sentence="While the broker is gone, its status is told as it was before.",
         bend=answers_from_memory_when_gone("get_broker_info"),
         items="S11 R-mqtt",
-        requirements="REC-002",
+        requirements="REC-002 not_proven",
         recovers=True,
     ),
     Mutant(
@@ -291,7 +291,7 @@ MUTANTS = (
         sentence="While the server is gone, a read succeeds with the value that was read before.",
         bend=answers_from_memory_when_gone("read_opcua_node"),
         items="S12 R-opcua",
-        requirements="REC-002",
+        requirements="REC-002 not_proven",
         recovers=True,
     ),
     Mutant(
@@ -368,7 +368,7 @@ MUTANTS = (
         sentence="Every call to the Modbus adapter is refused.",
         bend=each(change=rejects_everything),
         items="M1 M2 M3 M4 X1 X2 X1p X2p FM1 FM2 FX1 S1 S4 S7 S10",
-        requirements="ERR-002 RD-001 RD-004 REC-001 REC-002",
+        requirements="ERR-002 RD-001 RD-004 REC-001 REC-002 not_proven",
     ),
     Mutant(
         id="MU-111q",
@@ -376,7 +376,7 @@ MUTANTS = (
         sentence="Every call to the MQTT adapter is refused.",
         bend=each(change=rejects_everything),
         items="Q1 Q2 Q3 Q4 X1 X2 X1p X2p FQ1 FQ2 FX1 S2 S5 S8 S11",
-        requirements="MQT-002 MQT-004 RD-004 REC-001 REC-002",
+        requirements="MQT-002 MQT-004 RD-004 REC-001 REC-002 not_proven",
         waits=True,
     ),
     Mutant(
@@ -385,7 +385,7 @@ MUTANTS = (
         sentence="Every call to the OPC UA adapter is refused.",
         bend=each(change=rejects_everything),
         items="O1 O2 O3 O4 X1 X2 X1p X2p FO1 FO2 FX1 S3 S6 S9 S12",
-        requirements="ERR-003 OUA-006 RD-001 RD-004 REC-001 REC-002",
+        requirements="ERR-003 OUA-006 RD-001 RD-004 REC-001 REC-002 not_proven",
     ),
     Mutant(
         id="MU-113",
@@ -425,7 +425,7 @@ MUTANTS = (
         sentence="A lost connection to the device is never made again.",
         bend=never_reconnects(),
         items="S10 R-modbus",
-        requirements="RD-001 REC-001",
+        requirements="RD-001 REC-001 not_proven",
         recovers=True,
         quick=True,
     ),
@@ -435,7 +435,7 @@ MUTANTS = (
         sentence="A lost connection to the broker is never used again.",
         bend=never_reconnects(),
         items="S11 R-mqtt",
-        requirements="REC-001 REC-002",
+        requirements="REC-001 REC-002 not_proven",
         recovers=True,
     ),
     Mutant(
@@ -444,7 +444,7 @@ MUTANTS = (
         sentence="A lost session with the server is never made again.",
         bend=never_reconnects(),
         items="S12 R-opcua",
-        requirements="RD-001 REC-001",
+        requirements="RD-001 REC-001 not_proven",
         recovers=True,
     ),
 )

@@ -142,7 +142,7 @@ MUTANTS = (
         sentence="The bytes of every register are swapped, in reads and writes alike.",
         bend=swapped_bytes,
         items="M2 M3 M4 X1 X2 X1p X2p FM1 FM2 FX1 S1 S4 S7 S10",
-        requirements="RD-001",
+        requirements="RD-001 not_proven",
     ),
     Mutant(
         id="MU-07",

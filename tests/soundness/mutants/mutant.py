@@ -30,7 +30,7 @@ class Mutant:
         sentence: what it does.
         bend: changes the adapter.
         items: ids of the items that fail, no more and no fewer.
-        requirements: ids of the requirements that the findings cite, no more and no fewer.
+        requirements: ids of the requirements that the findings cite, and codes of findings that cite none, no more and no fewer.
         recovers: the defect shows when the device has gone, so the recovery trials are run as well.
         waits: the suite waits for what never comes, so its deadlines are shortened.
         quick: it is run in every test run; the others are run with the long tests.

@@ -1,30 +1,21 @@
 """``python -m tests.soundness.mutants.section``: writes the section on defects in ``docs/soundness.md`` anew.
 
-The section stands between two markers; the rest of the document is written by hand.
+A test compares it with the declarations.
 """
 
 from __future__ import annotations
 
-from pathlib import Path
+from tests.soundness.document import DOCUMENT, with_section
 
 from .mutant import catalogue_id, number
 from .not_yet import GROUPS, NOT_YET, TOTAL
 from .table import MUTANTS
 
-__all__ = ["DOCUMENT", "renewed"]
-
-DOCUMENT = Path(__file__).parents[3] / "docs" / "soundness.md"
-_BEGIN, _END = "<!-- defects: begin -->\n", "<!-- defects: end -->\n"
+__all__ = ["section"]
 
 
-def renewed(document: str) -> str:
-    """Return the document with the section as the declarations have it now."""
-    before, _, rest = document.partition(_BEGIN)
-    _, _, after = rest.partition(_END)
-    return f"{before}{_BEGIN}{_section()}{_END}{after}"
-
-
-def _section() -> str:
+def section() -> str:
+    """Return the tables of the defects that are noticed and of those that are not."""
     noticed = {mutant.catalogue_id for mutant in MUTANTS.values()}
     missing = {catalogue_id(identifier) for group in NOT_YET.values() for identifier in group}
     lines = [
@@ -54,4 +45,4 @@ def _not_yet() -> list[tuple[str, str, str]]:
 
 
 if __name__ == "__main__":
-    DOCUMENT.write_text(renewed(DOCUMENT.read_text(encoding="utf-8")), encoding="utf-8")
+    DOCUMENT.write_text(with_section("defects", section()), encoding="utf-8")
