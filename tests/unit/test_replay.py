@@ -109,13 +109,13 @@ def look(at_ns: int, **seen: Any) -> dict[str, Any]:
 
 
 def proof() -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Return the calls and looks that prove the session before its first write: random values of register 1, read twice."""
+    """Return the calls and looks that prove the session before its first write: random values of register 1, 13 bits each."""
     rng = random.Random(f"0/M3/warmup/0/proof/1/{DEVICE['placeholders']['url']}")
     unbound, way = PROOF.ways[:2]
     unbound.ask(rng)
     calls, looks = [], []
     now_ns = BEGIN_NS - 9000
-    for number in range(2):
+    for number in range(3):
         [*_, poked] = way.ask(rng).pokes
         read = call("read_holding", READ, {"address": 1, "count": 1}, {"values": [poked["values"][1]]}, group=number)
         read["envelope"]["meta"]["latency_ms"] = 0.0
@@ -585,11 +585,12 @@ HOUR_NS = 3600 * 10**9
 def following() -> Item:
     """Return the same item an hour later; nothing reached the device in between."""
     later = item()
-    proof = {"proven": "read_holding", "preferred": "read_holding", "refused": None}
-    later["devices"]["modbus"] |= {"before": [], "quiet": True, "proof": proof}
+    proven = {"proven": "read_holding", "preferred": "read_holding", "refused": None}
+    later["devices"]["modbus"] |= {"before": [], "quiet": True, "proof": proven}
     warm_up = later["around"][0]
-    warm_up["calls"] = warm_up["calls"][2:]
-    warm_up["observations"] = warm_up["observations"][5:]
+    proof_calls, proof_looks = proof()
+    warm_up["calls"] = warm_up["calls"][len(proof_calls) :]
+    warm_up["observations"] = warm_up["observations"][len(proof_looks) :]
     shift(later, seq=8, ns=HOUR_NS)
     return later
 
