@@ -160,6 +160,8 @@ class OtProtocol:
             asked for nothing.
         describe: describes one journal entry in a few words, for findings and the report.
         title: names a journal entry, for the report's conversations; None where the entry's kind is name enough.
+        facts: what a journal entry says of members of ``meta.trace``, by name (``a.b`` for a member of a member): the values
+            that the wire has for it; None where nothing is known of traces.
         mock: name of the mock as ``python -m pytest_otmcp.mocks`` takes it: a folder of ``mocks``, or the dotted name of
             a package of the same shape.
         clients: the clients that a mock started by hand is for, in words.
@@ -196,6 +198,7 @@ class OtProtocol:
     framing: Framing | None = None
     onboarding: str | None = None
     title: Callable[[JournalEntry], str] | None = None
+    facts: Callable[[JournalEntry], Mapping[str, Sequence[object]]] | None = None
     simulators: Mapping[str, Simulator] = field(default_factory=dict)
     envelope_names: tuple[str, ...] = ()
     packages: tuple[str, ...] = ()

@@ -51,6 +51,7 @@ __all__ = [
     "State",
     "StoredBinding",
     "Subject",
+    "ToolListing",
     "check",
 ]
 
@@ -160,13 +161,20 @@ class StoredBinding(TypedDict):
     convert: dict[str, str]
 
 
+class ToolListing(TypedDict):
+    """What ``tools/list`` says of a tool, as far as it is judged: as it came, whatever its shape."""
+
+    inputSchema: Any
+    annotations: Any
+
+
 class AdapterFacts(TypedDict):
     """One adapter under test: what its subject file says, and how its server introduced itself.
 
     ``unclaimed``: facet to the reason why it is not claimed. ``blocking``: operations whose call waits for what it answers.
     ``lacks``: optional inputs that no tool takes. ``probes``: what is asked for where something must be refused.
     ``bindings``: every operation that was used; None for one that a Python function performs. ``unmet``: requirements of the
-    envelope that its own answers do not meet. ``unjudged``: outputs that the subject file does not say where to find.
+    envelope that its own answers do not meet. ``listing``: every tool that was called by a binding. ``unjudged``: outputs that the subject file does not say where to find.
     The members of the server are None when no session was ever opened.
     """
 
@@ -181,6 +189,7 @@ class AdapterFacts(TypedDict):
     bindings: dict[str, list[StoredBinding] | None]
     unjudged: list[str]
     unmet: list[str]
+    listing: dict[str, ToolListing]
     server_name: Name | None
     server_version: Name | None
     protocol_version: Name | None

@@ -185,6 +185,14 @@ class ReplayRig(Rig):
         return f"{operation}.{name}" not in self._state.adapter.facts["lacks"]
 
     @property
+    def addresses(self) -> list[tuple[str, int]]:
+        endpoints = self._state.history.facts["endpoints"]
+        return [(endpoint["host"], endpoint["port"]) for endpoint in endpoints if endpoint["port"]]
+
+    def listing(self, tool: str) -> Mapping[str, object] | None:
+        return self._state.adapter.facts["listing"].get(tool)
+
+    @property
     def running(self) -> bool:
         return self._state.running
 

@@ -21,7 +21,7 @@ from ..plant.device import Device
 from ..plant.endpoint import Endpoint, first_port
 from ..protocols.envelope import check_result
 from ..protocols.registry import protocols
-from ..record.schema import AdapterFacts, StoredBinding
+from ..record.schema import AdapterFacts, StoredBinding, ToolListing
 from ..record.schema import Device as DeviceFacts
 from ..session.exchange import Exchange, joined
 from ..session.session import McpSession, SessionOptions
@@ -126,6 +126,7 @@ class AdapterUnderTest:
         self._work: tempfile.TemporaryDirectory[str] | None = None
         self._server: ServerFacts = {}
         self.used: dict[str, None] = {}
+        self._called: set[str] = set()
         self.first = first
         self.cursor = JournalCursor(adapter.protocol, first)
 
@@ -157,7 +158,15 @@ class AdapterUnderTest:
                 for name, cases in used.items()
             },
             "unmet": sorted(self.unmet),
+            "listing": {tool: entry for tool in sorted(self._called) if (entry := self.listing(tool)) is not None},
         }
+
+    def listing(self, tool: str) -> ToolListing | None:
+        """Return what ``tools/list`` says of a tool, as far as it is judged; None where it says nothing."""
+        entry = (self.tools or {}).get(tool)
+        if entry is None:
+            return None
+        return {"inputSchema": entry.get("inputSchema"), "annotations": entry.get("annotations")}
 
     def device_facts(self) -> DeviceFacts:
         """Return what ``run.json`` says about the device."""
@@ -302,6 +311,7 @@ class AdapterUnderTest:
         if binding.resource:
             exchange = await session.read_resource(binding.tool, timeout_s=timeout_s)
         else:
+            self._called.add(binding.tool)
             exchange = await session.call(binding.tool, binding.fill(inputs, self.endpoint), timeout_s=timeout_s)
         listed = self.variant == READ_WRITE or binding.resource or binding.tool in session.tools
         expected = self._expectation(operation, binding.answering, binding.outputs, listed=listed)

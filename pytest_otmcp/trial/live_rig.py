@@ -115,6 +115,13 @@ class LiveRig(Rig):
         return f"{operation}.{name}" not in self.under_test.adapter.missing_inputs()
 
     @property
+    def addresses(self) -> list[tuple[str, int]]:
+        return [(endpoint.host, endpoint.port) for endpoint in self.device.endpoints.values() if endpoint.port]
+
+    def listing(self, tool: str) -> Mapping[str, object] | None:
+        return self.under_test.listing(tool)
+
+    @property
     def running(self) -> bool:
         return self.device.running
 

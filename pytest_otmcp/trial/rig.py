@@ -100,8 +100,9 @@ class Rig(ABC):
 
     async def call(self, operation: str, *, role: Role | None = None, **inputs: object) -> Reply:
         """Perform an operation; see :meth:`pytest_otmcp.trial.adapter_under_test.AdapterUnderTest.call`."""
+        there = self.running
         reply = await self._perform(operation, inputs)
-        self._ledger.add(reply, inputs, role)
+        self._ledger.add(reply, inputs, role, reachable=there and self.running)
         if not reply.answered:
             raise EndedError
         return reply
@@ -168,7 +169,20 @@ class Rig(ABC):
             )
         return fresh
 
+    def session_faults(self) -> list[Finding]:
+        """Return what is wrong with the session as such, as far as its device has seen it; each fault once."""
+        return self._cursor.take_faults()
+
     # -- how it is done -----------------------------------------------------------------------------------
+
+    @property
+    @abstractmethod
+    def addresses(self) -> list[tuple[str, int]]:
+        """Host and port of each endpoint of the device, the main one first."""
+
+    @abstractmethod
+    def listing(self, tool: str) -> Mapping[str, object] | None:
+        """Return what ``tools/list`` says of a tool; None where it says nothing."""
 
     @property
     @abstractmethod

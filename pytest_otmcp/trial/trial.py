@@ -16,6 +16,8 @@ from ..protocols.unsolicited import nothing_commanded
 from ..record.schema import Around, Ended, ItemBody, Role, Sample, State
 from .adapter_under_test import NoBindingError
 from .driver import SessionFacts, TrialDriver
+from .every_call import EveryCall
+from .ledger import Ledger
 from .repetition import Repetition
 from .stored import stored_calls, stored_finding
 from .task import Steps, Task
@@ -60,6 +62,7 @@ class Trial:
         self._reason: str | None = None
         self._ended: Ended | None = None
         self._around: list[Around] = []
+        self._every_call: EveryCall | None = None
 
     async def run(self) -> ItemBody:
         """Run the task to its end; faults of adapter and kit alike end up in the returned item."""
@@ -122,12 +125,24 @@ class Trial:
         if task.end is not None:
             await self._execute_around(task.end, "control")
         self._take(await driver.inspect())
+        if self._every_call is not None:
+            history = driver.history()
+            for finding in self._every_call.at_end(history["finished_at"], history["ended_ns"]):
+                self._note(finding.code, finding.message, finding.requirement)
+
+    async def _perform(self, repetition: Repetition, steps: Steps) -> Ledger:
+        """Execute steps, and judge what holds for every call, whatever the task asks for."""
+        await self._driver.perform(repetition, steps)
+        if self._every_call is None:
+            history = self._driver.history()
+            self._every_call = EveryCall(history["started_at"], history["began_ns"])
+        self._every_call.judge(repetition)
+        return repetition.ledger
 
     async def _execute_around(self, steps: Steps, role: Role) -> None:
         """Execute set-up, warm-up or closing checks: they are judged like a repetition, but are no sample."""
         repetition = self._driver.repetition(0, role)
-        await self._driver.perform(repetition, steps)
-        ledger = repetition.ledger
+        ledger = await self._perform(repetition, steps)
         self._around.append(
             {
                 "role": role,
@@ -144,8 +159,7 @@ class Trial:
 
     async def _repeat(self, rep: int) -> bool:
         repetition = self._driver.repetition(rep, "task")
-        await self._driver.perform(repetition, self._task.steps)
-        ledger = repetition.ledger
+        ledger = await self._perform(repetition, self._task.steps)
         self._all_passed = self._all_passed and not ledger.findings
         self._keep(
             {

@@ -204,3 +204,14 @@ def words(results: Results) -> str:
         for findings in (result["findings"], *(sample["findings"] for sample in result["samples"]))
         for finding in findings
     )
+
+
+def requirements(results: Results) -> set[str]:
+    """Return the requirements that the findings cite."""
+    return {
+        finding["requirement"]
+        for result in results.values()
+        for findings in (result["findings"], *(sample["findings"] for sample in result["samples"]))
+        for finding in findings
+        if finding["cause"] is None
+    }

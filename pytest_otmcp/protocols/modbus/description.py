@@ -5,11 +5,12 @@ from __future__ import annotations
 import re
 
 from ..protocol import Colour, Framing, OtProtocol
-from ..session_oracle import StateChanges
+from ..session_oracle import OpenConnections, StateChanges
 from .decoder import ModbusConversation, mbap_length
 from .entries import describe, title
 from .operations import OPERATIONS
 from .oracle import no_state_changing_request
+from .trace import facts
 
 __all__ = ["PROTOCOL"]
 
@@ -23,6 +24,7 @@ PROTOCOL = OtProtocol(
     framing=Framing(frame_length=mbap_length, conversation=ModbusConversation),
     unsolicited=no_state_changing_request,
     describe=describe,
+    facts=facts,
     title=title,
     mock="modbus",
     clients="a Modbus TCP client with unit identifier 1",
@@ -32,6 +34,6 @@ PROTOCOL = OtProtocol(
     envelope_names=("modbus-tcp", "modbus-tls"),
     packages=("pymodbus",),
     colour=Colour(light="#0072b2", dark="#56b4e9"),
-    session_oracles=(StateChanges,),
+    session_oracles=(StateChanges, OpenConnections),
     always=True,
 )

@@ -5,12 +5,14 @@ from __future__ import annotations
 import re
 
 from ..protocol import Choice, Colour, Composite, Framing, OtProtocol, Simulator
+from ..session_oracle import OpenConnections
 from .decoder import MqttConversation, packet_length
 from .entries import describe
 from .external import EXTERNAL
 from .operations import OPERATIONS
-from .oracle import Publications, Subscriptions, no_command
+from .oracle import Publications, Refused, Subscriptions, no_command
 from .sparkplug_oracle import SparkplugSequence
+from .trace import facts
 
 __all__ = ["PROTOCOL"]
 
@@ -42,6 +44,7 @@ PROTOCOL = OtProtocol(
     framing=Framing(frame_length=packet_length, conversation=MqttConversation),
     unsolicited=no_command,
     describe=describe,
+    facts=facts,
     mock="mqtt",
     clients="an MQTT client, version 3.1.1 or 5",
     simulators={
@@ -57,6 +60,6 @@ PROTOCOL = OtProtocol(
     packages=("paho-mqtt", "protobuf"),
     colour=Colour(light="#009e73", dark="#2fc79a"),
     external=EXTERNAL,
-    session_oracles=(Publications, Subscriptions, SparkplugSequence),
+    session_oracles=(Publications, Refused, Subscriptions, SparkplugSequence, OpenConnections),
     always=True,
 )

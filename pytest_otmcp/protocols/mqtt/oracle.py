@@ -15,6 +15,7 @@ from .sparkplug_oracle import SparkplugSequence, ddata_metric
 
 __all__ = [
     "Publications",
+    "Refused",
     "SparkplugSequence",
     "Subscriptions",
     "ddata_metric",
@@ -104,6 +105,33 @@ class Publications(SessionOracle):
     def none(self) -> list[Finding]:
         """Expect that nothing was published in the whole life of the session."""
         return _unexpected("PUBLISH", "in", self._first)
+
+
+class Refused(SessionOracle):
+    """Messages whose publication the adapter has reported as failed: none of them may ever reach the broker."""
+
+    def __init__(self) -> None:
+        self._payloads: set[bytes] = set()
+        self._faults: list[Finding] = []
+
+    def never(self, payload: bytes) -> None:
+        """Expect that these bytes are not published any more, on whatever topic."""
+        self._payloads.add(payload)
+
+    def feed(self, entry: JournalEntry) -> None:
+        """Judge a PUBLISH."""
+        for payload in [payload for payload in self._payloads if never_published([entry], payload)]:
+            self._faults += never_published([entry], payload)
+            self._payloads.discard(payload)
+
+    def restarted(self) -> Refused:
+        """Return itself: what was refused stays refused."""
+        return self
+
+    def take_faults(self) -> list[Finding]:
+        """Return the messages that came nevertheless."""
+        faults, self._faults = self._faults, []
+        return faults
 
 
 def delivered(entries: Entries, *, topic: str, payload: bytes, client_id: str | None = None) -> list[Finding]:

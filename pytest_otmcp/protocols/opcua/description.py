@@ -5,11 +5,12 @@ from __future__ import annotations
 import re
 
 from ..protocol import Colour, Framing, OtProtocol
-from ..session_oracle import StateChanges
+from ..session_oracle import OpenConnections, StateChanges
 from .decoder import OpcUaConversation, chunk_length
 from .entries import describe
 from .operations import OPERATIONS
 from .oracle import no_state_changing_service
+from .trace import facts
 
 __all__ = ["PROTOCOL"]
 
@@ -23,6 +24,7 @@ PROTOCOL = OtProtocol(
     framing=Framing(frame_length=chunk_length, conversation=OpcUaConversation),
     unsolicited=no_state_changing_service,
     describe=describe,
+    facts=facts,
     mock="opcua",
     clients="an OPC UA client with security None",
     tasks="pytest_otmcp.conformance.tasks.opcua",
@@ -30,6 +32,6 @@ PROTOCOL = OtProtocol(
     recognise=re.compile(r"opc[-_ ]?ua", re.IGNORECASE),
     packages=("asyncua",),
     colour=Colour(light="#e69f00", dark="#e69f00"),
-    session_oracles=(StateChanges,),
+    session_oracles=(StateChanges, OpenConnections),
     always=True,
 )
