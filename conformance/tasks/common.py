@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.journal import Entries
 from pytest_otmcp.protocols.unsolicited import nothing_commanded
+from pytest_otmcp.trial.expectations import failed
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.rig import Rig
 
@@ -17,6 +19,7 @@ __all__ = [
     "RAPID_CALLS",
     "SETTLING_S",
     "UNCERTAIN",
+    "a_delay_shows",
     "outage",
     "survive_a_restart",
 ]
@@ -35,6 +38,9 @@ RECOVERING_S = 5.0
 QUIET_S = 0.25
 """Seconds for which the device is watched, once per item, for a request that must not come."""
 
+DELAY_S = 0.1
+"""Seconds: well above a tick of the coarsest clock, well below every timeout."""
+
 CONNECTION_FAULTS = ("connect_failed", "connection_lost", "timeout")
 UNCERTAIN = ("not_sent", "unknown")
 
@@ -46,8 +52,18 @@ async def survive_a_restart(run: Repetition, rig: Rig, operation: str, **inputs:
     run.succeeds(await rig.call(operation, **inputs))
     await rig.stop_device()
     run.fails(await rig.call_until_failure(operation, window_s=NOTICING_S, **inputs), *CONNECTION_FAULTS)
+    # By now the adapter knows that its connection is gone: what fails is a new one, which is refused.
+    refused = await rig.call(operation, role="control", **inputs)
+    run.judge(refused, [replace(finding, requirement="ERR-005") for finding in failed(refused, "connect_failed")])
     await rig.start_device()
     run.succeeds((await rig.call_until_success(operation, window_s=SETTLING_S, **inputs))[-1])
+
+
+async def a_delay_shows(run: Repetition, rig: Rig, operation: str, **inputs: Any) -> None:
+    """Perform an operation while the device answers late; that the envelope says how late is judged in every call."""
+    await rig.delay(DELAY_S)
+    run.succeeds(await rig.call(operation, **inputs))
+    await rig.delay(0)
 
 
 async def outage(run: Repetition, rig: Rig, operation: str, witness: Witness, **inputs: Any) -> None:

@@ -13,7 +13,16 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.rig import Rig
 from pytest_otmcp.trial.task import Tasks
 
-from .common import CONNECTION_FAULTS, QUIET_S, RAPID_CALLS, SETTLING_S, UNCERTAIN, outage, survive_a_restart
+from .common import (
+    CONNECTION_FAULTS,
+    QUIET_S,
+    RAPID_CALLS,
+    SETTLING_S,
+    UNCERTAIN,
+    a_delay_shows,
+    outage,
+    survive_a_restart,
+)
 
 __all__ = ["TASKS"]
 
@@ -36,6 +45,11 @@ async def ping(run: Repetition, modbus: Rig) -> None:
     reply = await modbus.call("ping")
     run.succeeds(reply, reachable=True)
     run.witnessed(oracle.some_exchange(await modbus.journal()))
+
+
+@ping.after
+async def a_slow_device_is_reported_as_slow(run: Repetition, modbus: Rig) -> None:
+    await a_delay_shows(run, modbus, "ping")
 
 
 @TASKS.task(

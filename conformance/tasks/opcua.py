@@ -14,7 +14,16 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.rig import Rig
 from pytest_otmcp.trial.task import Tasks
 
-from .common import CONNECTION_FAULTS, QUIET_S, RAPID_CALLS, SETTLING_S, UNCERTAIN, outage, survive_a_restart
+from .common import (
+    CONNECTION_FAULTS,
+    QUIET_S,
+    RAPID_CALLS,
+    SETTLING_S,
+    UNCERTAIN,
+    a_delay_shows,
+    outage,
+    survive_a_restart,
+)
 
 __all__ = ["TASKS"]
 
@@ -44,6 +53,11 @@ async def read_temperature(run: Repetition, opcua: Rig) -> None:
         oracle.no_state_changing_service(journal),
         oracle.image_holds(await opcua.image(), "ns=2;s=Temperature", value),
     )
+
+
+@read_temperature.after
+async def a_slow_device_is_reported_as_slow(run: Repetition, opcua: Rig) -> None:
+    await a_delay_shows(run, opcua, "read", node=TEMPERATURE)
 
 
 @TASKS.task(

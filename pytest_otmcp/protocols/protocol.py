@@ -177,6 +177,7 @@ class OtProtocol:
         session_oracles: the oracles that judge the whole life of a session.
         always: the protocol's items are part of every run, as the paper's matrix has it; otherwise only of runs whose
             subject has an adapter for it.
+        delayed: conditions of the mock's fault rules, one each, that together concern every request that is answered.
         origin: None for the kit's own protocols.
     """
 
@@ -205,6 +206,7 @@ class OtProtocol:
     external: ExternalDevice | None = None
     session_oracles: tuple[type[SessionOracle], ...] = ()
     always: bool = False
+    delayed: tuple[Mapping[str, object], ...] = ({},)
     origin: Origin | None = None
 
     @property

@@ -11,12 +11,9 @@ from abc import ABC, abstractmethod
 from ..core.finding import Finding
 from .journal import JournalEntry
 
-__all__ = ["OpenConnections", "SessionOracle", "StateChanges"]
+__all__ = ["SessionOracle", "StateChanges"]
 
 _KEPT = 10
-
-_MOST_CONNECTIONS = 8
-"""Connections that a session may leave open at its device: controllers have room for a few clients only."""
 
 
 class SessionOracle(ABC):
@@ -53,33 +50,3 @@ class StateChanges(SessionOracle):
             self.count += 1
             if len(self.first) < _KEPT:
                 self.first.append(entry)
-
-
-class OpenConnections(SessionOracle):
-    """The connections that the adapter has made and not closed."""
-
-    def __init__(self) -> None:
-        self._open: set[int] = set()
-        self._reported = False
-
-    def feed(self, entry: JournalEntry) -> None:
-        """Count the entry if a connection begins or ends with it."""
-        if entry["origin"] != "client":
-            return
-        if entry["kind"] == "CONNECTED":
-            self._open.add(entry["connection"])
-        elif entry["kind"] == "DISCONNECTED":
-            self._open.discard(entry["connection"])
-
-    def take_faults(self) -> list[Finding]:
-        """Return a finding when more connections are open than one session has use for."""
-        if self._reported or len(self._open) <= _MOST_CONNECTIONS:
-            return []
-        self._reported = True
-        return [
-            Finding(
-                code="connections_left",
-                message=f"the adapter has {len(self._open)} connections open at the device while it is asked for nothing",
-                requirement="CON-006",
-            )
-        ]

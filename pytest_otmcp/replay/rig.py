@@ -283,6 +283,9 @@ class ReplayRig(Rig):
     async def poke(self, **params: object) -> None:
         pass
 
+    async def delay(self, seconds: float) -> None:
+        pass
+
     async def tick(self, steps: int) -> None:
         pass
 

@@ -8,6 +8,7 @@ from ..core.finding import Finding
 from ..protocols.registry import protocols
 from ..subject.model import READ_WRITE
 from .call_windows import windows
+from .connections import connections_left
 from .ledger import Judged, Ledger
 from .meta_claims import meta_faults
 from .repetition import Repetition
@@ -78,6 +79,7 @@ def _judge_by_journal(at: Rig, ledger: Ledger) -> None:
         for call in window.calls:
             for finding in meta_faults(window, call, protocol=protocol, addresses=at.addresses):
                 ledger.reject(call.reply, finding)
+    ledger.witnessed(at.session_faults(), connections_left(entries))
     known = any(finding.code in _WRITES_SEEN for finding in ledger.findings)
     for finding, reader in unasked_writes(made, entries, protocol=protocol, variant=at.variant):
         if reader is not None and finding.requirement == "MCP-008":
@@ -85,4 +87,3 @@ def _judge_by_journal(at: Rig, ledger: Ledger) -> None:
             ledger.reject(reader.reply, finding)
         elif not known:
             ledger.witnessed([finding])
-    ledger.witnessed(at.session_faults())

@@ -193,6 +193,10 @@ class LiveRig(Rig):
         with self._observing():
             await self.device.poke(**params)
 
+    async def delay(self, seconds: float) -> None:
+        with self._observing():
+            await self.device.delay(seconds)
+
     async def tick(self, steps: int) -> None:
         with self._observing():
             await self.device.tick(steps)

@@ -141,8 +141,12 @@ class Rig(ABC):
 
         Shorter deadlines do not make a message come sooner, so a time scale below 1 leaves this window as it is.
         """
-        await self._watch(seconds * max(1.0, self._ledger.time_scale))
+        await self.watch(seconds)
         self._ledger.witnessed(judge(await self.journal()))
+
+    async def watch(self, seconds: float) -> None:
+        """Leave the adapter alone for a while; see :meth:`stays_quiet`."""
+        await self._watch(seconds * max(1.0, self._ledger.time_scale))
 
     async def keep_journal(self) -> None:
         """Keep what the device's journal holds of this repetition, before the device's process or the repetition ends."""
@@ -159,6 +163,8 @@ class Rig(ABC):
 
     async def fresh_session(self) -> FreshSession:
         """End the adapter's session and process, and start anew; the new session is in use from now on."""
+        # The oracles of the session that ends are to see what it did to its end.
+        await self._feed()
         fresh = await self._replace_session()
         if fresh.ended in ("terminated", "killed"):
             self._ledger.finding(
@@ -221,6 +227,10 @@ class Rig(ABC):
     @abstractmethod
     async def poke(self, **params: object) -> None:
         """Set a value out of band."""
+
+    @abstractmethod
+    async def delay(self, seconds: float) -> None:
+        """Have the device answer so many seconds late; 0 ends that."""
 
     @abstractmethod
     async def tick(self, steps: int) -> None:

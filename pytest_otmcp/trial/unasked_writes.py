@@ -39,7 +39,7 @@ def unasked_writes(
         if owner is not None:
             left[id(owner)] -= 1
         else:
-            yield _finding(windows[begun] if begun >= 0 else None, entry, protocol, variant)
+            yield _finding(windows[: begun + 1], entry, protocol, variant)
 
 
 def _begin(window: CallWindow) -> int:
@@ -66,9 +66,19 @@ def _accounting(windows: Sequence[CallWindow], left: dict[int, int]) -> Judged |
 
 
 def _finding(
-    window: CallWindow | None, entry: JournalEntry, protocol: OtProtocol, variant: str
+    windows: Sequence[CallWindow], entry: JournalEntry, protocol: OtProtocol, variant: str
 ) -> tuple[Finding, Judged | None]:
+    """Say what is wrong with a request.
+
+    Args:
+        windows: calls until then.
+    """
     what = protocol.describe(entry)
+    window = windows[-1] if windows else None
+    failed = [call for earlier in windows[:-1] for call in _writing(earlier, protocol) if not call.reply.success]
+    if failed and window is not None and not _writing(window, protocol):
+        message = f"{failed[-1].reply.label}: it was reported as failed, and the device saw {what} after that"
+        return Finding(code="unasked_write", message=message, requirement="WR-010"), None
     if window is None or (entry["t_ns"] > window.end_ns and not _writing(window, protocol)):
         (unsolicited, *_) = protocol.unsolicited([entry])
         message = f"while nobody called the adapter the device saw {what}, which changes the plant"

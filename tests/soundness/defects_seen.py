@@ -6,6 +6,7 @@ What the steps of the tasks ask for is right in all of them. Built like ``defect
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 import sys
 import time
@@ -22,6 +23,8 @@ if __package__:
     from .defective import Handler, wrap
 else:
     from defective import Handler, wrap
+
+_QUESTIONS = 6
 
 Bend = Callable[[AdapterServer], None]
 Meta = dict[str, Any]
@@ -100,11 +103,6 @@ def bare_schema(server: AdapterServer) -> None:
         tool.listing.input_schema = {"type": "object"}
 
 
-def untyped_schema(server: AdapterServer) -> None:
-    for tool in server._tools.values():
-        del tool.listing.input_schema["type"]
-
-
 def says_it_only_reads(server: AdapterServer) -> None:
     annotations = server._tools["write_register"].listing.annotations
     assert annotations is not None
@@ -118,7 +116,8 @@ def connection_per_call(server: AdapterServer) -> None:
     def connecting(genuine: Handler) -> Handler:
         async def handler(call: Call, arguments: Any) -> dict[str, Any]:
             host, _, port = server.endpoint.partition("://")[2].rpartition(":")
-            held.append(await asyncio.open_connection(host, int(port)))
+            with contextlib.suppress(OSError):
+                held.append(await asyncio.open_connection(host, int(port)))
             data: dict[str, Any] = await genuine(call, arguments)
             return data
 
@@ -185,12 +184,13 @@ def equal_topics_only(server: AdapterServer) -> None:
     inbox.matches = lambda text, topic: text == topic
 
 
-def delivered_in_the_next_item(server: AdapterServer) -> None:
-    """What could not be published is published somewhere else, seconds after the broker has come back."""
+def delivered_later(server: AdapterServer) -> None:
+    """What could not be published is published after all, on another topic, when the broker has answered five questions."""
     from pytest_otmcp.reference_adapters.mqtt.connection import Message
 
-    tool = server._tools["publish_message"]
-    late: list[asyncio.Task[None]] = []
+    link = server._tools["publish_message"].handler.__self__._link
+    kept: list[Message] = []
+    answered = 0
 
     def keeping(genuine: Handler) -> Handler:
         async def handler(call: Call, arguments: Any) -> dict[str, Any]:
@@ -198,22 +198,27 @@ def delivered_in_the_next_item(server: AdapterServer) -> None:
                 data: dict[str, Any] = await genuine(call, arguments)
             except AdapterError as error:
                 if error.code in ("connect_failed", "connection_lost"):
-                    late.append(
-                        asyncio.create_task(deliver(Message(topic="line/late", payload=arguments.payload.encode())))
-                    )
+                    kept.append(Message(topic="line/late", payload=arguments.payload.encode()))
                 raise
             return data
 
         return handler
 
-    async def deliver(message: Message) -> None:
-        link = tool.handler.__self__._link  # type: ignore[attr-defined]
-        while not link.connected:
-            await asyncio.sleep(0.05)
-        await asyncio.sleep(1.5)
-        link._connection.send(message)
+    def delivering(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> dict[str, Any]:
+            nonlocal answered
+            data: dict[str, Any] = await genuine(call, arguments)
+            answered += bool(kept)
+            if answered >= _QUESTIONS:
+                for message in kept:
+                    link._connection.send(message)
+                kept.clear()
+            return data
+
+        return handler
 
     wrap(server, "publish_message", keeping)
+    wrap(server, "get_broker_info", delivering)
 
 
 def invented_server_time(server: AdapterServer) -> None:
@@ -243,12 +248,11 @@ DEFECTS: dict[str, tuple[str, Bend]] = {
     "MU-76b": ("mqtt", constant_bd_seq),
     "MU-90": ("modbus", connection_per_call),
     "MU-112": ("modbus", bare_schema),
-    "MU-112t": ("modbus", untyped_schema),
-    "MU-112w": ("modbus", says_it_only_reads),
+    "MU-53h": ("modbus", says_it_only_reads),
     "MU-116w": ("modbus", meta(invented_trace)),
     "MU-120": ("modbus", one_code_for_every_outage),
     "MU-124": ("modbus", local_time),
-    "MU-29d": ("mqtt", delivered_in_the_next_item),
+    "MU-29d": ("mqtt", delivered_later),
 }
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from ..protocol import Colour, Framing, OtProtocol
-from ..session_oracle import OpenConnections, StateChanges
+from ..session_oracle import StateChanges
 from .decoder import ModbusConversation, mbap_length
 from .entries import describe, title
 from .operations import OPERATIONS
@@ -34,6 +34,6 @@ PROTOCOL = OtProtocol(
     envelope_names=("modbus-tcp", "modbus-tls"),
     packages=("pymodbus",),
     colour=Colour(light="#0072b2", dark="#56b4e9"),
-    session_oracles=(StateChanges, OpenConnections),
+    session_oracles=(StateChanges,),
     always=True,
 )

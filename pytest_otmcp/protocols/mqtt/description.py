@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 
 from ..protocol import Choice, Colour, Composite, Framing, OtProtocol, Simulator
-from ..session_oracle import OpenConnections
 from .decoder import MqttConversation, packet_length
 from .entries import describe
 from .external import EXTERNAL
@@ -60,6 +59,7 @@ PROTOCOL = OtProtocol(
     packages=("paho-mqtt", "protobuf"),
     colour=Colour(light="#009e73", dark="#2fc79a"),
     external=EXTERNAL,
-    session_oracles=(Publications, Refused, Subscriptions, SparkplugSequence, OpenConnections),
+    session_oracles=(Publications, Refused, Subscriptions, SparkplugSequence),
     always=True,
+    delayed=tuple({"packet": kind} for kind in ("PUBLISH", "SUBSCRIBE", "UNSUBSCRIBE", "PINGREQ")),
 )

@@ -26,6 +26,7 @@ __all__ = [
     "no_packet",
     "published_once",
     "session_stays_up",
+    "subscription_lost",
 ]
 
 _WITNESS = Witness(noun="the broker", describe=describe)
@@ -146,6 +147,21 @@ def delivered(entries: Entries, *, topic: str, payload: bytes, client_id: str | 
             message=f"a message on {topic!r} should have reached the adapter, "
             + (f"the broker sent it {others[:4]}" if others else "the broker had nobody to send it to"),
             requirement="MQT-004",
+            evidence=shown(entries),
+        )
+    ]
+
+
+def subscription_lost(entries: Entries, *, topic: str, payload: bytes) -> list[Finding]:
+    """Expect that the broker delivered this message, because the adapter had subscribed before the broker was restarted."""
+    if not delivered(entries, topic=topic, payload=payload):
+        return []
+    return [
+        Finding(
+            code="subscription_lost",
+            message=f"a message on {topic!r} should have reached the adapter, which had subscribed before the restart, "
+            "the broker had nobody to send it to",
+            requirement="REC-004",
             evidence=shown(entries),
         )
     ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from ..protocol import Colour, Framing, OtProtocol
-from ..session_oracle import OpenConnections, StateChanges
+from ..session_oracle import StateChanges
 from .decoder import OpcUaConversation, chunk_length
 from .entries import describe
 from .operations import OPERATIONS
@@ -32,6 +32,6 @@ PROTOCOL = OtProtocol(
     recognise=re.compile(r"opc[-_ ]?ua", re.IGNORECASE),
     packages=("asyncua",),
     colour=Colour(light="#e69f00", dark="#e69f00"),
-    session_oracles=(StateChanges, OpenConnections),
+    session_oracles=(StateChanges,),
     always=True,
 )
