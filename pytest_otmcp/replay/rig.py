@@ -181,6 +181,10 @@ class ReplayRig(Rig):
     def probe(self, name: str) -> Any:
         return self._state.adapter.facts["probes"][name]
 
+    @property
+    def reconnects(self) -> bool:
+        return self._state.adapter.facts["recovery"] != "connect_step"
+
     def accepts_input(self, operation: str, name: str) -> bool:
         return f"{operation}.{name}" not in self._state.adapter.facts["lacks"]
 
@@ -189,8 +193,9 @@ class ReplayRig(Rig):
         endpoints = self._state.history.facts["endpoints"]
         return [(endpoint["host"], endpoint["port"]) for endpoint in endpoints if endpoint["port"]]
 
-    def listing(self, tool: str) -> Mapping[str, object] | None:
-        return self._state.adapter.facts["listing"].get(tool)
+    def listing(self, operation: str, tool: str) -> Mapping[str, object] | None:
+        adapter = self._state.adapter
+        return None if adapter.bindings.get(operation) is None else adapter.facts["listing"].get(tool)
 
     @property
     def running(self) -> bool:

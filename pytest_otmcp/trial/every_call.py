@@ -55,7 +55,7 @@ class EveryCall:
         tool = call.reply.tool
         writes = protocols()[at.protocol].operations[call.reply.operation].writes
         asked = (at.protocol, tool, writes, *sorted(call.reply.arguments))
-        listing = at.listing(tool)
+        listing = at.listing(call.reply.operation, tool)
         if listing is not None and asked not in self._listings:
             self._listings.add(asked)
             yield from listing_faults(tool, listing, arguments=call.reply.arguments, writes=writes)

@@ -15,6 +15,7 @@ from ..record.images import Images, keep_image
 from ..record.schema import ItemDevice, Observation, SessionStart
 from ..session.session import McpSession
 from ..subject.claims import Claims
+from ..subject.model import Function
 from .adapter_under_test import AdapterUnderTest
 from .bench import Bench
 from .ledger import Ledger
@@ -111,6 +112,10 @@ class LiveRig(Rig):
     def probe(self, name: str) -> Any:
         return self.under_test.adapter.probes[name]
 
+    @property
+    def reconnects(self) -> bool:
+        return self.under_test.adapter.recovery != "connect_step"
+
     def accepts_input(self, operation: str, name: str) -> bool:
         return f"{operation}.{name}" not in self.under_test.adapter.missing_inputs()
 
@@ -118,8 +123,10 @@ class LiveRig(Rig):
     def addresses(self) -> list[tuple[str, int]]:
         return [(endpoint.host, endpoint.port) for endpoint in self.device.endpoints.values() if endpoint.port]
 
-    def listing(self, tool: str) -> Mapping[str, object] | None:
-        return self.under_test.listing(tool)
+    def listing(self, operation: str, tool: str) -> Mapping[str, object] | None:
+        bound = self.under_test.adapter.operations.get(operation)
+        # What a function of the user's passes to its tools is its own affair.
+        return None if isinstance(bound, Function) else self.under_test.listing(tool)
 
     @property
     def running(self) -> bool:

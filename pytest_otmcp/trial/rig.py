@@ -88,6 +88,11 @@ class Rig(ABC):
     def probe(self, name: str) -> Any:
         """Return the value of this probe: the input to use where the request must be refused."""
 
+    @property
+    @abstractmethod
+    def reconnects(self) -> bool:
+        """After an outage the adapter connects again without being asked to."""
+
     @abstractmethod
     def accepts_input(self, operation: str, name: str) -> bool:
         """Tell whether the operation can be given this optional input."""
@@ -187,8 +192,8 @@ class Rig(ABC):
         """Host and port of each endpoint of the device, the main one first."""
 
     @abstractmethod
-    def listing(self, tool: str) -> Mapping[str, object] | None:
-        """Return what ``tools/list`` says of a tool; None where it says nothing."""
+    def listing(self, operation: str, tool: str) -> Mapping[str, object] | None:
+        """Return what ``tools/list`` says of the tool that a binding of this operation calls; None where it says nothing."""
 
     @property
     @abstractmethod
