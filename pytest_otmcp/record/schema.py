@@ -432,6 +432,7 @@ class SessionRemark(TypedDict):
     protocol: str
     overflow: bool
     died: str | None
+    overstayed: str | None
     unknown_ids: list[str]
     stray_lines: Count
     first_stray: str

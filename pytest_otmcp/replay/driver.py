@@ -151,6 +151,7 @@ class ReplayDriver:
             try:
                 await execute(steps, repetition)
             except EndedError:
+                repetition.ended_early = True
                 for at in repetition.all:
                     if not at.running:
                         await at.start_device()
@@ -176,6 +177,7 @@ class ReplayDriver:
         """
         if self._ended:
             raise self._end()
+        await self.close(renew=False)
         return self._inspected()
 
     async def end_sessions(self) -> list[SessionFacts]:
@@ -191,6 +193,7 @@ class ReplayDriver:
                 protocol=entry["protocol"],
                 overflow=entry["overflow"],
                 died=entry["died"],
+                overstayed=entry["overstayed"],
                 unknown_ids=tuple(entry["unknown_ids"]),
                 stray_lines=entry["stray_lines"],
                 first_stray=entry["first_stray"],
@@ -204,10 +207,10 @@ class ReplayDriver:
         for state in self._states:
             state.history.cursor.connected = True
 
-    async def close(self) -> None:
-        """End the session of the read-only variant, as a bench does."""
+    async def close(self, *, renew: bool) -> None:
+        """End the sessions that the next items shall not have, as a bench does."""
         for state in self._states:
-            if state.variant == READ_ONLY:
+            if renew or state.variant == READ_ONLY:
                 state.history.cursor.close_session()
 
     def leave(self, *, judged: bool) -> None:

@@ -127,6 +127,7 @@ class AdapterUnderTest:
         self._server: ServerFacts = {}
         self.used: dict[str, None] = {}
         self._called: set[str] = set()
+        self._ended: list[McpSession] = []
         self.first = first
         self.cursor = JournalCursor(adapter.protocol, first)
 
@@ -272,9 +273,15 @@ class AdapterUnderTest:
         self.cursor.close_session()
         if session is not None:
             await session.close()
+            self._ended.append(session)
         work, self._work = self._work, None
         if work is not None:
             work.cleanup()
+
+    def take_ended(self) -> list[McpSession]:
+        """Return the sessions that have ended since the last question."""
+        ended, self._ended = self._ended, []
+        return ended
 
     def _current(self, session: McpSession | None) -> McpSession:
         session = session or self.session

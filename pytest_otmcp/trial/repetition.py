@@ -39,6 +39,7 @@ class Repetition:
         ledger: what the steps have shown so far.
         notes: a place where the steps can keep values.
         phases: of a recovery trial.
+        ended_early: its last steps were not reached.
     """
 
     def __init__(
@@ -52,6 +53,7 @@ class Repetition:
         self.rng = random.Random(f"{seed}/{task_id}/{role}/{rep}")
         self.phases: Phases | None = None
         self.notes: dict[str, object] = {}
+        self.ended_early = False
         self._at = {(at.protocol, at.variant): at for at in rigs}
         for at in self.all:
             at.join(self.ledger)

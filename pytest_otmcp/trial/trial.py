@@ -87,7 +87,8 @@ class Trial:
             self._status = "KIT_ERROR"
             self._end("kit", "kit_error", str(failure))
         finally:
-            await self._driver.close()
+            # What a session that failed has become must not be the next item's problem.
+            await self._driver.close(renew=self._failed)
 
     def _end(
         self, fault_of: Literal["subject", "binding", "kit"], code: str, message: str, requirement: str | None = None
@@ -114,9 +115,9 @@ class Trial:
         for rep in range(self._planned):
             if self._progress is not None:
                 self._progress(rep, self._planned)
-            unanswered = await self._repeat(rep)
-            silent = silent + 1 if unanswered else 0
-            if unanswered:
+            repetition = await self._repeat(rep)
+            silent = silent + 1 if repetition.unanswered else 0
+            if repetition.unanswered or repetition.ended_early:
                 self._take(await driver.end_sessions())
             if silent == _GIVE_UP_AFTER and rep + 1 < self._planned:
                 self._note("gave_up", f"not continued after {silent} repetitions in a row without a reply")
@@ -157,7 +158,7 @@ class Trial:
             self._take(await self._driver.end_sessions())
             await self._driver.open_sessions()
 
-    async def _repeat(self, rep: int) -> bool:
+    async def _repeat(self, rep: int) -> Repetition:
         repetition = self._driver.repetition(rep, "task")
         ledger = await self._perform(repetition, self._task.steps)
         self._all_passed = self._all_passed and not ledger.findings
@@ -173,7 +174,7 @@ class Trial:
                 "phases": repetition.phases,
             }
         )
-        return repetition.unanswered
+        return repetition
 
     def _note(self, code: str, message: str, requirement: str | None = None, evidence: str | None = None) -> None:
         if (code, message) not in [(finding.code, finding.message) for finding in self._findings]:
@@ -185,12 +186,18 @@ class Trial:
                 self._note("frame_too_long", "the adapter sent a message longer than 16 MiB", "ADR-009")
             if facts.died is not None:
                 self._note("session_lost", facts.died, "MCP-007")
+            if facts.overstayed is not None:
+                self._note("does_not_exit", facts.overstayed, "MCP-009")
             for identifier in facts.unknown_ids:
                 self._note("unknown_id", f"a response carries the id {identifier}, which no request had", "MCP-001")
             if facts.stray_lines:
                 count, first = facts.stray_lines, facts.first_stray
                 message = f"{count} line(s) on stdout that are no MCP message, the first: {first!r}"
                 self._note("stdout_noise", f"{facts.protocol}: {message}", "MCP-001")
+
+    @property
+    def _failed(self) -> bool:
+        return bool(self._findings) or not self._all_passed
 
     def interrupted(self) -> ItemBody:
         """Return the item as far as it was measured when the user ended the run."""
@@ -207,7 +214,6 @@ class Trial:
 
     def _item(self) -> ItemBody:
         task = self._task
-        failed = bool(self._findings) or not self._all_passed
         return {
             "id": task.id,
             "suite": task.suite,
@@ -215,7 +221,7 @@ class Trial:
             "title": task.title,
             "capabilities": list(task.capabilities),
             "requirements": list(task.requirements),
-            "status": self._status or ("FAIL" if failed else "PASS"),
+            "status": self._status or ("FAIL" if self._failed else "PASS"),
             "reason": self._reason,
             "planned": self._planned,
             "findings": [stored_finding(finding) for finding in self._findings],

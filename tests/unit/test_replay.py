@@ -321,7 +321,7 @@ def change_the_warm_up(changed: Item) -> None:
 
 
 def add_noise(changed: Item) -> None:
-    facts = {"protocol": "modbus", "overflow": False, "died": None, "unknown_ids": []}
+    facts = {"protocol": "modbus", "overflow": False, "died": None, "overstayed": None, "unknown_ids": []}
     changed["sessions"].append({"inspection": 1, **facts, "stray_lines": 1, "first_stray": "hello"})
 
 
