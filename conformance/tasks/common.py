@@ -21,6 +21,7 @@ __all__ = [
     "UNCERTAIN",
     "a_delay_shows",
     "outage",
+    "start_without_device",
     "survive_a_restart",
 ]
 
@@ -77,38 +78,57 @@ async def outage(run: Repetition, rig: Rig, operation: str, witness: Witness, **
     run.must_succeed(warm)
     # A command that an earlier item asked for must not arrive now.
     run.witnessed(nothing_commanded(rig.protocol, await rig.journal()))
+    # From here on the outage has been reached, whatever does not come after it.
     stop_ms = await rig.stop_device()
+    run.phases = {
+        "warm_call": warm.latency_ms,
+        "stop": stop_ms,
+        "detect": None,
+        "restart": None,
+        "same_session": None,
+        "same_session_attempts": 0,
+        "same_session_ok": False,
+        "fresh_session": None,
+        "fresh_session_ok": False,
+    }
+    phases = run.phases
     failing = await rig.call_until_failure(operation, window_s=NOTICING_S, **inputs)
     run.fails(failing, *CONNECTION_FAULTS)
-    restart_ms = await rig.start_device()
+    phases["detect"] = failing.latency_ms
+    phases["restart"] = await rig.start_device()
 
-    attempts = []
     # An adapter that only claims to work in a new session is not tested in the same session.
     if rig.claims("recovery"):
         attempts = await rig.call_until_success(operation, window_s=RECOVERING_S, **inputs)
-        run.succeeds(attempts[-1])
+        recovered = attempts[-1]
+        run.succeeds(recovered)
         run.witnessed(witness(await rig.journal()))
-    recovered = attempts[-1] if attempts and attempts[-1].success else None
-    accepting_ns = rig.accepting_ns
+        phases["same_session_attempts"] = len(attempts)
+        if recovered.success:
+            phases["same_session"] = milliseconds(rig.accepting_ns, recovered.exchange.received_ns)
+            phases["same_session_ok"] = True
 
     fresh = await rig.fresh_session()
     first = await rig.call(operation, **inputs)
     run.succeeds(first)
     run.witnessed(witness(await rig.session_journal()))
-
     run.witnessed(nothing_commanded(rig.protocol, await rig.journal()))
+    if first.success:
+        phases["fresh_session"] = milliseconds(fresh.spawned_ns, first.exchange.received_ns)
+        phases["fresh_session_ok"] = True
 
-    run.phases = {
-        "warm_call": warm.latency_ms,
-        "stop": stop_ms,
-        "detect": failing.latency_ms,
-        "restart": restart_ms,
-        "same_session": milliseconds(accepting_ns, recovered.exchange.received_ns) if recovered else None,
-        "same_session_attempts": len(attempts),
-        "same_session_ok": recovered is not None,
-        "fresh_session": milliseconds(fresh.spawned_ns, first.exchange.received_ns) if first.success else None,
-        "fresh_session_ok": bool(first.success),
-    }
+
+async def start_without_device(run: Repetition, rig: Rig, operation: str, **inputs: Any) -> None:
+    """Start the adapter while its device is down: it has to start, to say what is wrong, and to work when the device is there."""
+    # A step that connects cannot succeed now, so there is no session to ask.
+    if not rig.reconnects:
+        return
+    await rig.stop_device()
+    await rig.fresh_session()
+    run.fails(await rig.call(operation, **inputs), *CONNECTION_FAULTS)
+    await rig.start_device()
+    if rig.claims("recovery"):
+        run.succeeds((await rig.call_until_success(operation, window_s=RECOVERING_S, **inputs))[-1])
 
 
 def milliseconds(begin_ns: int, end_ns: int | None) -> float | None:

@@ -21,6 +21,7 @@ from .common import (
     UNCERTAIN,
     a_delay_shows,
     outage,
+    start_without_device,
     survive_a_restart,
 )
 
@@ -279,3 +280,8 @@ async def a_failed_register_write_is_not_delivered_later(run: Repetition, modbus
 )
 async def recovery(run: Repetition, modbus: Rig) -> None:
     await outage(run, modbus, "read_input", oracle.some_exchange, address=0, count=4)
+
+
+@recovery.after
+async def the_adapter_starts_without_its_device(run: Repetition, modbus: Rig) -> None:
+    await start_without_device(run, modbus, "read_input", address=0, count=4)

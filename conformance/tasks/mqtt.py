@@ -23,6 +23,7 @@ from .common import (
     UNCERTAIN,
     a_delay_shows,
     outage,
+    start_without_device,
     survive_a_restart,
 )
 from .messages import collect, publish_from_kit, receives, sync_point
@@ -327,3 +328,8 @@ async def still_subscribed(run: Repetition, mqtt: Rig) -> None:
 )
 async def recovery(run: Repetition, mqtt: Rig) -> None:
     await outage(run, mqtt, "info", oracle.exchange)
+
+
+@recovery.after
+async def the_adapter_starts_without_its_device(run: Repetition, mqtt: Rig) -> None:
+    await start_without_device(run, mqtt, "info")

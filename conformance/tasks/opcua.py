@@ -22,6 +22,7 @@ from .common import (
     UNCERTAIN,
     a_delay_shows,
     outage,
+    start_without_device,
     survive_a_restart,
 )
 
@@ -289,3 +290,8 @@ async def a_failed_node_write_is_not_delivered_later(run: Repetition, opcua: Rig
 async def recovery(run: Repetition, opcua: Rig) -> None:
     witness = partial(oracle.read_from_device, node=TEMPERATURE)
     await outage(run, opcua, "read", witness, node=TEMPERATURE)
+
+
+@recovery.after
+async def the_adapter_starts_without_its_device(run: Repetition, opcua: Rig) -> None:
+    await start_without_device(run, opcua, "read", node=TEMPERATURE)

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from ..core.matrix import SUITES
 from ..core.statistics import mean, mean_interval, percentile
 from ..record.consistency import count_calls
-from . import Item, Run, applies, durations, least, phases, recovered, tally, timing_valid
+from . import Item, Run, applies, durations, least, not_reached, phases, recovered, tally, timing_valid
 from .text import count, interval, number, printable, shortened
 
 __all__ = ["summary"]
@@ -71,6 +71,8 @@ def _recovery(run: Run, items: list[Item], width: int) -> Iterator[Line]:
             row += f"{_count(*recovered([item], way)):>{columns}}"
             row += f"{_number(percentile(phases(run, item, way), 50)):>11}"
         note = "" if item["status"] == "PASS" else f"   {item['status']}"
+        if applies(item) and (missing := not_reached(item)):
+            note += f", {missing} not reached"
         yield shortened(row + note, width), _style(item)
 
 

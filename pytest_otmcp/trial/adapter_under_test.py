@@ -229,7 +229,7 @@ class AdapterUnderTest:
             return
         await self.close()
         # Everything that this session does at its device is in the journal from this sequence number on.
-        self.cursor.open_session(await self.device.mark())
+        self.cursor.open_session(await self.device.mark() if self.device.running else self.cursor.next)
         session = self.new_session()
         try:
             await session.open()
@@ -242,7 +242,8 @@ class AdapterUnderTest:
             }
             await self._connect()
         except SubjectError as failure:
-            self._start_failure = failure
+            # Without its device an adapter may have failed to start for that reason.
+            self._start_failure = failure if self.device.running else None
             await self.close()
             raise
 

@@ -169,7 +169,8 @@ class Rig(ABC):
     async def fresh_session(self) -> FreshSession:
         """End the adapter's session and process, and start anew; the new session is in use from now on."""
         # The oracles of the session that ends are to see what it did to its end.
-        await self._feed()
+        if self.running:
+            await self._feed()
         fresh = await self._replace_session()
         if fresh.ended in ("terminated", "killed"):
             self._ledger.finding(

@@ -6,8 +6,10 @@ What the steps of the tasks ask for is right in all of them. Built like ``defect
 from __future__ import annotations
 
 import asyncio
+import atexit
 import contextlib
 import os
+import socket
 import sys
 import time
 from collections.abc import Callable
@@ -96,6 +98,30 @@ def also_writes(reading: str, writing: str, **arguments: object) -> Bend:
         wrap(server, reading, both)
 
     return bend
+
+
+def stays_with_writes_disabled(server: AdapterServer) -> None:
+    if not server.writes_enabled:
+        atexit.register(time.sleep, 60)
+
+
+def exits_without_a_device(server: AdapterServer) -> None:
+    host, _, port = server.endpoint.partition("://")[2].rpartition(":")
+    with contextlib.suppress(OSError), socket.create_connection((host, int(port))):
+        return
+    sys.exit("there is no device")
+
+
+def demo_without_a_device(server: AdapterServer) -> None:
+    """Without a device at its start it invents values for ever."""
+    host, _, port = server.endpoint.partition("://")[2].rpartition(":")
+    with contextlib.suppress(OSError), socket.create_connection((host, int(port))):
+        return
+
+    async def read(call: Call, arguments: Any) -> dict[str, Any]:
+        return {"address": arguments.address, "count": arguments.count, "values": [0] * arguments.count}
+
+    wrap(server, "read_input_registers", lambda genuine: read)
 
 
 def bare_schema(server: AdapterServer) -> None:
@@ -252,6 +278,9 @@ DEFECTS: dict[str, tuple[str, Bend]] = {
     "MU-116w": ("modbus", meta(invented_trace)),
     "MU-120": ("modbus", one_code_for_every_outage),
     "MU-124": ("modbus", local_time),
+    "MU-51": ("modbus", exits_without_a_device),
+    "demo": ("modbus", demo_without_a_device),
+    "MU-52r": ("modbus", stays_with_writes_disabled),
     "MU-29d": ("mqtt", delivered_later),
 }
 

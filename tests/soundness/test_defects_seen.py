@@ -12,6 +12,9 @@ EVERY_MODBUS_ITEM = "M1 M2 M3 M4 X1 X2 X1p X2p FM1 FM2 FX1 S1 S4 S7 S10 R-modbus
 EXPECTED = {
     "MU-26": ("M4 FM2", "ENV-005"),
     "MU-29d": ("R-mqtt", "WR-010"),
+    "MU-51": ("R-modbus", "MCP-002"),
+    "demo": ("R-modbus", "ERR-001"),
+    "MU-52r": ("M4", "MCP-009"),
     "MU-53a": ("M1", "MCP-008"),
     "MU-53h": ("M3 M4 X2 X2p FM2 S4 S10", "MCP-008"),
     "MU-53o": ("O2", "MCP-008"),
