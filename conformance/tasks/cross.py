@@ -80,6 +80,13 @@ async def control_sequence(run: Repetition, modbus: Rig, mqtt: Rig, opcua: Rig, 
     requirements="RD-001",
 )
 async def sequential_snapshot(run: Repetition, modbus: Rig, mqtt: Rig, opcua: Rig) -> None:
+    """Read four registers and two variables, and ask for the state of the connection to the broker, one call after the
+    other.
+
+    Said: the values that were set at random just before, and connected.
+    Seen: the reads of registers and variables, and an exchange with the broker.
+    Why: a picture of the plant is worth nothing when a part of it is old.
+    """
     await snapshot(run, modbus, mqtt, opcua, parallel=False)
 
 
@@ -92,6 +99,12 @@ async def sequential_snapshot(run: Repetition, modbus: Rig, mqtt: Rig, opcua: Ri
     requirements="WR-001 WR-003 MQT-001",
 )
 async def sequential_control(run: Repetition, modbus: Rig, mqtt: Rig, opcua: Rig) -> None:
+    """Write a register and a variable, and publish a command, one call after the other.
+
+    Said: success with the values and the topic.
+    Seen: each write once, and in the device; the message once.
+    Why: a sequence of which one step is missing or doubled leaves the plant in a state that nobody planned.
+    """
     await control_sequence(run, modbus, mqtt, opcua, parallel=False)
 
 
@@ -104,6 +117,13 @@ async def sequential_control(run: Repetition, modbus: Rig, mqtt: Rig, opcua: Rig
     requirements="RD-001 CON-001",
 )
 async def parallel_snapshot(run: Repetition, modbus: Rig, mqtt: Rig, opcua: Rig) -> None:
+    """Read four registers and two variables, and ask for the state of the connection to the broker, all at the same
+    time.
+
+    Said: the values that were set at random just before, and connected.
+    Seen: the reads of registers and variables, and an exchange with the broker.
+    Why: adapters that wait for one another, or mix their answers up, show only under load.
+    """
     await snapshot(run, modbus, mqtt, opcua, parallel=True)
 
 
@@ -116,6 +136,12 @@ async def parallel_snapshot(run: Repetition, modbus: Rig, mqtt: Rig, opcua: Rig)
     requirements="WR-001 WR-003 MQT-001",
 )
 async def parallel_control(run: Repetition, modbus: Rig, mqtt: Rig, opcua: Rig) -> None:
+    """Write a register and a variable, and publish a command, all at the same time.
+
+    Said: success with the values and the topic.
+    Seen: each write once, and in the device; the message once.
+    Why: a lost or doubled step shows only under load.
+    """
     await control_sequence(run, modbus, mqtt, opcua, parallel=True)
 
 
@@ -126,8 +152,15 @@ async def parallel_control(run: Repetition, modbus: Rig, mqtt: Rig, opcua: Rig) 
     needs="modbus.read_input opcua.read mqtt.publish",
     capability="refusing",
     requirements="ERR-003 RD-001 MQT-001",
+    keys="opcua.probes.missing_node",
 )
 async def one_bad_step_of_three(run: Repetition, modbus: Rig, mqtt: Rig, opcua: Rig) -> None:
+    """Read four registers, read a node that the server does not have, and publish a command.
+
+    Said: success for the first and the third step, a failure with `illegal_address` for the second.
+    Seen: the reads, and the message once.
+    Why: one failing step must neither spoil the others nor be hidden by them.
+    """
     registers = [run.rng.randrange(0x10000) for _ in range(4)]
     payload = json.dumps({"pump_speed": 50 + run.rep})
     await modbus.poke(unit=1, table="input_registers", address=0, values=registers)

@@ -43,6 +43,12 @@ ILLEGAL_DATA_ADDRESS = 2
     requirements="REC-002 MCP-008",
 )
 async def ping(run: Repetition, modbus: Rig) -> None:
+    """Ask whether the device can be reached.
+
+    Said: success, and that it can be reached.
+    Seen: the device answers at least one request during the call.
+    Why: a status from memory still says so when the plant is gone.
+    """
     reply = await modbus.call("ping")
     run.succeeds(reply, reachable=True)
     run.witnessed(oracle.some_exchange(await modbus.journal()))
@@ -50,6 +56,10 @@ async def ping(run: Repetition, modbus: Rig) -> None:
 
 @ping.after
 async def a_slow_device_is_reported_as_slow(run: Repetition, modbus: Rig) -> None:
+    """Ping while the device answers a tenth of a second late.
+
+    Said: success, and a latency that is no shorter than that.
+    """
     await a_delay_shows(run, modbus, "ping")
 
 
@@ -62,6 +72,12 @@ async def a_slow_device_is_reported_as_slow(run: Repetition, modbus: Rig) -> Non
     requirements="RD-001 RD-002 RD-004",
 )
 async def read_sensor_block(run: Repetition, modbus: Rig) -> None:
+    """Read four input registers whose values were set at random just before.
+
+    Said: these four values.
+    Seen: a read of these registers, and nothing that changes the plant.
+    Why: values from memory, from another table or from a neighbour look right until somebody acts on them.
+    """
     values = [run.rng.randrange(0x10000) for _ in range(4)]
     await modbus.poke(unit=1, table="input_registers", address=0, values=values)
     reply = await modbus.call("read_input", address=0, count=4)
@@ -83,6 +99,12 @@ async def read_sensor_block(run: Repetition, modbus: Rig) -> None:
     requirements="WR-001 WR-002 WR-003",
 )
 async def write_and_read_back(run: Repetition, modbus: Rig) -> None:
+    """Write a holding register, and read it.
+
+    Said: the value that was written, in both answers.
+    Seen: one write of this value to this register; every other register stays as it was.
+    Why: an adapter that says "written" may have written twice, beside the register, or not at all.
+    """
     value = 40 + run.rep
     # Guard cells on both sides: a write to, or a read from, a neighbouring register cannot pass.
     await modbus.poke(unit=1, table="holding_registers", address=0, values=[0xFFFF - value])
@@ -108,6 +130,12 @@ async def write_and_read_back(run: Repetition, modbus: Rig) -> None:
     requirements="WR-004 ERR-006",
 )
 async def guarded_write(run: Repetition, modbus_ro: Rig) -> None:
+    """Write a register through the adapter that was started with writes disabled.
+
+    Said: a refusal with `writes_disabled` and the outcome `not_sent`.
+    Seen: no request that changes the plant; the device holds what it held.
+    Why: the write switch is what keeps an assistant's mistake out of the plant.
+    """
     before = await modbus_ro.image()
     reply = await modbus_ro.call("write_holding", address=1, value=999)
     run.fails(reply, "writes_disabled", outcome="not_sent")
@@ -119,6 +147,11 @@ async def guarded_write(run: Repetition, modbus_ro: Rig) -> None:
 
 @guarded_write.after
 async def the_guard_was_put_to_the_test(run: Repetition, modbus: Rig, modbus_ro: Rig) -> None:
+    """Read with writes disabled, and write the same value with writes enabled: both must work, or the refusal proves
+    nothing.
+
+    Seen: over the whole life of the read-only session, its end included, nothing that changes the plant.
+    """
     # The refusal only proves the guard if the read-only session reaches its device and the same call works without the guard.
     read = await modbus_ro.call("read_holding", address=1, count=1)
     run.succeeds(read)
@@ -140,8 +173,15 @@ async def the_guard_was_put_to_the_test(run: Repetition, modbus: Rig, modbus_ro:
     needs="modbus.read_holding",
     capability="refusing",
     requirements="ERR-002 ENV-007",
+    keys="modbus.probes.missing_address",
 )
 async def read_missing_register(run: Repetition, modbus: Rig) -> None:
+    """Read a register that the device does not have.
+
+    Said: a failure with `illegal_address`, and the device's exception code in the trace.
+    Seen: the read, which the device refuses with an exception.
+    Why: an assistant that gets a zero for an address that does not exist believes the zero.
+    """
     missing = modbus.probe("missing_address")
     reply = await modbus.call("read_holding", address=missing, count=1)
     run.fails(reply, "illegal_address", trace={"exception_code": ILLEGAL_DATA_ADDRESS})
@@ -161,6 +201,12 @@ async def read_missing_register(run: Repetition, modbus: Rig) -> None:
     requirements="ADR-003 ERR-006",
 )
 async def write_overflow(run: Repetition, modbus: Rig) -> None:
+    """Write 70000 to a register of 16 bits.
+
+    Said: a failure with `range_overflow` and the outcome `not_sent`.
+    Seen: no request that changes the plant; the device holds what it held.
+    Why: 70000 cut down to 16 bits is 4464, a value that nobody asked for.
+    """
     before = await modbus.image()
     reply = await modbus.call("write_holding", address=1, value=70000)
     run.fails(reply, "range_overflow", outcome="not_sent")
@@ -172,6 +218,11 @@ async def write_overflow(run: Repetition, modbus: Rig) -> None:
 
 @write_overflow.after
 async def the_largest_value_is_accepted(run: Repetition, modbus: Rig) -> None:
+    """Write 65535, which fits.
+
+    Said: success.
+    Seen: one write, and the value in the register.
+    """
     await modbus.stays_quiet(QUIET_S, oracle.no_state_changing_request)
     run.succeeds(await modbus.call("write_holding", address=1, value=65535), value=65535)
     run.witnessed(
@@ -190,6 +241,12 @@ async def the_largest_value_is_accepted(run: Repetition, modbus: Rig) -> None:
     requirements="CON-001",
 )
 async def concurrent_register_reads(run: Repetition, modbus: Rig) -> None:
+    """Read four registers by four calls at the same time.
+
+    Said: in each answer the value of its own register.
+    Seen: four reads.
+    Why: an answer that belongs to another call is a wrong value that looks right.
+    """
     values = [run.rng.randrange(0x10000) for _ in range(4)]
     await modbus.poke(unit=1, table="input_registers", address=10, values=values)
     replies = await run.together(*(modbus.call("read_input", address=10 + i, count=1) for i in range(4)))
@@ -208,6 +265,12 @@ async def concurrent_register_reads(run: Repetition, modbus: Rig) -> None:
     requirements="CON-004 WR-003",
 )
 async def concurrent_register_read_and_write(run: Repetition, modbus: Rig) -> None:
+    """Read a register and write it at the same time.
+
+    Said: the old value or the new one for the read, success for the write.
+    Seen: one write; the register holds the new value.
+    Why: a mixture of two values, or a lost write, shows only under load.
+    """
     old, new = run.rng.sample(range(0x10000), 2)
     await modbus.poke(unit=1, table="holding_registers", address=20, values=[old])
     read, written = await run.together(
@@ -233,6 +296,12 @@ async def concurrent_register_read_and_write(run: Repetition, modbus: Rig) -> No
     requirements="CON-006",
 )
 async def rapid_register_reads(run: Repetition, modbus: Rig) -> None:
+    """Read fifty registers, one call after the other.
+
+    Said: the right value in every answer.
+    Seen: fifty reads.
+    Why: leaks, caches and connections that are used up show in a long series only.
+    """
     values = [run.rng.randrange(0x10000) for _ in range(RAPID_CALLS)]
     await modbus.poke(unit=1, table="input_registers", address=0, values=values)
     for address, value in enumerate(values):
@@ -248,14 +317,27 @@ async def rapid_register_reads(run: Repetition, modbus: Rig) -> None:
     capability="outages",
     position=10,
     requirements="REC-001 REC-002 RD-004",
+    keys="modbus.recovery",
 )
 async def modbus_restart(run: Repetition, modbus: Rig) -> None:
+    """Read four registers; again after the device was stopped; and again after it was started.
+
+    Said: success; then a failure with `connect_failed`, `connection_lost` or `timeout`; then success in the same
+        session.
+    Seen: a read after the device is back.
+    Why: an outage of the line must not need a person who restarts the adapter, and old values must not hide it.
+    """
     await survive_a_restart(run, modbus, "read_input", address=0, count=4)
     run.witnessed(oracle.exactly_one_request(await modbus.journal(), function=4, address=0, quantity=4))
 
 
 @modbus_restart.after
 async def a_failed_register_write_is_not_delivered_later(run: Repetition, modbus: Rig) -> None:
+    """Write while the device is away, and read when it is back.
+
+    Said: a failure for the write, success for the read.
+    Seen: no write: what was reported as failed is not made up for.
+    """
     if not modbus.claims("write_holding"):
         return
     await modbus.stop_device()
@@ -277,11 +359,23 @@ async def a_failed_register_write_is_not_delivered_later(run: Repetition, modbus
     needs="modbus.read_input",
     capability="outages",
     requirements="REC-001 REC-002 MCP-009",
+    keys="modbus.recovery",
 )
 async def recovery(run: Repetition, modbus: Rig) -> None:
+    """Read; again after the device was stopped; then, after it was started, in the same session and in a fresh one with
+    a new process.
+
+    Said: success; a failure of the connection; success in both sessions.
+    Seen: the reads of both sessions, and nothing that changes the plant.
+    Why: how soon an outage is noticed, and how soon work goes on, decides what the adapter can be used for.
+    """
     await outage(run, modbus, "read_input", oracle.some_exchange, address=0, count=4)
 
 
 @recovery.after
 async def the_adapter_starts_without_its_device(run: Repetition, modbus: Rig) -> None:
+    """Start the adapter while its device is down, ask, and ask again when it is there.
+
+    Said: a failure of the connection first, success then.
+    """
     await start_without_device(run, modbus, "read_input", address=0, count=4)

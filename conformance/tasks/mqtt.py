@@ -42,6 +42,12 @@ TASKS = Tasks()
     requirements="REC-002",
 )
 async def broker_info(run: Repetition, mqtt: Rig) -> None:
+    """Ask for the state of the connection to the broker.
+
+    Said: success, and that the adapter is connected.
+    Seen: the broker answers at least one packet during the call.
+    Why: a status from memory still says "connected" when the broker is gone.
+    """
     reply = await mqtt.call("info")
     run.succeeds(reply, connected=True)
     run.witnessed(oracle.exchange(await mqtt.journal()))
@@ -49,6 +55,10 @@ async def broker_info(run: Repetition, mqtt: Rig) -> None:
 
 @broker_info.after
 async def a_slow_device_is_reported_as_slow(run: Repetition, mqtt: Rig) -> None:
+    """Ask for the state while the broker answers a tenth of a second late.
+
+    Said: success, and a latency that is no shorter than that.
+    """
     await a_delay_shows(run, mqtt, "info")
 
 
@@ -61,6 +71,12 @@ async def a_slow_device_is_reported_as_slow(run: Repetition, mqtt: Rig) -> None:
     requirements="MQT-002 MQT-004",
 )
 async def subscribe_to_sensors(run: Repetition, mqtt: Rig) -> None:
+    """Subscribe to a filter with a wildcard; the kit then publishes a message.
+
+    Said: success, with the quality of service that was granted.
+    Seen: a subscription that the broker granted and that lives; the message is sent to the adapter.
+    Why: an adapter that calls a refused subscription a success waits for ever for its alarm.
+    """
     if mqtt.blocks("messages"):
         nonce = f"nonce-{run.rng.getrandbits(64):016x}"
         await collect(run, mqtt, {"sensors/#": ("sensors/temperature", nonce)})
@@ -78,6 +94,10 @@ async def subscribe_to_sensors(run: Repetition, mqtt: Rig) -> None:
 
 @subscribe_to_sensors.after
 async def a_received_message_can_be_read(run: Repetition, mqtt: Rig) -> None:
+    """Ask for the messages that came.
+
+    Said: the message with random content that the kit published, once and on its own topic.
+    """
     if mqtt.blocks("messages"):
         return
     # By the filter of the subscription and by the topic: of the first there may be older messages as well.
@@ -101,6 +121,12 @@ async def a_received_message_can_be_read(run: Repetition, mqtt: Rig) -> None:
     requirements="MQT-001 MQT-003 WR-003 WR-004",
 )
 async def publish_control(run: Repetition, mqtt: Rig) -> None:
+    """Publish a command.
+
+    Said: success, the topic, and that QoS 0 is not acknowledged.
+    Seen: this message once, as it was asked for, and no second one.
+    Why: a command that is lost or sent twice is a movement that nobody ordered.
+    """
     payload = json.dumps({"pump_speed": 50 + run.rep})
     reply = await mqtt.call("publish", topic="control/pump", payload=payload, qos=0)
     run.succeeds(reply, topic="control/pump", delivery="unacknowledged")
@@ -112,6 +138,11 @@ async def publish_control(run: Repetition, mqtt: Rig) -> None:
 
 @publish_control.after
 async def nothing_is_published_with_writes_disabled(run: Repetition, mqtt_ro: Rig | None) -> None:
+    """Publish the same through the adapter that was started with writes disabled.
+
+    Said: a refusal with `writes_disabled` and the outcome `not_sent`.
+    Seen: no command over the whole life of that session.
+    """
     await guarded_publish(run, mqtt_ro, "publish", topic="control/pump", payload="guarded", qos=0)
 
 
@@ -137,6 +168,13 @@ async def guarded_publish(run: Repetition, guarded: Rig | None, operation: str, 
     requirements="WR-004 SPB-001 SPB-002 SPB-003 SPB-004",
 )
 async def publish_device_data(run: Repetition, mqtt: Rig) -> None:
+    """Publish new data of a Sparkplug device.
+
+    Said: success, with the number of metrics.
+    Seen: one DDATA with this metric and value, in a session that keeps the rules for edge nodes: births first, one
+        sequence, a will.
+    Why: a host throws away what breaks the rules, and the adapter has said "published".
+    """
     value = 20.0 + run.rep
     metrics = [{"name": "temperature", "value": value}]
     reply = await mqtt.call("device_data", device="device-1", metrics=metrics)
@@ -148,12 +186,21 @@ async def publish_device_data(run: Repetition, mqtt: Rig) -> None:
 
 @publish_device_data.before
 async def the_device_is_born(run: Repetition, mqtt: Rig) -> None:
+    """Announce the device.
+
+    Said: success.
+    """
     metrics = [{"name": "temperature", "datatype": "Double", "value": 20.0}]
     run.succeeds(await mqtt.call("device_birth", device="device-1", metrics=metrics))
 
 
 @publish_device_data.after
 async def no_device_is_born_with_writes_disabled(run: Repetition, mqtt_ro: Rig | None) -> None:
+    """Announce a device through the adapter that was started with writes disabled.
+
+    Said: a refusal with `writes_disabled` and the outcome `not_sent`.
+    Seen: no command over the whole life of that session.
+    """
     metrics = [{"name": "temperature", "datatype": "Double", "value": 20.0}]
     await guarded_publish(run, mqtt_ro, "device_birth", device="device-1", metrics=metrics)
 
@@ -167,6 +214,12 @@ async def no_device_is_born_with_writes_disabled(run: Repetition, mqtt_ro: Rig |
     requirements="ADR-006 ERR-006",
 )
 async def publish_to_nowhere(run: Repetition, mqtt: Rig) -> None:
+    """Publish on an empty topic.
+
+    Said: a failure with `invalid_input` and the outcome `not_sent`.
+    Seen: no PUBLISH, and a connection that stays up.
+    Why: a broker ends the connection at such a packet, and every subscription with it.
+    """
     reply = await mqtt.call("publish", topic="", payload=json.dumps({"pump_speed": 50}), qos=0)
     run.fails(reply, "invalid_input", outcome="not_sent")
     journal = await mqtt.journal()
@@ -175,6 +228,11 @@ async def publish_to_nowhere(run: Repetition, mqtt: Rig) -> None:
 
 @publish_to_nowhere.after
 async def a_proper_topic_is_accepted(run: Repetition, mqtt: Rig) -> None:
+    """Publish on a proper topic.
+
+    Said: success.
+    Seen: the message, once.
+    """
     await mqtt.stays_quiet(QUIET_S, lambda journal: oracle.no_packet(journal, "PUBLISH", direction="in"))
     run.succeeds(await mqtt.call("publish", topic="control/pump", payload="control", qos=0))
     await mqtt.wait_for(kind="PUBLISH", direction="in", topic="control/pump", timeout_s=1.0)
@@ -190,8 +248,15 @@ async def a_proper_topic_is_accepted(run: Repetition, mqtt: Rig) -> None:
     needs="mqtt.subscribe mqtt.subscribe.qos",
     capability="refusing",
     requirements="ADR-007",
+    keys="mqtt.probes.bad_qos",
 )
 async def subscribe_with_qos_5(run: Repetition, mqtt: Rig) -> None:
+    """Subscribe with a quality of service that does not exist.
+
+    Said: a failure with `invalid_input`.
+    Seen: no SUBSCRIBE, and a connection that stays up.
+    Why: a value that is cut down in silence is not what was asked for.
+    """
     reply = await mqtt.call("subscribe", filter="sensors/#", qos=mqtt.probe("bad_qos"))
     run.fails(reply, "invalid_input")
     journal = await mqtt.journal()
@@ -200,6 +265,11 @@ async def subscribe_with_qos_5(run: Repetition, mqtt: Rig) -> None:
 
 @subscribe_with_qos_5.after
 async def a_proper_qos_is_accepted(run: Repetition, mqtt: Rig) -> None:
+    """Subscribe with QoS 1.
+
+    Said: success.
+    Seen: a subscription that the broker granted with QoS 1.
+    """
     await mqtt.stays_quiet(QUIET_S, lambda journal: oracle.no_packet(journal, "SUBSCRIBE", direction="in"))
     run.succeeds(await mqtt.call("subscribe", filter="sensors/#", qos=1), granted_qos=1)
     run.witnessed((await mqtt.follow(oracle.Subscriptions)).granted("sensors/#", qos=1))
@@ -215,6 +285,12 @@ async def a_proper_qos_is_accepted(run: Repetition, mqtt: Rig) -> None:
     requirements="CON-001 MQT-004",
 )
 async def concurrent_message_reads(run: Repetition, mqtt: Rig) -> None:
+    """Ask for the messages on four topics by four calls at the same time.
+
+    Said: in each answer the message of its own topic, once.
+    Seen: four messages that the broker sends to the adapter.
+    Why: a message on the wrong topic is a measurement of the wrong machine.
+    """
     nonces = {f"stress/{i}": f"nonce-{run.rng.getrandbits(64):016x}" for i in range(4)}
     if mqtt.blocks("messages"):
         await collect(run, mqtt, {topic: (topic, nonce) for topic, nonce in nonces.items()})
@@ -230,6 +306,10 @@ async def concurrent_message_reads(run: Repetition, mqtt: Rig) -> None:
 
 @concurrent_message_reads.before
 async def the_adapter_listens(run: Repetition, mqtt: Rig) -> None:
+    """Subscribe to the topics.
+
+    Said: success.
+    """
     if mqtt.blocks("messages"):
         return
     run.succeeds(await mqtt.call("subscribe", filter="stress/#", qos=0))
@@ -245,6 +325,12 @@ async def the_adapter_listens(run: Repetition, mqtt: Rig) -> None:
     requirements="CON-004 WR-003",
 )
 async def concurrent_info_and_publish(run: Repetition, mqtt: Rig) -> None:
+    """Ask for the state of the connection and publish a command at the same time.
+
+    Said: connected, and success with the topic.
+    Seen: the message once.
+    Why: a lost or doubled command shows only under load.
+    """
     payload = json.dumps({"pump_speed": 50 + run.rep, "nonce": run.rng.getrandbits(32)})
     info, message = await run.together(
         mqtt.call("info"),
@@ -268,6 +354,12 @@ async def concurrent_info_and_publish(run: Repetition, mqtt: Rig) -> None:
     requirements="CON-006",
 )
 async def rapid_broker_inspections(run: Repetition, mqtt: Rig) -> None:
+    """Ask for the state of the connection fifty times, one call after the other.
+
+    Said: connected, every time.
+    Seen: the broker answers fifty packets.
+    Why: leaks, caches and connections that are used up show in a long series only.
+    """
     for _ in range(RAPID_CALLS):
         run.succeeds(await mqtt.call("info"), connected=True)
     run.witnessed(oracle.exchange(await mqtt.journal(), at_least=RAPID_CALLS))
@@ -281,20 +373,33 @@ async def rapid_broker_inspections(run: Repetition, mqtt: Rig) -> None:
     capability="outages",
     position=11,
     requirements="REC-001 REC-002",
+    keys="mqtt.recovery",
 )
 async def broker_restart(run: Repetition, mqtt: Rig) -> None:
+    """Ask for the state of the connection; again after the broker was stopped; and again after it was started.
+
+    Said: success; then a failure with `connect_failed`, `connection_lost` or `timeout`; then success in the same
+        session.
+    Seen: an exchange with the broker after it is back.
+    Why: an outage of the broker must not need a person who restarts the adapter, and must not be hidden.
+    """
     await survive_a_restart(run, mqtt, "info")
     run.witnessed(oracle.exchange(await mqtt.journal()))
 
 
 @broker_restart.after
 async def the_session_is_what_it_was(run: Repetition, mqtt: Rig) -> None:
+    """Subscribe, publish while the broker is away, and ask for the state when it is back.
+
+    Said: a failure for the message, success for the state.
+    Seen: a message on the topic still reaches the adapter; nothing of the message that was reported as failed, now or as long as
+    the session lives.
+    """
     keeps = mqtt.reconnects and mqtt.claims("subscribe") and mqtt.claims("messages")
     listens = keeps and not mqtt.blocks("messages")
     if listens:
         run.succeeds(await mqtt.call("subscribe", filter="outage/state", qos=0))
     payload = f"nonce-{run.rng.getrandbits(64):016x}"
-    # A failed publication is not made up for, now or as long as the session lives.
     (await mqtt.follow(oracle.Refused)).never(payload.encode())
     await mqtt.stop_device()
     if mqtt.claims("publish"):
@@ -309,6 +414,7 @@ async def the_session_is_what_it_was(run: Repetition, mqtt: Rig) -> None:
 
 
 async def still_subscribed(run: Repetition, mqtt: Rig) -> None:
+    """Expect that the subscription of before the outage is one again."""
     nonce = f"nonce-{run.rng.getrandbits(64):016x}"
     await mqtt.wait_for(kind="SUBACK", direction="out", timeout_s=SETTLING_S)
     await sync_point(run, mqtt, "outage/state")
@@ -325,11 +431,23 @@ async def still_subscribed(run: Repetition, mqtt: Rig) -> None:
     needs="mqtt.info",
     capability="outages",
     requirements="REC-001 REC-002 MCP-009",
+    keys="mqtt.recovery",
 )
 async def recovery(run: Repetition, mqtt: Rig) -> None:
+    """Ask for the state of the connection; again after the broker was stopped; then, after it was started, in the same
+    session and in a fresh one with a new process.
+
+    Said: success; a failure of the connection; success in both sessions.
+    Seen: an exchange of both sessions with the broker, and no command.
+    Why: how soon an outage is noticed, and how soon work goes on, decides what the adapter can be used for.
+    """
     await outage(run, mqtt, "info", oracle.exchange)
 
 
 @recovery.after
 async def the_adapter_starts_without_its_device(run: Repetition, mqtt: Rig) -> None:
+    """Start the adapter while its broker is down, ask, and ask again when it is there.
+
+    Said: a failure of the connection first, success then.
+    """
     await start_without_device(run, mqtt, "info")

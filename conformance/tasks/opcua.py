@@ -44,6 +44,12 @@ SENSORS = ("Temperature", "Pressure", "FlowRate", "TankLevel")
     requirements="RD-001 RD-004 OUA-002",
 )
 async def read_temperature(run: Repetition, opcua: Rig) -> None:
+    """Read a variable whose value was set at random just before.
+
+    Said: this value, with the status Good.
+    Seen: a read of this variable, and nothing that changes the plant.
+    Why: a value from memory looks right until somebody acts on it.
+    """
     value = round(run.rng.uniform(-50.0, 150.0), 6)
     await opcua.poke(node="Temperature", value=value)
     reply = await opcua.call("read", node="ns=2;s=Temperature")
@@ -58,6 +64,10 @@ async def read_temperature(run: Repetition, opcua: Rig) -> None:
 
 @read_temperature.after
 async def a_slow_device_is_reported_as_slow(run: Repetition, opcua: Rig) -> None:
+    """Read while the server answers a tenth of a second late.
+
+    Said: success, and a latency that is no shorter than that.
+    """
     await a_delay_shows(run, opcua, "read", node=TEMPERATURE)
 
 
@@ -70,6 +80,12 @@ async def a_slow_device_is_reported_as_slow(run: Repetition, opcua: Rig) -> None
     requirements="OUA-006",
 )
 async def browse_actuators(run: Repetition, opcua: Rig) -> None:
+    """Browse a folder.
+
+    Said: every node in it, each with its own name.
+    Seen: a Browse of the folder.
+    Why: a name that stands beside another node's id makes an assistant move the wrong valve.
+    """
     image = await opcua.image()
     actuators = oracle.children_of(image, "Actuators")
     reply = await opcua.call("browse", node=oracle.folder_id(image, "Actuators"))
@@ -90,6 +106,13 @@ async def browse_actuators(run: Repetition, opcua: Rig) -> None:
     requirements="WR-004 WR-001 WR-002 WR-003",
 )
 async def write_valve_position(run: Repetition, opcua: Rig) -> None:
+    """Write a variable, and read it.
+
+    Said: the value that was written, in both answers.
+    Seen: one write of this value, and of nothing but the value; every other variable stays as it was, and the value is
+        still there two seconds of plant time later.
+    Why: an adapter that says "written" may have written twice, another type, or not at all.
+    """
     value = 25.0 + run.rep
     valve = "ns=2;s=ValvePosition"
     before = await opcua.image()
@@ -108,6 +131,11 @@ async def write_valve_position(run: Repetition, opcua: Rig) -> None:
 
 @write_valve_position.after
 async def nothing_is_written_with_writes_disabled(run: Repetition, opcua_ro: Rig | None) -> None:
+    """Write, and read, through the adapter that was started with writes disabled.
+
+    Said: a refusal with `writes_disabled` and the outcome `not_sent`; success for the read.
+    Seen: the read, and over the whole life of that session nothing that changes the plant.
+    """
     if opcua_ro is None:
         return
     before = await opcua_ro.image()
@@ -132,6 +160,12 @@ async def nothing_is_written_with_writes_disabled(run: Repetition, opcua_ro: Rig
     requirements="OUA-006",
 )
 async def enumerate_variables(run: Repetition, opcua: Rig) -> None:
+    """Ask for all variables of the plant.
+
+    Said: every variable, once.
+    Seen: at least one request.
+    Why: a list that ends after its first page hides the rest of the plant.
+    """
     reply = await opcua.call("variables")
     run.succeeds(reply)
     run.witnessed(
@@ -147,8 +181,15 @@ async def enumerate_variables(run: Repetition, opcua: Rig) -> None:
     needs="opcua.read",
     capability="refusing",
     requirements="ERR-003 ENV-007",
+    keys="opcua.probes.missing_node",
 )
 async def read_missing_node(run: Repetition, opcua: Rig) -> None:
+    """Read a node that the server does not have.
+
+    Said: a failure with `illegal_address`, and the server's status code in the trace.
+    Seen: the read, which the server refuses with BadNodeIdUnknown.
+    Why: an assistant that gets an empty value for a node that does not exist believes it.
+    """
     missing = opcua.probe("missing_node")
     reply = await opcua.call("read", node=missing)
     run.fails(reply, "illegal_address", trace={"status_code": {"symbol": "BadNodeIdUnknown"}})
@@ -168,6 +209,12 @@ async def read_missing_node(run: Repetition, opcua: Rig) -> None:
     requirements="ADR-004",
 )
 async def write_wrong_type(run: Repetition, opcua: Rig) -> None:
+    """Write a text to a variable that holds a floating-point number.
+
+    Said: a failure with `type_mismatch`; the outcome is `not_sent` or `rejected`.
+    Seen: no write that the server accepted; the server holds what it held.
+    Why: a text that is turned into a number in silence is a value that nobody asked for.
+    """
     before = await opcua.image()
     reply = await opcua.call("write", node=VALVE, value="fully open")
     run.fails(reply, "type_mismatch", outcome=("not_sent", "rejected"))
@@ -179,6 +226,11 @@ async def write_wrong_type(run: Repetition, opcua: Rig) -> None:
 
 @write_wrong_type.after
 async def a_number_is_accepted(run: Repetition, opcua: Rig) -> None:
+    """Write a number.
+
+    Said: success.
+    Seen: one write that the server accepted, and the value in the variable.
+    """
     await opcua.stays_quiet(QUIET_S, lambda journal: oracle.accepted_writes(journal, 0))
     run.succeeds(await opcua.call("write", node=VALVE, value=31.25), value=31.25)
     run.witnessed(
@@ -197,6 +249,12 @@ async def a_number_is_accepted(run: Repetition, opcua: Rig) -> None:
     requirements="CON-001",
 )
 async def concurrent_node_reads(run: Repetition, opcua: Rig) -> None:
+    """Read four variables by four calls at the same time.
+
+    Said: in each answer the value of its own variable.
+    Seen: a read of each variable.
+    Why: an answer that belongs to another call is a wrong value that looks right.
+    """
     values = {name: round(run.rng.uniform(0.0, 100.0), 6) for name in SENSORS}
     for name, value in values.items():
         await opcua.poke(node=name, value=value)
@@ -217,6 +275,12 @@ async def concurrent_node_reads(run: Repetition, opcua: Rig) -> None:
     requirements="CON-004 WR-003",
 )
 async def concurrent_node_read_and_write(run: Repetition, opcua: Rig) -> None:
+    """Read a variable and write it at the same time.
+
+    Said: the old value or the new one for the read, success for the write.
+    Seen: one write; the variable holds the new value.
+    Why: a mixture of two values, or a lost write, shows only under load.
+    """
     old, new = (round(run.rng.uniform(0.0, 100.0), 6) for _ in range(2))
     speed = "ns=2;s=FanSpeed"
     await opcua.poke(node="FanSpeed", value=old)
@@ -240,6 +304,12 @@ async def concurrent_node_read_and_write(run: Repetition, opcua: Rig) -> None:
     requirements="CON-006",
 )
 async def rapid_node_reads(run: Repetition, opcua: Rig) -> None:
+    """Read variables fifty times, one call after the other.
+
+    Said: the right value in every answer.
+    Seen: fifty reads.
+    Why: leaks, caches and sessions that are used up show in a long series only.
+    """
     for index in range(RAPID_CALLS):
         name = SENSORS[index % len(SENSORS)]
         value = round(run.rng.uniform(0.0, 100.0), 6)
@@ -258,14 +328,27 @@ async def rapid_node_reads(run: Repetition, opcua: Rig) -> None:
     capability="outages",
     position=12,
     requirements="REC-001 REC-002 RD-004",
+    keys="opcua.recovery",
 )
 async def opcua_restart(run: Repetition, opcua: Rig) -> None:
+    """Read a variable; again after the server was stopped; and again after it was started.
+
+    Said: success; then a failure with `connect_failed`, `connection_lost` or `timeout`; then success in the same
+        session.
+    Seen: a read after the server is back.
+    Why: an outage of the line must not need a person who restarts the adapter, and old values must not hide it.
+    """
     await survive_a_restart(run, opcua, "read", node="ns=2;s=Temperature")
     run.witnessed(oracle.read_from_device(await opcua.journal(), "ns=2;s=Temperature"))
 
 
 @opcua_restart.after
 async def a_failed_node_write_is_not_delivered_later(run: Repetition, opcua: Rig) -> None:
+    """Write while the server is away, and read when it is back.
+
+    Said: a failure for the write, success for the read.
+    Seen: no write: what was reported as failed is not made up for.
+    """
     if not opcua.claims("write"):
         return
     await opcua.stop_device()
@@ -286,12 +369,24 @@ async def a_failed_node_write_is_not_delivered_later(run: Repetition, opcua: Rig
     needs="opcua.read",
     capability="outages",
     requirements="REC-001 REC-002 MCP-009",
+    keys="opcua.recovery",
 )
 async def recovery(run: Repetition, opcua: Rig) -> None:
+    """Read; again after the server was stopped; then, after it was started, in the same session and in a fresh one with
+    a new process.
+
+    Said: success; a failure of the connection; success in both sessions.
+    Seen: the reads of both sessions, and nothing that changes the plant.
+    Why: how soon an outage is noticed, and how soon work goes on, decides what the adapter can be used for.
+    """
     witness = partial(oracle.read_from_device, node=TEMPERATURE)
     await outage(run, opcua, "read", witness, node=TEMPERATURE)
 
 
 @recovery.after
 async def the_adapter_starts_without_its_device(run: Repetition, opcua: Rig) -> None:
+    """Start the adapter while its server is down, ask, and ask again when it is there.
+
+    Said: a failure of the connection first, success then.
+    """
     await start_without_device(run, opcua, "read", node=TEMPERATURE)

@@ -85,6 +85,7 @@ def certificate(run: Run, run_sha256: str, tasks: Tasks) -> dict[str, object]:
             "otmcp": {
                 "schema": SCHEMA,
                 "verdict": footer["verdict"],
+                "applied": {"items": len(passed), "of": len(tasks)},
                 "level": dict(_LEVEL),
                 "run_id": run["run_id"],
                 "measured_at": run["environment"]["started_at"],

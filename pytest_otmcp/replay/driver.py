@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 
-from ..core.errors import KitError, SubjectError
+from ..core.errors import ExhaustedError, KitError, SubjectError
 from ..core.verdict import Status
 from ..protocols.journal import Entries
 from ..record.reader import StoredItem
@@ -141,7 +141,9 @@ class ReplayDriver:
         message = ended["message"]
         if ended["fault_of"] == "subject":
             return SubjectError(ended["code"], message)
-        return NoBindingError(message) if ended["fault_of"] == "binding" else KitError(message)
+        if ended["fault_of"] == "binding":
+            return NoBindingError(message)
+        return ExhaustedError(message) if ended["code"] == "exhausted" else KitError(message)
 
     async def perform(self, repetition: Repetition, steps: Steps) -> None:
         """Take the steps through the history."""

@@ -12,7 +12,21 @@ from collections.abc import Iterator
 from ..core.matrix import SUITES
 from ..core.statistics import mean, mean_interval, percentile
 from ..record.consistency import count_calls
-from . import Item, Run, applies, durations, least, not_reached, phases, recovered, tally, timing_valid
+from . import (
+    Item,
+    Run,
+    applied,
+    applies,
+    deadlines,
+    durations,
+    least,
+    not_reached,
+    phases,
+    recovered,
+    tally,
+    timing_valid,
+)
+from .findings import cited, faults, subject_keys
 from .text import count, interval, number, printable, shortened
 
 __all__ = ["summary"]
@@ -106,16 +120,20 @@ def _findings(run: Run, width: int) -> Iterator[Line]:
     yield "findings", "head"
     for item in failing:
         yield shortened(f"  {item['id']} {item['status']}: {item['title']}", width), "bad"
-        shown = [("", finding) for finding in item["findings"]]
-        for sample in item["samples"]:
-            where = f"rep {sample['repetition'] + 1}/{item['planned']}: "
-            shown += [(where, finding) for finding in sample["findings"]]
-        for where, finding in shown[:_SHOWN_FINDINGS]:
-            rule = f" [{finding['requirement']}]" if finding.get("requirement") else ""
-            for line in _wrapped(f"      {where}{finding['message']}{rule}", width, "        "):
-                yield line, "plain"
+        shown = faults(item)
+        texts = [
+            f"{fault.where(item['planned'])}{fault.finding['message']} [{cited(fault.finding)}]" for fault in shown
+        ]
+        texts = texts[:_SHOWN_FINDINGS]
         if len(shown) > _SHOWN_FINDINGS:
-            yield f"      and {len(shown) - _SHOWN_FINDINGS} more in run.json", "plain"
+            texts.append(f"and {len(shown) - _SHOWN_FINDINGS} more in run.json")
+        if not shown and item["reason"]:
+            texts.append(item["reason"])
+        texts += [f"in the subject file: {key}" for key in subject_keys(item)]
+        for text in texts:
+            for line in _wrapped(f"      {text}", width, "        "):
+                yield line, "plain"
+    yield "  otmcp explain says what an item, or an id in brackets, means", "plain"
     yield "", "plain"
 
 
@@ -135,6 +153,8 @@ def _counts(run: Run, width: int) -> Iterator[Line]:
         outside = 100 * (1 - sum(spent.get(what, 0.0) for what in _BENCHMARK) / total)
         texts.append(f"{footer['elapsed_s']:.1f} s: {', '.join(parts)}")
         texts.append(f"{outside:.0f} % of that outside of tool calls, endpoint restarts and fresh sessions")
+    if told := deadlines(run):
+        texts.append(f"deadlines of a call: {told}")
     if not timing_valid(run):
         texts.append("latencies withheld: the run was parallel, so they measure the neighbours too")
     for text in texts:
@@ -151,9 +171,7 @@ def _narrowed(run: Run, width: int) -> Iterator[Line]:
 def _verdict(run: Run) -> Line:
     footer, items = run["footer"], run["items"]
     good, planned = tally(items)
-    note = f"{good}/{planned} runs passed in {len(items)} items"
-    if unclaimed := sum(not applies(item) for item in items):
-        note += f", {unclaimed} of them not applicable"
+    note = f"{applied(run)}, {good}/{planned} runs passed"
     if footer.get("reason"):
         note += f"; {footer['reason']}"
     verdict = footer.get("verdict", "INCOMPLETE")

@@ -12,12 +12,12 @@ from typing import Any
 
 from markupsafe import escape
 
-from ..record.schema import Finding
 from . import Item, Run, command
 from .exchange import Event, conversation
+from .findings import subject_keys
 from .text import clipped
 
-__all__ = ["Evidence", "Failure", "failures", "findings_of"]
+__all__ = ["Evidence", "Failure", "failures"]
 
 _LETTERS = 6_000_000
 """Letters of evidence, as HTML has them: items after so many are shown with their first findings only."""
@@ -45,7 +45,7 @@ class Evidence:
 
     Attributes:
         command: shell command that runs this part again.
-        findings: with ``message``, ``requirement`` and ``evidence``.
+        findings: with ``message``, ``requirement``, ``code`` and ``evidence``.
         more_findings: number of findings that are not shown.
         events: the conversation; see :func:`pytest_otmcp.report.exchange.conversation`.
     """
@@ -68,10 +68,15 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Failure:
-    """An item that did not pass, with the evidence that is shown, and a note on the evidence that is not."""
+    """An item that did not pass, with the evidence that is shown, and a note on the evidence that is not.
+
+    Attributes:
+        keys: keys of the subject file that may be why, each with its meaning.
+    """
 
     item: Item
     evidence: list[Evidence]
+    keys: list[str]
     note: str
 
 
@@ -85,11 +90,6 @@ def failures(run: Run) -> list[Failure]:
             letters += sum(part.letters for part in failure.evidence)
             found.append(failure)
     return found
-
-
-def findings_of(item: Item) -> list[Finding]:
-    """Return all findings of an item: those of its repetitions and its own."""
-    return [*(finding for sample in item["samples"] for finding in sample["findings"]), *item["findings"]]
 
 
 def _failure(run: Run, item: Item, limits: _Limits) -> Failure:
@@ -112,7 +112,7 @@ def _failure(run: Run, item: Item, limits: _Limits) -> Failure:
         notes.append(f"{missing} of {item['planned']} repetitions did not run.")
     if not limits.conversation:
         notes.append("What was said and seen is in run.json.")
-    return Failure(item=item, evidence=evidence, note=" ".join(notes))
+    return Failure(item=item, evidence=evidence, keys=subject_keys(item), note=" ".join(notes))
 
 
 def _repetition(run: Run, item: Item, alike: Sequence[int], limits: _Limits) -> Evidence:
@@ -136,6 +136,7 @@ def _evidence(
         {
             "message": clipped(finding["message"], limits.letters),
             "requirement": finding.get("requirement"),
+            "code": finding["code"],
             "evidence": clipped(str(finding.get("evidence") or ""), limits.letters),
         }
         for finding in findings[: limits.findings]

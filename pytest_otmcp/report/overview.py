@@ -20,7 +20,7 @@ from ..core.statistics import (
 )
 from . import Item, Run, durations, least, phases, recovered, tally
 from . import adapters as having_sessions
-from .evidence import findings_of
+from .findings import findings_of
 from .text import count, interval, number
 
 __all__ = [
@@ -79,6 +79,7 @@ class Adapter:
     server: str
     revision: str
     tools: str
+    deadline: str
     command: str
     notes: tuple[str, ...]
 
@@ -207,6 +208,7 @@ def _adapter(protocol: str, facts: Mapping[str, Any]) -> Adapter:
         server=f"{facts.get('server_name') or NONE} {facts.get('server_version') or ''}",
         revision=str(facts.get("protocol_version") or NONE),
         tools=str(facts.get("tools", NONE)),
+        deadline=f"{facts['deadline_s']:g}",
         command=" ".join(facts.get("command", ())) or NONE,
         notes=tuple(notes),
     )

@@ -20,7 +20,8 @@ from mcp import Client, MCPError
 from mcp.types import RequestParamsMeta
 from pydantic import ValidationError
 
-from ..core.errors import SubjectError
+from ..core.errors import ExhaustedError, KitError, SubjectError
+from ..core.exhaustion import exhausted
 from .exchange import Exchange
 from .frames import MAX_STRAY_LINES, META_KEY, FrameRecorder, Measurement
 from .http import HttpTransport
@@ -89,6 +90,7 @@ class McpSession:
         Raises:
             SubjectError: the command cannot be run, the process ended, or it did not answer in time; the message
                 carries its last stderr lines. The process has ended when this is raised.
+            KitError: no process could be started, for a reason that is not the adapter's.
         """
         ready: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self.spawned_ns = time.monotonic_ns()
@@ -108,8 +110,10 @@ class McpSession:
             raise
         except BaseException as error:
             await self.close()
-            if isinstance(error, SubjectError):
+            if isinstance(error, SubjectError | KitError):
                 raise
+            if (cure := exhausted(error)) is not None:
+                raise ExhaustedError(f"no session could be opened with the adapter: {cure}") from error
             raise SubjectError("cannot_start", self._explain_failed_start(error)) from error
         self.ready_ns = time.monotonic_ns()
 

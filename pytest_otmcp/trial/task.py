@@ -42,6 +42,7 @@ class Task:
         guards: protocols whose read-only variant takes part when the subject claims that there is one.
         requirements: ids of the requirement catalogue that it exercises.
         steps: the steps of one repetition.
+        keys: keys of the subject file that may be why it fails, with their protocol, such as ``modbus.probes.missing_address``.
         position: its place in the suite, where it does not follow the items that its module declares before it.
         begin: steps run once before the repetitions, with the role ``setup``; or None.
         end: steps run once after the repetitions, with the role ``control``; or None.
@@ -56,6 +57,7 @@ class Task:
     guards: tuple[str, ...]
     requirements: tuple[str, ...]
     steps: Steps
+    keys: tuple[str, ...] = ()
     position: int | None = None
     begin: Steps | None = None
     end: Steps | None = None
@@ -124,6 +126,7 @@ class Tasks(list[Task]):
         capability: str,
         guards: str = "",
         requirements: str = "",
+        keys: str = "",
         position: int | None = None,
     ) -> Callable[[Steps], Task]:
         """Return a decorator that turns the steps of one repetition into a task.
@@ -157,6 +160,7 @@ class Tasks(list[Task]):
                 guards=tuple(guards.split()),
                 requirements=tuple(requirements.split()),
                 steps=steps,
+                keys=tuple(keys.split()),
                 position=position,
             )
             declared._check(steps)

@@ -10,8 +10,9 @@ import traceback
 from collections.abc import Callable
 from typing import Literal, cast
 
-from ..core.errors import KitError, SubjectError
-from ..core.finding import Finding
+from ..core.errors import ExhaustedError, KitError, SubjectError
+from ..core.exhaustion import exhausted
+from ..core.finding import Finding, Kind, kind_of
 from ..protocols.unsolicited import nothing_commanded
 from ..record.schema import Around, Ended, ItemBody, Role, Sample, State
 from .adapter_under_test import NoBindingError
@@ -63,6 +64,8 @@ class Trial:
         self._ended: Ended | None = None
         self._around: list[Around] = []
         self._every_call: EveryCall | None = None
+        self._warm_up: dict[Finding, Kind] = {}
+        self._repeated: set[Kind] = set()
 
     async def run(self) -> ItemBody:
         """Run the task to its end; faults of adapter and kit alike end up in the returned item."""
@@ -83,6 +86,9 @@ class Trial:
         except NoBindingError as gap:
             self._status, self._reason = "NOT_TESTABLE", str(gap)
             self._end("binding", "not_testable", str(gap))
+        except ExhaustedError as failure:
+            self._status = "KIT_ERROR"
+            self._end("kit", "exhausted", str(failure))
         except KitError as failure:
             self._status = "KIT_ERROR"
             self._end("kit", "kit_error", str(failure))
@@ -94,7 +100,7 @@ class Trial:
         self, fault_of: Literal["subject", "binding", "kit"], code: str, message: str, requirement: str | None = None
     ) -> None:
         self._ended = {"fault_of": fault_of, "code": code, "message": message}
-        if fault_of == "kit":
+        if code == "kit_error":
             message = f"{message}. This is the kit's fault; please file a bug."
         self._findings.append(Finding(code=code, message=message, requirement=requirement))
 
@@ -152,8 +158,10 @@ class Trial:
                 "observations": ledger.observations,
             }
         )
-        for finding in repetition.ledger.findings:
-            self._note(finding.code, f"{role}: {finding.message}", finding.requirement, finding.evidence)
+        for finding in ledger.findings:
+            noted = self._note(finding.code, f"{role}: {finding.message}", finding.requirement, finding.evidence)
+            if role == "warmup":
+                self._warm_up[noted] = kind_of(finding.code, finding.requirement, finding.message)
         if repetition.unanswered:
             self._take(await self._driver.end_sessions())
             await self._driver.open_sessions()
@@ -162,6 +170,7 @@ class Trial:
         repetition = self._driver.repetition(rep, "task")
         ledger = await self._perform(repetition, self._task.steps)
         self._all_passed = self._all_passed and not ledger.findings
+        self._repeated |= {kind_of(found.code, found.requirement, found.message) for found in ledger.findings}
         self._keep(
             {
                 "repetition": rep,
@@ -176,9 +185,13 @@ class Trial:
         )
         return repetition
 
-    def _note(self, code: str, message: str, requirement: str | None = None, evidence: str | None = None) -> None:
-        if (code, message) not in [(finding.code, finding.message) for finding in self._findings]:
-            self._findings.append(Finding(code=code, message=message, requirement=requirement, evidence=evidence))
+    def _note(self, code: str, message: str, requirement: str | None = None, evidence: str | None = None) -> Finding:
+        """Note a finding once, and return the one that was noted."""
+        for known in self._findings:
+            if (code, message) == (known.code, known.message):
+                return known
+        self._findings.append(Finding(code=code, message=message, requirement=requirement, evidence=evidence))
+        return self._findings[-1]
 
     def _take(self, sessions: list[SessionFacts]) -> None:
         for facts in sessions:
@@ -205,15 +218,21 @@ class Trial:
         return self._item()
 
     def broken(self, error: Exception) -> ItemBody:
-        """Return the item as far as it was measured when an exception, which is a bug of the kit, ended it."""
+        """Return the item as far as it was measured when an exception ended it that is not the adapter's: a bug of the kit, or a
+        machine that has run out of something."""
         self._status = "KIT_ERROR"
-        trace = "".join(traceback.format_exception(error))[-2000:]
-        message = f"{type(error).__name__}: {error}. This is the kit's fault; please file a bug."
-        self._findings = [Finding(code="kit_error", message=message, evidence=trace)]
+        if (cure := exhausted(error)) is not None:
+            self._findings = [Finding(code="exhausted", message=cure)]
+        else:
+            trace = "".join(traceback.format_exception(error))[-2000:]
+            message = f"{type(error).__name__}: {error}. This is the kit's fault; please file a bug."
+            self._findings = [Finding(code="kit_error", message=message, evidence=trace)]
         return self._item()
 
     def _item(self) -> ItemBody:
         task = self._task
+        # What a repetition has found as well is said there.
+        findings = [found for found in self._findings if self._warm_up.get(found) not in self._repeated]
         return {
             "id": task.id,
             "suite": task.suite,
@@ -224,7 +243,7 @@ class Trial:
             "status": self._status or ("FAIL" if self._failed else "PASS"),
             "reason": self._reason,
             "planned": self._planned,
-            "findings": [stored_finding(finding) for finding in self._findings],
+            "findings": [stored_finding(finding) for finding in findings],
             "requirement_rows": [],
             "timing_ms": dict(self._driver.timing_ms()),
             "around": self._around,

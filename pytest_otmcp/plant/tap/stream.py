@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Callable
 
 from ...core.errors import KitError
+from ...core.exhaustion import exhausted
 from ...protocols.conversation import Direction
 from ...protocols.framing import Framer
 from ...protocols.protocol import Framing
@@ -181,7 +182,9 @@ class _Link:
         try:
             async with asyncio.timeout(_CONNECT_TIMEOUT_S):
                 await loop.create_connection(lambda: self._device, *self._target)
-        except OSError:
+        except OSError as error:
+            if exhausted(error) is not None:
+                loop.call_exception_handler({"message": "the tap cannot connect", "exception": error})
             # The device refuses or is silent. The tap has accepted the client, so it can only reset the connection.
             self.reset()
 
