@@ -15,11 +15,13 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.rig import Rig
 from pytest_otmcp.trial.task import Tasks
 
+from .common import NOTHING_SENT, fresh, status_is_known
+from .modbus import SENSOR_BLOCK
+from .opcua import reading
+
 __all__ = ["TASKS"]
 
 TASKS = Tasks()
-
-READ_INPUT_REGISTERS = 4
 
 
 async def snapshot(run: Repetition, modbus: Rig, mqtt: Rig, opcua: Rig, *, parallel: bool) -> None:
@@ -37,12 +39,12 @@ async def snapshot(run: Repetition, modbus: Rig, mqtt: Rig, opcua: Rig, *, paral
     run.succeeds(block, values=registers)
     run.succeeds(nodes, values=[temperature, pressure])
     run.succeeds(info, connected=True)
+    both = await opcua.journal()
     run.witnessed(
-        modbus_oracle.exactly_one_request(await modbus.journal(), function=READ_INPUT_REGISTERS, address=0, quantity=4),
-        opcua_oracle.read_from_device(await opcua.journal(), "ns=2;s=Temperature"),
-        opcua_oracle.read_from_device(await opcua.journal(), "ns=2;s=Pressure"),
-        mqtt_oracle.exchange(await mqtt.journal()),
+        fresh(await modbus.journal(), (block, SENSOR_BLOCK)),
+        fresh(both, (nodes, reading("ns=2;s=Temperature")), (nodes, reading("ns=2;s=Pressure"))),
     )
+    await status_is_known(run, mqtt, mqtt_oracle.exchange, info)
 
 
 async def control_sequence(run: Repetition, modbus: Rig, mqtt: Rig, opcua: Rig, *, parallel: bool) -> None:
@@ -67,7 +69,9 @@ async def control_sequence(run: Repetition, modbus: Rig, mqtt: Rig, opcua: Rig, 
         modbus_oracle.image_holds(await modbus.image(), "holding_registers", 3, [60]),
         opcua_oracle.exactly_one_write(await opcua.journal(), pump, True),
         opcua_oracle.image_holds(await opcua.image(), pump, True),
-        mqtt_oracle.published_once(await mqtt.journal(), topic="control/line", payload=payload.encode(), qos=qos),
+        mqtt_oracle.published_once(
+            await mqtt.journal(), topic="control/line", payload=payload.encode(), qos=qos, declared=mqtt.declared
+        ),
     )
 
 
@@ -169,12 +173,18 @@ async def one_bad_step_of_three(run: Repetition, modbus: Rig, mqtt: Rig, opcua: 
     missing = await opcua.call("read", node=missing_node)
     message = await mqtt.call("publish", topic="control/pump", payload=payload, qos=0)
     run.succeeds(block, values=registers)
-    run.fails(missing, "illegal_address")
+    asked = missing.during(await opcua.journal())
+    if opcua_oracle.reached(asked, missing_node):
+        run.fails(missing, "illegal_address", requirement="ERR-003")
+        run.witnessed(opcua_oracle.refused_with(asked, missing_node, "BadNodeIdUnknown"))
+    else:
+        run.fails(missing, "illegal_address", "invalid_input", outcome=NOTHING_SENT, requirement="ERR-003")
     run.succeeds(message, topic="control/pump")
     qos = mqtt.expected_if_accepted("publish", "qos", 0)
     await mqtt.wait_for(kind="PUBLISH", direction="in", topic="control/pump", timeout_s=1.0)
     run.witnessed(
-        modbus_oracle.exactly_one_request(await modbus.journal(), function=4, address=0, quantity=4),
-        opcua_oracle.exactly_one_service(await opcua.journal(), "Read", node=missing_node),
-        mqtt_oracle.published_once(await mqtt.journal(), topic="control/pump", payload=payload.encode(), qos=qos),
+        fresh(await modbus.journal(), (block, SENSOR_BLOCK)),
+        mqtt_oracle.published_once(
+            await mqtt.journal(), topic="control/pump", payload=payload.encode(), qos=qos, declared=mqtt.declared
+        ),
     )

@@ -6,6 +6,8 @@ device. Values are different in every repetition, so that no cached or mixed-up 
 
 from __future__ import annotations
 
+from functools import partial
+
 from pytest_otmcp.protocols.modbus import oracle
 from pytest_otmcp.protocols.modbus.entries import points
 from pytest_otmcp.protocols.session_oracle import StateChanges
@@ -15,13 +17,16 @@ from pytest_otmcp.trial.task import Tasks
 
 from .common import (
     CONNECTION_FAULTS,
+    NOTHING_SENT,
     QUIET_S,
     RAPID_CALLS,
-    SETTLING_S,
     UNCERTAIN,
+    Witness,
     a_delay_shows,
+    fresh,
     outage,
     start_without_device,
+    status_is_known,
     survive_a_restart,
 )
 
@@ -32,6 +37,14 @@ TASKS = Tasks()
 READ_HOLDING_REGISTERS = 3
 READ_INPUT_REGISTERS = 4
 ILLEGAL_DATA_ADDRESS = 2
+
+
+def input_register(address: int, count: int = 1) -> Witness:
+    """Return the check that the device was asked for these input registers."""
+    return partial(oracle.read_from_device, function=READ_INPUT_REGISTERS, address=address, count=count)
+
+
+SENSOR_BLOCK = input_register(0, 4)
 
 
 @TASKS.task(
@@ -51,7 +64,7 @@ async def ping(run: Repetition, modbus: Rig) -> None:
     """
     reply = await modbus.call("ping")
     run.succeeds(reply, reachable=True)
-    run.witnessed(oracle.some_exchange(await modbus.journal()))
+    await status_is_known(run, modbus, oracle.some_exchange, reply)
 
 
 @ping.after
@@ -84,8 +97,8 @@ async def read_sensor_block(run: Repetition, modbus: Rig) -> None:
     run.succeeds(reply, values=values)
     journal = await modbus.journal()
     run.witnessed(
-        oracle.exactly_one_request(journal, function=READ_INPUT_REGISTERS, address=0, quantity=4),
-        oracle.no_state_changing_request(journal),
+        fresh(journal, (reply, SENSOR_BLOCK)),
+        oracle.no_state_changing_request(journal, requirement="MCP-008"),
         oracle.image_holds(await modbus.image(), "input_registers", 0, values),
     )
 
@@ -114,9 +127,12 @@ async def write_and_read_back(run: Repetition, modbus: Rig) -> None:
     after = await modbus.image()
     read = await modbus.call("read_holding", address=1, count=1)
     run.succeeds(written, value=value)
-    run.succeeds(read, values=[value])
+    # What the device holds now may not be the value, which is the fault of the write; the read has to tell it.
+    run.succeeds(read, values=[oracle.held(after, "holding_registers", 1)])
+    journal = await modbus.journal()
     run.witnessed(
-        oracle.exactly_one_write(await modbus.journal(), "holding_registers", address=1, values=[value]),
+        oracle.exactly_one_write(journal, "holding_registers", address=1, values=[value]),
+        oracle.read_where_asked(journal, function=READ_HOLDING_REGISTERS, address=1),
         oracle.only_changed(before, after, points("holding_registers", 1, [value])),
     )
 
@@ -138,10 +154,10 @@ async def guarded_write(run: Repetition, modbus_ro: Rig) -> None:
     """
     before = await modbus_ro.image()
     reply = await modbus_ro.call("write_holding", address=1, value=999)
-    run.fails(reply, "writes_disabled", outcome="not_sent")
+    run.fails(reply, "writes_disabled", outcome="not_sent", requirement="WR-004")
     run.witnessed(
         oracle.no_state_changing_request(await modbus_ro.journal()),
-        oracle.only_changed(before, await modbus_ro.image(), {}),
+        oracle.only_changed(before, await modbus_ro.image(), {}, otherwise="WR-004"),
     )
 
 
@@ -178,18 +194,33 @@ async def the_guard_was_put_to_the_test(run: Repetition, modbus: Rig, modbus_ro:
 async def read_missing_register(run: Repetition, modbus: Rig) -> None:
     """Read a register that the device does not have.
 
-    Said: a failure with `illegal_address`, and the device's exception code in the trace.
-    Seen: the read, which the device refuses with an exception.
+    Said: a failure with `illegal_address`, and the device's exception code in the trace. An adapter that refuses by a
+        register map of its own may also say `invalid_input`; nothing was sent then.
+    Seen: the read, which the device refuses with an exception; or no read of anything else that it refuses.
     Why: an assistant that gets a zero for an address that does not exist believes the zero.
     """
     missing = modbus.probe("missing_address")
     reply = await modbus.call("read_holding", address=missing, count=1)
-    run.fails(reply, "illegal_address", trace={"exception_code": ILLEGAL_DATA_ADDRESS})
-    journal = await modbus.journal()
-    run.witnessed(
-        oracle.exactly_one_request(journal, function=3, address=missing, quantity=1),
-        oracle.exception_sent(journal, ILLEGAL_DATA_ADDRESS),
-    )
+    seen = reply.during(await modbus.journal())
+    if not oracle.reached(seen, function=READ_HOLDING_REGISTERS, address=missing, count=1):
+        # A register map of its own refuses as well as the device does.
+        run.fails(reply, "illegal_address", "invalid_input", outcome=NOTHING_SENT, requirement="ERR-002")
+        run.witnessed(oracle.refused_nothing_else(seen, function=READ_HOLDING_REGISTERS, address=missing, count=1))
+        return
+    run.fails(reply, "illegal_address", trace={"exception_code": ILLEGAL_DATA_ADDRESS}, requirement="ERR-002")
+    run.witnessed(oracle.exception_sent(seen, ILLEGAL_DATA_ADDRESS))
+
+
+@read_missing_register.after
+async def a_register_that_is_there_can_be_read(run: Repetition, modbus: Rig) -> None:
+    """Read a register that is there: a refusal proves something only if the same call works elsewhere.
+
+    Said: success, and the value.
+    Seen: the register holds it.
+    """
+    value = run.rng.randrange(0x10000)
+    await modbus.poke(unit=1, table="holding_registers", address=40, values=[value])
+    run.succeeds(await modbus.call("read_holding", address=40, count=1), values=[value])
 
 
 @TASKS.task(
@@ -209,10 +240,15 @@ async def write_overflow(run: Repetition, modbus: Rig) -> None:
     """
     before = await modbus.image()
     reply = await modbus.call("write_holding", address=1, value=70000)
-    run.fails(reply, "range_overflow", outcome="not_sent")
+    journal = await modbus.journal()
+    after = await modbus.image()
+    if reply.success:
+        run.judge(reply, oracle.stored_otherwise(after, "holding_registers", 1, 70000, told=reply.outputs.get("value")))
+        return
+    run.fails(reply, "range_overflow", outcome="not_sent", requirement="ADR-003")
     run.witnessed(
-        oracle.no_state_changing_request(await modbus.journal()),
-        oracle.only_changed(before, await modbus.image(), {}),
+        oracle.no_state_changing_request(journal, requirement="ERR-006"),
+        oracle.only_changed(before, after, {}, otherwise="ERR-006"),
     )
 
 
@@ -223,7 +259,7 @@ async def the_largest_value_is_accepted(run: Repetition, modbus: Rig) -> None:
     Said: success.
     Seen: one write, and the value in the register.
     """
-    await modbus.stays_quiet(QUIET_S, oracle.no_state_changing_request)
+    await modbus.stays_quiet(QUIET_S, partial(oracle.no_state_changing_request, requirement="ERR-006"))
     run.succeeds(await modbus.call("write_holding", address=1, value=65535), value=65535)
     run.witnessed(
         oracle.exactly_one_write(await modbus.journal(), "holding_registers", address=1, values=[65535]),
@@ -244,7 +280,7 @@ async def concurrent_register_reads(run: Repetition, modbus: Rig) -> None:
     """Read four registers by four calls at the same time.
 
     Said: in each answer the value of its own register.
-    Seen: four reads.
+    Seen: for each call a read that covers its register, during the call.
     Why: an answer that belongs to another call is a wrong value that looks right.
     """
     values = [run.rng.randrange(0x10000) for _ in range(4)]
@@ -252,7 +288,7 @@ async def concurrent_register_reads(run: Repetition, modbus: Rig) -> None:
     replies = await run.together(*(modbus.call("read_input", address=10 + i, count=1) for i in range(4)))
     for reply, value in zip(replies, values, strict=True):
         run.succeeds(reply, values=[value])
-    run.witnessed(oracle.request_count(await modbus.journal(), function=4, count=4))
+    run.witnessed(fresh(await modbus.journal(), *zip(replies, map(input_register, range(10, 14)), strict=True)))
 
 
 @TASKS.task(
@@ -299,14 +335,17 @@ async def rapid_register_reads(run: Repetition, modbus: Rig) -> None:
     """Read fifty registers, one call after the other.
 
     Said: the right value in every answer.
-    Seen: fifty reads.
+    Seen: for each call a read that covers its register, during the call.
     Why: leaks, caches and connections that are used up show in a long series only.
     """
     values = [run.rng.randrange(0x10000) for _ in range(RAPID_CALLS)]
     await modbus.poke(unit=1, table="input_registers", address=0, values=values)
+    asked = []
     for address, value in enumerate(values):
-        run.succeeds(await modbus.call("read_input", address=address, count=1), values=[value])
-    run.witnessed(oracle.request_count(await modbus.journal(), function=4, count=RAPID_CALLS))
+        reply = await modbus.call("read_input", address=address, count=1)
+        run.succeeds(reply, values=[value])
+        asked.append((reply, input_register(address)))
+    run.witnessed(fresh(await modbus.journal(), *asked))
 
 
 @TASKS.task(
@@ -327,8 +366,9 @@ async def modbus_restart(run: Repetition, modbus: Rig) -> None:
     Seen: a read after the device is back.
     Why: an outage of the line must not need a person who restarts the adapter, and old values must not hide it.
     """
-    await survive_a_restart(run, modbus, "read_input", address=0, count=4)
-    run.witnessed(oracle.exactly_one_request(await modbus.journal(), function=4, address=0, quantity=4))
+    reply = await survive_a_restart(run, modbus, "read_input", address=0, count=4)
+    if reply.success:
+        run.witnessed(fresh(await modbus.journal(), (reply, SENSOR_BLOCK)))
 
 
 @modbus_restart.after
@@ -340,16 +380,18 @@ async def a_failed_register_write_is_not_delivered_later(run: Repetition, modbus
     """
     if not modbus.claims("write_holding"):
         return
+    await modbus.prove()
     await modbus.stop_device()
     reply = await modbus.call("write_holding", address=30, value=run.rng.randrange(1, 0x10000))
-    run.fails(reply, *CONNECTION_FAULTS, outcome=UNCERTAIN)
+    run.fails(reply, *CONNECTION_FAULTS, outcome=UNCERTAIN, requirement="WR-001", code_requirement="REC-002")
     await modbus.start_device()
     # An adapter that answers again has its connection back: a write that it had kept for later would have been sent by now.
-    run.succeeds((await modbus.call_until_success("read_input", window_s=SETTLING_S, address=0, count=4))[-1])
-    await modbus.stays_quiet(QUIET_S, oracle.no_state_changing_request)
+    last = (await modbus.call_until_success("read_input", window_s=modbus.recovery_s, address=0, count=4))[-1]
+    run.succeeds(last, requirement="REC-001")
+    await modbus.stays_quiet(QUIET_S, partial(oracle.no_state_changing_request, requirement="WR-010"))
     # A further answer shows that adapter and device ran during that time.
-    run.succeeds(await modbus.call("read_input", address=0, count=4))
-    run.witnessed(oracle.no_state_changing_request(await modbus.journal()))
+    run.succeeds(await modbus.call("read_input", address=0, count=4), requirement="REC-001")
+    run.witnessed(oracle.no_state_changing_request(await modbus.journal(), requirement="WR-010"))
 
 
 @TASKS.task(

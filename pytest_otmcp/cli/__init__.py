@@ -73,9 +73,9 @@ def _run(argv: Sequence[str] | None) -> int:
     except BrokenPipeError:
         raise
     except OSError as error:
-        if (cure := exhausted(error)) is not None:
-            return _say(cure, ExitCode.INDETERMINATE)
         where = f"{error.filename}: " if error.filename else ""
+        if (cure := exhausted(error)) is not None:
+            return _say(f"{where}{cure}", ExitCode.INDETERMINATE)
         return _say(f"{where}{error.strerror or error}", ExitCode.USAGE)
     except Exception as error:
         return _say(f"a fault of the kit at {_place(error)}: {error!r}; please file a bug", ExitCode.INDETERMINATE)

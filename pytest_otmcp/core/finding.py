@@ -39,3 +39,8 @@ class Finding:
     evidence: str | None = None
     strength: Literal["MUST", "SHOULD"] = "MUST"
     cause: str | None = None
+
+    @property
+    def is_must(self) -> bool:
+        """Whether a MUST is not met; otherwise the finding is a warning."""
+        return self.strength == "MUST"

@@ -23,6 +23,7 @@ from ..protocols.registry import protocols
 from ..session.process import subject_environment
 from .device import Journal, check_kept
 from .endpoint import Endpoint, first_port
+from .owners import Peer, PeerProcess, Sessions
 
 __all__ = ["MockDevice"]
 
@@ -98,6 +99,7 @@ class MockDevice:
         endpoints: see :class:`~pytest_otmcp.plant.device.Device`.
         running: True while it serves.
         accepting_ns: monotonic time at which its launcher said that it serves.
+        sessions: see :class:`~pytest_otmcp.plant.device.Device`.
     """
 
     def __init__(self, mock: str, protocol: str | None = None) -> None:
@@ -110,6 +112,7 @@ class MockDevice:
         self.endpoints: Mapping[str, Endpoint] = {}
         self.running = False
         self.accepting_ns = 0
+        self.sessions = Sessions()
 
     @property
     def host(self) -> str:
@@ -268,7 +271,7 @@ class MockDevice:
         """
         answer = await self.ask("journal", since=since)
         check_kept(since, answer["first"])
-        return Journal(entries=answer["entries"], next=answer["next"])
+        return Journal(entries=self._attributed(answer), next=answer["next"])
 
     async def forget(self, before: int) -> None:
         """Release the entries before ``before`` for good: they have been read."""
@@ -283,17 +286,26 @@ class MockDevice:
         Raises:
             KitError: the oldest entries from ``since`` on were released, or have given way to newer ones.
         """
-        answer = await self.ask(
-            "wait",
-            answer_within_s=timeout_s + _ANSWER_TIMEOUT_S,
-            since=since,
-            match=dict(match),
-            count=count,
-            timeout_s=timeout_s,
-        )
-        check_kept(since, answer["first"])
-        entries: list[JournalEntry] = answer["entries"]
-        return entries
+        # The device does not know whose an entry is.
+        fields = {name: value for name, value in match.items() if name != "origin"}
+
+        async def look(count: int, timeout_s: float) -> list[JournalEntry]:
+            answer = await self.ask(
+                "wait",
+                answer_within_s=timeout_s + _ANSWER_TIMEOUT_S,
+                since=since,
+                match=fields,
+                count=count,
+                timeout_s=timeout_s,
+            )
+            check_kept(since, answer["first"])
+            return self._attributed(answer)
+
+        return await self.sessions.wait(look, match, count=count, timeout_s=timeout_s)
+
+    def _attributed(self, answer: Mapping[str, Any]) -> list[JournalEntry]:
+        peers = {int(number): _peer(peer) for number, peer in answer["peers"].items()}
+        return self.sessions.attribute(answer["entries"], peers)
 
     async def poke(self, **params: object) -> None:
         """Set a value out of band."""
@@ -316,3 +328,9 @@ class MockDevice:
     async def tick(self, steps: int = 1) -> None:
         """Advance the simulation by ``steps`` seconds of plant time."""
         await self.ask("tick", steps=steps)
+
+
+def _peer(told: Mapping[str, Any]) -> Peer:
+    found = told["process"]
+    process = None if found is None else PeerProcess(**{**found, "ancestors": tuple(found["ancestors"])})
+    return Peer(accepted_ns=told["accepted_ns"], process=process, spoke=told["spoke"])

@@ -121,7 +121,7 @@ class Run:
         folder.mkdir(parents=True, exist_ok=True)
         # Plugins that repeat tests may execute the same item twice.
         spool = SampleSpool(folder / f"{task.id}-{uuid4().hex}.jsonl")
-        tally, redactor = Tally(task.suite), self._redactor()
+        tally, redactor = Tally(task.id, task.suite), self._redactor()
 
         def keep(sample: Sample) -> None:
             spool.add(redactor.apply(sample))

@@ -8,6 +8,7 @@ from contextlib import AbstractContextManager, nullcontext
 from ..core.errors import ExhaustedError, KitError, SubjectError
 from ..core.verdict import Status
 from ..protocols.journal import Entries
+from ..protocols.protocol import Declared
 from ..record.reader import StoredItem
 from ..record.schema import Around, Role, Sample
 from ..subject.model import READ_ONLY
@@ -102,9 +103,13 @@ class ReplayDriver:
             raise HistoryError(f"{' and '.join(missing)} did not take part")
         await self.open_sessions()
 
-    def before(self) -> Sequence[tuple[str, Entries]]:
+    def before(self) -> Sequence[tuple[str, Entries, Declared]]:
         """Return what had reached the devices while nobody called their adapters."""
-        return [(state.protocol, state.found["before"]) for state in self._states if state.found["quiet"]]
+        return [
+            (state.protocol, state.found["before"], state.adapter.facts["lists"])
+            for state in self._states
+            if state.found["quiet"]
+        ]
 
     def repetition(self, rep: int, role: Role) -> Repetition:
         """Return the next stored repetition, ready to be played back."""
@@ -151,7 +156,7 @@ class ReplayDriver:
             state.history.cursor.looked_through = False
         try:
             try:
-                await execute(steps, repetition)
+                await execute(self._task, steps, repetition)
             except EndedError:
                 repetition.ended_early = True
                 for at in repetition.all:
@@ -212,7 +217,7 @@ class ReplayDriver:
     async def close(self, *, renew: bool) -> None:
         """End the sessions that the next items shall not have, as a bench does."""
         for state in self._states:
-            if renew or state.variant == READ_ONLY:
+            if (renew and state.history.cursor.refused is None) or state.variant == READ_ONLY:
                 state.history.cursor.close_session()
 
     def leave(self, *, judged: bool) -> None:

@@ -14,11 +14,11 @@ from ..core.capability import Capability
 from ..core.verdict import Status
 from ..protocols.protocol import GUARD
 from ..protocols.registry import protocols
+from ..record.warnings import failing, findings_of
 from ..suite.catalogue import all_tasks, tasks_by_id
 from ..suite.requirements import requirements
 from . import Item, Run, adapters
 from .families import families
-from .findings import findings_of
 
 __all__ = ["Earned", "Grade", "Heading", "earned"]
 
@@ -139,7 +139,7 @@ def _lost(run: Run) -> dict[str, _Ids]:
     for item in run["items"]:
         if item["status"] != Status.FAIL:
             continue
-        broken = {finding["requirement"] for finding in findings_of(item) if finding["strength"] == "MUST"}
+        broken = {finding["requirement"] for finding in failing(findings_of(item))}
         rows = [row for name in broken if name is not None and (row := requirements().get(name)) is not None]
         for name in {capability for row in rows for capability in row.capabilities}:
             lost[name].setdefault(item["family"], []).append(item["id"])

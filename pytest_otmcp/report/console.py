@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from ..core.matrix import SUITES
 from ..core.statistics import mean, mean_interval, percentile
 from ..record.consistency import count_calls
+from ..record.warnings import said, warnings
 from . import (
     Item,
     Run,
@@ -27,6 +28,7 @@ from . import (
     timing_valid,
 )
 from .findings import cited, faults, subject_keys
+from .strangers import strangers
 from .text import count, interval, number, printable, shortened
 
 __all__ = ["summary"]
@@ -59,7 +61,16 @@ def summary(run: Run, width: int = 100) -> list[Line]:
         if items:
             table = _recovery(run, items, width) if suite == "recovery" else _suite(run, suite, items, width)
             lines += [("", "plain"), *table]
-    return [*lines, ("", "plain"), *_findings(run, width), *_counts(run, width), *_narrowed(run, width), _verdict(run)]
+    return [
+        *lines,
+        ("", "plain"),
+        *_findings(run, width),
+        *_warnings(run, width),
+        *_counts(run, width),
+        *_narrowed(run, width),
+        *_strangers(run, width),
+        _verdict(run),
+    ]
 
 
 def _suite(run: Run, suite: str, items: list[Item], width: int) -> Iterator[Line]:
@@ -114,11 +125,11 @@ def _wrapped(text: str, width: int, indent: str) -> Iterator[str]:
 
 
 def _findings(run: Run, width: int) -> Iterator[Line]:
-    failing = [item for item in run["items"] if item["status"] not in ("PASS", "NOT_APPLICABLE")]
-    if not failing:
+    failed = [item for item in run["items"] if item["status"] not in ("PASS", "NOT_APPLICABLE")]
+    if not failed:
         return
     yield "findings", "head"
-    for item in failing:
+    for item in failed:
         yield shortened(f"  {item['id']} {item['status']}: {item['title']}", width), "bad"
         shown = faults(item)
         texts = [
@@ -127,13 +138,24 @@ def _findings(run: Run, width: int) -> Iterator[Line]:
         texts = texts[:_SHOWN_FINDINGS]
         if len(shown) > _SHOWN_FINDINGS:
             texts.append(f"and {len(shown) - _SHOWN_FINDINGS} more in run.json")
-        if not shown and item["reason"]:
-            texts.append(item["reason"])
+        if item["reason"] and (item["status"] == "KIT_ERROR" or not shown):
+            texts.insert(0, item["reason"])
         texts += [f"in the subject file: {key}" for key in subject_keys(item)]
         for text in texts:
             for line in _wrapped(f"      {text}", width, "        "):
                 yield line, "plain"
     yield "  otmcp explain says what an item, or an id in brackets, means", "plain"
+    yield "", "plain"
+
+
+def _warnings(run: Run, width: int) -> Iterator[Line]:
+    found = warnings(run["items"])
+    if not found:
+        return
+    yield "warnings", "head"
+    for one in found:
+        for line in _wrapped(f"  {said(one)}", width, "    "):
+            yield line, "plain"
     yield "", "plain"
 
 
@@ -168,10 +190,18 @@ def _narrowed(run: Run, width: int) -> Iterator[Line]:
             yield line, "bad"
 
 
+def _strangers(run: Run, width: int) -> Iterator[Line]:
+    for sentence in strangers(run):
+        for line in _wrapped(f"note: {sentence}", width, "  "):
+            yield line, "plain"
+
+
 def _verdict(run: Run) -> Line:
     footer, items = run["footer"], run["items"]
     good, planned = tally(items)
     note = f"{applied(run)}, {good}/{planned} runs passed"
+    if found := len(warnings(items)):
+        note += f", {found} warning{'s' if found > 1 else ''}"
     if footer.get("reason"):
         note += f"; {footer['reason']}"
     verdict = footer.get("verdict", "INCOMPLETE")

@@ -12,6 +12,7 @@ from typing import Any
 
 from markupsafe import escape
 
+from ..record.warnings import failing
 from . import Item, Run, command
 from .exchange import Event, conversation
 from .findings import subject_keys
@@ -97,14 +98,15 @@ def _failure(run: Run, item: Item, limits: _Limits) -> Failure:
     kinds: dict[tuple[str, ...], list[int]] = {}
     for index, sample in enumerate(item["samples"]):
         if not sample["ok"]:
-            kind = tuple(sorted({f"{finding['code']} {finding.get('requirement')}" for finding in sample["findings"]}))
+            found = failing(sample["findings"])
+            kind = tuple(sorted({f"{finding['code']} {finding.get('requirement')}" for finding in found}))
             kinds.setdefault(kind, []).append(index)
     evidence = [_repetition(run, item, alike, limits) for alike in list(kinds.values())[:_REPETITIONS]]
-    if item["findings"]:
+    if own := failing(item["findings"]):
         calls = [call for part in item["around"] for call in part["calls"] if call.get("frames")]
         device = [entry for part in item["around"] for entry in part["device"]]
         title = "Before, between and after the repetitions"
-        evidence.append(_evidence(title, command(run, item), item["findings"], calls, device, limits))
+        evidence.append(_evidence(title, command(run, item), own, calls, device, limits))
     notes = []
     if len(kinds) > _REPETITIONS:
         notes.append(f"{len(kinds) - _REPETITIONS} more kinds of failing repetitions are in run.json.")
@@ -121,7 +123,7 @@ def _repetition(run: Run, item: Item, alike: Sequence[int], limits: _Limits) -> 
     if len(alike) > 1:
         title += f", and {len(alike) - 1} more like it"
     again = command(run, item, alike[0])
-    return _evidence(title, again, sample["findings"], sample["calls"], sample.get("device", []), limits)
+    return _evidence(title, again, failing(sample["findings"]), sample["calls"], sample.get("device", []), limits)
 
 
 def _evidence(

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 from ..core.finding import Kind, kind_of
 from ..record.schema import Finding
+from ..record.warnings import failing, findings_of
 from ..suite.catalogue import all_tasks
 from ..suite.keys import keys_of_code, keys_of_task
 from . import Item
 
-__all__ = ["Fault", "cited", "faults", "findings_of", "subject_keys"]
+__all__ = ["Fault", "cited", "faults", "subject_keys"]
 
 
 @dataclass(slots=True, kw_only=True)
@@ -34,13 +35,8 @@ class Fault:
         return f"rep {self.repetitions[0] + 1}/{planned}{more}: "
 
 
-def findings_of(item: Item) -> list[Finding]:
-    """Return all findings of an item: those of its repetitions and its own."""
-    return [*(finding for sample in item["samples"] for finding in sample["findings"]), *item["findings"]]
-
-
 def faults(item: Item) -> list[Fault]:
-    """Return every fault of an item once: first those that no repetition shows, which may explain the others."""
+    """Return every fault of an item about a MUST once: first those that no repetition shows, which may explain the others."""
     found: dict[Kind, Fault] = {}
 
     def add(finding: Finding, repetition: int | None) -> None:
@@ -49,10 +45,10 @@ def faults(item: Item) -> list[Fault]:
         if repetition is not None and repetition not in fault.repetitions[-1:]:
             fault.repetitions.append(repetition)
 
-    for finding in item["findings"]:
+    for finding in failing(item["findings"]):
         add(finding, None)
     for sample in item["samples"]:
-        for finding in sample["findings"]:
+        for finding in failing(sample["findings"]):
             add(finding, sample["repetition"])
     return list(found.values())
 
@@ -68,7 +64,7 @@ def subject_keys(item: Item) -> list[str]:
 
 
 def _keys(item: Item) -> Iterator[str]:
-    for code in dict.fromkeys(finding["code"] for finding in findings_of(item)):
+    for code in dict.fromkeys(finding["code"] for finding in failing(findings_of(item))):
         yield from keys_of_code(code)
     # A record may be of another suite than the one that is installed here.
     if item["status"] == "FAIL" and (task := all_tasks().get(item["id"])) is not None:

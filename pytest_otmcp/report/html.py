@@ -19,6 +19,7 @@ from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
 from ..core.matrix import SUITES
+from ..record.warnings import warnings
 from ..suite.requirements import requirements
 from . import Item, Run, applied, command, deadlines, overview, tally, timing_valid
 from .capabilities import earned
@@ -26,6 +27,7 @@ from .drawings import latencies, recovery, strip
 from .evidence import failures
 from .families import families, style_sheet
 from .limits import narrowed
+from .strangers import strangers
 from .text import clipped, printable
 
 __all__ = ["page", "write_html"]
@@ -80,7 +82,9 @@ def page(run: Run) -> str:
         catalogue=requirements(),
         good=good,
         planned=planned,
+        warnings=warnings(run["items"]),
         narrowed=narrowed(run),
+        strangers=strangers(run),
         deviations=overview.deviations(run),
         families=families(run),
         capabilities=earned(run),

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from ..core.matrix import SUITES
+from ..record.warnings import said, warnings
 from . import Item, Run, applied, command, deadlines, tally
 from .capabilities import earned
 from .evidence import failures
@@ -18,6 +19,7 @@ from .families import families
 from .findings import cited, faults, subject_keys
 from .limits import narrowed
 from .overview import deviations, tasks
+from .strangers import strangers
 from .text import printable
 
 __all__ = ["code", "escape", "summary", "write_markdown"]
@@ -71,8 +73,10 @@ def summary(run: Run) -> str:
         "",
         f"**{applied(run)}**, **{good}** of **{planned}** repetitions passed.",
         "",
+        *(f"- warning: {code(said(one))}" for one in warnings(items)),
         *(f"- deadlines of a call: {escape(told)}" for told in [deadlines(run)] if told),
         *(f"- {escape(reason)}" for reason in narrowed(run)),
+        *(f"- Note: {escape(sentence)}." for sentence in strangers(run)),
         *(
             f"- known deviation {escape(one.item)}: {code(one.reason)}, until {escape(one.expires)}; {one.state}"
             for one in deviations(run)

@@ -43,10 +43,14 @@ _INHERITED = (
 ).split()
 
 
+# What a subject prints on stdout is to be seen when it is printed, not when a buffer is full.
+_ALWAYS = {"PYTHONUNBUFFERED": "1"}
+
+
 def subject_environment(declared: Mapping[str, str]) -> dict[str, str]:
     """Return the environment of a subject: a short allow-list from the kit's own, and the variables that it declares."""
     inherited = {name: os.environ[name] for name in _INHERITED if name in os.environ}
-    return inherited | dict(declared)
+    return inherited | _ALWAYS | dict(declared)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

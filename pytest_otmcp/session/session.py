@@ -25,7 +25,7 @@ from ..core.exhaustion import exhausted
 from .exchange import Exchange
 from .frames import MAX_STRAY_LINES, META_KEY, FrameRecorder, Measurement
 from .http import HttpTransport
-from .process import MAX_FRAME_BYTES, StopReport
+from .process import MAX_FRAME_BYTES, StopReport, subject_environment
 from .stdio import StdioTransport
 
 __all__ = ["McpSession", "SessionOptions"]
@@ -62,6 +62,7 @@ class McpSession:
         self._options = options
         self._recorder = FrameRecorder()
         self._transport: StdioTransport | HttpTransport
+        env = subject_environment(env)
         if options.url is None:
             self._transport = StdioTransport(command, env, cwd, self._recorder, options.exit_grace_s)
         else:
@@ -230,6 +231,12 @@ class McpSession:
             asked_ns=asked_ns,
             returned_ns=returned_ns,
         )
+
+    @property
+    def pid(self) -> int | None:
+        """Number of the process; None as long as it has not been started."""
+        process = self._transport.process
+        return None if process is None else process.pid
 
     @property
     def died(self) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from ..core.finding import Finding
+from ..protocols.journal import judged
 from ..protocols.registry import protocols
 from ..subject.model import READ_WRITE
 from .call_windows import windows
@@ -44,7 +45,7 @@ class EveryCall:
         """Judge a repetition whose journals are complete; findings go to its ledger."""
         for at in repetition.all:
             _judge_by_journal(at, repetition.ledger)
-        for call in repetition.ledger.calls:
+        for call in _asked_for(repetition.ledger):
             self._start_times.look(call)
             owner = repetition.rig(call.reply.adapter)
             # The read-only variant need not list every tool, and lists no other ones.
@@ -65,6 +66,11 @@ class EveryCall:
         return [*self._of_item, *self._start_times.faults(ended_at, ended_ns)]
 
 
+def _asked_for(ledger: Ledger) -> list[Judged]:
+    # Nothing is expected of the calls that prove a session.
+    return [call for call in ledger.calls if not call.proof]
+
+
 def _judge_by_journal(at: Rig, ledger: Ledger) -> None:
     """Judge an adapter's calls of a repetition that is over by the journal of its device.
 
@@ -73,15 +79,18 @@ def _judge_by_journal(at: Rig, ledger: Ledger) -> None:
     """
     protocol = protocols()[at.protocol]
     calls = [call for call in ledger.calls if (call.reply.adapter, call.reply.variant) == (at.protocol, at.variant)]
-    entries = ledger.of(at.protocol, at.variant)
+    entries = judged(ledger.of(at.protocol, at.variant))
     made = windows(calls, entries)
     for window in made:
         for call in window.calls:
-            for finding in meta_faults(window, call, protocol=protocol, addresses=at.addresses):
+            if call.proof:
+                continue
+            for finding in meta_faults(window, call, protocol=protocol, declared=at.declared, addresses=at.addresses):
                 ledger.reject(call.reply, finding)
     ledger.witnessed(at.session_faults(), connections_left(entries))
     known = any(finding.code in _WRITES_SEEN for finding in ledger.findings)
-    for finding, reader in unasked_writes(made, entries, protocol=protocol, variant=at.variant):
+    unasked = unasked_writes(made, entries, protocol=protocol, declared=at.declared, variant=at.variant)
+    for finding, reader in unasked:
         if reader is not None and finding.requirement == "MCP-008":
             ledger.caused_by(reader.reply.tool, _CONSEQUENCES)
             ledger.reject(reader.reply, finding)

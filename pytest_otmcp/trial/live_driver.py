@@ -11,6 +11,7 @@ from datetime import UTC, datetime
 from ..core.errors import SubjectError
 from ..core.verdict import Status
 from ..protocols.journal import Entries
+from ..protocols.protocol import Declared
 from ..record.schema import Role, SessionRemark
 from ..session.process import StopReport
 from ..subject.model import READ_ONLY
@@ -67,10 +68,12 @@ class LiveDriver:
             await state.enter()
         await self.open_sessions()
 
-    def before(self) -> Sequence[tuple[str, Entries]]:
+    def before(self) -> Sequence[tuple[str, Entries, Declared]]:
         """Return what reached the devices while nobody called their adapters."""
         return [
-            (state.under_test.adapter.protocol, state.found["before"]) for state in self._states if state.found["quiet"]
+            (state.under_test.adapter.protocol, state.found["before"], state.under_test.adapter.lists)
+            for state in self._states
+            if state.found["quiet"]
         ]
 
     def repetition(self, rep: int, role: Role) -> Repetition:
@@ -90,7 +93,7 @@ class LiveDriver:
             state.under_test.cursor.looked_through = False
         try:
             with uncollected():
-                await execute(steps, repetition)
+                await execute(self._task, steps, repetition)
         except EndedError:
             repetition.ended_early = True
             await _all_running(repetition)
@@ -177,7 +180,9 @@ class LiveDriver:
         """End the sessions that the next items shall not have; the device of the read-only variant is this item's alone."""
         with self.spent("adapter starts"):
             for state in self._states:
-                if renew or state.under_test.variant == READ_ONLY:
+                # Of a session through which nothing may be written, the next items say so, too.
+                renewed = renew and state.under_test.cursor.refused is None
+                if renewed or state.under_test.variant == READ_ONLY:
                     await state.under_test.close()
 
     def timing_ms(self) -> Mapping[str, float]:

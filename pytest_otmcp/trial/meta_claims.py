@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 from ..core.finding import Finding
 from ..core.strict_json import same_json
 from ..protocols.journal import Entries, JournalEntry
-from ..protocols.protocol import OtProtocol
+from ..protocols.protocol import Declared, OtProtocol
 from .call_windows import CallWindow, from_adapter
 from .ledger import Judged
 
@@ -28,13 +28,14 @@ _LOCAL = frozenset({"localhost", "127.0.0.1", "::1"})
 
 
 def meta_faults(
-    window: CallWindow, call: Judged, *, protocol: OtProtocol, addresses: Collection[Address]
+    window: CallWindow, call: Judged, *, protocol: OtProtocol, declared: Declared, addresses: Collection[Address]
 ) -> Iterator[Finding]:
     """Judge one call.
 
     Args:
         window: that the call is in.
         protocol: of the adapter.
+        declared: the lists of the protocol's own keys in the subject file.
         addresses: of the device.
     """
     meta = (call.reply.envelope or {}).get("meta")
@@ -49,7 +50,7 @@ def meta_faults(
         return
     yield from _source(call, meta, seen)
     if call.reachable and not any(entry["kind"] == "CONNECTED" for entry in seen):
-        yield from _attempts(window, call, attempts, seen, protocol)
+        yield from _attempts(window, call, attempts, seen, protocol, declared)
     if attempts and call.reachable:
         yield from _trace(call, meta.get("trace"), seen, protocol)
         yield from _latency(window, call, meta.get("latency_ms"), attempts)
@@ -96,7 +97,7 @@ def _is_traffic(entry: JournalEntry) -> bool:
 
 
 def _attempts(
-    window: CallWindow, call: Judged, attempts: int, seen: Entries, protocol: OtProtocol
+    window: CallWindow, call: Judged, attempts: int, seen: Entries, protocol: OtProtocol, declared: Declared
 ) -> Iterator[Finding]:
     sent = from_adapter(seen)
     if attempts > len(sent):
@@ -107,7 +108,7 @@ def _attempts(
             evidence=protocol.seen(sent) or None,
         )
         return
-    changes = [entry for entry in window.during if entry["state_changing"] and protocol.unsolicited([entry])]
+    changes = [entry for entry in protocol.changes(window.during) if protocol.unsolicited([entry], declared)]
     if len(window.calls) == 1 and protocol.operations[call.reply.operation].writes and attempts < len(changes):
         yield Finding(
             code="attempts",

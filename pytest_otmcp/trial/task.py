@@ -74,6 +74,16 @@ class Task:
         return CROSS_PROTOCOL if others else protocols()[only].name
 
     @property
+    def writing(self) -> set[str]:
+        """Names of the adapters through which the task may write; a guard that does not hold writes as well."""
+        facets = [facet.partition(".") for facet in self.needs]
+        writing = {
+            key for key, _, name in facets if name in (known := protocols()[key].operations) and known[name].writes
+        }
+        guarded = {key for key, _, name in facets if name == GUARD} | {*self.guards}
+        return writing | {f"{key}@{READ_ONLY}" for key in guarded}
+
+    @property
     def warm_up(self) -> bool:
         """Its steps run once unmeasured first."""
         return self.suite in WARMED_UP
@@ -104,12 +114,18 @@ def _rig_names(steps: Steps) -> list[str]:
     return rigs
 
 
-async def execute(steps: Steps, run: Repetition) -> None:
-    """Run steps with the rigs that their parameters name."""
+async def execute(task: Task, steps: Steps, run: Repetition) -> None:
+    """Run steps with the rigs that their parameters name.
+
+    Adapters through which the task writes have to be proven to talk to their mock devices first.
+    """
     rigs = {
         name: run.rig(name.removesuffix(_READ_ONLY_SUFFIX), guarded=name.endswith(_READ_ONLY_SUFFIX))
         for name in _rig_names(steps)
     }
+    for rig in rigs.values():
+        if rig is not None and rig.name in task.writing:
+            await rig.prove_first()
     await steps(run, **rigs)
 
 

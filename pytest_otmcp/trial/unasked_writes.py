@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 
 from ..core.finding import Finding
 from ..protocols.journal import Entries, JournalEntry
-from ..protocols.protocol import OtProtocol
+from ..protocols.protocol import Declared, OtProtocol
 from ..subject.model import READ_ONLY
 from .call_windows import CallWindow
 from .ledger import Judged
@@ -19,7 +19,7 @@ __all__ = ["unasked_writes"]
 
 
 def unasked_writes(
-    windows: Sequence[CallWindow], entries: Entries, *, protocol: OtProtocol, variant: str
+    windows: Sequence[CallWindow], entries: Entries, *, protocol: OtProtocol, declared: Declared, variant: str
 ) -> Iterator[tuple[Finding, Judged | None]]:
     """Find the requests that changed the plant and that no call accounts for, each with the call that made it, if it reads.
 
@@ -27,19 +27,21 @@ def unasked_writes(
         windows: the adapter's calls of one repetition.
         entries: journal of its device in this repetition.
         protocol, variant: of the adapter.
+        declared: the lists of the protocol's own keys in the subject file.
     """
     left = {id(call): _asked(call, protocol) for window in windows for call in window.calls}
     begun = -1
-    for entry in entries:
+    for entry in protocol.changes(entries):
         while begun + 1 < len(windows) and entry["t_ns"] >= _begin(windows[begun + 1]):
             begun += 1
-        if not entry["state_changing"] or not protocol.unsolicited([entry]):
+        unsolicited = protocol.unsolicited([entry], declared)
+        if not unsolicited:
             continue
         owner = _accounting(windows[: begun + 1], left)
         if owner is not None:
             left[id(owner)] -= 1
-        else:
-            yield _finding(windows[: begun + 1], entry, protocol, variant)
+        elif (found := _finding(windows[: begun + 1], entry, unsolicited[0], protocol, variant)) is not None:
+            yield found
 
 
 def _begin(window: CallWindow) -> int:
@@ -66,12 +68,13 @@ def _accounting(windows: Sequence[CallWindow], left: dict[int, int]) -> Judged |
 
 
 def _finding(
-    windows: Sequence[CallWindow], entry: JournalEntry, protocol: OtProtocol, variant: str
-) -> tuple[Finding, Judged | None]:
-    """Say what is wrong with a request.
+    windows: Sequence[CallWindow], entry: JournalEntry, unsolicited: Finding, protocol: OtProtocol, variant: str
+) -> tuple[Finding, Judged | None] | None:
+    """Say what is wrong with a request; None where it came during the proof of a session, of which nothing is expected.
 
     Args:
         windows: calls until then.
+        unsolicited: what it is where nobody asked for anything.
     """
     what = protocol.describe(entry)
     window = windows[-1] if windows else None
@@ -80,12 +83,13 @@ def _finding(
         message = f"{failed[-1].reply.label}: it was reported as failed, and the device saw {what} after that"
         return Finding(code="unasked_write", message=message, requirement="WR-010"), None
     if window is None or (entry["t_ns"] > window.end_ns and not _writing(window, protocol)):
-        (unsolicited, *_) = protocol.unsolicited([entry])
         message = f"while nobody called the adapter the device saw {what}, which changes the plant"
         return Finding(code="unasked_write", message=message, requirement=unsolicited.requirement), None
     writing = _writing(window, protocol)
     if not writing:
         call = window.calls[0]
+        if call.proof:
+            return None
         message = f"{call.reply.label}: it only reads, but the device saw {what}, which changes the plant"
         requirement = "WR-004" if variant == READ_ONLY else "MCP-008"
         return Finding(code="unasked_write", message=message, requirement=requirement), call

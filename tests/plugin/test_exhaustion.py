@@ -81,6 +81,32 @@ def test_a_run_that_cannot_even_begin_ends_in_one_sentence(
     assert "Traceback" not in outcome.output
 
 
+ACCEPTS_NOTHING = """
+import errno
+import pytest
+from pytest_otmcp.session.loop import LoopThread
+
+@pytest.fixture(autouse=True)
+def tap(monkeypatch):
+    run = LoopThread.run
+
+    def report(self, work):
+        error = OSError(errno.EMFILE, "Too many open files")
+        self._loop.call_exception_handler({"message": "socket.accept() out of system resource", "exception": error})
+        return run(self, work)
+
+    monkeypatch.setattr(LoopThread, "run", report)
+"""
+
+
+def test_a_connection_that_the_kit_could_not_accept_makes_its_item_a_fault_of_the_kit(
+    empty_repository: Repository,
+) -> None:
+    empty_repository.subject()
+    empty_repository.write(conftest_py=ACCEPTS_NOTHING)
+    accuses_nobody(empty_repository.pytest("--otmcp-reps=1", "-k", "[M1]"))
+
+
 def test_a_record_that_does_not_fit_on_the_disk_ends_the_run_in_one_sentence(empty_repository: Repository) -> None:
     folder = empty_repository.root / "reports" / "latest"
     folder.mkdir(parents=True)
@@ -118,4 +144,5 @@ def test_a_command_without_descriptors_says_so_in_one_sentence(tmp_path: Path, c
     done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 3, done.stderr
     assert done.stderr.count("\n") == 1
-    assert done.stderr.startswith("otmcp: a process of the kit has no file descriptor left; raise the limit")
+    assert done.stderr.startswith("otmcp: ")
+    assert ": a process of the kit has no file descriptor left; raise the limit" in done.stderr

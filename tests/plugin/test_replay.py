@@ -28,7 +28,7 @@ from .vendor import Repository
 Record = dict[str, Any]
 
 SOUNDNESS = Path(__file__).parents[1] / "soundness"
-DEFECTIVE, ROGUE = str(SOUNDNESS / "defective.py"), str(SOUNDNESS / "rogue.py")
+DEFECTIVE, MUTANT, ROGUE = (str(SOUNDNESS / name) for name in ("defective.py", "mutants/program.py", "rogue.py"))
 
 FOREIGN_SUBJECT = """
 [subject]
@@ -223,9 +223,9 @@ WAITED_FOR = ("hang", "wrong-id")
     [
         ((DEFECTIVE, "wrong-value"), "M2 S1", "wrong_value"),
         ((DEFECTIVE, "hang"), "S10", "no_reply"),
-        ((DEFECTIVE, "stdout-noise"), "M1", "stdout_noise"),
-        ((DEFECTIVE, "never-reconnects"), "S10", "not_successful"),
-        ((DEFECTIVE, "lying-guard"), "M4", "wrote"),
+        ((MUTANT, "MU-49"), "M1", "stdout_noise"),
+        ((MUTANT, "MU-126"), "S10", "not_successful"),
+        ((MUTANT, "MU-20"), "M4", "wrote"),
         ((ROGUE, "not-json"), "M1", "not_strict_json"),
         ((ROGUE, "huge-reply"), "M1", "frame_too_long"),
         ((ROGUE, "dies-in-call"), "M2 M3", "session_lost"),

@@ -24,6 +24,7 @@ from pytest_otmcp.suite.catalogue import tasks_by_id
 
 from ..stored_runs import store
 from .certified import NO_PING, adapter, conformant_run
+from .samples import finding
 
 TASKS = tasks_by_id()
 FILE = "ab" * 32
@@ -63,6 +64,27 @@ def test_it_is_an_in_toto_statement_about_a_test_result(statement: dict[str, Any
     for descriptor in predicate["configuration"]:
         assert set(descriptor["digest"]) == {"sha256"}
         assert len(descriptor["digest"]["sha256"]) == 64
+
+
+def test_warnings_are_named_with_the_items_that_they_are_about(record: dict[str, Any]) -> None:
+    warning = {**finding("no_text", "there is no text block", "MCP-006"), "strength": "SHOULD"}
+    warned = next(item for item in record["items"] if item["id"] == "M2")
+    warned["samples"][3]["findings"] = [warning]
+    warned["findings"] = [{**warning, "message": "warmup: there is no text block"}]
+    assert objections(record, TASKS) == []
+    statement = certificate(record, FILE, TASKS)
+    predicate = statement["predicate"]
+    assert (predicate["result"], predicate["warnedTests"]) == ("WARNED", ["M2"])
+    assert "M2" not in predicate["passedTests"]
+    assert told(statement)["warnings"] == [
+        {
+            "requirement": "MCP-006",
+            "code": "no_text",
+            "message": "there is no text block",
+            "items": ["M2"],
+            "times": 2,
+        }
+    ]
 
 
 def test_every_item_has_passed_or_says_why_it_does_not_apply(statement: dict[str, Any]) -> None:
@@ -120,6 +142,12 @@ def test_the_deadline_is_named(record: dict[str, Any]) -> None:
     record["subject"]["adapters"]["modbus"]["deadline_s"] = 30.0
     adapters = told(certificate(record, FILE, TASKS))["adapters"]
     assert (adapters["modbus"]["deadline_s"], adapters["opcua"]["deadline_s"]) == (30.0, 5.0)
+
+
+def test_the_time_to_come_back_and_declared_caches_are_named(record: dict[str, Any]) -> None:
+    record["subject"]["adapters"]["modbus"] |= {"recovery_s": 2.0, "cached": {"ping": 1.5}}
+    modbus = told(certificate(record, FILE, TASKS))["adapters"]["modbus"]
+    assert (modbus["recovery_s"], modbus["cached_s"]) == (2.0, {"ping": 1.5})
 
 
 def test_a_stranger_that_judges_a_protocol_is_named_with_its_digest(record: dict[str, Any]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import re
 
 from pytest_otmcp.report.console import summary
@@ -16,6 +17,18 @@ def text(record: dict[str, object], width: int = 120) -> str:
 
 def test_the_last_line_is_the_verdict() -> None:
     assert text(run(ALL)).splitlines()[-1] == "VERDICT: CONFORMANT (6 of 38 items applied, 150/150 runs passed)"
+
+
+def test_warnings_stand_beside_the_verdict_and_are_told_once_for_each_kind() -> None:
+    record = copy.deepcopy(run(ALL))
+    warning = {**finding("no_text", "there is no text block", "MCP-006"), "strength": "SHOULD"}
+    for warned in record["items"][:2]:
+        for sample in warned["samples"]:
+            sample["findings"] = [warning]
+    shown = text(record)
+    assert "warnings\n  MCP-006, 60 times in M1 M2: there is no text block\n" in shown
+    assert shown.endswith("VERDICT: CONFORMANT (6 of 38 items applied, 150/150 runs passed, 1 warning)")
+    assert "findings" not in shown
 
 
 def test_thirty_passes_are_printed_with_their_bound() -> None:

@@ -32,7 +32,9 @@ BROKEN_KIT = {
     **item("O1", "normal", "OPC UA", "Read.", []),
     "status": "KIT_ERROR",
     "planned": 3,
-    "findings": [{"code": "kit_error", "message": "the device died", "requirement": None, "evidence": None}],
+    "findings": [
+        {"code": "kit_error", "message": "the device died", "requirement": None, "evidence": None, "strength": "MUST"}
+    ],
 }
 
 

@@ -20,6 +20,7 @@ from .faults import Action, FaultPlan, FaultRule
 from .journal import TapJournal
 from .lane import Lane, reset_connection
 from .medium import Medium
+from .peer import process_of
 
 __all__ = ["StreamTap"]
 
@@ -171,6 +172,8 @@ class _Link:
         if self.ended.is_set() or self._condemned:
             self.reset()
         elif side is self.client:
+            assert side.transport is not None
+            self._medium.journal.heard_of(self.number, process_of(side.transport))
             self._medium.journal.event(self.number, "in", "CONNECTED")
             if self._medium.plan.for_connection(self.number) is not None:
                 self.reset()
