@@ -62,7 +62,7 @@ def claims(
     judged: Judged, *entries: JournalEntry, addresses: tuple[tuple[str, int], ...] = (("127.0.0.1", 502),)
 ) -> list[str]:
     (window,) = windows([judged], entries)
-    found = meta_faults(window, judged, protocol=MODBUS, addresses=addresses)
+    found = meta_faults(window, judged, protocol=MODBUS, declared={}, addresses=addresses)
     return [f"{finding.code} {finding.requirement}" for finding in found]
 
 
@@ -118,7 +118,7 @@ def test_a_latency_below_what_the_device_took_is_a_lie() -> None:
 
 
 def strays(*entries: JournalEntry, calls: list[Judged], variant: str = "rw") -> list[str | None]:
-    found = unasked_writes(windows(calls, entries), entries, protocol=MODBUS, variant=variant)
+    found = unasked_writes(windows(calls, entries), entries, protocol=MODBUS, declared={}, variant=variant)
     return [finding.requirement for finding, _ in found]
 
 
