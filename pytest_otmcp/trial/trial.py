@@ -127,13 +127,11 @@ class Trial:
 
     async def _execute(self) -> None:
         task, driver = self._task, self._driver
-        await driver.prepare()
-        for at, found in driver.history()["devices"].items():
-            self._strangers.take(at, found["before"], watched=False)
-        for protocol, entries, declared in driver.before():
-            for finding in nothing_commanded(protocol, entries, declared):
-                when = "before this item, when nobody called the adapter"
-                self._add(replace(finding, message=f"{protocol}: {when}: {finding.message}"))
+        try:
+            await driver.prepare()
+        finally:
+            # It came before the item, whether or not the item's adapters can be started.
+            self._judge_before()
         if task.begin is not None:
             await self._execute_around(task.begin, "setup")
         if task.warm_up:
@@ -166,6 +164,15 @@ class Trial:
             self._every_call = EveryCall(history["started_at"], history["began_ns"])
         self._every_call.judge(repetition)
         return repetition.ledger
+
+    def _judge_before(self) -> None:
+        """Judge what reached the devices since the last item that had them."""
+        for at, found in self._driver.history()["devices"].items():
+            self._strangers.take(at, found["before"], watched=False)
+        for protocol, entries, declared in self._driver.before():
+            for finding in nothing_commanded(protocol, entries, declared):
+                when = "before this item, when nobody called the adapter"
+                self._add(replace(finding, message=f"{protocol}: {when}: {finding.message}"))
 
     async def _execute_around(self, steps: Steps, role: Role) -> None:
         """Execute set-up, warm-up or closing checks: they are judged like a repetition, but are no sample."""

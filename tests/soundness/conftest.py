@@ -222,5 +222,5 @@ def requirements(results: Results) -> set[str]:
         for result in results.values()
         for findings in (result["findings"], *(sample["findings"] for sample in result["samples"]))
         for finding in findings
-        if finding["cause"] is None
+        if finding["cause"] is None and finding["requirement"] is not None
     }

@@ -82,6 +82,23 @@ def wrong_value(server: AdapterServer) -> None:
     wrap(server, "read_input_registers", off)
 
 
+def wrong_at_first(server: AdapterServer) -> None:
+    """Only the first answer of the process is wrong, as that of a buffer that has not been filled yet."""
+    answered: list[bool] = []
+
+    def off(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> dict[str, Any]:
+            data: dict[str, Any] = await genuine(call, arguments)
+            if not answered:
+                data["values"] = [0] * len(data["values"])
+            answered.append(True)
+            return data
+
+        return handler
+
+    wrap(server, "read_input_registers", off)
+
+
 def swapped_parallel_replies(server: AdapterServer) -> None:
     """Swap the answers of two reads of the registers 10 to 13 that are made at the same time."""
 
@@ -133,6 +150,7 @@ DEFECTS: dict[str, tuple[str, Callable[[AdapterServer], None]]] = {
     "write-sent-twice": ("modbus", write_sent_twice),
     "hang": ("modbus", hang),
     "wrong-value": ("modbus", wrong_value),
+    "wrong-at-first": ("modbus", wrong_at_first),
     "swapped-parallel-replies": ("modbus", swapped_parallel_replies),
     "incomplete-enumeration": ("opcua", incomplete_enumeration),
     "none": ("modbus", lambda server: None),

@@ -11,10 +11,17 @@ from .conftest import Judge
 
 
 @pytest.mark.parametrize(
-    ("defect", "task"), [("wrong-value", "M2"), ("truncates-overflow", "FM2"), ("lying-guard", "M4")]
+    ("program", "defect", "task"),
+    [
+        ("defective.py", "wrong-value", "M2"),
+        ("mutants/program.py", "MU-08", "FM2"),
+        ("mutants/program.py", "MU-20", "M4"),
+    ],
 )
-def test_a_fault_that_a_repetition_repeats_is_not_said_of_the_warm_up_too(judge: Judge, defect: str, task: str) -> None:
-    item = judge("modbus", "defective.py", defect, tasks=task)[task]
+def test_a_fault_that_a_repetition_repeats_is_not_said_of_the_warm_up_too(
+    judge: Judge, program: str, defect: str, task: str
+) -> None:
+    item = judge("modbus", program, defect, tasks=task)[task]
     assert item["status"] == "FAIL"
     assert item["around"][0]["role"] == "warmup"
     repeated = {
@@ -30,8 +37,7 @@ def test_a_fault_that_a_repetition_repeats_is_not_said_of_the_warm_up_too(judge:
 
 
 def test_a_fault_that_only_the_warm_up_can_show_is_kept(judge: Judge) -> None:
-    # The value that was cut down is there already when the repetition begins.
-    item = judge("modbus", "defective.py", "truncates-overflow", tasks="FM2")["FM2"]
-    assert "warmup: 1/holding_registers/1 should hold 30, the device holds 4464" in [
-        found["message"] for found in item["findings"]
-    ]
+    item = judge("modbus", "defective.py", "wrong-at-first", tasks="M2")["M2"]
+    assert [sample["ok"] for sample in item["samples"]] == [True]
+    (finding,) = item["findings"]
+    assert finding["message"].startswith("warmup: read_input_registers(address=0, count=4): values should be")

@@ -14,8 +14,8 @@ from pytest_otmcp.plant.devices import Plant
 from pytest_otmcp.session.loop import LoopThread
 from pytest_otmcp.subject import reference_subject
 
-from .conftest import HERE, IMPATIENT, Judge, Results, failing, passing, words
-from .test_defects import EXPECTED
+from .conftest import HERE, IMPATIENT, Judge, Results, failing, passing, requirements, words
+from .mutants.table import MUTANTS
 from .test_rogue_processes import rogue
 
 EVERYWHERE = ("modbus", "modbus@ro", "mqtt", "mqtt@ro", "opcua", "opcua@ro")
@@ -109,9 +109,9 @@ def test_a_strangers_exchange_proves_nothing_for_an_adapter_that_answers_from_me
     judge: Judge, beside: Beside
 ) -> None:
     with beside("mqtt-exchange", "mqtt"):
-        results = judge("mqtt", "defective.py", "cached-status")
-    assert failing(results) == set(EXPECTED["cached-status"][0].split()), words(results)
-    assert EXPECTED["cached-status"][1] in words(results)
+        results = judge("mqtt", "mutants/program.py", "MU-36q")
+    assert failing(results) == set(MUTANTS["MU-36q"].items.split()), words(results)
+    assert requirements(results) == set(MUTANTS["MU-36q"].requirements.split()), words(results)
     with beside("modbus-read", "modbus"):
         results = judge("modbus", command=rogue("stderr-flood"), tasks="M1", time_scale=IMPATIENT)
     assert failing(results) == {"M1"}
@@ -120,5 +120,5 @@ def test_a_strangers_exchange_proves_nothing_for_an_adapter_that_answers_from_me
 
 def test_a_strangers_write_proves_nothing_for_an_adapter_that_writes_nothing(judge: Judge, beside: Beside) -> None:
     with beside("modbus-write", "modbus"):
-        results = judge("modbus", "defective.py", "write-not-sent", tasks="M3")
+        results = judge("modbus", "mutants/program.py", "MU-15", tasks="M3")
     assert passing(results) == set()
