@@ -67,7 +67,7 @@ def test_a_refusal_of_something_else_is_found() -> None:
 
     assert other(READ, MISSING) == other() == []
     neighbour = words(other("03 2710 0001 -> 83 02"))
-    assert "refused 1 cell(s) from 9999 by function 3, it refused FC 03 address 10000 quantity 1 [RD-001]" in neighbour
+    assert "refused 1 cell(s) from 9999 by function 3, it refused FC 03 address 10000 quantity 1 [ADR-001]" in neighbour
     assert other(MISSING, function=4) != []
 
 
