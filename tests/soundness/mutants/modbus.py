@@ -196,6 +196,15 @@ MUTANTS = (
         requirements="ERR-002",
     ),
     Mutant(
+        id="MU-53a",
+        protocol="modbus",
+        sentence="The tool that asks whether the device is reachable writes a heartbeat.",
+        bend=also("ping", action=_heartbeat),
+        items="M1",
+        requirements="MCP-008",
+        quick=True,
+    ),
+    Mutant(
         id="MU-53b",
         protocol="modbus",
         sentence="The tool that reads input registers writes a heartbeat.",
