@@ -190,7 +190,7 @@ def write_in_the_read_only_session(item: Record) -> None:
 
 CHANGES: dict[Callable[[Record], None], tuple[str, str]] = {
     forget_the_connect: ("Q1", "the journal of mqtt should have the entries"),
-    repeat_a_sequence_number: ("Q4", "the broker should have received one DDATA of device-1"),
+    repeat_a_sequence_number: ("Q4", "Q4 repetition 2: the steps ask for wait of mqtt"),
     shift_a_slice: ("O1", "O1 repetition 1: the journal of opcua has 1 entries beyond its end"),
     deny_a_connection: ("R-modbus", "R-modbus repetition 1: the stored history shows phases"),
     come_back_too_late: ("R-mqtt", "R-mqtt repetition 1: the stored history shows phases"),

@@ -300,7 +300,7 @@ MUTANTS = (
         sentence="A read soon after another is answered from memory, as if from the device.",
         bend=answers_twice_from_one_exchange("read_input_registers"),
         items="M2 X1 X1p FX1 S7",
-        requirements="ENV-005 RD-001",
+        requirements="RD-001 RD-004",
         quick=True,
     ),
     Mutant(
@@ -308,7 +308,7 @@ MUTANTS = (
         protocol="opcua",
         sentence="A node read soon after another is answered from memory, as if from the server.",
         bend=answers_twice_from_one_exchange("read_opcua_node"),
-        items="O1 S9",
+        items="O1 S3 S9",
         requirements="RD-001 RD-004",
     ),
     Mutant(
@@ -324,7 +324,7 @@ MUTANTS = (
         protocol="modbus",
         sentence="The text block is JSON, and it is not the structured content.",
         bend=result(text_says_otherwise),
-        items="M1 M2 M3 M4 X1 X2 X1p X2p FM2 FX1 S1 S4 S7 S10",
+        items="M1 M2 M3 M4 X1 X2 X1p X2p FM1 FM2 FX1 S1 S4 S7 S10",
         requirements="MCP-006",
         quick=True,
     ),
@@ -368,7 +368,7 @@ MUTANTS = (
         sentence="Every call to the Modbus adapter is refused.",
         bend=each(change=rejects_everything),
         items="M1 M2 M3 M4 X1 X2 X1p X2p FM1 FM2 FX1 S1 S4 S7 S10",
-        requirements="ENV-005 ENV-007 ERR-002 RD-001 RD-004 REC-001 REC-002 WR-001",
+        requirements="ERR-002 RD-001 RD-004 REC-001 REC-002",
     ),
     Mutant(
         id="MU-111q",
@@ -376,7 +376,7 @@ MUTANTS = (
         sentence="Every call to the MQTT adapter is refused.",
         bend=each(change=rejects_everything),
         items="Q1 Q2 Q3 Q4 X1 X2 X1p X2p FQ1 FQ2 FX1 S2 S5 S8 S11",
-        requirements="ADR-006 MQT-001 MQT-002 MQT-004 RD-001 RD-004 REC-001 REC-002 SPB-001 SPB-003",
+        requirements="MQT-002 MQT-004 RD-004 REC-001 REC-002",
         waits=True,
     ),
     Mutant(
@@ -385,7 +385,7 @@ MUTANTS = (
         sentence="Every call to the OPC UA adapter is refused.",
         bend=each(change=rejects_everything),
         items="O1 O2 O3 O4 X1 X2 X1p X2p FO1 FO2 FX1 S3 S6 S9 S12",
-        requirements="ADR-004 ENV-005 ENV-007 ERR-003 OUA-001 OUA-006 RD-001 RD-004 REC-001 REC-002 WR-001",
+        requirements="ERR-003 OUA-006 RD-001 RD-004 REC-001 REC-002",
     ),
     Mutant(
         id="MU-113",
@@ -435,7 +435,7 @@ MUTANTS = (
         sentence="A lost connection to the broker is never used again.",
         bend=never_reconnects(),
         items="S11 R-mqtt",
-        requirements="RD-001 REC-001",
+        requirements="REC-001 REC-002",
         recovers=True,
     ),
     Mutant(

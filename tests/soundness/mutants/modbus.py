@@ -141,8 +141,8 @@ MUTANTS = (
         protocol="modbus",
         sentence="The bytes of every register are swapped, in reads and writes alike.",
         bend=swapped_bytes,
-        items="M2 M3 M4 X1 X2 X1p X2p FX1 S1 S4 S7",
-        requirements="CON-004 ENC-001 RD-001 WR-001",
+        items="M2 M3 M4 X1 X2 X1p X2p FM1 FM2 FX1 S1 S4 S7 S10",
+        requirements="RD-001",
     ),
     Mutant(
         id="MU-07",
@@ -209,8 +209,8 @@ MUTANTS = (
         protocol="modbus",
         sentence="The tool that reads input registers writes a heartbeat.",
         bend=also(_READ_INPUT, action=_heartbeat),
-        items="M2 S10",
-        requirements="MCP-008 WR-010",
+        items="M2 M4 S10",
+        requirements="MCP-008 WR-004 WR-010",
     ),
     Mutant(
         id="MU-53c",

@@ -73,7 +73,7 @@ MUTANTS = (
         protocol="opcua",
         sentence="Values are rounded to two decimals.",
         bend=told("read_opcua_node", "read_multiple_opcua_nodes", change=_rounded),
-        items="O1 X1 X1p S3 S6 S9",
+        items="O1 X1 X1p FO1 S3 S6 S9",
         requirements="CON-004 ENC-003",
         quick=True,
     ),
