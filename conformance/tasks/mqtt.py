@@ -425,7 +425,7 @@ async def the_session_is_what_it_was(run: Repetition, mqtt: Rig) -> None:
     keeps = mqtt.reconnects and mqtt.claims("subscribe") and mqtt.claims("messages")
     listens = keeps and not mqtt.blocks("messages")
     if listens:
-        run.succeeds(await mqtt.call("subscribe", filter="outage/state", qos=0))
+        run.succeeds(await mqtt.call("subscribe", filter="outage/state", qos=0), requirement="REC-001")
     payload = f"nonce-{run.rng.getrandbits(64):016x}"
     (await mqtt.follow(oracle.Refused)).never(payload.encode())
     if mqtt.claims("publish"):

@@ -14,7 +14,10 @@ from dataclasses import dataclass
 from ..protocols.journal import Entries
 from .ledger import Entry, Judged
 
-__all__ = ["CallWindow", "from_adapter", "windows"]
+__all__ = ["LATE_NS", "CallWindow", "from_adapter", "windows"]
+
+LATE_NS = 50_000_000
+"""How much later than the reply a message of the call that nobody answers may arrive."""
 
 _NO_MESSAGE = ("CONNECTED", "DISCONNECTED", "malformed")
 

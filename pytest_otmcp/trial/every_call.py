@@ -27,6 +27,12 @@ _WRITES_SEEN = frozenset(
 
 _CONSEQUENCES = _WRITES_SEEN | {"device_differs"}
 
+_NOT_ASKED = "no_exchange"
+"""Finding of a task's own oracles: the device was not asked."""
+
+_OF_NO_EXCHANGE = frozenset({"source_without_traffic", "attempts", "trace_differs"})
+"""Findings about the same: what an envelope says of an exchange that there was not."""
+
 
 class EveryCall:
     """Judges the calls of one item: each repetition when it is over, and what only the whole item shows at its end.
@@ -74,25 +80,30 @@ def _asked_for(ledger: Ledger) -> list[Judged]:
 def _judge_by_journal(at: Rig, ledger: Ledger) -> None:
     """Judge an adapter's calls of a repetition that is over by the journal of its device.
 
-    A request that a task's own oracles have found is not reported again, unless the call that made it was one that reads: then
-    that is the cause of what they found.
+    What a task's own oracles have found is not reported again. Only when a call that reads has written, that is the cause of what
+    they found.
     """
     protocol = protocols()[at.protocol]
     calls = [call for call in ledger.calls if (call.reply.adapter, call.reply.variant) == (at.protocol, at.variant)]
     entries = judged(ledger.of(at.protocol, at.variant))
     made = windows(calls, entries)
+    known = {finding.code for finding in ledger.findings}
     for window in made:
         for call in window.calls:
             if call.proof:
                 continue
             for finding in meta_faults(window, call, protocol=protocol, declared=at.declared, addresses=at.addresses):
-                ledger.reject(call.reply, finding)
-    ledger.witnessed(at.session_faults(), connections_left(entries))
-    known = any(finding.code in _WRITES_SEEN for finding in ledger.findings)
+                if not (_NOT_ASKED in known and finding.code in _OF_NO_EXCHANGE):
+                    ledger.reject(call.reply, finding)
+    faults = at.session_faults()
+    if at.variant == READ_WRITE or not known & _WRITES_SEEN:
+        # A guard that leaks has no session that could keep further rules.
+        ledger.witnessed(faults)
+    ledger.witnessed(connections_left(entries))
     unasked = unasked_writes(made, entries, protocol=protocol, declared=at.declared, variant=at.variant)
     for finding, reader in unasked:
         if reader is not None and finding.requirement == "MCP-008":
             ledger.caused_by(reader.reply.tool, _CONSEQUENCES)
             ledger.reject(reader.reply, finding)
-        elif not known:
+        elif not known & _WRITES_SEEN:
             ledger.witnessed([finding])

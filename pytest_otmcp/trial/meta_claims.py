@@ -13,7 +13,7 @@ from ..core.finding import Finding
 from ..core.strict_json import same_json
 from ..protocols.journal import Entries, JournalEntry
 from ..protocols.protocol import Declared, OtProtocol
-from .call_windows import CallWindow, from_adapter
+from .call_windows import LATE_NS, CallWindow, from_adapter
 from .ledger import Judged
 
 __all__ = ["Address", "meta_faults"]
@@ -48,7 +48,10 @@ def meta_faults(
     attempts = meta.get("attempts")
     if isinstance(attempts, bool) or not isinstance(attempts, int):
         return
-    yield from _source(call, meta, seen)
+    if meta.get("source") == "device" and not any(_is_traffic(entry) for entry in seen):
+        # What else it says of an exchange that there was not has the same cause.
+        yield _without_traffic(call)
+        return
     if call.reachable and not any(entry["kind"] == "CONNECTED" for entry in seen):
         yield from _attempts(window, call, attempts, seen, protocol, declared)
     if attempts and call.reachable:
@@ -82,10 +85,8 @@ def _canonical(host: str) -> str:
     return "localhost" if host in _LOCAL else host
 
 
-def _source(call: Judged, meta: Mapping[str, object], seen: Entries) -> Iterator[Finding]:
-    if meta.get("source") != "device" or any(_is_traffic(entry) for entry in seen):
-        return
-    yield Finding(
+def _without_traffic(call: Judged) -> Finding:
+    return Finding(
         code="source_without_traffic",
         message=f"{call.reply.label}: meta.source is 'device', the device saw nothing of the adapter during the call",
         requirement="ENV-008",
@@ -100,6 +101,8 @@ def _attempts(
     window: CallWindow, call: Judged, attempts: int, seen: Entries, protocol: OtProtocol, declared: Declared
 ) -> Iterator[Finding]:
     sent = from_adapter(seen)
+    if attempts > len(sent):
+        sent = from_adapter([entry for entry in window.until_end if entry["t_ns"] <= window.end_ns + LATE_NS]) or sent
     if attempts > len(sent):
         yield Finding(
             code="attempts",

@@ -12,7 +12,7 @@ from ..core.finding import Finding
 from ..protocols.journal import Entries, JournalEntry
 from ..protocols.protocol import Declared, OtProtocol
 from ..subject.model import READ_ONLY
-from .call_windows import CallWindow
+from .call_windows import LATE_NS, CallWindow
 from .ledger import Judged
 
 __all__ = ["unasked_writes"]
@@ -82,7 +82,7 @@ def _finding(
     if failed and window is not None and not _writing(window, protocol):
         message = f"{failed[-1].reply.label}: it was reported as failed, and the device saw {what} after that"
         return Finding(code="unasked_write", message=message, requirement="WR-010"), None
-    if window is None or (entry["t_ns"] > window.end_ns and not _writing(window, protocol)):
+    if window is None or (entry["t_ns"] > window.end_ns + LATE_NS and not _writing(window, protocol)):
         message = f"while nobody called the adapter the device saw {what}, which changes the plant"
         return Finding(code="unasked_write", message=message, requirement=unsolicited.requirement), None
     writing = _writing(window, protocol)

@@ -138,7 +138,8 @@ FAILED = {"code": "timeout", "outcome": "unknown"}
         ([call("write_holding", error=FAILED), call(at=5)], [5.5], "rw", ["WR-010"]),
         ([call()], [1.5], "rw", ["MCP-008"]),
         ([call()], [1.5], "ro", ["WR-004"]),
-        ([call()], [3.0], "rw", ["WR-004"]),
+        ([call()], [3.0], "rw", ["MCP-008"]),
+        ([call()], [300.0], "rw", ["WR-004"]),
         ([call(at=5)], [1.5], "rw", ["WR-004"]),
     ],
 )

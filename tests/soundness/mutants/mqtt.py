@@ -65,7 +65,7 @@ def made_up_for(server: AdapterServer) -> None:
 
 def delivered_later(server: AdapterServer) -> None:
     """Keep what could not be published, and publish it on another topic when the broker has answered some questions."""
-    kept: list[Message] = []
+    link, kept = link_of(server), list[Message]()
     answered = 0
 
     def keeping(genuine: Handler) -> Handler:
@@ -87,7 +87,7 @@ def delivered_later(server: AdapterServer) -> None:
             answered += bool(kept)
             if answered >= _QUESTIONS:
                 for message in kept:
-                    link_of(server)._connection.send(message)
+                    link._connection.send(message)
                 kept.clear()
             return data
 
@@ -186,16 +186,16 @@ MUTANTS = (
         protocol="mqtt",
         sentence="A status soon after another is told from memory, as if from the broker.",
         bend=status_from_memory,
-        items="Q1 X1 X1p S8",
-        requirements="RD-004",
+        items="Q1 Q2 X1 X1p S8 S11",
+        requirements="ENV-008 RD-004",
     ),
     Mutant(
         id="MU-53q",
         protocol="mqtt",
         sentence="The tool that tells the broker's status publishes a heartbeat below control/.",
         bend=also("get_broker_info", action=_heartbeat),
-        items="Q3 Q4 S5",
-        requirements="WR-003 WR-004",
+        items="Q1 Q2 Q3 Q4 X1 X1p S2 S5 S8 S11",
+        requirements="MCP-008 WR-003 WR-004 WR-010",
     ),
     Mutant(
         id="MU-65",
