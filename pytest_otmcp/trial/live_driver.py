@@ -73,7 +73,7 @@ class LiveDriver:
         return [
             (state.under_test.adapter.protocol, state.found["before"], state.under_test.adapter.lists)
             for state in self._states
-            if state.found["quiet"]
+            if state.entered and state.found["quiet"]
         ]
 
     def repetition(self, rep: int, role: Role) -> Repetition:
