@@ -184,7 +184,7 @@ class ReplayDriver:
         """
         if self._ended:
             raise self._end()
-        await self.close(renew=False)
+        self._close(renewed=False)
         return self._inspected()
 
     async def end_sessions(self) -> list[SessionFacts]:
@@ -215,9 +215,12 @@ class ReplayDriver:
             state.history.cursor.connected = True
 
     async def close(self, *, renew: bool) -> None:
-        """End the sessions that the next items shall not have, as a bench does."""
+        """End the sessions that the bench has ended: those of an item that failed then, whatever is found now."""
+        self._close(renewed=self._head["status"] == Status.FAIL)
+
+    def _close(self, *, renewed: bool) -> None:
         for state in self._states:
-            if (renew and state.history.cursor.refused is None) or state.variant == READ_ONLY:
+            if (renewed and not state.history.cursor.hopeless) or state.variant == READ_ONLY:
                 state.history.cursor.close_session()
 
     def leave(self, *, judged: bool) -> None:

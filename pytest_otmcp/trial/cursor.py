@@ -59,6 +59,11 @@ class JournalCursor:
         self.arrived = False
 
     @property
+    def hopeless(self) -> bool:
+        """Neither this session nor one before it could be proven: another one would only say the same again."""
+        return self.refused is not None and self.preferred is None
+
+    @property
     def quiet(self) -> bool:
         """Nobody has called the connected adapter since ``next``: what it does from there on, it does by itself."""
         return self.connected and self.looked_through

@@ -100,6 +100,7 @@ def _judge_by_journal(at: Rig, ledger: Ledger) -> None:
         # A guard that leaks has no session that could keep further rules.
         ledger.witnessed(faults)
     ledger.witnessed(connections_left(entries))
+    known = {finding.code for finding in ledger.findings}
     unasked = unasked_writes(made, entries, protocol=protocol, declared=at.declared, variant=at.variant)
     for finding, reader in unasked:
         if reader is not None and finding.requirement == "MCP-008":

@@ -180,9 +180,7 @@ class LiveDriver:
         """End the sessions that the next items shall not have; the device of the read-only variant is this item's alone."""
         with self.spent("adapter starts"):
             for state in self._states:
-                # Of a session through which nothing may be written, the next items say so, too.
-                renewed = renew and state.under_test.cursor.refused is None
-                if renewed or state.under_test.variant == READ_ONLY:
+                if (renew and not state.under_test.cursor.hopeless) or state.under_test.variant == READ_ONLY:
                     await state.under_test.close()
 
     def timing_ms(self) -> Mapping[str, float]:
