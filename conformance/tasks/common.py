@@ -20,8 +20,10 @@ __all__ = [
     "RAPID_CALLS",
     "UNCERTAIN",
     "Witness",
+    "a_delay_shows",
     "fresh",
     "outage",
+    "start_without_device",
     "status_is_known",
     "survive_a_restart",
 ]
@@ -33,6 +35,9 @@ NOTICING_S = 1.0
 
 QUIET_S = 0.25
 """Seconds for which the device is watched, once per item, for a request that must not come."""
+
+DELAY_S = 0.1
+"""Seconds: well above a tick of the coarsest clock, well below every timeout."""
 
 CONNECTION_FAULTS = ("connect_failed", "connection_lost", "timeout")
 UNCERTAIN = ("not_sent", "unknown")
@@ -54,7 +59,10 @@ async def survive_a_restart(run: Repetition, rig: Rig, operation: str, **inputs:
     run.succeeds(warm)
     stop_ms = await rig.stop_device()
     failing = await rig.call_until_failure(operation, window_s=_noticing_s(rig, operation), **inputs)
-    run.fails(failing, *CONNECTION_FAULTS, requirement="REC-002")
+    if run.fails(failing, *CONNECTION_FAULTS, requirement="REC-002"):
+        # By now the adapter knows that its connection is gone: what fails is a new one, which is refused.
+        refused = await rig.call(operation, role="control", **inputs)
+        run.fails(refused, "connect_failed", requirement="REC-002", code_requirement="ERR-005")
     restart_ms = await rig.start_device()
     attempts = await rig.call_until_success(operation, window_s=rig.recovery_s, **inputs)
     last = attempts[-1]
@@ -127,6 +135,13 @@ def _cached(reply: Reply, max_age_s: float, exchanges: Exchanges) -> list[Findin
     ]
 
 
+async def a_delay_shows(run: Repetition, rig: Rig, operation: str, **inputs: Any) -> None:
+    """Perform an operation while the device answers late; that the envelope says how late is judged in every call."""
+    await rig.delay(DELAY_S)
+    run.succeeds(await rig.call(operation, **inputs))
+    await rig.delay(0)
+
+
 async def outage(run: Repetition, rig: Rig, operation: str, witness: Witness, **inputs: Any) -> None:
     """Measure one trial: warm call, outage, failing call, restart, same session, fresh session.
 
@@ -138,38 +153,58 @@ async def outage(run: Repetition, rig: Rig, operation: str, witness: Witness, **
     run.must_succeed(warm)
     # A command that an earlier item asked for must not arrive now.
     run.witnessed(nothing_commanded(rig.protocol, await rig.journal(), rig.declared))
+    # From here on the outage has been reached, whatever does not come after it.
     stop_ms = await rig.stop_device()
+    run.phases = {
+        "warm_call": warm.latency_ms,
+        "stop": stop_ms,
+        "detect": None,
+        "restart": None,
+        "same_session": None,
+        "same_session_attempts": 0,
+        "same_session_ok": False,
+        "fresh_session": None,
+        "fresh_session_ok": False,
+    }
+    phases = run.phases
     failing = await rig.call_until_failure(operation, window_s=_noticing_s(rig, operation), **inputs)
     run.fails(failing, *CONNECTION_FAULTS, requirement="REC-002")
-    restart_ms = await rig.start_device()
+    phases["detect"] = failing.latency_ms
+    phases["restart"] = await rig.start_device()
 
-    attempts = []
     # An adapter that only claims to work in a new session is not tested in the same session.
     if rig.claims("recovery"):
         attempts = await rig.call_until_success(operation, window_s=rig.recovery_s, **inputs)
-        if run.succeeds(attempts[-1], requirement="REC-001"):
+        recovered = attempts[-1]
+        phases["same_session_attempts"] = len(attempts)
+        if run.succeeds(recovered, requirement="REC-001"):
             run.witnessed(witness(await rig.journal()))
-    recovered = attempts[-1] if attempts and attempts[-1].success else None
-    accepting_ns = rig.accepting_ns
+        if recovered.success:
+            phases["same_session"] = milliseconds(rig.accepting_ns, recovered.exchange.received_ns)
+            phases["same_session_ok"] = True
 
     fresh = await rig.fresh_session()
     first = await rig.call(operation, **inputs)
     run.succeeds(first)
     run.witnessed(witness(await rig.session_journal()))
-
     run.witnessed(nothing_commanded(rig.protocol, await rig.journal(), rig.declared))
+    if first.success:
+        phases["fresh_session"] = milliseconds(fresh.spawned_ns, first.exchange.received_ns)
+        phases["fresh_session_ok"] = True
 
-    run.phases = {
-        "warm_call": warm.latency_ms,
-        "stop": stop_ms,
-        "detect": failing.latency_ms,
-        "restart": restart_ms,
-        "same_session": milliseconds(accepting_ns, recovered.exchange.received_ns) if recovered else None,
-        "same_session_attempts": len(attempts),
-        "same_session_ok": recovered is not None,
-        "fresh_session": milliseconds(fresh.spawned_ns, first.exchange.received_ns) if first.success else None,
-        "fresh_session_ok": bool(first.success),
-    }
+
+async def start_without_device(run: Repetition, rig: Rig, operation: str, **inputs: Any) -> None:
+    """Start the adapter while its device is down: it has to start, to say what is wrong, and to work when the device is there."""
+    # A step that connects cannot succeed now, so there is no session to ask.
+    if not rig.reconnects:
+        return
+    await rig.stop_device()
+    await rig.fresh_session()
+    run.fails(await rig.call(operation, **inputs), *CONNECTION_FAULTS, requirement="REC-002")
+    await rig.start_device()
+    if rig.claims("recovery"):
+        attempts = await rig.call_until_success(operation, window_s=rig.recovery_s, **inputs)
+        run.succeeds(attempts[-1], requirement="REC-001")
 
 
 def milliseconds(begin_ns: int, end_ns: int | None) -> float | None:

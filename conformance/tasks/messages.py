@@ -21,7 +21,7 @@ COLLECT_S = 2
 """Seconds that a call that waits for messages is told to wait, on a machine that is not slow."""
 
 MOST_AWAITED = 100
-"""Messages of the adapter that may come before the awaited one."""
+"""Packets that may come before the awaited one."""
 
 SUBSCRIBING_S = 4.0
 """Seconds that such a call has to subscribe; a message that is published earlier cannot be received."""
@@ -63,12 +63,19 @@ async def collect(run: Repetition, mqtt: Rig, messages: Messages) -> list[Reply]
     return replies
 
 
-async def arrival(mqtt: Rig, missing: Callable[[Entries], list[Finding]]) -> None:
-    """Wait until the broker has what is looked for; what the adapter publishes of itself may come before it."""
+async def arrival(
+    mqtt: Rig,
+    missing: Callable[[Entries], list[Finding]],
+    *,
+    kind: str = "PUBLISH",
+    direction: str = "in",
+    timeout_s: float = 1.0,
+) -> None:
+    """Wait until the journal has what is looked for; other packets of this kind may come before it."""
     for seen in range(1, MOST_AWAITED + 1):
         if not missing(await mqtt.journal()):
             return
-        if len(await mqtt.wait_for(kind="PUBLISH", direction="in", count=seen, timeout_s=1.0)) < seen:
+        if len(await mqtt.wait_for(kind=kind, direction=direction, count=seen, timeout_s=timeout_s)) < seen:
             return
 
 
@@ -80,9 +87,13 @@ async def sync_point(run: Repetition, mqtt: Rig, filter: str) -> None:
         run.succeeds(await mqtt.call("subscribe", role="control", filter=filter, qos=0))
 
 
-def receives(run: Repetition, mqtt: Rig, reply: Reply, topic: str, payload: str) -> None:
-    """Expect that the message is among those that the adapter has received."""
-    filtered = mqtt.accepts_input("messages", "filter")
+def receives(run: Repetition, mqtt: Rig, reply: Reply, topic: str, payload: str, *, by_topic: bool = True) -> None:
+    """Expect that the message is among those that the adapter has received.
+
+    Args:
+        by_topic: asked for were the messages on this topic, not those that a wider filter selects.
+    """
+    filtered = by_topic and mqtt.accepts_input("messages", "filter")
     run.judge(reply, received(reply, topic, payload, filtered=filtered))
 
 

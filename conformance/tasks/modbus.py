@@ -22,8 +22,10 @@ from .common import (
     RAPID_CALLS,
     UNCERTAIN,
     Witness,
+    a_delay_shows,
     fresh,
     outage,
+    start_without_device,
     status_is_known,
     survive_a_restart,
 )
@@ -63,6 +65,15 @@ async def ping(run: Repetition, modbus: Rig) -> None:
     reply = await modbus.call("ping")
     run.succeeds(reply, reachable=True)
     await status_is_known(run, modbus, oracle.some_exchange, reply)
+
+
+@ping.after
+async def a_slow_device_is_reported_as_slow(run: Repetition, modbus: Rig) -> None:
+    """Ping while the device answers a tenth of a second late.
+
+    Said: success, and a latency that is no shorter than that.
+    """
+    await a_delay_shows(run, modbus, "ping")
 
 
 @TASKS.task(
@@ -401,3 +412,12 @@ async def recovery(run: Repetition, modbus: Rig) -> None:
     Why: how soon an outage is noticed, and how soon work goes on, decides what the adapter can be used for.
     """
     await outage(run, modbus, "read_input", oracle.some_exchange, address=0, count=4)
+
+
+@recovery.after
+async def the_adapter_starts_without_its_device(run: Repetition, modbus: Rig) -> None:
+    """Start the adapter while its device is down, ask, and ask again when it is there.
+
+    Said: a failure of the connection first, success then.
+    """
+    await start_without_device(run, modbus, "read_input", address=0, count=4)

@@ -21,8 +21,10 @@ from .common import (
     RAPID_CALLS,
     UNCERTAIN,
     Witness,
+    a_delay_shows,
     fresh,
     outage,
+    start_without_device,
     survive_a_restart,
 )
 
@@ -65,6 +67,15 @@ async def read_temperature(run: Repetition, opcua: Rig) -> None:
         oracle.no_state_changing_service(journal, requirement="MCP-008"),
         oracle.image_holds(await opcua.image(), "ns=2;s=Temperature", value),
     )
+
+
+@read_temperature.after
+async def a_slow_device_is_reported_as_slow(run: Repetition, opcua: Rig) -> None:
+    """Read while the server answers a tenth of a second late.
+
+    Said: success, and a latency that is no shorter than that.
+    """
+    await a_delay_shows(run, opcua, "read", node=TEMPERATURE)
 
 
 @TASKS.task(
@@ -397,3 +408,12 @@ async def recovery(run: Repetition, opcua: Rig) -> None:
     Why: how soon an outage is noticed, and how soon work goes on, decides what the adapter can be used for.
     """
     await outage(run, opcua, "read", reading(TEMPERATURE), node=TEMPERATURE)
+
+
+@recovery.after
+async def the_adapter_starts_without_its_device(run: Repetition, opcua: Rig) -> None:
+    """Start the adapter while its server is down, ask, and ask again when it is there.
+
+    Said: a failure of the connection first, success then.
+    """
+    await start_without_device(run, opcua, "read", node=TEMPERATURE)

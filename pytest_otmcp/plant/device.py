@@ -128,6 +128,9 @@ class Device(Protocol):
     async def poke(self, **params: object) -> None:
         """Set a value out of band."""
 
+    async def delay(self, seconds: float) -> None:
+        """Give every answer so many seconds late from now on; 0 ends that."""
+
     async def reset(self) -> None:
         """Bring back start-up values without faults; connections and journal stay."""
 

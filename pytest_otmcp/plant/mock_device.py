@@ -19,6 +19,7 @@ from typing import Any
 from ..core.errors import ExhaustedError, KitError
 from ..core.exhaustion import exhausted
 from ..protocols.journal import JournalEntry
+from ..protocols.registry import protocols
 from ..session.process import subject_environment
 from .device import Journal, check_kept
 from .endpoint import Endpoint, first_port
@@ -313,6 +314,11 @@ class MockDevice:
     async def fault(self, *rules: Mapping[str, object]) -> None:
         """Replace the fault plan; no rules clears it."""
         await self.ask("fault", rules=[dict(rule) for rule in rules])
+
+    async def delay(self, seconds: float) -> None:
+        """Give every answer so many seconds late from now on; 0 ends that. It takes the place of the fault plan."""
+        rules = [{**rule, "action": {"delay_s": seconds}} for rule in protocols()[self._name].delayed]
+        await self.fault(*(rules if seconds else ()))
 
     async def reset(self) -> None:
         """Bring back start-up values without faults, with the simulation paused; connections and journal stay."""

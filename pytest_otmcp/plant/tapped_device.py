@@ -15,6 +15,7 @@ from ..protocols.protocol import Framing
 from .device import Journal, check_kept
 from .endpoint import Endpoint
 from .owners import Sessions
+from .tap.faults import Action, FaultRule
 from .tap.tap import Tap, new_tap
 
 __all__ = ["TappedDevice"]
@@ -158,6 +159,11 @@ class TappedDevice:
             KitError: always.
         """
         raise KitError(f"the {self.noun} cannot be changed past the tap")
+
+    async def delay(self, seconds: float) -> None:
+        """Let every frame of the device pass so many seconds late from now on; 0 ends that."""
+        rule = FaultRule(action=Action.DELAY, direction="out", times=None, seconds=seconds)
+        self.tap.inject(*([rule] if seconds else ()))
 
     async def reset(self) -> None:
         """End the faults; what the device holds is left as it is."""

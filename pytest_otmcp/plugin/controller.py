@@ -249,7 +249,8 @@ def _merged(workers: Iterable[Mapping[str, AdapterFacts]]) -> dict[str, AdapterF
             known = merged.setdefault(key, facts)
             told = facts if known["tools"] is None else known
             bindings = {**known["bindings"], **facts["bindings"]}
-            merged[key] = {**told, "bindings": bindings, "unmet": sorted({*known["unmet"], *facts["unmet"]})}
+            unmet, listing = sorted({*known["unmet"], *facts["unmet"]}), {**known["listing"], **facts["listing"]}
+            merged[key] = {**told, "bindings": bindings, "unmet": unmet, "listing": listing}
     return dict(sorted(merged.items()))
 
 

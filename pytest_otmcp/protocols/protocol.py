@@ -159,6 +159,10 @@ class Origin:
     digest: str
 
 
+def _state_changing(entries: Entries) -> list[JournalEntry]:
+    return [entry for entry in entries if entry["state_changing"]]
+
+
 def _assumed(request: JournalEntry, answer: JournalEntry | None) -> bool:
     return True
 
@@ -180,10 +184,14 @@ class OtProtocol:
         framing: decoding of recorded bytes; None when only the mock can be the witness.
         unsolicited: returns findings for everything in a journal slice that commands the plant, although the adapter was
             asked for nothing.
+        changes: returns the requests among entries that may change the plant, each once: what a client of the protocol delivers
+            again, and marks so, is the same request.
         carried_out: tells whether the device did what a state-changing request asked for, from the request and its answer, which
             is None as long as there is none; None if that cannot be told without the answer.
         describe: describes one journal entry in a few words, for findings and the report.
         title: names a journal entry, for the report's conversations; None where the entry's kind is name enough.
+        facts: what a journal entry says of members of ``meta.trace``, by name (``a.b`` for a member of a member): the values
+            that the wire has for it; None where nothing is known of traces.
         mock: name of the mock as ``python -m pytest_otmcp.mocks`` takes it: a folder of ``mocks``, or the dotted name of
             a package of the same shape.
         clients: the clients that a mock started by hand is for, in words.
@@ -200,6 +208,7 @@ class OtProtocol:
         proof: what shows that a session talks to the mock device, before anything is written through it.
         always: the protocol's items are part of every run, as the paper's matrix has it; otherwise only of runs whose
             subject has an adapter for it.
+        delayed: conditions of the mock's fault rules, one each, that together concern every request that is answered.
         origin: None for the kit's own protocols.
     """
 
@@ -215,6 +224,7 @@ class OtProtocol:
     tasks: str
     recognise: re.Pattern[str]
     colour: Colour
+    changes: Callable[[Entries], Sequence[JournalEntry]] = _state_changing
     carried_out: Callable[[JournalEntry, JournalEntry | None], bool | None] = _assumed
     composites: Mapping[str, Composite] = field(default_factory=dict)
     probes: Mapping[str, object] = field(default_factory=dict)
@@ -223,6 +233,7 @@ class OtProtocol:
     framing: Framing | None = None
     onboarding: str | None = None
     title: Callable[[JournalEntry], str] | None = None
+    facts: Callable[[JournalEntry], Mapping[str, Sequence[object]]] | None = None
     simulators: Mapping[str, Simulator] = field(default_factory=dict)
     envelope_names: tuple[str, ...] = ()
     packages: tuple[str, ...] = ()
@@ -230,6 +241,7 @@ class OtProtocol:
     session_oracles: tuple[type[SessionOracle], ...] = ()
     proof: Proof = field(default_factory=Proof)
     always: bool = False
+    delayed: tuple[Mapping[str, object], ...] = ({},)
     origin: Origin | None = None
 
     @property

@@ -9,6 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections import deque
 
+from ..core.finding import Finding
 from .journal import JournalEntry
 
 __all__ = ["Exchanges", "SessionOracle", "StateChanges"]
@@ -19,6 +20,14 @@ _ANSWERS_KEPT = 1000
 
 class SessionOracle(ABC):
     """An oracle that gets each journal entry once, since the session was opened or, if that was later, the device started."""
+
+    def restarted(self) -> SessionOracle:
+        """Return the oracle that goes on after the device was started again; by default one that knows nothing."""
+        return type(self)()
+
+    def take_faults(self) -> list[Finding]:
+        """Return what is wrong whatever the tasks ask for, each fault once."""
+        return []
 
     @abstractmethod
     def feed(self, entry: JournalEntry) -> None:

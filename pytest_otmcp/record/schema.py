@@ -53,6 +53,7 @@ __all__ = [
     "StoredBinding",
     "Stranger",
     "Subject",
+    "ToolListing",
     "check",
 ]
 
@@ -163,6 +164,13 @@ class StoredBinding(TypedDict):
     max_age_s: NotRequired[float | None]
 
 
+class ToolListing(TypedDict):
+    """What ``tools/list`` says of a tool, as far as it is judged: as it came, whatever its shape."""
+
+    inputSchema: Any
+    annotations: Any
+
+
 class AdapterFacts(TypedDict):
     """One adapter under test: what its subject file says, and how its server introduced itself.
 
@@ -171,9 +179,9 @@ class AdapterFacts(TypedDict):
     ``cached``: operations whose answers may come from a cache, and how old they may be, in seconds.
     ``lacks``: optional inputs that no tool takes. ``probes``: what is asked for where something must be refused.
     ``bindings``: every operation that was used; None for one that a Python function performs. ``unmet``: requirements of the
-    envelope that its own answers do not meet. ``unjudged``: outputs that the subject file does not say where to find.
-    The members of the server are None when no session was ever opened. ``addressed_by``: keys of the subject file that hold the
-    address of the mock device.
+    envelope that its own answers do not meet. ``listing``: every tool that was called by a binding. ``unjudged``: outputs that the
+    subject file does not say where to find. The members of the server are None when no session was ever opened.
+    ``addressed_by``: keys of the subject file that hold the address of the mock device.
     """
 
     command: list[str]
@@ -190,6 +198,7 @@ class AdapterFacts(TypedDict):
     bindings: dict[str, list[StoredBinding] | None]
     unjudged: list[str]
     unmet: list[str]
+    listing: dict[str, ToolListing]
     server_name: Name | None
     server_version: Name | None
     protocol_version: Name | None
@@ -446,6 +455,7 @@ class SessionRemark(TypedDict):
     protocol: str
     overflow: bool
     died: str | None
+    overstayed: str | None
     unknown_ids: list[str]
     stray_lines: Count
     first_stray: str

@@ -126,6 +126,7 @@ def _adapter(facts: Old) -> dict[str, Any]:
         "lacks": [],
         "unjudged": [],
         "unmet": [],
+        "listing": {},
     }
     told = {"envelope": "native", "recovery": "", "deadline_s": 300.0, "probes": {}, "bindings": {}}
     return {**unknown, **empty, **told, **facts}

@@ -158,6 +158,7 @@ class ReplayDriver:
             try:
                 await execute(self._task, steps, repetition)
             except EndedError:
+                repetition.ended_early = True
                 for at in repetition.all:
                     if not at.running:
                         await at.start_device()
@@ -183,6 +184,7 @@ class ReplayDriver:
         """
         if self._ended:
             raise self._end()
+        self._close(renewed=False)
         return self._inspected()
 
     async def end_sessions(self) -> list[SessionFacts]:
@@ -198,6 +200,7 @@ class ReplayDriver:
                 protocol=entry["protocol"],
                 overflow=entry["overflow"],
                 died=entry["died"],
+                overstayed=entry["overstayed"],
                 unknown_ids=tuple(entry["unknown_ids"]),
                 stray_lines=entry["stray_lines"],
                 first_stray=entry["first_stray"],
@@ -211,10 +214,13 @@ class ReplayDriver:
         for state in self._states:
             state.history.cursor.connected = True
 
-    async def close(self) -> None:
-        """End the session of the read-only variant, as a bench does."""
+    async def close(self, *, renew: bool) -> None:
+        """End the sessions that the bench has ended: those of an item that failed then, whatever is found now."""
+        self._close(renewed=self._head["status"] == Status.FAIL)
+
+    def _close(self, *, renewed: bool) -> None:
         for state in self._states:
-            if state.variant == READ_ONLY:
+            if (renewed and not state.history.cursor.hopeless) or state.variant == READ_ONLY:
                 state.history.cursor.close_session()
 
     def leave(self, *, judged: bool) -> None:

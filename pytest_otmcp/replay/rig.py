@@ -193,8 +193,21 @@ class ReplayRig(Rig):
     def probe(self, name: str) -> Any:
         return self._state.adapter.facts["probes"][name]
 
+    @property
+    def reconnects(self) -> bool:
+        return self._state.adapter.facts["recovery"] != "connect_step"
+
     def accepts_input(self, operation: str, name: str) -> bool:
         return f"{operation}.{name}" not in self._state.adapter.facts["lacks"]
+
+    @property
+    def addresses(self) -> list[tuple[str, int]]:
+        endpoints = self._state.history.facts["endpoints"]
+        return [(endpoint["host"], endpoint["port"]) for endpoint in endpoints if endpoint["port"]]
+
+    def listing(self, operation: str, tool: str) -> Mapping[str, object] | None:
+        adapter = self._state.adapter
+        return None if adapter.bindings.get(operation) is None else adapter.facts["listing"].get(tool)
 
     @property
     def device_url(self) -> str:
@@ -298,6 +311,9 @@ class ReplayRig(Rig):
         return restore_image(self._state.images, self.name, cast(Mapping[str, Any], seen))
 
     async def poke(self, **params: object) -> None:
+        pass
+
+    async def delay(self, seconds: float) -> None:
         pass
 
     async def tick(self, steps: int) -> None:

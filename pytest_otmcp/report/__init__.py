@@ -26,6 +26,7 @@ __all__ = [
     "deadlines",
     "durations",
     "least",
+    "not_reached",
     "phases",
     "recovered",
     "tally",
@@ -83,11 +84,14 @@ def phases(run: Run, item: Item, name: str) -> list[float]:
 
 
 def recovered(items: Iterable[Item], way: str) -> tuple[int, int]:
-    """Count the outages after which ``way`` (``same_session`` or ``fresh_session``) succeeded, and those planned."""
-    counted = [item for item in items if applies(item)]
-    samples = [sample for item in counted for sample in item["samples"]]
-    good = sum(bool(sample["phases"] and cast(dict[str, bool], sample["phases"])[f"{way}_ok"]) for sample in samples)
-    return good, sum(item["planned"] for item in counted)
+    """Count the outages after which ``way`` (``same_session`` or ``fresh_session``) succeeded, and those that were reached."""
+    reached = [sample["phases"] for item in items if applies(item) for sample in item["samples"] if sample["phases"]]
+    return sum(cast(dict[str, bool], found)[f"{way}_ok"] for found in reached), len(reached)
+
+
+def not_reached(item: Item) -> int:
+    """Count the outages of an item that were planned and did not come about, because the adapter did not work before."""
+    return item["planned"] - sum(sample["phases"] is not None for sample in item["samples"])
 
 
 def adapters(run: Run) -> dict[str, AdapterFacts]:

@@ -13,7 +13,20 @@ from ..core.matrix import SUITES
 from ..core.statistics import mean, mean_interval, percentile
 from ..record.consistency import count_calls
 from ..record.warnings import said, warnings
-from . import Item, Run, applied, deadlines, durations, least, phases, recovered, tally, timing_valid
+from . import (
+    Item,
+    Run,
+    applied,
+    applies,
+    deadlines,
+    durations,
+    least,
+    not_reached,
+    phases,
+    recovered,
+    tally,
+    timing_valid,
+)
 from .findings import cited, faults, subject_keys
 from .strangers import strangers
 from .text import count, interval, number, printable, shortened
@@ -83,6 +96,8 @@ def _recovery(run: Run, items: list[Item], width: int) -> Iterator[Line]:
             row += f"{_count(*recovered([item], way)):>{columns}}"
             row += f"{_number(percentile(phases(run, item, way), 50)):>11}"
         note = "" if item["status"] == "PASS" else f"   {item['status']}"
+        if applies(item) and (missing := not_reached(item)):
+            note += f", {missing} not reached"
         yield shortened(row + note, width), _style(item)
 
 

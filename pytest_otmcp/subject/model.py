@@ -388,6 +388,7 @@ class Adapter:
             "bindings": {},
             "unjudged": sorted(self._unjudged()),
             "unmet": [],
+            "listing": {},
             "server_name": None,
             "server_version": None,
             "protocol_version": None,

@@ -23,7 +23,7 @@ from ..plant.endpoint import Endpoint, first_port
 from ..plant.owners import TOKEN_VARIABLE, new_token
 from ..protocols.envelope import check_result
 from ..protocols.registry import protocols
-from ..record.schema import AdapterFacts, StoredBinding
+from ..record.schema import AdapterFacts, StoredBinding, ToolListing
 from ..record.schema import Device as DeviceFacts
 from ..session.exchange import Exchange, joined
 from ..session.session import McpSession, SessionOptions
@@ -135,6 +135,8 @@ class AdapterUnderTest:
         self._token: str | None = None
         self._server: ServerFacts = {}
         self.used: dict[str, None] = {}
+        self._called: set[str] = set()
+        self._ended: list[McpSession] = []
         self._addressed = False
         self.legacy = False
         self.first = first
@@ -168,8 +170,16 @@ class AdapterUnderTest:
                 for name, cases in used.items()
             },
             "unmet": sorted(self.unmet),
+            "listing": {tool: entry for tool in sorted(self._called) if (entry := self.listing(tool)) is not None},
             "addressed_by": addressed_by(adapter),
         }
+
+    def listing(self, tool: str) -> ToolListing | None:
+        """Return what ``tools/list`` says of a tool, as far as it is judged; None where it says nothing."""
+        entry = (self.tools or {}).get(tool)
+        if entry is None:
+            return None
+        return {"inputSchema": entry.get("inputSchema"), "annotations": entry.get("annotations")}
 
     def device_facts(self) -> DeviceFacts:
         """Return what ``run.json`` says about the device."""
@@ -234,7 +244,7 @@ class AdapterUnderTest:
             return
         await self.close()
         # Everything that this session does at its device is in the journal from this sequence number on.
-        self.cursor.open_session(await self.device.mark())
+        self.cursor.open_session(await self.device.mark() if self.device.running else self.cursor.next)
         try:
             session = await self._opened()
             self.session, self.tools = session, session.tools
@@ -246,7 +256,8 @@ class AdapterUnderTest:
             }
             await self._connect()
         except SubjectError as failure:
-            self._start_failure = failure
+            # Without its device an adapter may have failed to start for that reason.
+            self._start_failure = failure if self.device.running else None
             await self.close()
             raise
 
@@ -299,6 +310,7 @@ class AdapterUnderTest:
         self.cursor.close_session()
         if session is not None:
             await session.close()
+            self._ended.append(session)
         token, self._token = self._token, None
         if token is not None:
             if self.device.running:
@@ -309,6 +321,11 @@ class AdapterUnderTest:
         work, self._work = self._work, None
         if work is not None:
             work.cleanup()
+
+    def take_ended(self) -> list[McpSession]:
+        """Return the sessions that have ended since the last question."""
+        ended, self._ended = self._ended, []
+        return ended
 
     def _current(self) -> McpSession:
         if self.session is None:
@@ -349,6 +366,7 @@ class AdapterUnderTest:
             self.check_address(
                 binding.tool, arguments, writes=protocols()[self.adapter.protocol].operations[operation].writes
             )
+            self._called.add(binding.tool)
             exchange = await session.call(binding.tool, arguments, timeout_s=timeout_s)
         listed = self.variant == READ_WRITE or binding.resource or binding.tool in session.tools
         expected = self._expectation(operation, binding.answering, binding.outputs, listed=listed)

@@ -97,10 +97,12 @@ class Bench:
             if under_test.variant == READ_WRITE or key not in facts:
                 # The server's facts are the read-write variant's; both variants use the same bindings of the subject.
                 own["bindings"] |= facts[key]["bindings"] if key in facts else {}
+                own["listing"] = {**(facts[key]["listing"] if key in facts else {}), **own["listing"]}
                 own["unmet"] = sorted({*own["unmet"], *(facts[key]["unmet"] if key in facts else ())})
                 facts[key] = own
             else:
                 facts[key]["bindings"] |= own["bindings"]
+                facts[key]["listing"] = {**own["listing"], **facts[key]["listing"]}
         return dict(sorted(facts.items()))
 
     def devices(self) -> dict[str, Device]:

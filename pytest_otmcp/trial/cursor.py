@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TypeVar
 
+from ..core.finding import Finding
 from ..protocols.journal import judged
 from ..protocols.registry import protocols
 from ..protocols.session_oracle import SessionOracle
@@ -43,6 +44,7 @@ class JournalCursor:
         self._kinds = protocols()[protocol].session_oracles
         self._arrival = protocols()[protocol].proof.arrival
         self._oracles: dict[type[SessionOracle], SessionOracle] = {}
+        self._faults: list[Finding] = []
         self.next = first
         self.fed = first
         self.released = first
@@ -55,6 +57,11 @@ class JournalCursor:
         self.refused: tuple[str, str] | None = None
         self.preferred: str | None = None
         self.arrived = False
+
+    @property
+    def hopeless(self) -> bool:
+        """Neither this session nor one before it could be proven: another one would only say the same again."""
+        return self.refused is not None and self.preferred is None
 
     @property
     def quiet(self) -> bool:
@@ -83,6 +90,7 @@ class JournalCursor:
         self._sessions = self._sessions + 1 if number is None else number
         self._began = seq
         self.connected = True
+        self._keep_faults()
         self._oracles = {kind: kind() for kind in self._kinds}
         self.withdraw_proof()
 
@@ -102,7 +110,8 @@ class JournalCursor:
         self.withdraw_proof()
         if self._began is not None:
             self._began = 0
-            self._oracles = {kind: kind() for kind in self._kinds}
+            self._keep_faults()
+            self._oracles = {kind: oracle.restarted() for kind, oracle in self._oracles.items()}
 
     @property
     def began(self) -> int:
@@ -122,6 +131,16 @@ class JournalCursor:
         """Take a slice: the next one begins where this one ends."""
         self.feed(entries, until)
         self.next = until
+
+    def take_faults(self) -> list[Finding]:
+        """Return what the session's oracles have found by themselves since they were last asked."""
+        self._keep_faults()
+        faults, self._faults = self._faults, []
+        return faults
+
+    def _keep_faults(self) -> None:
+        for oracle in self._oracles.values():
+            self._faults += oracle.take_faults()
 
     def oracle(self, kind: type[Oracle]) -> Oracle:
         """Return the session's oracle of this kind, which has seen everything before ``fed``.

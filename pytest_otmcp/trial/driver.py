@@ -29,6 +29,7 @@ class SessionFacts:
         protocol: whose session it is.
         overflow: a message arrived that was longer than the kit accepts.
         died: words for how the adapter ended although nobody asked it to; or None.
+        overstayed: words for how it was made to end, as it did not exit when its stdin was closed; or None.
         unknown_ids: ids of responses to requests that were never sent. Like ``died`` only determined when a session ends.
         stray_lines: how many lines on stdout were no MCP message.
         first_stray: the first of them.
@@ -37,6 +38,7 @@ class SessionFacts:
     protocol: str
     overflow: bool = False
     died: str | None = None
+    overstayed: str | None = None
     unknown_ids: tuple[str, ...] = ()
     stray_lines: int = 0
     first_stray: str = ""
@@ -44,7 +46,7 @@ class SessionFacts:
     @property
     def remarkable(self) -> bool:
         """At least one of the facts deviates from a clean session."""
-        return bool(self.overflow or self.died or self.unknown_ids or self.stray_lines)
+        return bool(self.overflow or self.died or self.overstayed or self.unknown_ids or self.stray_lines)
 
     def as_record(self, inspection: int) -> SessionRemark:
         """Return the facts as an item has them, with the number of the inspection."""
@@ -53,6 +55,7 @@ class SessionFacts:
             "protocol": self.protocol,
             "overflow": self.overflow,
             "died": self.died,
+            "overstayed": self.overstayed,
             "unknown_ids": list(self.unknown_ids),
             "stray_lines": self.stray_lines,
             "first_stray": self.first_stray,
@@ -101,8 +104,12 @@ class TrialDriver(Protocol):
     async def open_sessions(self) -> None:
         """Make sure that every session can be used."""
 
-    async def close(self) -> None:
-        """End the item: release what only it needs."""
+    async def close(self, *, renew: bool) -> None:
+        """End the item: release what only it needs.
+
+        Args:
+            renew: the next items begin with sessions of their own.
+        """
 
     def timing_ms(self) -> Mapping[str, float]:
         """Return the milliseconds by what they were spent on, since this driver was made."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,6 +10,7 @@ from typing import Any
 from ..core.finding import Finding
 from ..protocols.journal import JournalEntry
 from ..record.schema import DeviceEntry, Observation, Role
+from ..subject.model import READ_WRITE
 from .reply import Reply
 
 __all__ = ["Entry", "Judged", "Ledger"]
@@ -27,6 +28,7 @@ class Judged:
         role: ``task``, ``control``, ``setup``, ``warmup`` or ``recovery``; only ``task`` calls count for the benchmark.
         group: number of the calls that were made at the same time.
         ok: the call met its task's expectation; None until it has been judged.
+        reachable: the device was there all the time.
         proof: the call proves where the session leads; the steps did not ask for it.
     """
 
@@ -35,6 +37,7 @@ class Judged:
     role: Role
     group: int
     ok: bool | None = None
+    reachable: bool = True
     proof: bool = False
 
 
@@ -69,11 +72,14 @@ class Ledger:
         self._group = 0
         self._together = False
 
-    def add(self, reply: Reply, inputs: Mapping[str, object], role: Role | None = None) -> None:
+    def add(
+        self, reply: Reply, inputs: Mapping[str, object], role: Role | None = None, *, reachable: bool = True
+    ) -> None:
         """Note a reply and its faults."""
         if not self._together:
             self._group += 1
-        self.calls.append(Judged(reply=reply, inputs=inputs, role=role or self.role, group=self._group))
+        role = role or self.role
+        self.calls.append(Judged(reply=reply, inputs=inputs, role=role, group=self._group, reachable=reachable))
         self.findings.extend(reply.faults)
 
     def add_proof(self, reply: Reply, inputs: Mapping[str, object]) -> None:
@@ -137,6 +143,21 @@ class Ledger:
         self.findings = [
             replace(finding, evidence=evidence[id(finding)]) if id(finding) in evidence else finding
             for finding in self.findings
+        ]
+
+    def caused_by(self, cause: str, codes: Collection[str]) -> None:
+        """Name the cause of the findings with these codes, where none is named yet."""
+        self.findings = [
+            replace(finding, cause=cause) if finding.code in codes and finding.cause is None else finding
+            for finding in self.findings
+        ]
+
+    def of(self, protocol: str, variant: str) -> list[Entry]:
+        """Return the entries of one adapter's device that have been kept so far."""
+        return [
+            entry
+            for entry in self.journal
+            if (entry["protocol"], entry.get("variant", READ_WRITE)) == (protocol, variant)
         ]
 
     def observed(self, observation: Observation) -> None:

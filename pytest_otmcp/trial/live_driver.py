@@ -13,6 +13,7 @@ from ..core.verdict import Status
 from ..protocols.journal import Entries
 from ..protocols.protocol import Declared
 from ..record.schema import Role, SessionRemark
+from ..session.process import StopReport
 from ..subject.model import READ_ONLY
 from .adapter_under_test import NoBindingError
 from .applicability import applicability, participants
@@ -62,6 +63,8 @@ class LiveDriver:
                 self._states.append(LiveItemState(await self._bench.adapter(name)))
         for state in self._states:
             await state.under_test.device.reset()
+            # Those ended with earlier items.
+            state.under_test.take_ended()
             await state.enter()
         await self.open_sessions()
 
@@ -92,6 +95,7 @@ class LiveDriver:
             with uncollected():
                 await execute(self._task, steps, repetition)
         except EndedError:
+            repetition.ended_early = True
             await _all_running(repetition)
         except (NoBindingError, SubjectError):
             # This item is over, but the next items need the device.
@@ -110,8 +114,28 @@ class LiveDriver:
                 at.add_last_words()
 
     async def inspect(self) -> list[SessionFacts]:
-        """Ask the sessions for stray output."""
-        return await self._inspect(ending=False)
+        """End the sessions of read-only variants, and ask all sessions of the item for stray output."""
+        await self.close(renew=False)
+        found = await self._inspect(ending=False)
+        for state in self._states:
+            for session in state.under_test.take_ended():
+                lines, first = session.stray_output()
+                report = session.stop_report
+                late = (
+                    report is not None
+                    and report.how in ("terminated", "killed")
+                    and state.under_test.variant == READ_ONLY
+                )
+                facts = SessionFacts(
+                    protocol=state.under_test.adapter.protocol,
+                    stray_lines=lines,
+                    first_stray=first[0] if lines else "",
+                    overstayed=_overstayed(report) if report is not None and late else None,
+                )
+                if facts.remarkable:
+                    found.append(facts)
+                    self._sessions.append(facts.as_record(self._inspections))
+        return found
 
     async def end_sessions(self) -> list[SessionFacts]:
         """End all sessions and return how they ended: all start afresh, as a hanging call may affect the calls after it."""
@@ -119,6 +143,7 @@ class LiveDriver:
         with self.spent("adapter starts"):
             for state in self._states:
                 await state.under_test.close()
+                state.under_test.take_ended()
         return found
 
     async def _inspect(self, *, ending: bool) -> list[SessionFacts]:
@@ -151,11 +176,11 @@ class LiveDriver:
             for state in self._states:
                 await state.under_test.open()
 
-    async def close(self) -> None:
-        """End the session of the read-only variant: its device belongs to this item alone."""
+    async def close(self, *, renew: bool) -> None:
+        """End the sessions that the next items shall not have; the device of the read-only variant is this item's alone."""
         with self.spent("adapter starts"):
             for state in self._states:
-                if state.under_test.variant == READ_ONLY:
+                if (renew and not state.under_test.cursor.hopeless) or state.under_test.variant == READ_ONLY:
                     await state.under_test.close()
 
     def timing_ms(self) -> Mapping[str, float]:
@@ -181,6 +206,13 @@ class LiveDriver:
             },
             sessions=self._sessions,
         )
+
+
+def _overstayed(report: StopReport) -> str:
+    return (
+        f"with writes disabled the adapter did not exit within {report.seconds:.1f} s of its stdin closing and had to be "
+        f"{report.how}"
+    )
 
 
 def _instant(moment: datetime) -> str:

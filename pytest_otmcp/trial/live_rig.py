@@ -18,6 +18,7 @@ from ..record.schema import ItemDevice, Observation, SessionStart
 from ..session.session import McpSession
 from ..subject.addressing import addressed_by
 from ..subject.claims import Claims
+from ..subject.model import Function
 from .adapter_under_test import AdapterUnderTest
 from .bench import Bench
 from .ledger import Ledger
@@ -127,8 +128,21 @@ class LiveRig(Rig):
     def probe(self, name: str) -> Any:
         return self.under_test.adapter.probes[name]
 
+    @property
+    def reconnects(self) -> bool:
+        return self.under_test.adapter.recovery != "connect_step"
+
     def accepts_input(self, operation: str, name: str) -> bool:
         return f"{operation}.{name}" not in self.under_test.adapter.missing_inputs()
+
+    @property
+    def addresses(self) -> list[tuple[str, int]]:
+        return [(endpoint.host, endpoint.port) for endpoint in self.device.endpoints.values() if endpoint.port]
+
+    def listing(self, operation: str, tool: str) -> Mapping[str, object] | None:
+        bound = self.under_test.adapter.operations.get(operation)
+        # What a function of the user's passes to its tools is its own affair.
+        return None if isinstance(bound, Function) else self.under_test.listing(tool)
 
     @property
     def device_url(self) -> str:
@@ -212,6 +226,10 @@ class LiveRig(Rig):
     async def poke(self, **params: object) -> None:
         with self._observing():
             await self.device.poke(**params)
+
+    async def delay(self, seconds: float) -> None:
+        with self._observing():
+            await self.device.delay(seconds)
 
     async def tick(self, steps: int) -> None:
         with self._observing():

@@ -39,6 +39,7 @@ class Repetition:
         ledger: what the steps have shown so far.
         notes: a place where the steps can keep values.
         phases: of a recovery trial.
+        ended_early: its last steps were not reached.
     """
 
     def __init__(
@@ -53,6 +54,7 @@ class Repetition:
         self.rng = random.Random(origin)
         self.phases: Phases | None = None
         self.notes: dict[str, object] = {}
+        self.ended_early = False
         self._at = {(at.protocol, at.variant): at for at in rigs}
         for at in self.all:
             at.join(self.ledger)
@@ -120,9 +122,10 @@ class Repetition:
         if not self.succeeds(reply, requirement=None, **outputs):
             raise EndedError
 
-    def fails(self, reply: Reply, *codes: str, **expected: Any) -> None:
-        """Expect a refusal with one of these codes; see :func:`pytest_otmcp.trial.expectations.failed`."""
-        self.judge(reply, oracle.failed(reply, *codes, **expected))
+    def fails(self, reply: Reply, *codes: str, **expected: Any) -> bool:
+        """Expect a refusal with one of these codes, and return whether it was so; see
+        :func:`pytest_otmcp.trial.expectations.failed`."""
+        return self.judge(reply, oracle.failed(reply, *codes, **expected))
 
     def one_of(self, reply: Reply, output: str, *values: object) -> None:
         """Expect that an output is one of several values, where concurrency makes each of them right."""

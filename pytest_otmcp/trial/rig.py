@@ -88,6 +88,11 @@ class Rig(WriteGate):
     def probe(self, name: str) -> Any:
         """Return the value of this probe: the input to use where the request must be refused."""
 
+    @property
+    @abstractmethod
+    def reconnects(self) -> bool:
+        """After an outage the adapter connects again without being asked to."""
+
     @abstractmethod
     def accepts_input(self, operation: str, name: str) -> bool:
         """Tell whether the operation can be given this optional input."""
@@ -104,8 +109,9 @@ class Rig(WriteGate):
         An operation that writes is performed only in a session that is proven to talk to the mock device.
         """
         writes = await self._before(operation)
+        there = self.running
         reply = await self._perform(operation, inputs)
-        self._ledger.add(reply, inputs, role)
+        self._ledger.add(reply, inputs, role, reachable=there and self.running)
         if writes:
             self._after(reply)
         if not reply.answered:
@@ -146,8 +152,12 @@ class Rig(WriteGate):
 
         Shorter deadlines do not make a message come sooner, so a time scale below 1 leaves this window as it is.
         """
-        await self.pause(seconds * max(1.0, self._ledger.time_scale))
+        await self.watch(seconds)
         self._ledger.witnessed(judge(await self.journal()))
+
+    async def watch(self, seconds: float) -> None:
+        """Leave the adapter alone for a while; see :meth:`stays_quiet`."""
+        await self.pause(seconds * max(1.0, self._ledger.time_scale))
 
     async def keep_journal(self) -> None:
         """Keep what the device's journal holds of this repetition, before the device's process or the repetition ends."""
@@ -166,6 +176,9 @@ class Rig(WriteGate):
 
     async def fresh_session(self) -> FreshSession:
         """End the adapter's session and process, and start anew; the new session is in use from now on."""
+        # The oracles of the session that ends are to see what it did to its end.
+        if self.running:
+            await self._feed()
         fresh = await self._replace_session()
         if fresh.ended in ("terminated", "killed"):
             self._ledger.finding(
@@ -176,6 +189,10 @@ class Rig(WriteGate):
             )
         return fresh
 
+    def session_faults(self) -> list[Finding]:
+        """Return what is wrong with the session as such, as far as its device has seen it; each fault once."""
+        return self._cursor.take_faults()
+
     async def prove_first(self) -> None:
         """Prove the session before the steps, with a slice of the journal of its own: the steps' slice begins after it."""
         if self._cursor.proven is None:
@@ -183,6 +200,15 @@ class Rig(WriteGate):
             await self.keep_journal()
 
     # -- how it is done -----------------------------------------------------------------------------------
+
+    @property
+    @abstractmethod
+    def addresses(self) -> list[tuple[str, int]]:
+        """Host and port of each endpoint of the device, the main one first."""
+
+    @abstractmethod
+    def listing(self, operation: str, tool: str) -> Mapping[str, object] | None:
+        """Return what ``tools/list`` says of the tool that a binding of this operation calls; None where it says nothing."""
 
     @property
     @abstractmethod
@@ -212,6 +238,10 @@ class Rig(WriteGate):
     @abstractmethod
     async def image(self) -> dict[str, object]:
         """Return the values that the device really holds."""
+
+    @abstractmethod
+    async def delay(self, seconds: float) -> None:
+        """Have the device answer so many seconds late; 0 ends that."""
 
     @abstractmethod
     async def tick(self, steps: int) -> None:

@@ -19,6 +19,7 @@ from ..record.schema import Around, DeviceEntry, Ended, ItemBody, Role, Sample, 
 from ..subject.model import READ_WRITE
 from .adapter_under_test import NoBindingError
 from .driver import SessionFacts, TrialDriver
+from .every_call import EveryCall
 from .ledger import Ledger
 from .repetition import Repetition
 from .rig import adapter_name
@@ -75,6 +76,7 @@ class Trial:
         self._reason: str | None = None
         self._ended: Ended | None = None
         self._around: list[Around] = []
+        self._every_call: EveryCall | None = None
         self._warm_up: dict[Finding, Kind] = {}
         self._repeated: set[Kind] = set()
         self._strangers = Strangers()
@@ -112,7 +114,8 @@ class Trial:
             self._status = "KIT_ERROR"
             self._end("kit", "kit_error", str(failure))
         finally:
-            await self._driver.close()
+            # What a session that failed has become must not be the next item's problem.
+            await self._driver.close(renew=self._failed)
 
     def _end(
         self, fault_of: Literal["subject", "binding", "kit"], code: str, message: str, requirement: str | None = None
@@ -137,9 +140,9 @@ class Trial:
         for rep in range(self._planned):
             if self._progress is not None:
                 self._progress(rep, self._planned)
-            unanswered = await self._repeat(rep)
-            silent = silent + 1 if unanswered else 0
-            if unanswered:
+            repetition = await self._repeat(rep)
+            silent = silent + 1 if repetition.unanswered else 0
+            if repetition.unanswered or repetition.ended_early:
                 self._take(await driver.end_sessions())
             if silent == _GIVE_UP_AFTER and rep + 1 < self._planned:
                 self._note("gave_up", f"not continued after {silent} repetitions in a row without a reply")
@@ -148,6 +151,19 @@ class Trial:
         if task.end is not None:
             await self._execute_around(task.end, "control")
         self._take(await driver.inspect())
+        if self._every_call is not None:
+            history = driver.history()
+            for finding in self._every_call.at_end(history["finished_at"], history["ended_ns"]):
+                self._add(finding)
+
+    async def _perform(self, repetition: Repetition, steps: Steps) -> Ledger:
+        """Execute steps, and judge what holds for every call, whatever the task asks for."""
+        await self._driver.perform(repetition, steps)
+        if self._every_call is None:
+            history = self._driver.history()
+            self._every_call = EveryCall(history["started_at"], history["began_ns"])
+        self._every_call.judge(repetition)
+        return repetition.ledger
 
     def _judge_before(self) -> None:
         """Judge what reached the devices since the last item that had them."""
@@ -161,8 +177,7 @@ class Trial:
     async def _execute_around(self, steps: Steps, role: Role) -> None:
         """Execute set-up, warm-up or closing checks: they are judged like a repetition, but are no sample."""
         repetition = self._driver.repetition(0, role)
-        await self._driver.perform(repetition, steps)
-        ledger = repetition.ledger
+        ledger = await self._perform(repetition, steps)
         self._around.append(
             {
                 "role": role,
@@ -183,10 +198,9 @@ class Trial:
             self._take(await self._driver.end_sessions())
             await self._driver.open_sessions()
 
-    async def _repeat(self, rep: int) -> bool:
+    async def _repeat(self, rep: int) -> Repetition:
         repetition = self._driver.repetition(rep, "task")
-        await self._driver.perform(repetition, self._task.steps)
-        ledger = repetition.ledger
+        ledger = await self._perform(repetition, self._task.steps)
         self._watch_strangers(ledger)
         disturbance = self._strangers.disturbance
         findings = ledger.findings if disturbance is None else []
@@ -208,7 +222,7 @@ class Trial:
         if disturbance is not None:
             raise _DisturbedError(disturbance)
         self._stop_if_refused(repetition)
-        return repetition.unanswered
+        return repetition
 
     def _watch_strangers(self, ledger: Ledger) -> None:
         slices: dict[str, list[DeviceEntry]] = {}
@@ -240,6 +254,8 @@ class Trial:
                 self._note("frame_too_long", "the adapter sent a message longer than 16 MiB", "ADR-009")
             if facts.died is not None:
                 self._note("session_lost", facts.died, "MCP-007")
+            if facts.overstayed is not None:
+                self._note("does_not_exit", facts.overstayed, "MCP-009")
             for identifier in facts.unknown_ids:
                 self._note("unknown_id", f"a response carries the id {identifier}, which no request had", "MCP-001")
             if facts.stray_lines:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import random
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -89,7 +90,7 @@ async def perform(bench: Bench, tasks: list[Task]) -> Results:
 def judge(loop: LoopThread, plant: Plant, warm_start: WarmStart) -> Judge:
     """``judge(protocol, program, mode, …)`` runs every task that needs the protocol, once, with that adapter replaced.
 
-    A ``command`` is started as it is, a program is started warm.
+    A ``command`` is started as it is, a program is started warm. With a number for ``shuffled`` the tasks run in another order.
     ``described`` changes what the subject file says of it.
     """
 
@@ -99,6 +100,7 @@ def judge(loop: LoopThread, plant: Plant, warm_start: WarmStart) -> Judge:
         command: tuple[str, ...] | None = None,
         tasks: str | None = None,
         time_scale: float = 1.0,
+        shuffled: int | None = None,
         described: Callable[[Adapter], Adapter] | None = None,
     ) -> Results:
         reference = warm_start.subject(reference_subject())
@@ -112,6 +114,8 @@ def judge(loop: LoopThread, plant: Plant, warm_start: WarmStart) -> Judge:
         adapters: dict[str, Adapter] = {**reference.adapters, protocol: replacing}
         subject = Subject(name="defective", version="0", adapters=adapters, source=HERE)
         chosen = [task for task in tasks_by_id().values() if protocol in task.adapters and _wanted(task, tasks)]
+        if shuffled is not None:
+            random.Random(shuffled).shuffle(chosen)
         return loop.run(perform(AmongGenuine(subject, plant, protocol, time_scale), chosen))
 
     return run

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import socket
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -99,6 +100,18 @@ def wrong_at_first(server: AdapterServer) -> None:
     wrap(server, "read_input_registers", off)
 
 
+def demo_without_a_device(server: AdapterServer) -> None:
+    """Invent values for ever if there is no device at the start."""
+    host, _, port = server.endpoint.partition("://")[2].rpartition(":")
+    with contextlib.suppress(OSError), socket.create_connection((host, int(port))):
+        return
+
+    async def read(call: Call, arguments: Any) -> dict[str, Any]:
+        return {"address": arguments.address, "count": arguments.count, "values": [0] * arguments.count}
+
+    wrap(server, "read_input_registers", lambda genuine: read)
+
+
 def swapped_parallel_replies(server: AdapterServer) -> None:
     """Swap the answers of two reads of the registers 10 to 13 that are made at the same time."""
 
@@ -151,6 +164,7 @@ DEFECTS: dict[str, tuple[str, Callable[[AdapterServer], None]]] = {
     "hang": ("modbus", hang),
     "wrong-value": ("modbus", wrong_value),
     "wrong-at-first": ("modbus", wrong_at_first),
+    "demo-without-a-device": ("modbus", demo_without_a_device),
     "swapped-parallel-replies": ("modbus", swapped_parallel_replies),
     "incomplete-enumeration": ("opcua", incomplete_enumeration),
     "none": ("modbus", lambda server: None),

@@ -189,6 +189,8 @@ def mqtt_handle(lie: str | None, read_only: bool) -> Shape:
                 where = os.environ["BROKER_HOST"], int(os.environ["BROKER_PORT"])
                 links.append(Link(*where, reconnect=lie == "makes-up-for-it", received=received))
                 await asyncio.to_thread(links[-1].open)
+                for wanted, _ in handles.values():
+                    await asyncio.to_thread(links[-1].subscribe, wanted, 0)
         return links[-1]
 
     greeted = lie != "farewell-for-hello"

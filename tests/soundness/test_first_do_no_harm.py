@@ -136,8 +136,9 @@ def test_an_adapter_that_goes_over_to_the_plant_in_an_outage_is_not_told_to_writ
     assert seen_by(loop, other) == []
     assert results[first]["status"] == "PASS", results[first]["findings"]
     assert results[OUTAGE[protocol]]["status"] == "FAIL"
-    assert results[again]["status"] == "FAIL"
-    assert "nothing was written" in results[again]["findings"][0]["message"]
+    assert any("nothing was written" in finding["message"] for finding in results[OUTAGE[protocol]]["findings"])
+    # It has a session of its own, which is proven before anything is written.
+    assert results[again]["status"] == "PASS", results[again]["findings"]
 
 
 @pytest.mark.parametrize("protocol", OWN)

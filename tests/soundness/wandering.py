@@ -77,7 +77,11 @@ def main() -> None:
     else:
         host, port = split(address)
         os.environ |= {f"{variable}_HOST": host, f"{variable}_PORT": str(port)}
-    sys.exit(serve(import_module(f"pytest_otmcp.reference_adapters.{protocol}").build()))
+    server = import_module(f"pytest_otmcp.reference_adapters.{protocol}").build()
+    if manner == "failover":
+        # The relay stands for a library that changes over by itself: the adapter knows of the mock only.
+        server.endpoint = server.endpoint.replace(address, os.environ["ADDRESS"])
+    sys.exit(serve(server))
 
 
 if __name__ == "__main__":

@@ -225,6 +225,7 @@ def adapter(tools: int | None, **more: Any) -> dict[str, Any]:
         "bindings": {},
         "unjudged": [],
         "unmet": [],
+        "listing": {},
         **server,
         **more,
     }

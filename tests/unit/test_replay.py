@@ -28,6 +28,9 @@ from .samples import finding
 Item = dict[str, Any]
 
 BEGIN_NS = 10**16
+READ_SEQ = 7
+"""Sequence number of the second call's request."""
+
 READ, WRITE = "read_multiple_holding_registers", "write_register"
 
 
@@ -41,7 +44,7 @@ def envelope(operation: str, data: dict[str, Any]) -> dict[str, Any]:
             "protocol": "modbus-tcp",
             "operation": f"modbus.{operation}",
             "endpoint": "modbus+tcp://127.0.0.1:502",
-            "started_at": "2026-01-01T00:00:00.000Z",
+            "started_at": "2026-11-21T07:03:43.011Z",
             "latency_ms": 0.5,
             "attempts": 1,
             "request_id": "r",
@@ -78,7 +81,9 @@ def call(operation: str, tool: str, inputs: dict[str, Any], data: dict[str, Any]
 
 def entry(seq: int, kind: str, function: int, **fields: Any) -> dict[str, Any]:
     direction = "in" if kind == "request" else "out"
-    common = {"seq": seq, "t_ns": BEGIN_NS + 10**7 + seq * 10**4, "connection": 1, "direction": direction, "kind": kind}
+    group = 1 if seq < READ_SEQ else 2
+    at_ns = BEGIN_NS + group * 10**7 + seq * 10**4
+    common = {"seq": seq, "t_ns": at_ns, "connection": 1, "direction": direction, "kind": kind}
     asks = {"origin": "client", "request": kind == "request", "state_changing": False}
     asks["answers"] = None if kind == "request" else seq - 1
     return {"protocol": "modbus", **common, **asks, "unit": 1, "transaction_id": seq, "function": function, **fields}
@@ -140,7 +145,7 @@ def item() -> Item:
     entries = [
         entry(5, "request", 6, **write),
         entry(6, "response", 6),
-        entry(7, "request", 3, address=1, quantity=1, state_changing=False),
+        entry(READ_SEQ, "request", 3, address=1, quantity=1, state_changing=False),
         entry(8, "response", 3, values=[40]),
     ]
     changes = [[["points", "1/holding_registers/1"], 40]]
@@ -350,7 +355,7 @@ def claim_a_proof(changed: Item) -> None:
 
 
 def add_noise(changed: Item) -> None:
-    facts = {"protocol": "modbus", "overflow": False, "died": None, "unknown_ids": []}
+    facts = {"protocol": "modbus", "overflow": False, "died": None, "overstayed": None, "unknown_ids": []}
     changed["sessions"].append({"inspection": 1, **facts, "stray_lines": 1, "first_stray": "hello"})
 
 

@@ -11,6 +11,7 @@ from .entries import carried_out, describe, title
 from .operations import OPERATIONS
 from .oracle import no_state_changing_request
 from .proof import PROOF
+from .trace import facts
 
 __all__ = ["PROTOCOL"]
 
@@ -25,6 +26,7 @@ PROTOCOL = OtProtocol(
     unsolicited=lambda entries, declared: no_state_changing_request(entries),
     carried_out=carried_out,
     describe=describe,
+    facts=facts,
     title=title,
     mock="modbus",
     clients="a Modbus TCP client with unit identifier 1",

@@ -8,12 +8,13 @@ from ..protocol import Choice, Colour, Composite, Framing, OtProtocol, Simulator
 from ..session_oracle import Exchanges
 from .commands import COMMAND_TOPICS
 from .decoder import MqttConversation, packet_length
-from .entries import describe
+from .entries import describe, messages
 from .external import EXTERNAL
 from .operations import OPERATIONS
-from .oracle import Publications, Subscriptions, no_command
+from .oracle import Publications, Refused, Subscriptions, no_command
 from .proof import PROOF
 from .sparkplug_oracle import SparkplugSequence, kept_or_executed
+from .trace import facts
 
 __all__ = ["PROTOCOL"]
 
@@ -45,8 +46,10 @@ PROTOCOL = OtProtocol(
     lists={COMMAND_TOPICS: "Topic filters, beside control/#, below which a publication commands the plant."},
     framing=Framing(frame_length=packet_length, conversation=MqttConversation),
     unsolicited=no_command,
+    changes=messages,
     carried_out=kept_or_executed,
     describe=describe,
+    facts=facts,
     mock="mqtt",
     clients="an MQTT client, version 3.1.1 or 5",
     simulators={
@@ -62,7 +65,8 @@ PROTOCOL = OtProtocol(
     packages=("paho-mqtt", "protobuf"),
     colour=Colour(light="#009e73", dark="#2fc79a"),
     external=EXTERNAL,
-    session_oracles=(Publications, Subscriptions, SparkplugSequence, Exchanges),
+    session_oracles=(Publications, Refused, Subscriptions, SparkplugSequence, Exchanges),
     proof=PROOF,
     always=True,
+    delayed=tuple({"packet": kind} for kind in ("PUBLISH", "SUBSCRIBE", "UNSUBSCRIBE", "PINGREQ")),
 )

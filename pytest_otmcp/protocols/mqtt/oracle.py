@@ -21,6 +21,7 @@ from .sparkplug_oracle import SparkplugSequence, ddata_metric
 
 __all__ = [
     "Publications",
+    "Refused",
     "SparkplugSequence",
     "Subscriptions",
     "ddata_metric",
@@ -28,11 +29,13 @@ __all__ = [
     "exchange",
     "never_published",
     "no_command",
+    "not_granted",
     "not_published",
     "not_reported",
     "not_subscribed",
     "published_once",
     "session_stays_up",
+    "subscription_lost",
 ]
 
 _WITNESS = Witness(noun="the broker", describe=describe)
@@ -97,6 +100,14 @@ class Subscriptions(SessionOracle):
         ]
 
 
+def not_granted(entries: Entries, filter: str) -> list[Finding]:
+    """Expect that the adapter has subscribed to this filter, whatever its QoS, since these entries began."""
+    subscriptions = Subscriptions()
+    for entry in entries:
+        subscriptions.feed(entry)
+    return subscriptions.granted(filter, qos=None)
+
+
 class Publications(SessionOracle):
     """The publications of the adapter, by topic, and packets of it that cannot be distinguished from publications."""
 
@@ -139,6 +150,33 @@ class Publications(SessionOracle):
         ]
 
 
+class Refused(SessionOracle):
+    """Messages whose publication the adapter has reported as failed: none of them may ever reach the broker."""
+
+    def __init__(self) -> None:
+        self._payloads: set[bytes] = set()
+        self._faults: list[Finding] = []
+
+    def never(self, payload: bytes) -> None:
+        """Expect that these bytes are not published any more, on whatever topic."""
+        self._payloads.add(payload)
+
+    def feed(self, entry: JournalEntry) -> None:
+        """Judge a PUBLISH."""
+        for payload in [payload for payload in self._payloads if never_published([entry], payload)]:
+            self._faults += never_published([entry], payload)
+            self._payloads.discard(payload)
+
+    def restarted(self) -> Refused:
+        """Return itself: what was refused stays refused."""
+        return self
+
+    def take_faults(self) -> list[Finding]:
+        """Return the messages that came nevertheless."""
+        faults, self._faults = self._faults, []
+        return faults
+
+
 def delivered(entries: Entries, *, topic: str, payload: bytes, client_id: str | None = None) -> list[Finding]:
     """Expect that the broker delivered this message to the adapter."""
     messages = adapter_packets(entries, "PUBLISH", "out", client_id)
@@ -151,6 +189,21 @@ def delivered(entries: Entries, *, topic: str, payload: bytes, client_id: str | 
             message=f"a message on {topic!r} should have reached the adapter, "
             + (f"the broker sent it {others[:4]}" if others else "the broker had nobody to send it to"),
             requirement="MQT-004",
+            evidence=shown(entries),
+        )
+    ]
+
+
+def subscription_lost(entries: Entries, *, topic: str, payload: bytes) -> list[Finding]:
+    """Expect that the broker delivered this message, because the adapter had subscribed before the broker was restarted."""
+    if not delivered(entries, topic=topic, payload=payload):
+        return []
+    return [
+        Finding(
+            code="subscription_lost",
+            message=f"a message on {topic!r} should have reached the adapter, which had subscribed before the restart, "
+            "the broker had nobody to send it to",
+            requirement="REC-004",
             evidence=shown(entries),
         )
     ]

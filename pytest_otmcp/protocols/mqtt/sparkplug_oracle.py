@@ -149,7 +149,22 @@ class SparkplugSequence(SessionOracle):
         self._client_id = client_id
         self._connections: dict[int, _Session] = {}
         self._deaths: dict[str, int] = {}
+        self._uncertain: set[str] = set()
+        self._taken = 0
         self.findings: list[Finding] = []
+
+    def restarted(self) -> SparkplugSequence:
+        """Return the oracle for the connections after a restart of the broker: bdSeq goes on being counted."""
+        following = SparkplugSequence(*self._node, self._client_id)
+        following._deaths = dict(self._deaths)
+        following._uncertain = set(self._deaths)
+        return following
+
+    def take_faults(self) -> list[Finding]:
+        """Return the faults that have not been returned yet."""
+        faults = self.findings[self._taken :]
+        self._taken = len(self.findings)
+        return faults
 
     def feed(self, entry: JournalEntry) -> None:
         """Judge the next packet by the packets that the connection sent before it."""
@@ -165,7 +180,7 @@ class SparkplugSequence(SessionOracle):
             return
         elif packet["kind"] == "CONNECT":
             self._connections[connection] = session = _Session(packet)
-            yield from session.check_count(self._deaths)
+            yield from session.check_count(self._deaths, self._uncertain)
         elif packet["kind"] == "PUBLISH" and connection in self._connections:
             message = _message(packet)
             if message is None:
@@ -196,13 +211,24 @@ class _Session:
         """The will's bdSeq, or None."""
         return next((metric["value"] for metric in self.death["metrics"] if metric["name"] == _BD_SEQ), None)
 
-    def check_count(self, deaths: dict[str, int]) -> Iterator[Finding]:
-        """Check bdSeq: one more than at the connection before, modulo 256 (tck-id-topics-nbirth-bdseq-increment)."""
+    def check_count(self, deaths: dict[str, int], uncertain: set[str]) -> Iterator[Finding]:
+        """Check that bdSeq is one more than at the connection before, modulo 256 (tck-id-topics-nbirth-bdseq-increment).
+
+        Args:
+            deaths: bdSeq of the last will, by its topic.
+            uncertain: topics whose last will may have been a later one, which went down with the broker.
+        """
         topic = self.will.get("topic")
         if not isinstance(topic, str) or "/NDEATH/" not in topic or not isinstance(self.bd_seq, int):
             return
-        expected = (deaths[topic] + 1) % 256 if topic in deaths else self.bd_seq
-        if self.bd_seq != expected:
+        last = deaths.get(topic)
+        expected = self.bd_seq if last is None else (last + 1) % 256
+        if topic in uncertain:
+            uncertain.discard(topic)
+            counted = self.bd_seq != last
+        else:
+            counted = self.bd_seq == expected
+        if not counted:
             text = f"bdSeq of the will must be {expected} after {deaths[topic]}, it is {self.bd_seq}"
             yield _rule("SPB-006", text, topic)
         deaths[topic] = self.bd_seq

@@ -11,6 +11,7 @@ from .entries import carried_out, describe
 from .operations import OPERATIONS
 from .oracle import no_state_changing_service
 from .proof import PROOF
+from .trace import facts
 
 __all__ = ["PROTOCOL"]
 
@@ -25,6 +26,7 @@ PROTOCOL = OtProtocol(
     unsolicited=lambda entries, declared: no_state_changing_service(entries),
     carried_out=carried_out,
     describe=describe,
+    facts=facts,
     mock="opcua",
     clients="an OPC UA client with security None",
     tasks="pytest_otmcp.conformance.tasks.opcua",

@@ -196,11 +196,20 @@ MUTANTS = (
         requirements="ERR-002",
     ),
     Mutant(
+        id="MU-53a",
+        protocol="modbus",
+        sentence="The tool that asks whether the device is reachable writes a heartbeat.",
+        bend=also("ping", action=_heartbeat),
+        items="M1",
+        requirements="MCP-008",
+        quick=True,
+    ),
+    Mutant(
         id="MU-53b",
         protocol="modbus",
         sentence="The tool that reads input registers writes a heartbeat.",
         bend=also(_READ_INPUT, action=_heartbeat),
-        items="M2 M4 S10",
+        items="M2 M4 X1 X1p FX1 S1 S7 S10",
         requirements="MCP-008 WR-004 WR-010",
     ),
     Mutant(
@@ -208,8 +217,8 @@ MUTANTS = (
         protocol="modbus",
         sentence="The tool that reads holding registers writes a heartbeat.",
         bend=also(_READ_HOLDING, action=_heartbeat),
-        items="M3 M4 S4",
-        requirements="WR-003 WR-004",
+        items="M3 M4 FM1 S4",
+        requirements="MCP-008 WR-003 WR-004",
         quick=True,
     ),
     Mutant(
@@ -217,7 +226,7 @@ MUTANTS = (
         protocol="modbus",
         sentence="Reads go to the next register, and meta.trace says that they went to the right one.",
         bend=next_register_with_invented_trace,
-        items="M2 M3 X1 X1p FM1 FX1 S1 S4 S7 S10",
-        requirements="ADR-001 CON-004 RD-001",
+        items="M2 M3 M4 X1 X1p FM1 FX1 S1 S4 S7 S10",
+        requirements="ADR-001 CON-004 ENV-007 RD-001",
     ),
 )

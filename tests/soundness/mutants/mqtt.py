@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
-from pytest_otmcp.reference_adapters.mqtt import connection
+from pytest_otmcp.reference_adapters.mqtt import connection, inbox
 from pytest_otmcp.reference_adapters.mqtt import link as mqtt_link
 from pytest_otmcp.reference_adapters.mqtt.connection import Message
 
@@ -17,6 +17,8 @@ from .mutant import Data, Mutant, also, each
 __all__ = ["MUTANTS", "link_of"]
 
 _PUBLISH = "publish_message"
+_GONE = ("connect_failed", "connection_lost")
+_QUESTIONS = 5
 
 
 def link_of(server: AdapterServer) -> mqtt_link.Link:
@@ -45,7 +47,7 @@ def made_up_for(server: AdapterServer) -> None:
             try:
                 data: Data = await genuine(call, arguments)
             except AdapterError as error:
-                if error.code in ("connect_failed", "connection_lost"):
+                if error.code in _GONE:
                     kept.append(Message(topic=arguments.topic, payload=arguments.payload.encode()))
                 raise
             return data
@@ -59,6 +61,57 @@ def made_up_for(server: AdapterServer) -> None:
 
     mqtt_link.Link._restore = restore
     each(_PUBLISH, change=keeping)(server)
+
+
+def delivered_later(server: AdapterServer) -> None:
+    """Keep what could not be published, and publish it on another topic when the broker has answered some questions."""
+    link, kept = link_of(server), list[Message]()
+    answered = 0
+
+    def keeping(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            try:
+                data: Data = await genuine(call, arguments)
+            except AdapterError as error:
+                if error.code in _GONE:
+                    kept.append(Message(topic="line/late", payload=arguments.payload.encode()))
+                raise
+            return data
+
+        return handler
+
+    def delivering(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            nonlocal answered
+            data: Data = await genuine(call, arguments)
+            answered += bool(kept)
+            if answered >= _QUESTIONS:
+                for message in kept:
+                    link._connection.send(message)
+                kept.clear()
+            return data
+
+        return handler
+
+    each(_PUBLISH, change=keeping)(server)
+    each("get_broker_info", change=delivering)(server)
+
+
+def forgets_subscriptions(server: AdapterServer) -> None:
+    genuine = mqtt_link.Link._restore
+
+    async def restore(link: mqtt_link.Link, made: Any) -> None:
+        kept, link.subscriptions = link.subscriptions, {}
+        try:
+            await genuine(link, made)
+        finally:
+            link.subscriptions = kept
+
+    mqtt_link.Link._restore = restore
+
+
+def equal_topics_only(server: AdapterServer) -> None:
+    inbox.matches = lambda text, topic: text == topic
 
 
 async def _heartbeat(server: AdapterServer, call: Call) -> None:
@@ -120,20 +173,38 @@ MUTANTS = (
         quick=True,
     ),
     Mutant(
+        id="MU-29d",
+        protocol="mqtt",
+        sentence="What could not be published is published on another topic, during the next item.",
+        bend=delivered_later,
+        items="R-mqtt",
+        requirements="WR-010",
+        recovers=True,
+    ),
+    Mutant(
         id="MU-36q",
         protocol="mqtt",
         sentence="A status soon after another is told from memory, as if from the broker.",
         bend=status_from_memory,
-        items="Q1 X1 X1p S8",
-        requirements="RD-004",
+        items="Q1 Q2 X1 X1p S8 S11",
+        requirements="ENV-008 RD-004",
     ),
     Mutant(
         id="MU-53q",
         protocol="mqtt",
         sentence="The tool that tells the broker's status publishes a heartbeat below control/.",
         bend=also("get_broker_info", action=_heartbeat),
-        items="Q3 Q4 S5",
-        requirements="WR-003 WR-004",
+        items="Q1 Q2 Q3 Q4 X1 X1p S2 S5 S8 S11",
+        requirements="MCP-008 WR-003 WR-004 WR-010",
+    ),
+    Mutant(
+        id="MU-65",
+        protocol="mqtt",
+        sentence="Subscriptions that died with the connection are listed as active.",
+        bend=forgets_subscriptions,
+        items="S11",
+        requirements="REC-004",
+        quick=True,
     ),
     Mutant(
         id="MU-66",
@@ -143,6 +214,14 @@ MUTANTS = (
         items="Q3 X2 X2p FQ1 FX1 S5",
         requirements="MQT-003",
         quick=True,
+    ),
+    Mutant(
+        id="MU-67a",
+        protocol="mqtt",
+        sentence="Messages are looked up by their topic; a wildcard finds none.",
+        bend=equal_topics_only,
+        items="Q2",
+        requirements="MQT-004",
     ),
     Mutant(
         id="MU-67b",

@@ -25,24 +25,10 @@ GROUPS: Mapping[str, str] = {
 
 NOT_YET: Mapping[str, Mapping[str, str]] = {
     "A": {
-        "MU-26": "attempts is always 1.",
-        "MU-29d": "What could not be published is published on another topic, during the next item.",
-        "MU-53a": "The tool that asks whether the device is reachable writes a heartbeat.",
-        "MU-53o": "The tool that browses writes a heartbeat.",
-        "MU-59": "latency_ms is in seconds, or always 1.0.",
-        "MU-60": "meta.endpoint is the default address, not the device's.",
-        "MU-65": "Subscriptions that died with the connection are listed as active.",
-        "MU-67a": "Messages are looked up by their topic; a wildcard finds none.",
-        "MU-76b": "bdSeq is the same with every connection.",
         "MU-82": "The server's timestamp is the adapter's own time.",
         "MU-88": "Every reconnect leaves a session behind.",
-        "MU-90": "Every call makes a connection and leaves it open.",
         "MU-107": "The device's own words are in error.message.",
-        "MU-112": "Tools take any object, whatever they need.",
         "MU-114": "Over HTTP any Origin is accepted, from any network.",
-        "MU-116w": "meta.trace is invented.",
-        "MU-120": "A refused, a reset and a silent connection have one code.",
-        "MU-124": "started_at is the local time with a Z behind it.",
         "MU-125": "Connecting again is tried without a pause.",
     },
     "B": {
@@ -115,7 +101,6 @@ NOT_YET: Mapping[str, Mapping[str, str]] = {
     },
     "G": {
         "MU-21b": "A write switch with a value that means nothing enables writes.",
-        "MU-51": "The adapter does not start while its device is off.",
         "MU-54": "Tool descriptions hold names from the device.",
         "MU-62": "While the device is off, invalid input is a failed connection.",
         "MU-86": "After a restart of the server a namespace has its old index.",

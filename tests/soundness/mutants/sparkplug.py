@@ -82,6 +82,20 @@ def birth_without_metrics(server: AdapterServer) -> None:
     EdgeNode.numbered = numbered
 
 
+def constant_count(server: AdapterServer) -> None:
+    genuine = EdgeNode.will
+
+    def connect_sent(node: EdgeNode) -> None:
+        node.bd_seq = 0
+
+    def will(node: EdgeNode) -> Any:
+        node.bd_seq = -1
+        return genuine(node)
+
+    EdgeNode.connect_sent = connect_sent
+    EdgeNode.will = will
+
+
 MUTANTS = (
     Mutant(
         id="MU-70",
@@ -115,6 +129,15 @@ MUTANTS = (
         bend=no_will,
         items="Q4",
         requirements="SPB-006",
+    ),
+    Mutant(
+        id="MU-76b",
+        protocol="mqtt",
+        sentence="bdSeq is the same with every connection.",
+        bend=constant_count,
+        items="S11 R-mqtt",
+        requirements="SPB-006",
+        recovers=True,
     ),
     Mutant(
         id="MU-77",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from . import any_protocol, modbus, mqtt, opcua, sparkplug
+from . import any_protocol, claims, life, modbus, mqtt, opcua, sparkplug
 from .mutant import Mutant, number
 
 __all__ = ["MUTANTS"]
@@ -13,6 +13,8 @@ _ALL = (
     *sparkplug.MUTANTS,
     *opcua.MUTANTS,
     *any_protocol.MUTANTS,
+    *claims.MUTANTS,
+    *life.MUTANTS,
 )
 
 MUTANTS: dict[str, Mutant] = {mutant.id: mutant for mutant in sorted(_ALL, key=lambda one: number(one.id))}

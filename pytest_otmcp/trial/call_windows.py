@@ -1,0 +1,79 @@
+"""Assigns the entries of a device's journal to the calls of a repetition, by their times. Pure.
+
+Calls and journal entries have their times from one clock, the machine's monotonic one. What the device saw between a request
+and its reply may belong to that call; a message that nobody answers may also arrive after the reply.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from ..protocols.journal import Entries
+from .ledger import Entry, Judged
+
+__all__ = ["LATE_NS", "CallWindow", "from_adapter", "windows"]
+
+LATE_NS = 50_000_000
+"""How much later than the reply a message of the call that nobody answers may arrive."""
+
+_NO_MESSAGE = ("CONNECTED", "DISCONNECTED", "malformed")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CallWindow:
+    """Calls of one adapter that were made at the same time, and what its device saw meanwhile.
+
+    Attributes:
+        calls: in the order of their requests.
+        end_ns: the last reply; infinite without one.
+        during: entries from the first request to the last reply.
+        until_next: entries from the first request to the adapter's next call.
+        until_end: entries from the first request to the end of the repetition.
+    """
+
+    calls: tuple[Judged, ...]
+    end_ns: float
+    during: Entries
+    until_next: Entries
+    until_end: Entries
+
+
+def windows(calls: Iterable[Judged], entries: Entries) -> list[CallWindow]:
+    """Group an adapter's calls by the time at which they were made.
+
+    Args:
+        calls: of one adapter in one repetition.
+        entries: journal of its device in this repetition.
+    """
+    groups: dict[int, list[Judged]] = {}
+    for call in sorted(calls, key=lambda call: call.reply.exchange.sent_ns):
+        groups.setdefault(call.group, []).append(call)
+    begins = [group[0].reply.exchange.sent_ns for group in groups.values()]
+    times = [entry["t_ns"] for entry in entries]
+    found = []
+    for group, begin, following in zip(groups.values(), begins, [*begins[1:], math.inf], strict=False):
+        received = [call.reply.exchange.received_ns for call in group]
+        end = math.inf if None in received else max(time for time in received if time is not None)
+        first = bisect_left(times, begin)
+        found.append(
+            CallWindow(
+                calls=tuple(group),
+                end_ns=end,
+                during=entries[first : max(first, bisect_right(times, end))],
+                until_next=entries[first : max(first, bisect_left(times, following))],
+                until_end=entries[first:],
+            )
+        )
+    return found
+
+
+def from_adapter(entries: Entries) -> list[Entry]:
+    """Return the messages that the adapter sent."""
+    return [
+        entry
+        for entry in entries
+        if entry["direction"] == "in" and entry["origin"] == "client" and entry["kind"] not in _NO_MESSAGE
+    ]

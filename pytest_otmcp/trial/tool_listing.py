@@ -1,0 +1,49 @@
+"""Judges what ``tools/list`` says of a tool by what the tool is used for. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+
+from ..core.finding import Finding
+
+__all__ = ["listing_faults"]
+
+_ELSEWHERE = ("$ref", "allOf", "anyOf", "oneOf", "patternProperties")
+"""Members by which a schema may declare arguments in another place."""
+
+
+def listing_faults(
+    tool: str, listing: Mapping[str, object], *, arguments: Iterable[str], writes: bool
+) -> Iterator[Finding]:
+    """Judge the entry of one tool.
+
+    Args:
+        listing: ``inputSchema`` and ``annotations`` of its entry in ``tools/list``.
+        arguments: names that it was called with.
+        writes: it was called to change the plant.
+    """
+    schema = listing.get("inputSchema")
+    if not isinstance(schema, Mapping) or schema.get("type") != "object":
+        stated = schema.get("type") if isinstance(schema, Mapping) else schema
+        yield Finding(
+            code="tool_schema",
+            message=f"tools/list: the inputSchema of {tool!r} should be of the type 'object', it says {stated!r}",
+            requirement="MCP-003",
+        )
+    elif (
+        not schema.get("properties") and not any(name in schema for name in _ELSEWHERE) and (names := sorted(arguments))
+    ):
+        # An argument that is missing among others may be the subject file's mistake.
+        yield Finding(
+            code="tool_schema",
+            message=f"tools/list: the inputSchema of {tool!r} should declare its arguments, such as {names[0]!r}, "
+            "it declares none",
+            requirement="MCP-003",
+        )
+    annotations = listing.get("annotations")
+    if writes and isinstance(annotations, Mapping) and annotations.get("readOnlyHint") is True:
+        yield Finding(
+            code="tool_annotations",
+            message=f"tools/list: {tool!r} writes, its readOnlyHint says that it does not",
+            requirement="MCP-008",
+        )

@@ -1,0 +1,106 @@
+"""Finds what changed the plant without having been asked for, in any repetition of any task. Pure.
+
+A call of an operation that writes accounts for one request that changes the plant, any other call for none. Whatever else the
+device saw of that kind is a finding: of the read that wrote, of the guard that leaked, of the write that was sent again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from ..core.finding import Finding
+from ..protocols.journal import Entries, JournalEntry
+from ..protocols.protocol import Declared, OtProtocol
+from ..subject.model import READ_ONLY
+from .call_windows import LATE_NS, CallWindow
+from .ledger import Judged
+
+__all__ = ["unasked_writes"]
+
+
+def unasked_writes(
+    windows: Sequence[CallWindow], entries: Entries, *, protocol: OtProtocol, declared: Declared, variant: str
+) -> Iterator[tuple[Finding, Judged | None]]:
+    """Find the requests that changed the plant and that no call accounts for, each with the call that made it, if it reads.
+
+    Args:
+        windows: the adapter's calls of one repetition.
+        entries: journal of its device in this repetition.
+        protocol, variant: of the adapter.
+        declared: the lists of the protocol's own keys in the subject file.
+    """
+    left = {id(call): _asked(call, protocol) for window in windows for call in window.calls}
+    begun = -1
+    for entry in protocol.changes(entries):
+        while begun + 1 < len(windows) and entry["t_ns"] >= _begin(windows[begun + 1]):
+            begun += 1
+        unsolicited = protocol.unsolicited([entry], declared)
+        if not unsolicited:
+            continue
+        owner = _accounting(windows[: begun + 1], left)
+        if owner is not None:
+            left[id(owner)] -= 1
+        elif (found := _finding(windows[: begun + 1], entry, unsolicited[0], protocol, variant)) is not None:
+            yield found
+
+
+def _begin(window: CallWindow) -> int:
+    return window.calls[0].reply.exchange.sent_ns
+
+
+def _asked(call: Judged, protocol: OtProtocol) -> int:
+    if not protocol.operations[call.reply.operation].writes:
+        return 0
+    return 0 if _nothing_sent(call) else 1
+
+
+def _nothing_sent(call: Judged) -> bool:
+    """The adapter says that the write has not left it."""
+    error = (call.reply.envelope or {}).get("error")
+    return isinstance(error, dict) and (error.get("outcome") == "not_sent" or error.get("code") == "writes_disabled")
+
+
+def _accounting(windows: Sequence[CallWindow], left: dict[int, int]) -> Judged | None:
+    """Return the call that a request now belongs to: one of the last ones, or an earlier success whose message comes late."""
+    last = [call for call in windows[-1].calls if left[id(call)]] if windows else []
+    late = [call for window in windows for call in window.calls if left[id(call)] and call.reply.success]
+    return next(iter([*last, *late]), None)
+
+
+def _finding(
+    windows: Sequence[CallWindow], entry: JournalEntry, unsolicited: Finding, protocol: OtProtocol, variant: str
+) -> tuple[Finding, Judged | None] | None:
+    """Say what is wrong with a request; None where it came during the proof of a session, of which nothing is expected.
+
+    Args:
+        windows: calls until then.
+        unsolicited: what it is where nobody asked for anything.
+    """
+    what = protocol.describe(entry)
+    window = windows[-1] if windows else None
+    failed = [call for earlier in windows[:-1] for call in _writing(earlier, protocol) if not call.reply.success]
+    if failed and window is not None and not _writing(window, protocol):
+        message = f"{failed[-1].reply.label}: it was reported as failed, and the device saw {what} after that"
+        return Finding(code="unasked_write", message=message, requirement="WR-010"), None
+    if window is None or (entry["t_ns"] > window.end_ns + LATE_NS and not _writing(window, protocol)):
+        message = f"while nobody called the adapter the device saw {what}, which changes the plant"
+        return Finding(code="unasked_write", message=message, requirement=unsolicited.requirement), None
+    writing = _writing(window, protocol)
+    if not writing:
+        call = window.calls[0]
+        if call.proof:
+            return None
+        message = f"{call.reply.label}: it only reads, but the device saw {what}, which changes the plant"
+        requirement = "WR-004" if variant == READ_ONLY else "MCP-008"
+        return Finding(code="unasked_write", message=message, requirement=requirement), call
+    call = writing[0]
+    if _nothing_sent(call):
+        message = f"{call.reply.label}: it says that nothing was sent, the device saw {what}"
+        guarded = call.reply.error_code == "writes_disabled"
+        return Finding(code="unasked_write", message=message, requirement="WR-004" if guarded else "ERR-006"), None
+    message = f"{call.reply.label}: one write was asked for, the device saw {what} as well"
+    return Finding(code="unasked_write", message=message, requirement="WR-003"), None
+
+
+def _writing(window: CallWindow, protocol: OtProtocol) -> list[Judged]:
+    return [call for call in window.calls if protocol.operations[call.reply.operation].writes]

@@ -1,0 +1,39 @@
+"""The verdict of an item is its own: neither the items before it nor their order change it."""
+
+from __future__ import annotations
+
+import pytest
+
+from .conftest import Judge, Results, failing
+from .mutants.table import MUTANTS
+
+PROGRAM = "mutants/program.py"
+
+BAD = ("MU-126", "MU-14", "MU-36q")
+"""Defects that one item could hand on to the next: lost connections, writes that were never sent, memories of answers."""
+
+
+def verdicts(results: Results) -> dict[str, str]:
+    return {name: result["status"] for name, result in sorted(results.items())}
+
+
+@pytest.mark.parametrize("name", ["MU-126", "MU-36q"])
+def test_items_in_another_order_have_the_same_verdicts(judge: Judge, name: str) -> None:
+    protocol = MUTANTS[name].protocol
+    usual = judge(protocol, PROGRAM, name)
+    assert failing(usual) >= set(MUTANTS[name].items.split())
+    assert verdicts(judge(protocol, PROGRAM, name, shuffled=1)) == verdicts(usual)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("protocol", "program", "name"),
+    [("modbus", "defective.py", "none"), *((MUTANTS[name].protocol, PROGRAM, name) for name in BAD)],
+)
+def test_an_item_alone_has_the_same_verdict(judge: Judge, protocol: str, program: str, name: str) -> None:
+    usual = judge(protocol, program, name)
+    assert verdicts(judge(protocol, program, name, shuffled=2)) == verdicts(usual)
+    alone: Results = {}
+    for item in usual:
+        alone |= judge(protocol, program, name, tasks=item)
+    assert verdicts(alone) == verdicts(usual)

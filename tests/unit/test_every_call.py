@@ -1,0 +1,222 @@
+"""What holds for every call: ``meta`` against the journal, writes that nobody asked for, and what whole items and sessions show."""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import replace
+from typing import Any, cast
+
+import pytest
+
+from pytest_otmcp.core.finding import Finding
+from pytest_otmcp.protocols.journal import JournalEntry
+from pytest_otmcp.protocols.mqtt.oracle import Refused
+from pytest_otmcp.protocols.mqtt.sparkplug_oracle import SparkplugSequence
+from pytest_otmcp.protocols.registry import protocols
+from pytest_otmcp.session.exchange import Exchange
+from pytest_otmcp.trial.call_windows import windows
+from pytest_otmcp.trial.connections import connections_left
+from pytest_otmcp.trial.ledger import Judged
+from pytest_otmcp.trial.meta_claims import meta_faults
+from pytest_otmcp.trial.reply import Reply
+from pytest_otmcp.trial.start_times import StartTimes
+from pytest_otmcp.trial.tool_listing import listing_faults
+from pytest_otmcp.trial.unasked_writes import unasked_writes
+
+from ..feeding import fed
+
+MODBUS = protocols()["modbus"]
+ENDPOINT = "modbus+tcp://localhost:502"
+
+
+def call(operation: str = "read_input", *, at: int = 1, error: dict[str, Any] | None = None, **meta: Any) -> Judged:
+    """Return a call that took the millisecond ``at``."""
+    stated = {"endpoint": ENDPOINT, "attempts": 1, "source": "device", "latency_ms": 0.9, "trace": {}, **meta}
+    exchange = Exchange(tool=operation, arguments={}, response=b"{}", sent_ns=at * 10**6, received_ns=(at + 1) * 10**6)
+    reply = Reply(
+        adapter="modbus",
+        variant="rw",
+        operation=operation,
+        exchange=exchange,
+        envelope={"success": error is None, "error": error, "meta": stated},
+        outputs={},
+    )
+    return Judged(reply=reply, inputs={}, role="task", group=at)
+
+
+def entry(ms: float, kind: str = "request", function: int = 4, **fields: Any) -> JournalEntry:
+    common = {"seq": round(ms * 100), "t_ns": round(ms * 10**6), "connection": 1, "kind": kind, "origin": "client"}
+    request = kind == "request"
+    asks = {"direction": "out" if kind == "response" else "in", "request": request, "answers": None}
+    says = {"state_changing": request and function == 6, "unit": 1, "transaction_id": 7, "function": function}
+    address = {"address": 0, "quantity": 4} if request else {}
+    return cast(JournalEntry, {**common, **asks, **says, **address, **fields})
+
+
+def exchange(ms: float, *, took_ms: float = 0.1, **fields: Any) -> list[JournalEntry]:
+    asked = entry(ms, **fields)
+    return [asked, entry(ms + took_ms, "response", answers=asked["seq"])]
+
+
+def claims(
+    judged: Judged, *entries: JournalEntry, addresses: tuple[tuple[str, int], ...] = (("127.0.0.1", 502),)
+) -> list[str]:
+    (window,) = windows([judged], entries)
+    found = meta_faults(window, judged, protocol=MODBUS, declared={}, addresses=addresses)
+    return [f"{finding.code} {finding.requirement}" for finding in found]
+
+
+def test_an_envelope_that_says_what_the_device_saw_is_right() -> None:
+    trace = {"unit": 1, "function": 4, "address": 0, "transaction_ids": [7], "exception_code": None}
+    assert claims(call(trace=trace), *exchange(1.2)) == []
+
+
+@pytest.mark.parametrize(
+    ("meta", "found"),
+    [
+        ({"attempts": 2}, "attempts ENV-005"),
+        ({"endpoint": "modbus+tcp://localhost:503"}, "other_endpoint ENV-006"),
+        ({"endpoint": "modbus+tcp://10.0.0.1:502"}, "other_endpoint ENV-006"),
+        ({"trace": {"address": 1}}, "trace_differs ENV-007"),
+        ({"trace": {"transaction_ids": [7, 8]}}, "trace_differs ENV-007"),
+        ({"trace": {"exception_code": 2}}, "trace_differs ENV-007"),
+    ],
+)
+def test_what_an_envelope_says_of_its_exchange_is_compared(meta: dict[str, Any], found: str) -> None:
+    assert claims(call(**meta), *exchange(1.2)) == [found]
+
+
+def test_data_of_the_device_need_an_exchange_with_it() -> None:
+    assert claims(call(attempts=0)) == ["source_without_traffic ENV-008"]
+    assert claims(call(attempts=0, source="none")) == []
+
+
+def test_a_refusal_in_the_adapter_has_no_attempt() -> None:
+    assert claims(call(source="none")) == ["attempts ENV-005"]
+
+
+def test_more_requests_than_attempts_may_be_the_adapters_own_questions() -> None:
+    assert claims(call(), *exchange(1.2), *exchange(1.5, address=100)) == []
+
+
+def test_a_new_connection_or_a_device_that_is_down_hides_attempts() -> None:
+    assert claims(call(attempts=2), entry(1.1, "CONNECTED"), *exchange(1.2)) == []
+    assert claims(replace(call(source="none"), reachable=False)) == []
+
+
+def test_less_attempts_than_writes_are_a_lie() -> None:
+    twice = [*exchange(1.2, function=6), *exchange(1.5, function=6)]
+    assert claims(call("write_holding"), *twice) == ["attempts ENV-005"]
+    assert claims(call("write_holding", attempts=2), *twice) == []
+
+
+def test_a_latency_below_what_the_device_took_is_a_lie() -> None:
+    assert claims(call(latency_ms=0.1), *exchange(1.1, took_ms=0.8)) == []
+    slow = call(latency_ms=0.1)
+    slow = replace(slow, reply=replace(slow.reply, exchange=replace(slow.reply.exchange, received_ns=10**9)))
+    assert claims(slow, *exchange(1.1, took_ms=100.0)) == ["latency_below_device ENV-004"]
+
+
+def strays(*entries: JournalEntry, calls: list[Judged], variant: str = "rw") -> list[str | None]:
+    found = unasked_writes(windows(calls, entries), entries, protocol=MODBUS, declared={}, variant=variant)
+    return [finding.requirement for finding, _ in found]
+
+
+REFUSED = {"code": "writes_disabled", "outcome": "not_sent"}
+FAILED = {"code": "timeout", "outcome": "unknown"}
+
+
+@pytest.mark.parametrize(
+    ("calls", "times", "variant", "found"),
+    [
+        ([call("write_holding")], [1.5], "rw", []),
+        ([call("write_holding", error=FAILED)], [1.5], "rw", []),
+        ([call("write_holding"), call(at=5)], [5.5], "rw", []),
+        ([call("write_holding")], [1.4, 1.6], "rw", ["WR-003"]),
+        ([call("write_holding", error=REFUSED)], [1.5], "ro", ["WR-004"]),
+        ([call("write_holding", error={**FAILED, "outcome": "not_sent"})], [1.5], "rw", ["ERR-006"]),
+        ([call("write_holding", error=FAILED), call(at=5)], [5.5], "rw", ["WR-010"]),
+        ([call()], [1.5], "rw", ["MCP-008"]),
+        ([call()], [1.5], "ro", ["WR-004"]),
+        ([call()], [3.0], "rw", ["MCP-008"]),
+        ([call()], [300.0], "rw", ["WR-004"]),
+        ([call(at=5)], [1.5], "rw", ["WR-004"]),
+    ],
+)
+def test_every_write_at_the_device_was_asked_for(
+    calls: list[Judged], times: list[float], variant: str, found: list[str]
+) -> None:
+    assert strays(*(entry(ms, function=6) for ms in times), calls=calls, variant=variant) == found
+
+
+def started(stated: str, *, ended_at: str = "2026-11-22T06:00:10.000Z") -> list[Finding]:
+    times = StartTimes("2026-11-22T06:00:00.000Z", 0)
+    times.look(call(at=1000, started_at=stated))
+    return times.faults(ended_at, 10 * 10**9)
+
+
+def test_a_call_starts_when_it_is_made() -> None:
+    assert started("2026-11-22T06:00:01.000Z") == []
+    assert started("2026-11-22T07:00:01.000+01:00") == []
+    assert [finding.requirement for finding in started("2026-11-22T15:00:01.000Z")] == ["ENC-007"]
+    # The wall clock was set by an hour during the item.
+    assert started("2026-11-22T15:00:01.000Z", ended_at="2026-11-22T07:00:10.000Z") == []
+
+
+@pytest.mark.parametrize(
+    ("listing", "writes", "found"),
+    [
+        ({"inputSchema": {"type": "object", "properties": {"address": {}}}}, False, []),
+        ({"inputSchema": {"type": "object", "$ref": "#/$defs/Read"}}, False, []),
+        ({"inputSchema": {"type": "object"}}, False, ["MCP-003"]),
+        ({"inputSchema": {"properties": {"address": {}}}}, False, ["MCP-003"]),
+        ({"inputSchema": None}, False, ["MCP-003"]),
+        (
+            {"inputSchema": {"type": "object", "properties": {"a": {}}}, "annotations": {"readOnlyHint": True}},
+            True,
+            ["MCP-008"],
+        ),
+    ],
+)
+def test_a_tool_is_listed_as_what_it_is_used_for(listing: dict[str, Any], writes: bool, found: list[str]) -> None:
+    faults = listing_faults("tool", listing, arguments=["address"], writes=writes)
+    assert [finding.requirement for finding in faults] == found
+
+
+def test_a_tool_without_arguments_may_declare_none() -> None:
+    assert list(listing_faults("ping", {"inputSchema": {"type": "object"}}, arguments=[], writes=False)) == []
+
+
+def test_connections_that_are_left_open_are_counted() -> None:
+    opened = [entry(number, "CONNECTED", connection=number) for number in range(1, 20)]
+    closed = [entry(number, "DISCONNECTED", connection=number) for number in range(1, 15)]
+    assert [finding.requirement for finding in connections_left(opened)] == ["CON-006"]
+    assert connections_left([*opened, *closed]) == []
+
+
+def published(payload: str) -> dict[str, Any]:
+    said = {"topic": "line/late", "qos": 0, "retain": False, "payload": payload}
+    return {**entry(1.0, "PUBLISH"), **said, "client_id": "a"}
+
+
+def test_a_refused_message_is_found_once_also_after_a_restart() -> None:
+    oracle = Refused()
+    oracle.never(b"late")
+    following = oracle.restarted()
+    assert [finding.requirement for finding in fed(following, [published("bGF0ZQ==")] * 2).take_faults()] == ["WR-010"]
+    assert following.take_faults() == []
+
+
+def test_a_restart_does_not_make_bd_seq_begin_anew() -> None:
+    def connect(bd_seq: int) -> dict[str, Any]:
+        # One metric: its name, its data type Int64, its value.
+        metric = b"\x0a\x05bdSeq\x20\x04\x58" + bytes([bd_seq])
+        payload = base64.b64encode(b"\x12" + bytes([len(metric)]) + metric).decode()
+        will = {"topic": "spBv1.0/g/NDEATH/e", "qos": 1, "retain": False, "payload": payload}
+        return {**entry(1.0, "CONNECT"), "client_id": "a", "will": will, "clean_start": True}
+
+    counted = fed(fed(SparkplugSequence(), [connect(0)]).restarted(), [connect(1), connect(2)])
+    assert counted.take_faults() == []
+    constant = fed(fed(SparkplugSequence(), [connect(0)]).restarted(), [connect(0)])
+    assert [finding.requirement for finding in constant.take_faults()] == ["SPB-006"]
+    assert constant.take_faults() == []
