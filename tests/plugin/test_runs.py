@@ -80,7 +80,7 @@ def test_a_warning_fails_nothing_and_stands_beside_the_verdict(repository: Repos
     outcome = repository.pytest(*SUITE, "-k", "normal and M1", "--otmcp-reps=2", "--junit-xml=junit.xml")
     assert outcome.statuses == {"M1": "PASS"}
     assert re.search(r"VERDICT: INCOMPLETE \(.*2/2 runs passed, 1 warning", outcome.output), outcome.output
-    assert "MCP-006, 2 times in M1: ping(): the result has no text block" in outcome.output
+    assert "MCP-006, 3 times in M1: ping(): the result has no text block" in outcome.output
     (case,) = ElementTree.parse(repository.root / "junit.xml").iter("testcase")
     properties = {entry.get("name"): entry.get("value") for entry in case.iter("property")}
     assert "the result has no text block" in (properties["otmcp_warning"] or "")

@@ -425,7 +425,7 @@ MUTANTS = (
         sentence="A lost connection to the device is never made again.",
         bend=never_reconnects(),
         items="S10 R-modbus",
-        requirements="RD-001 REC-001 not_proven",
+        requirements="REC-001 not_proven",
         recovers=True,
         quick=True,
     ),
@@ -435,7 +435,7 @@ MUTANTS = (
         sentence="A lost connection to the broker is never used again.",
         bend=never_reconnects(),
         items="S11 R-mqtt",
-        requirements="REC-001 REC-002 not_proven",
+        requirements="REC-001 not_proven",
         recovers=True,
     ),
     Mutant(
@@ -444,7 +444,7 @@ MUTANTS = (
         sentence="A lost session with the server is never made again.",
         bend=never_reconnects(),
         items="S12 R-opcua",
-        requirements="RD-001 REC-001 not_proven",
+        requirements="REC-001 not_proven",
         recovers=True,
     ),
 )
