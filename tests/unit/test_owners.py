@@ -217,7 +217,7 @@ async def test_one_that_is_gone_before_it_was_accepted_counts_as_far_as_it_speak
     assert (entry in judged([entry])) == (origin == "client")
 
 
-def test_a_session_that_has_ended_is_not_kept() -> None:
+async def test_a_session_that_has_ended_is_not_kept() -> None:
     class Process:
         pid = 4711
 
