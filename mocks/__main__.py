@@ -8,6 +8,7 @@ import os
 import sys
 from collections.abc import Sequence
 
+from .exhaustion import EXIT_CODE, is_exhaustion
 from .launcher import run
 from .packages import MockPackage, built_in, load
 
@@ -52,7 +53,7 @@ def _launch(name: str, package: MockPackage, arguments: Sequence[str]) -> int:
         return run(name, package, options.host, options.port)
     except OSError as error:
         print(f"cannot serve on {options.host}:{options.port}: {error.strerror or error}", file=sys.stderr)
-        return 1
+        return EXIT_CODE if is_exhaustion(error) else 1
 
 
 if __name__ == "__main__":

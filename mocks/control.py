@@ -12,9 +12,9 @@ are executed one after the other; only a ``wait`` does not delay the requests af
 ``reset``                                               start-up values, no faults
 ``pause`` / ``resume``                                  stop or start the free-running 1 Hz simulation
 ``tick {steps}``                                        advance the simulation by hand, seconds of plant time
-``journal {since}``                                     ``{"entries", "first", "next", "dropped"}``
+``journal {since}``                                     ``{"entries", "first", "next", "dropped", "peers"}``
 ``forget {before}``                                     release the entries before this one; ``{"first", "next"}``
-``wait {since, match, count, timeout_s}``               ``{"entries", "first", "next"}``, once ``count`` entries match
+``wait {since, match, count, timeout_s}``               ``{"entries", "first", "next", "peers"}``, once ``count`` entries match
 ======================================================  ========================================================
 """
 
@@ -151,7 +151,13 @@ class ControlServer:
             await asyncio.sleep(0)
         journal = self._device.journal
         entries = journal.since(_member(request, "since", int))
-        return {"entries": entries, "first": journal.first, "next": journal.next, "dropped": journal.dropped}
+        return {
+            "entries": entries,
+            "first": journal.first,
+            "next": journal.next,
+            "dropped": journal.dropped,
+            "peers": journal.peers(entries),
+        }
 
     async def _forget(self, request: Request) -> dict[str, Any]:
         journal = self._device.journal
@@ -167,7 +173,12 @@ class ControlServer:
             _member(request, "count", int, 1),
             timeout_s,
         )
-        return {"entries": entries, "first": journal.first, "next": journal.next}
+        return {
+            "entries": entries,
+            "first": journal.first,
+            "next": journal.next,
+            "peers": journal.peers(entries),
+        }
 
 
 def _parsed(line: bytes) -> Request:

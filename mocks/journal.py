@@ -11,8 +11,11 @@ import contextlib
 import itertools
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
 from typing import Any, Literal, TypedDict
+
+from .peer import Process
 
 __all__ = ["Direction", "Entry", "Journal", "JournalEntry", "Origin"]
 
@@ -55,6 +58,25 @@ Entry = dict[str, Any]
 _CAPACITY = 200_000
 """A limit against floods. Entries that were read are to be released with :meth:`Journal.forget`."""
 
+_NO_MESSAGES = frozenset({"CONNECTED", "DISCONNECTED", "malformed"})
+
+
+@dataclass(slots=True, kw_only=True)
+class _Peer:
+    """The other end of a connection.
+
+    Attributes:
+        accepted_ns: time at which the connection was accepted.
+        process: that had it then; None if that cannot be known.
+        spoke: sequence number of its first message that is one of the protocol.
+        ended: sequence number of its end.
+    """
+
+    accepted_ns: int
+    process: Process | None
+    spoke: int | None = None
+    ended: int | None = None
+
 
 class Journal:
     """An append-only record. Sequence numbers begin at 0 and are never reused; the oldest entries are dropped when the
@@ -69,12 +91,28 @@ class Journal:
         self._entries: deque[Entry] = deque(maxlen=capacity)
         self.next = 0
         self.dropped = 0
+        self._peers: dict[int, _Peer] = {}
         self._waiters: list[_Waiter] = []
 
     @property
     def first(self) -> int:
         """Sequence number of the oldest entry that is kept; that of the next entry while there is none."""
         return self.next - len(self._entries)
+
+    def connected(self, connection: int, process: Process | None, **fields: Any) -> int:
+        """Record a new connection of a client; return the sequence number.
+
+        Args:
+            connection: its number.
+            process: that has its other end, as :mod:`~.peer` finds it.
+            fields: JSON-safe facts of the protocol.
+        """
+        self.heard_of(connection, process)
+        return self.append(connection=connection, direction="in", kind="CONNECTED", **fields)
+
+    def heard_of(self, connection: int, process: Process | None) -> None:
+        """Note who has the other end of a connection without a beginning that could be recorded, as senders of datagrams are."""
+        self._peers[connection] = _Peer(accepted_ns=time.monotonic_ns(), process=process)
 
     def append(
         self,
@@ -109,6 +147,11 @@ class Journal:
         if len(self._entries) == self._entries.maxlen:
             self.dropped += 1
         self._entries.append(entry)
+        if direction == "in" and (peer := self._peers.get(connection)) is not None:
+            if kind == "DISCONNECTED":
+                peer.ended = self.next
+            elif peer.spoke is None and kind not in _NO_MESSAGES:
+                peer.spoke = self.next
         self.next += 1
         for waiter in self._waiters:
             waiter.offer(entry)
@@ -125,6 +168,15 @@ class Journal:
         """Release the entries with a smaller sequence number for good; sequence numbers go on."""
         for _ in range(min(before, self.next) - self.first):
             self._entries.popleft()
+        first = self.first
+        self._peers = {
+            number: peer for number, peer in self._peers.items() if peer.ended is None or peer.ended >= first
+        }
+
+    def peers(self, entries: Iterable[Entry]) -> dict[int, dict[str, Any]]:
+        """Return what is known of the other ends of the connections that these entries are about."""
+        numbers = dict.fromkeys(entry["connection"] for entry in entries)
+        return {number: asdict(self._peers[number]) for number in numbers if number in self._peers}
 
     async def wait(self, seq: int, match: Mapping[str, Any], count: int, timeout_s: float) -> list[Entry]:
         """Wait for entries from ``seq`` on whose fields equal ``match``; return them as soon as there are ``count``, or

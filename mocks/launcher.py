@@ -38,6 +38,7 @@ from typing import Any, NoReturn
 from .control import ControlServer
 from .control_socket import ControlSocket
 from .device import Device
+from .exhaustion import EXIT_CODE, end_when_exhausted, is_exhaustion
 from .packages import MockPackage
 from .reservation import Reservation, reserve
 
@@ -225,7 +226,9 @@ class _Launcher:
             device.port = self._port
             asyncio.run(_serve(device, self._reservations, self._control, death, self._life_read))
             code = 0
-        except BaseException:
+        except BaseException as error:
+            if is_exhaustion(error):
+                code = EXIT_CODE
             traceback.print_exc()
         finally:
             sys.stderr.flush()
@@ -237,7 +240,9 @@ async def _serve(
     device: Device, reservations: Mapping[str, Reservation], control: ControlSocket, death: int, life: int
 ) -> None:
     ended = asyncio.Event()
-    asyncio.get_running_loop().add_reader(life, ended.set)
+    loop = asyncio.get_running_loop()
+    loop.set_exception_handler(end_when_exhausted)
+    loop.add_reader(life, ended.set)
     await device.serve({name: reservation.open() for name, reservation in reservations.items()})
     await ControlServer(device).start(control.listen())
     # The pipe stays open: its end shows the end of the device.

@@ -7,47 +7,124 @@ from typing import Any
 
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.journal import Entries
+from pytest_otmcp.protocols.session_oracle import Exchanges
 from pytest_otmcp.protocols.unsolicited import nothing_commanded
 from pytest_otmcp.trial.repetition import Repetition
+from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
 __all__ = [
     "CONNECTION_FAULTS",
+    "NOTHING_SENT",
     "QUIET_S",
     "RAPID_CALLS",
-    "SETTLING_S",
     "UNCERTAIN",
+    "Witness",
+    "fresh",
     "outage",
+    "status_is_known",
     "survive_a_restart",
 ]
 
 RAPID_CALLS = 50
 
-SETTLING_S = 1.0
-"""The paper's window: seconds after the endpoint accepts connections again in which a call may still fail."""
-
 NOTICING_S = 1.0
 """Seconds for which a status may still say "connected" after the connection was cut (requirement REC-002: one keep-alive)."""
-
-RECOVERING_S = 5.0
-"""Seconds that the same session has to recover (requirement REC-001, the bound for level Silver)."""
 
 QUIET_S = 0.25
 """Seconds for which the device is watched, once per item, for a request that must not come."""
 
 CONNECTION_FAULTS = ("connect_failed", "connection_lost", "timeout")
 UNCERTAIN = ("not_sent", "unknown")
+NOTHING_SENT = ("not_sent", "not_applicable")
+"""Outcomes of a read that the adapter refuses by itself."""
+
+TRANSIT_MS = 100.0
+"""How much older than it says a cached status may be: the device answered before the adapter had read the answer."""
 
 Witness = Callable[[Entries], list[Finding]]
 
 
-async def survive_a_restart(run: Repetition, rig: Rig, operation: str, **inputs: Any) -> None:
-    """Perform the operation before, during and after an outage of the endpoint; all three phases are asserted."""
-    run.succeeds(await rig.call(operation, **inputs))
-    await rig.stop_device()
-    run.fails(await rig.call_until_failure(operation, window_s=NOTICING_S, **inputs), *CONNECTION_FAULTS)
-    await rig.start_device()
-    run.succeeds((await rig.call_until_success(operation, window_s=SETTLING_S, **inputs))[-1])
+async def survive_a_restart(run: Repetition, rig: Rig, operation: str, **inputs: Any) -> Reply:
+    """Perform the operation before, during and after an outage of the endpoint, assert all three, and return the last reply.
+
+    After the outage it must succeed within the time that the subject declares; how soon it did is a figure of the report.
+    """
+    warm = await rig.call(operation, **inputs)
+    run.succeeds(warm)
+    stop_ms = await rig.stop_device()
+    failing = await rig.call_until_failure(operation, window_s=_noticing_s(rig, operation), **inputs)
+    run.fails(failing, *CONNECTION_FAULTS, requirement="REC-002")
+    restart_ms = await rig.start_device()
+    attempts = await rig.call_until_success(operation, window_s=rig.recovery_s, **inputs)
+    last = attempts[-1]
+    run.succeeds(last, requirement="REC-001")
+    run.phases = {
+        "warm_call": warm.latency_ms,
+        "stop": stop_ms,
+        "detect": failing.latency_ms,
+        "restart": restart_ms,
+        "same_session": milliseconds(rig.accepting_ns, last.exchange.received_ns) if last.success else None,
+        "same_session_attempts": len(attempts),
+        "same_session_ok": bool(last.success),
+        "fresh_session": None,
+        "fresh_session_ok": None,
+    }
+    return last
+
+
+def _noticing_s(rig: Rig, operation: str) -> float:
+    """Return how long a status may still say "connected"."""
+    return max(NOTICING_S, rig.max_age_s(operation) or 0.0)
+
+
+def fresh(journal: Entries, *asked: tuple[Reply, Witness]) -> list[Finding]:
+    """Expect that during each call the device witnessed it; return the findings about the first of which it did not."""
+    for reply, witness in asked:
+        if findings := witness(reply.during(journal)):
+            return findings
+    return []
+
+
+async def status_is_known(run: Repetition, rig: Rig, witness: Witness, *replies: Reply) -> None:
+    """Expect that each status was asked for during its call; a declared cache may answer, and says truthfully how old that is."""
+    max_age_s = rig.max_age_s(replies[0].operation)
+    if max_age_s is None:
+        run.witnessed(fresh(await rig.journal(), *((reply, witness) for reply in replies)))
+        return
+    exchanges = await rig.follow(Exchanges)
+    for reply in replies:
+        if findings := _cached(reply, max_age_s, exchanges):
+            # The same lie fifty times is one.
+            run.judge(reply, findings)
+            return
+
+
+def _cached(reply: Reply, max_age_s: float, exchanges: Exchanges) -> list[Finding]:
+    meta = (reply.envelope or {}).get("meta")
+    told = meta if isinstance(meta, dict) else {}
+    source, age_ms = told.get("source"), told.get("age_ms")
+    asked_ns, answered_ns = reply.exchange.sent_ns, reply.exchange.received_ns or 0
+    if source == "device":
+        problem = None if exchanges.between(asked_ns, answered_ns) else "it was not asked during the call"
+    elif source != "cache" or not isinstance(age_ms, int | float):
+        problem = f"the reply says source {source!r} and age_ms {age_ms!r}"
+    elif age_ms > max_age_s * 1000:
+        problem = f"the reply says that it is {age_ms} ms old, {max_age_s:g} s are declared"
+    else:
+        learned_ns = asked_ns - int((age_ms + TRANSIT_MS) * 1e6)
+        problem = (
+            None if exchanges.between(learned_ns, answered_ns) else f"it is older than the {age_ms} ms that it claims"
+        )
+    if problem is None:
+        return []
+    return [
+        Finding(
+            code="wrong_age",
+            message=f"{reply.label}: the status should be the device's, or from a cache that says how old it is; {problem}",
+            requirement="RD-004",
+        )
+    ]
 
 
 async def outage(run: Repetition, rig: Rig, operation: str, witness: Witness, **inputs: Any) -> None:
@@ -60,18 +137,18 @@ async def outage(run: Repetition, rig: Rig, operation: str, witness: Witness, **
     warm = await rig.call(operation, **inputs)
     run.must_succeed(warm)
     # A command that an earlier item asked for must not arrive now.
-    run.witnessed(nothing_commanded(rig.protocol, await rig.journal()))
+    run.witnessed(nothing_commanded(rig.protocol, await rig.journal(), rig.declared))
     stop_ms = await rig.stop_device()
-    failing = await rig.call_until_failure(operation, window_s=NOTICING_S, **inputs)
-    run.fails(failing, *CONNECTION_FAULTS)
+    failing = await rig.call_until_failure(operation, window_s=_noticing_s(rig, operation), **inputs)
+    run.fails(failing, *CONNECTION_FAULTS, requirement="REC-002")
     restart_ms = await rig.start_device()
 
     attempts = []
     # An adapter that only claims to work in a new session is not tested in the same session.
     if rig.claims("recovery"):
-        attempts = await rig.call_until_success(operation, window_s=RECOVERING_S, **inputs)
-        run.succeeds(attempts[-1])
-        run.witnessed(witness(await rig.journal()))
+        attempts = await rig.call_until_success(operation, window_s=rig.recovery_s, **inputs)
+        if run.succeeds(attempts[-1], requirement="REC-001"):
+            run.witnessed(witness(await rig.journal()))
     recovered = attempts[-1] if attempts and attempts[-1].success else None
     accepting_ns = rig.accepting_ns
 
@@ -80,7 +157,7 @@ async def outage(run: Repetition, rig: Rig, operation: str, witness: Witness, **
     run.succeeds(first)
     run.witnessed(witness(await rig.session_journal()))
 
-    run.witnessed(nothing_commanded(rig.protocol, await rig.journal()))
+    run.witnessed(nothing_commanded(rig.protocol, await rig.journal(), rig.declared))
 
     run.phases = {
         "warm_call": warm.latency_ms,

@@ -15,11 +15,13 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.rig import Rig
 from pytest_otmcp.trial.task import Tasks
 
+from .common import NOTHING_SENT, fresh, status_is_known
+from .modbus import SENSOR_BLOCK
+from .opcua import reading
+
 __all__ = ["TASKS"]
 
 TASKS = Tasks()
-
-READ_INPUT_REGISTERS = 4
 
 
 async def snapshot(run: Repetition, modbus: Rig, mqtt: Rig, opcua: Rig, *, parallel: bool) -> None:
@@ -37,12 +39,12 @@ async def snapshot(run: Repetition, modbus: Rig, mqtt: Rig, opcua: Rig, *, paral
     run.succeeds(block, values=registers)
     run.succeeds(nodes, values=[temperature, pressure])
     run.succeeds(info, connected=True)
+    both = await opcua.journal()
     run.witnessed(
-        modbus_oracle.exactly_one_request(await modbus.journal(), function=READ_INPUT_REGISTERS, address=0, quantity=4),
-        opcua_oracle.read_from_device(await opcua.journal(), "ns=2;s=Temperature"),
-        opcua_oracle.read_from_device(await opcua.journal(), "ns=2;s=Pressure"),
-        mqtt_oracle.exchange(await mqtt.journal()),
+        fresh(await modbus.journal(), (block, SENSOR_BLOCK)),
+        fresh(both, (nodes, reading("ns=2;s=Temperature")), (nodes, reading("ns=2;s=Pressure"))),
     )
+    await status_is_known(run, mqtt, mqtt_oracle.exchange, info)
 
 
 async def control_sequence(run: Repetition, modbus: Rig, mqtt: Rig, opcua: Rig, *, parallel: bool) -> None:
@@ -67,7 +69,9 @@ async def control_sequence(run: Repetition, modbus: Rig, mqtt: Rig, opcua: Rig, 
         modbus_oracle.image_holds(await modbus.image(), "holding_registers", 3, [60]),
         opcua_oracle.exactly_one_write(await opcua.journal(), pump, True),
         opcua_oracle.image_holds(await opcua.image(), pump, True),
-        mqtt_oracle.published_once(await mqtt.journal(), topic="control/line", payload=payload.encode(), qos=qos),
+        mqtt_oracle.published_once(
+            await mqtt.journal(), topic="control/line", payload=payload.encode(), qos=qos, declared=mqtt.declared
+        ),
     )
 
 
@@ -80,6 +84,13 @@ async def control_sequence(run: Repetition, modbus: Rig, mqtt: Rig, opcua: Rig, 
     requirements="RD-001",
 )
 async def sequential_snapshot(run: Repetition, modbus: Rig, mqtt: Rig, opcua: Rig) -> None:
+    """Read four registers and two variables, and ask for the state of the connection to the broker, one call after the
+    other.
+
+    Said: the values that were set at random just before, and connected.
+    Seen: the reads of registers and variables, and an exchange with the broker.
+    Why: a picture of the plant is worth nothing when a part of it is old.
+    """
     await snapshot(run, modbus, mqtt, opcua, parallel=False)
 
 
@@ -92,6 +103,12 @@ async def sequential_snapshot(run: Repetition, modbus: Rig, mqtt: Rig, opcua: Ri
     requirements="WR-001 WR-003 MQT-001",
 )
 async def sequential_control(run: Repetition, modbus: Rig, mqtt: Rig, opcua: Rig) -> None:
+    """Write a register and a variable, and publish a command, one call after the other.
+
+    Said: success with the values and the topic.
+    Seen: each write once, and in the device; the message once.
+    Why: a sequence of which one step is missing or doubled leaves the plant in a state that nobody planned.
+    """
     await control_sequence(run, modbus, mqtt, opcua, parallel=False)
 
 
@@ -104,6 +121,13 @@ async def sequential_control(run: Repetition, modbus: Rig, mqtt: Rig, opcua: Rig
     requirements="RD-001 CON-001",
 )
 async def parallel_snapshot(run: Repetition, modbus: Rig, mqtt: Rig, opcua: Rig) -> None:
+    """Read four registers and two variables, and ask for the state of the connection to the broker, all at the same
+    time.
+
+    Said: the values that were set at random just before, and connected.
+    Seen: the reads of registers and variables, and an exchange with the broker.
+    Why: adapters that wait for one another, or mix their answers up, show only under load.
+    """
     await snapshot(run, modbus, mqtt, opcua, parallel=True)
 
 
@@ -116,6 +140,12 @@ async def parallel_snapshot(run: Repetition, modbus: Rig, mqtt: Rig, opcua: Rig)
     requirements="WR-001 WR-003 MQT-001",
 )
 async def parallel_control(run: Repetition, modbus: Rig, mqtt: Rig, opcua: Rig) -> None:
+    """Write a register and a variable, and publish a command, all at the same time.
+
+    Said: success with the values and the topic.
+    Seen: each write once, and in the device; the message once.
+    Why: a lost or doubled step shows only under load.
+    """
     await control_sequence(run, modbus, mqtt, opcua, parallel=True)
 
 
@@ -126,8 +156,15 @@ async def parallel_control(run: Repetition, modbus: Rig, mqtt: Rig, opcua: Rig) 
     needs="modbus.read_input opcua.read mqtt.publish",
     capability="refusing",
     requirements="ERR-003 RD-001 MQT-001",
+    keys="opcua.probes.missing_node",
 )
 async def one_bad_step_of_three(run: Repetition, modbus: Rig, mqtt: Rig, opcua: Rig) -> None:
+    """Read four registers, read a node that the server does not have, and publish a command.
+
+    Said: success for the first and the third step, a failure with `illegal_address` for the second.
+    Seen: the reads, and the message once.
+    Why: one failing step must neither spoil the others nor be hidden by them.
+    """
     registers = [run.rng.randrange(0x10000) for _ in range(4)]
     payload = json.dumps({"pump_speed": 50 + run.rep})
     await modbus.poke(unit=1, table="input_registers", address=0, values=registers)
@@ -136,12 +173,18 @@ async def one_bad_step_of_three(run: Repetition, modbus: Rig, mqtt: Rig, opcua: 
     missing = await opcua.call("read", node=missing_node)
     message = await mqtt.call("publish", topic="control/pump", payload=payload, qos=0)
     run.succeeds(block, values=registers)
-    run.fails(missing, "illegal_address")
+    asked = missing.during(await opcua.journal())
+    if opcua_oracle.reached(asked, missing_node):
+        run.fails(missing, "illegal_address", requirement="ERR-003")
+        run.witnessed(opcua_oracle.refused_with(asked, missing_node, "BadNodeIdUnknown"))
+    else:
+        run.fails(missing, "illegal_address", "invalid_input", outcome=NOTHING_SENT, requirement="ERR-003")
     run.succeeds(message, topic="control/pump")
     qos = mqtt.expected_if_accepted("publish", "qos", 0)
     await mqtt.wait_for(kind="PUBLISH", direction="in", topic="control/pump", timeout_s=1.0)
     run.witnessed(
-        modbus_oracle.exactly_one_request(await modbus.journal(), function=4, address=0, quantity=4),
-        opcua_oracle.exactly_one_service(await opcua.journal(), "Read", node=missing_node),
-        mqtt_oracle.published_once(await mqtt.journal(), topic="control/pump", payload=payload.encode(), qos=qos),
+        fresh(await modbus.journal(), (block, SENSOR_BLOCK)),
+        mqtt_oracle.published_once(
+            await mqtt.journal(), topic="control/pump", payload=payload.encode(), qos=qos, declared=mqtt.declared
+        ),
     )

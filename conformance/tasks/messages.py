@@ -6,18 +6,22 @@ import asyncio
 import base64
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from pytest_otmcp.core.finding import Finding
+from pytest_otmcp.protocols.journal import Entries
 from pytest_otmcp.trial.expectations import succeeded
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
-__all__ = ["collect", "publish_from_kit", "received", "receives", "sync_point"]
+__all__ = ["arrival", "collect", "publish_from_kit", "received", "receives", "sync_point"]
 
 COLLECT_S = 2
 """Seconds that a call that waits for messages is told to wait, on a machine that is not slow."""
+
+MOST_AWAITED = 100
+"""Messages of the adapter that may come before the awaited one."""
 
 SUBSCRIBING_S = 4.0
 """Seconds that such a call has to subscribe; a message that is published earlier cannot be received."""
@@ -57,6 +61,15 @@ async def collect(run: Repetition, mqtt: Rig, messages: Messages) -> list[Reply]
     for reply, (topic, payload) in zip(replies, messages.values(), strict=True):
         receives(run, mqtt, reply, topic, payload)
     return replies
+
+
+async def arrival(mqtt: Rig, missing: Callable[[Entries], list[Finding]]) -> None:
+    """Wait until the broker has what is looked for; what the adapter publishes of itself may come before it."""
+    for seen in range(1, MOST_AWAITED + 1):
+        if not missing(await mqtt.journal()):
+            return
+        if len(await mqtt.wait_for(kind="PUBLISH", direction="in", count=seen, timeout_s=1.0)) < seen:
+            return
 
 
 async def sync_point(run: Repetition, mqtt: Rig, filter: str) -> None:

@@ -6,6 +6,8 @@ device. Values are different in every repetition, so that no cached or mixed-up 
 
 from __future__ import annotations
 
+from functools import partial
+
 from pytest_otmcp.protocols.modbus import oracle
 from pytest_otmcp.protocols.modbus.entries import points
 from pytest_otmcp.protocols.session_oracle import StateChanges
@@ -13,7 +15,18 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.rig import Rig
 from pytest_otmcp.trial.task import Tasks
 
-from .common import CONNECTION_FAULTS, QUIET_S, RAPID_CALLS, SETTLING_S, UNCERTAIN, outage, survive_a_restart
+from .common import (
+    CONNECTION_FAULTS,
+    NOTHING_SENT,
+    QUIET_S,
+    RAPID_CALLS,
+    UNCERTAIN,
+    Witness,
+    fresh,
+    outage,
+    status_is_known,
+    survive_a_restart,
+)
 
 __all__ = ["TASKS"]
 
@@ -22,6 +35,14 @@ TASKS = Tasks()
 READ_HOLDING_REGISTERS = 3
 READ_INPUT_REGISTERS = 4
 ILLEGAL_DATA_ADDRESS = 2
+
+
+def input_register(address: int, count: int = 1) -> Witness:
+    """Return the check that the device was asked for these input registers."""
+    return partial(oracle.read_from_device, function=READ_INPUT_REGISTERS, address=address, count=count)
+
+
+SENSOR_BLOCK = input_register(0, 4)
 
 
 @TASKS.task(
@@ -33,9 +54,15 @@ ILLEGAL_DATA_ADDRESS = 2
     requirements="REC-002 MCP-008",
 )
 async def ping(run: Repetition, modbus: Rig) -> None:
+    """Ask whether the device can be reached.
+
+    Said: success, and that it can be reached.
+    Seen: the device answers at least one request during the call.
+    Why: a status from memory still says so when the plant is gone.
+    """
     reply = await modbus.call("ping")
     run.succeeds(reply, reachable=True)
-    run.witnessed(oracle.some_exchange(await modbus.journal()))
+    await status_is_known(run, modbus, oracle.some_exchange, reply)
 
 
 @TASKS.task(
@@ -47,14 +74,20 @@ async def ping(run: Repetition, modbus: Rig) -> None:
     requirements="RD-001 RD-002 RD-004",
 )
 async def read_sensor_block(run: Repetition, modbus: Rig) -> None:
+    """Read four input registers whose values were set at random just before.
+
+    Said: these four values.
+    Seen: a read of these registers, and nothing that changes the plant.
+    Why: values from memory, from another table or from a neighbour look right until somebody acts on them.
+    """
     values = [run.rng.randrange(0x10000) for _ in range(4)]
     await modbus.poke(unit=1, table="input_registers", address=0, values=values)
     reply = await modbus.call("read_input", address=0, count=4)
     run.succeeds(reply, values=values)
     journal = await modbus.journal()
     run.witnessed(
-        oracle.exactly_one_request(journal, function=READ_INPUT_REGISTERS, address=0, quantity=4),
-        oracle.no_state_changing_request(journal),
+        fresh(journal, (reply, SENSOR_BLOCK)),
+        oracle.no_state_changing_request(journal, requirement="MCP-008"),
         oracle.image_holds(await modbus.image(), "input_registers", 0, values),
     )
 
@@ -68,6 +101,12 @@ async def read_sensor_block(run: Repetition, modbus: Rig) -> None:
     requirements="WR-001 WR-002 WR-003",
 )
 async def write_and_read_back(run: Repetition, modbus: Rig) -> None:
+    """Write a holding register, and read it.
+
+    Said: the value that was written, in both answers.
+    Seen: one write of this value to this register; every other register stays as it was.
+    Why: an adapter that says "written" may have written twice, beside the register, or not at all.
+    """
     value = 40 + run.rep
     # Guard cells on both sides: a write to, or a read from, a neighbouring register cannot pass.
     await modbus.poke(unit=1, table="holding_registers", address=0, values=[0xFFFF - value])
@@ -77,9 +116,12 @@ async def write_and_read_back(run: Repetition, modbus: Rig) -> None:
     after = await modbus.image()
     read = await modbus.call("read_holding", address=1, count=1)
     run.succeeds(written, value=value)
-    run.succeeds(read, values=[value])
+    # What the device holds now may not be the value, which is the fault of the write; the read has to tell it.
+    run.succeeds(read, values=[oracle.held(after, "holding_registers", 1)])
+    journal = await modbus.journal()
     run.witnessed(
-        oracle.exactly_one_write(await modbus.journal(), "holding_registers", address=1, values=[value]),
+        oracle.exactly_one_write(journal, "holding_registers", address=1, values=[value]),
+        oracle.read_where_asked(journal, function=READ_HOLDING_REGISTERS, address=1),
         oracle.only_changed(before, after, points("holding_registers", 1, [value])),
     )
 
@@ -93,17 +135,28 @@ async def write_and_read_back(run: Repetition, modbus: Rig) -> None:
     requirements="WR-004 ERR-006",
 )
 async def guarded_write(run: Repetition, modbus_ro: Rig) -> None:
+    """Write a register through the adapter that was started with writes disabled.
+
+    Said: a refusal with `writes_disabled` and the outcome `not_sent`.
+    Seen: no request that changes the plant; the device holds what it held.
+    Why: the write switch is what keeps an assistant's mistake out of the plant.
+    """
     before = await modbus_ro.image()
     reply = await modbus_ro.call("write_holding", address=1, value=999)
-    run.fails(reply, "writes_disabled", outcome="not_sent")
+    run.fails(reply, "writes_disabled", outcome="not_sent", requirement="WR-004")
     run.witnessed(
         oracle.no_state_changing_request(await modbus_ro.journal()),
-        oracle.only_changed(before, await modbus_ro.image(), {}),
+        oracle.only_changed(before, await modbus_ro.image(), {}, otherwise="WR-004"),
     )
 
 
 @guarded_write.after
 async def the_guard_was_put_to_the_test(run: Repetition, modbus: Rig, modbus_ro: Rig) -> None:
+    """Read with writes disabled, and write the same value with writes enabled: both must work, or the refusal proves
+    nothing.
+
+    Seen: over the whole life of the read-only session, its end included, nothing that changes the plant.
+    """
     # The refusal only proves the guard if the read-only session reaches its device and the same call works without the guard.
     read = await modbus_ro.call("read_holding", address=1, count=1)
     run.succeeds(read)
@@ -125,16 +178,38 @@ async def the_guard_was_put_to_the_test(run: Repetition, modbus: Rig, modbus_ro:
     needs="modbus.read_holding",
     capability="refusing",
     requirements="ERR-002 ENV-007",
+    keys="modbus.probes.missing_address",
 )
 async def read_missing_register(run: Repetition, modbus: Rig) -> None:
+    """Read a register that the device does not have.
+
+    Said: a failure with `illegal_address`, and the device's exception code in the trace. An adapter that refuses by a
+        register map of its own may also say `invalid_input`; nothing was sent then.
+    Seen: the read, which the device refuses with an exception; or no read of anything else that it refuses.
+    Why: an assistant that gets a zero for an address that does not exist believes the zero.
+    """
     missing = modbus.probe("missing_address")
     reply = await modbus.call("read_holding", address=missing, count=1)
-    run.fails(reply, "illegal_address", trace={"exception_code": ILLEGAL_DATA_ADDRESS})
-    journal = await modbus.journal()
-    run.witnessed(
-        oracle.exactly_one_request(journal, function=3, address=missing, quantity=1),
-        oracle.exception_sent(journal, ILLEGAL_DATA_ADDRESS),
-    )
+    seen = reply.during(await modbus.journal())
+    if not oracle.reached(seen, function=READ_HOLDING_REGISTERS, address=missing, count=1):
+        # A register map of its own refuses as well as the device does.
+        run.fails(reply, "illegal_address", "invalid_input", outcome=NOTHING_SENT, requirement="ERR-002")
+        run.witnessed(oracle.refused_nothing_else(seen, function=READ_HOLDING_REGISTERS, address=missing, count=1))
+        return
+    run.fails(reply, "illegal_address", trace={"exception_code": ILLEGAL_DATA_ADDRESS}, requirement="ERR-002")
+    run.witnessed(oracle.exception_sent(seen, ILLEGAL_DATA_ADDRESS))
+
+
+@read_missing_register.after
+async def a_register_that_is_there_can_be_read(run: Repetition, modbus: Rig) -> None:
+    """Read a register that is there: a refusal proves something only if the same call works elsewhere.
+
+    Said: success, and the value.
+    Seen: the register holds it.
+    """
+    value = run.rng.randrange(0x10000)
+    await modbus.poke(unit=1, table="holding_registers", address=40, values=[value])
+    run.succeeds(await modbus.call("read_holding", address=40, count=1), values=[value])
 
 
 @TASKS.task(
@@ -146,18 +221,34 @@ async def read_missing_register(run: Repetition, modbus: Rig) -> None:
     requirements="ADR-003 ERR-006",
 )
 async def write_overflow(run: Repetition, modbus: Rig) -> None:
+    """Write 70000 to a register of 16 bits.
+
+    Said: a failure with `range_overflow` and the outcome `not_sent`.
+    Seen: no request that changes the plant; the device holds what it held.
+    Why: 70000 cut down to 16 bits is 4464, a value that nobody asked for.
+    """
     before = await modbus.image()
     reply = await modbus.call("write_holding", address=1, value=70000)
-    run.fails(reply, "range_overflow", outcome="not_sent")
+    journal = await modbus.journal()
+    after = await modbus.image()
+    if reply.success:
+        run.judge(reply, oracle.stored_otherwise(after, "holding_registers", 1, 70000, told=reply.outputs.get("value")))
+        return
+    run.fails(reply, "range_overflow", outcome="not_sent", requirement="ADR-003")
     run.witnessed(
-        oracle.no_state_changing_request(await modbus.journal()),
-        oracle.only_changed(before, await modbus.image(), {}),
+        oracle.no_state_changing_request(journal, requirement="ERR-006"),
+        oracle.only_changed(before, after, {}, otherwise="ERR-006"),
     )
 
 
 @write_overflow.after
 async def the_largest_value_is_accepted(run: Repetition, modbus: Rig) -> None:
-    await modbus.stays_quiet(QUIET_S, oracle.no_state_changing_request)
+    """Write 65535, which fits.
+
+    Said: success.
+    Seen: one write, and the value in the register.
+    """
+    await modbus.stays_quiet(QUIET_S, partial(oracle.no_state_changing_request, requirement="ERR-006"))
     run.succeeds(await modbus.call("write_holding", address=1, value=65535), value=65535)
     run.witnessed(
         oracle.exactly_one_write(await modbus.journal(), "holding_registers", address=1, values=[65535]),
@@ -175,12 +266,18 @@ async def the_largest_value_is_accepted(run: Repetition, modbus: Rig) -> None:
     requirements="CON-001",
 )
 async def concurrent_register_reads(run: Repetition, modbus: Rig) -> None:
+    """Read four registers by four calls at the same time.
+
+    Said: in each answer the value of its own register.
+    Seen: for each call a read that covers its register, during the call.
+    Why: an answer that belongs to another call is a wrong value that looks right.
+    """
     values = [run.rng.randrange(0x10000) for _ in range(4)]
     await modbus.poke(unit=1, table="input_registers", address=10, values=values)
     replies = await run.together(*(modbus.call("read_input", address=10 + i, count=1) for i in range(4)))
     for reply, value in zip(replies, values, strict=True):
         run.succeeds(reply, values=[value])
-    run.witnessed(oracle.request_count(await modbus.journal(), function=4, count=4))
+    run.witnessed(fresh(await modbus.journal(), *zip(replies, map(input_register, range(10, 14)), strict=True)))
 
 
 @TASKS.task(
@@ -193,6 +290,12 @@ async def concurrent_register_reads(run: Repetition, modbus: Rig) -> None:
     requirements="CON-004 WR-003",
 )
 async def concurrent_register_read_and_write(run: Repetition, modbus: Rig) -> None:
+    """Read a register and write it at the same time.
+
+    Said: the old value or the new one for the read, success for the write.
+    Seen: one write; the register holds the new value.
+    Why: a mixture of two values, or a lost write, shows only under load.
+    """
     old, new = run.rng.sample(range(0x10000), 2)
     await modbus.poke(unit=1, table="holding_registers", address=20, values=[old])
     read, written = await run.together(
@@ -218,11 +321,20 @@ async def concurrent_register_read_and_write(run: Repetition, modbus: Rig) -> No
     requirements="CON-006",
 )
 async def rapid_register_reads(run: Repetition, modbus: Rig) -> None:
+    """Read fifty registers, one call after the other.
+
+    Said: the right value in every answer.
+    Seen: for each call a read that covers its register, during the call.
+    Why: leaks, caches and connections that are used up show in a long series only.
+    """
     values = [run.rng.randrange(0x10000) for _ in range(RAPID_CALLS)]
     await modbus.poke(unit=1, table="input_registers", address=0, values=values)
+    asked = []
     for address, value in enumerate(values):
-        run.succeeds(await modbus.call("read_input", address=address, count=1), values=[value])
-    run.witnessed(oracle.request_count(await modbus.journal(), function=4, count=RAPID_CALLS))
+        reply = await modbus.call("read_input", address=address, count=1)
+        run.succeeds(reply, values=[value])
+        asked.append((reply, input_register(address)))
+    run.witnessed(fresh(await modbus.journal(), *asked))
 
 
 @TASKS.task(
@@ -233,26 +345,42 @@ async def rapid_register_reads(run: Repetition, modbus: Rig) -> None:
     capability="outages",
     position=10,
     requirements="REC-001 REC-002 RD-004",
+    keys="modbus.recovery",
 )
 async def modbus_restart(run: Repetition, modbus: Rig) -> None:
-    await survive_a_restart(run, modbus, "read_input", address=0, count=4)
-    run.witnessed(oracle.exactly_one_request(await modbus.journal(), function=4, address=0, quantity=4))
+    """Read four registers; again after the device was stopped; and again after it was started.
+
+    Said: success; then a failure with `connect_failed`, `connection_lost` or `timeout`; then success in the same
+        session.
+    Seen: a read after the device is back.
+    Why: an outage of the line must not need a person who restarts the adapter, and old values must not hide it.
+    """
+    reply = await survive_a_restart(run, modbus, "read_input", address=0, count=4)
+    if reply.success:
+        run.witnessed(fresh(await modbus.journal(), (reply, SENSOR_BLOCK)))
 
 
 @modbus_restart.after
 async def a_failed_register_write_is_not_delivered_later(run: Repetition, modbus: Rig) -> None:
+    """Write while the device is away, and read when it is back.
+
+    Said: a failure for the write, success for the read.
+    Seen: no write: what was reported as failed is not made up for.
+    """
     if not modbus.claims("write_holding"):
         return
+    await modbus.prove()
     await modbus.stop_device()
     reply = await modbus.call("write_holding", address=30, value=run.rng.randrange(1, 0x10000))
-    run.fails(reply, *CONNECTION_FAULTS, outcome=UNCERTAIN)
+    run.fails(reply, *CONNECTION_FAULTS, outcome=UNCERTAIN, requirement="WR-001", code_requirement="REC-002")
     await modbus.start_device()
     # An adapter that answers again has its connection back: a write that it had kept for later would have been sent by now.
-    run.succeeds((await modbus.call_until_success("read_input", window_s=SETTLING_S, address=0, count=4))[-1])
-    await modbus.stays_quiet(QUIET_S, oracle.no_state_changing_request)
+    last = (await modbus.call_until_success("read_input", window_s=modbus.recovery_s, address=0, count=4))[-1]
+    run.succeeds(last, requirement="REC-001")
+    await modbus.stays_quiet(QUIET_S, partial(oracle.no_state_changing_request, requirement="WR-010"))
     # A further answer shows that adapter and device ran during that time.
-    run.succeeds(await modbus.call("read_input", address=0, count=4))
-    run.witnessed(oracle.no_state_changing_request(await modbus.journal()))
+    run.succeeds(await modbus.call("read_input", address=0, count=4), requirement="REC-001")
+    run.witnessed(oracle.no_state_changing_request(await modbus.journal(), requirement="WR-010"))
 
 
 @TASKS.task(
@@ -262,6 +390,14 @@ async def a_failed_register_write_is_not_delivered_later(run: Repetition, modbus
     needs="modbus.read_input",
     capability="outages",
     requirements="REC-001 REC-002 MCP-009",
+    keys="modbus.recovery",
 )
 async def recovery(run: Repetition, modbus: Rig) -> None:
+    """Read; again after the device was stopped; then, after it was started, in the same session and in a fresh one with
+    a new process.
+
+    Said: success; a failure of the connection; success in both sessions.
+    Seen: the reads of both sessions, and nothing that changes the plant.
+    Why: how soon an outage is noticed, and how soon work goes on, decides what the adapter can be used for.
+    """
     await outage(run, modbus, "read_input", oracle.some_exchange, address=0, count=4)

@@ -7,6 +7,7 @@ broker. Values are different in every repetition, so that no cached or mixed-up 
 from __future__ import annotations
 
 import json
+from functools import partial
 from typing import Any
 
 from pytest_otmcp.protocols.mqtt import oracle
@@ -14,8 +15,17 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.rig import Rig
 from pytest_otmcp.trial.task import Tasks
 
-from .common import CONNECTION_FAULTS, QUIET_S, RAPID_CALLS, SETTLING_S, UNCERTAIN, outage, survive_a_restart
-from .messages import collect, publish_from_kit, receives, sync_point
+from .common import (
+    CONNECTION_FAULTS,
+    QUIET_S,
+    RAPID_CALLS,
+    UNCERTAIN,
+    Witness,
+    outage,
+    status_is_known,
+    survive_a_restart,
+)
+from .messages import arrival, collect, publish_from_kit, receives, sync_point
 
 __all__ = ["TASKS"]
 
@@ -31,9 +41,15 @@ TASKS = Tasks()
     requirements="REC-002",
 )
 async def broker_info(run: Repetition, mqtt: Rig) -> None:
+    """Ask for the state of the connection to the broker.
+
+    Said: success, and that the adapter is connected.
+    Seen: the broker answers at least one packet during the call.
+    Why: a status from memory still says "connected" when the broker is gone.
+    """
     reply = await mqtt.call("info")
     run.succeeds(reply, connected=True)
-    run.witnessed(oracle.exchange(await mqtt.journal()))
+    await status_is_known(run, mqtt, oracle.exchange, reply)
 
 
 @TASKS.task(
@@ -45,6 +61,12 @@ async def broker_info(run: Repetition, mqtt: Rig) -> None:
     requirements="MQT-002 MQT-004",
 )
 async def subscribe_to_sensors(run: Repetition, mqtt: Rig) -> None:
+    """Subscribe to a filter with a wildcard; the kit then publishes a message.
+
+    Said: success, with the quality of service that was granted.
+    Seen: a subscription that the broker granted and that lives; the message is sent to the adapter.
+    Why: an adapter that calls a refused subscription a success waits for ever for its alarm.
+    """
     if mqtt.blocks("messages"):
         nonce = f"nonce-{run.rng.getrandbits(64):016x}"
         await collect(run, mqtt, {"sensors/#": ("sensors/temperature", nonce)})
@@ -62,6 +84,10 @@ async def subscribe_to_sensors(run: Repetition, mqtt: Rig) -> None:
 
 @subscribe_to_sensors.after
 async def a_received_message_can_be_read(run: Repetition, mqtt: Rig) -> None:
+    """Ask for the messages that came.
+
+    Said: the message with random content that the kit published, once and on its own topic.
+    """
     if mqtt.blocks("messages"):
         return
     nonce = f"nonce-{run.rng.getrandbits(64):016x}"
@@ -83,30 +109,50 @@ async def a_received_message_can_be_read(run: Repetition, mqtt: Rig) -> None:
     requirements="MQT-001 MQT-003 WR-003 WR-004",
 )
 async def publish_control(run: Repetition, mqtt: Rig) -> None:
+    """Publish a command.
+
+    Said: success, the topic, and that QoS 0 is not acknowledged.
+    Seen: this message once, as it was asked for, and no second one.
+    Why: a command that is lost or sent twice is a movement that nobody ordered.
+    """
     payload = json.dumps({"pump_speed": 50 + run.rep})
     reply = await mqtt.call("publish", topic="control/pump", payload=payload, qos=0)
-    run.succeeds(reply, topic="control/pump", delivery="unacknowledged")
-    await mqtt.wait_for(kind="PUBLISH", direction="in", topic="control/pump", timeout_s=1.0)
     qos = mqtt.expected_if_accepted("publish", "qos", 0)
+    # An adapter that takes no QoS may have chosen one that is acknowledged.
+    delivery = {"delivery": "unacknowledged"} if qos == 0 else {}
+    run.succeeds(reply, topic="control/pump", **delivery)
+    await mqtt.wait_for(kind="PUBLISH", direction="in", topic="control/pump", timeout_s=1.0)
     journal = await mqtt.journal()
-    run.witnessed(oracle.published_once(journal, topic="control/pump", payload=payload.encode(), qos=qos))
+    run.witnessed(
+        oracle.published_once(journal, topic="control/pump", payload=payload.encode(), qos=qos, declared=mqtt.declared)
+    )
 
 
 @publish_control.after
 async def nothing_is_published_with_writes_disabled(run: Repetition, mqtt_ro: Rig | None) -> None:
-    await guarded_publish(run, mqtt_ro, "publish", topic="control/pump", payload="guarded", qos=0)
+    """Publish the same through the adapter that was started with writes disabled.
+
+    Said: a refusal with `writes_disabled` and the outcome `not_sent`.
+    Seen: no command over the whole life of that session.
+    """
+    witness = partial(oracle.not_published, payload=b"guarded", requirement="WR-004")
+    await guarded_publish(run, mqtt_ro, witness, "publish", topic="control/pump", payload="guarded", qos=0)
 
 
-async def guarded_publish(run: Repetition, guarded: Rig | None, operation: str, **inputs: Any) -> None:
+async def guarded_publish(
+    run: Repetition, guarded: Rig | None, witness: Witness, operation: str, **inputs: Any
+) -> None:
     if guarded is None:
         return
-    run.fails(await guarded.call(operation, **inputs), "writes_disabled", outcome="not_sent")
+    run.fails(await guarded.call(operation, **inputs), "writes_disabled", outcome="not_sent", requirement="WR-004")
     # The refusal only proves the guard if the session reaches its broker; the same call works in the task itself.
     if guarded.claims("info"):
-        run.succeeds(await guarded.call("info"))
-        run.witnessed(oracle.exchange(await guarded.journal()))
+        info = await guarded.call("info")
+        run.succeeds(info)
+        await status_is_known(run, guarded, oracle.exchange, info)
     await guarded.close_session()
-    run.witnessed((await guarded.follow(oracle.Publications)).none())
+    publications = await guarded.follow(oracle.Publications)
+    run.witnessed(publications.guarded(guarded.declared) or witness(await guarded.journal()))
 
 
 @TASKS.task(
@@ -119,27 +165,53 @@ async def guarded_publish(run: Repetition, guarded: Rig | None, operation: str, 
     requirements="WR-004 SPB-001 SPB-002 SPB-003 SPB-004",
 )
 async def publish_device_data(run: Repetition, mqtt: Rig) -> None:
+    """Publish new data of a Sparkplug device.
+
+    Said: success, with the number of metrics.
+    Seen: one DDATA with this metric and value, in a session that keeps the rules for edge nodes: births first, one
+        sequence, a will.
+    Why: a host throws away what breaks the rules, and the adapter has said "published".
+    """
     value = 20.0 + run.rep
     metrics = [{"name": "temperature", "value": value}]
     reply = await mqtt.call("device_data", device="device-1", metrics=metrics)
     run.succeeds(reply, metric_count=1)
-    await mqtt.wait_for(kind="PUBLISH", direction="in", timeout_s=1.0)
+    reported = partial(oracle.ddata_metric, device="device-1", name="temperature", value=value)
+    await arrival(mqtt, reported)
     run.witnessed(
-        oracle.ddata_metric(await mqtt.journal(), device="device-1", name="temperature", value=value),
+        reported(await mqtt.journal()),
         (await mqtt.follow(oracle.SparkplugSequence)).findings,
     )
 
 
 @publish_device_data.before
 async def the_device_is_born(run: Repetition, mqtt: Rig) -> None:
+    """Announce the device.
+
+    Said: success.
+    """
     metrics = [{"name": "temperature", "datatype": "Double", "value": 20.0}]
     run.succeeds(await mqtt.call("device_birth", device="device-1", metrics=metrics))
 
 
 @publish_device_data.after
 async def no_device_is_born_with_writes_disabled(run: Repetition, mqtt_ro: Rig | None) -> None:
+    """Announce a device through the adapter that was started with writes disabled.
+
+    Said: a refusal with `writes_disabled` and the outcome `not_sent`.
+    Seen: no command over the whole life of that session.
+    """
     metrics = [{"name": "temperature", "datatype": "Double", "value": 20.0}]
-    await guarded_publish(run, mqtt_ro, "device_birth", device="device-1", metrics=metrics)
+    witness = partial(oracle.not_reported, device="device-1")
+    await guarded_publish(run, mqtt_ro, witness, "device_birth", device="device-1", metrics=metrics)
+
+
+TO_NOWHERE = json.dumps({"pump_speed": 50})
+
+
+def nothing_to_nowhere(mqtt: Rig) -> Witness:
+    """Return the check that the message without a topic reached the broker in no form."""
+    return partial(oracle.not_published, payload=TO_NOWHERE.encode(), declared=mqtt.declared)
 
 
 @TASKS.task(
@@ -151,20 +223,33 @@ async def no_device_is_born_with_writes_disabled(run: Repetition, mqtt_ro: Rig |
     requirements="ADR-006 ERR-006",
 )
 async def publish_to_nowhere(run: Repetition, mqtt: Rig) -> None:
-    reply = await mqtt.call("publish", topic="", payload=json.dumps({"pump_speed": 50}), qos=0)
-    run.fails(reply, "invalid_input", outcome="not_sent")
+    """Publish on an empty topic.
+
+    Said: a failure with `invalid_input` and the outcome `not_sent`.
+    Seen: no PUBLISH, and a connection that stays up.
+    Why: a broker ends the connection at such a packet, and every subscription with it.
+    """
+    reply = await mqtt.call("publish", topic="", payload=TO_NOWHERE, qos=0)
+    run.fails(reply, "invalid_input", outcome="not_sent", requirement="ADR-006")
     journal = await mqtt.journal()
-    run.witnessed(oracle.no_packet(journal, "PUBLISH", direction="in"), oracle.session_stays_up(journal))
+    run.witnessed(nothing_to_nowhere(mqtt)(journal), oracle.session_stays_up(journal))
 
 
 @publish_to_nowhere.after
 async def a_proper_topic_is_accepted(run: Repetition, mqtt: Rig) -> None:
-    await mqtt.stays_quiet(QUIET_S, lambda journal: oracle.no_packet(journal, "PUBLISH", direction="in"))
+    """Publish on a proper topic.
+
+    Said: success.
+    Seen: the message, once.
+    """
+    await mqtt.stays_quiet(QUIET_S, nothing_to_nowhere(mqtt))
     run.succeeds(await mqtt.call("publish", topic="control/pump", payload="control", qos=0))
     await mqtt.wait_for(kind="PUBLISH", direction="in", topic="control/pump", timeout_s=1.0)
     qos = mqtt.expected_if_accepted("publish", "qos", 0)
     journal = await mqtt.journal()
-    run.witnessed(oracle.published_once(journal, topic="control/pump", payload=b"control", qos=qos))
+    run.witnessed(
+        oracle.published_once(journal, topic="control/pump", payload=b"control", qos=qos, declared=mqtt.declared)
+    )
 
 
 @TASKS.task(
@@ -174,17 +259,29 @@ async def a_proper_topic_is_accepted(run: Repetition, mqtt: Rig) -> None:
     needs="mqtt.subscribe mqtt.subscribe.qos",
     capability="refusing",
     requirements="ADR-007",
+    keys="mqtt.probes.bad_qos",
 )
 async def subscribe_with_qos_5(run: Repetition, mqtt: Rig) -> None:
+    """Subscribe with a quality of service that does not exist.
+
+    Said: a failure with `invalid_input`.
+    Seen: no SUBSCRIBE, and a connection that stays up.
+    Why: a value that is cut down in silence is not what was asked for.
+    """
     reply = await mqtt.call("subscribe", filter="sensors/#", qos=mqtt.probe("bad_qos"))
-    run.fails(reply, "invalid_input")
+    run.fails(reply, "invalid_input", requirement="ADR-007")
     journal = await mqtt.journal()
-    run.witnessed(oracle.no_packet(journal, "SUBSCRIBE", direction="in"), oracle.session_stays_up(journal))
+    run.witnessed(oracle.not_subscribed(reply.during(journal), "sensors/#"), oracle.session_stays_up(journal))
 
 
 @subscribe_with_qos_5.after
 async def a_proper_qos_is_accepted(run: Repetition, mqtt: Rig) -> None:
-    await mqtt.stays_quiet(QUIET_S, lambda journal: oracle.no_packet(journal, "SUBSCRIBE", direction="in"))
+    """Subscribe with QoS 1.
+
+    Said: success.
+    Seen: a subscription that the broker granted with QoS 1.
+    """
+    await mqtt.stays_quiet(QUIET_S, partial(oracle.not_subscribed, filter="sensors/#"))
     run.succeeds(await mqtt.call("subscribe", filter="sensors/#", qos=1), granted_qos=1)
     run.witnessed((await mqtt.follow(oracle.Subscriptions)).granted("sensors/#", qos=1))
 
@@ -199,6 +296,12 @@ async def a_proper_qos_is_accepted(run: Repetition, mqtt: Rig) -> None:
     requirements="CON-001 MQT-004",
 )
 async def concurrent_message_reads(run: Repetition, mqtt: Rig) -> None:
+    """Ask for the messages on four topics by four calls at the same time.
+
+    Said: in each answer the message of its own topic, once.
+    Seen: four messages that the broker sends to the adapter.
+    Why: a message on the wrong topic is a measurement of the wrong machine.
+    """
     nonces = {f"stress/{i}": f"nonce-{run.rng.getrandbits(64):016x}" for i in range(4)}
     if mqtt.blocks("messages"):
         await collect(run, mqtt, {topic: (topic, nonce) for topic, nonce in nonces.items()})
@@ -214,6 +317,10 @@ async def concurrent_message_reads(run: Repetition, mqtt: Rig) -> None:
 
 @concurrent_message_reads.before
 async def the_adapter_listens(run: Repetition, mqtt: Rig) -> None:
+    """Subscribe to the topics.
+
+    Said: success.
+    """
     if mqtt.blocks("messages"):
         return
     run.succeeds(await mqtt.call("subscribe", filter="stress/#", qos=0))
@@ -229,6 +336,12 @@ async def the_adapter_listens(run: Repetition, mqtt: Rig) -> None:
     requirements="CON-004 WR-003",
 )
 async def concurrent_info_and_publish(run: Repetition, mqtt: Rig) -> None:
+    """Ask for the state of the connection and publish a command at the same time.
+
+    Said: connected, and success with the topic.
+    Seen: the message once.
+    Why: a lost or doubled command shows only under load.
+    """
     payload = json.dumps({"pump_speed": 50 + run.rep, "nonce": run.rng.getrandbits(32)})
     info, message = await run.together(
         mqtt.call("info"),
@@ -239,7 +352,9 @@ async def concurrent_info_and_publish(run: Repetition, mqtt: Rig) -> None:
     await mqtt.wait_for(kind="PUBLISH", direction="in", topic="control/pump", timeout_s=1.0)
     qos = mqtt.expected_if_accepted("publish", "qos", 0)
     journal = await mqtt.journal()
-    run.witnessed(oracle.published_once(journal, topic="control/pump", payload=payload.encode(), qos=qos))
+    run.witnessed(
+        oracle.published_once(journal, topic="control/pump", payload=payload.encode(), qos=qos, declared=mqtt.declared)
+    )
 
 
 @TASKS.task(
@@ -252,9 +367,16 @@ async def concurrent_info_and_publish(run: Repetition, mqtt: Rig) -> None:
     requirements="CON-006",
 )
 async def rapid_broker_inspections(run: Repetition, mqtt: Rig) -> None:
-    for _ in range(RAPID_CALLS):
-        run.succeeds(await mqtt.call("info"), connected=True)
-    run.witnessed(oracle.exchange(await mqtt.journal(), at_least=RAPID_CALLS))
+    """Ask for the state of the connection fifty times, one call after the other.
+
+    Said: connected, every time.
+    Seen: the broker answers a packet during each call.
+    Why: leaks, caches and connections that are used up show in a long series only.
+    """
+    replies = [await mqtt.call("info") for _ in range(RAPID_CALLS)]
+    for reply in replies:
+        run.succeeds(reply, connected=True)
+    await status_is_known(run, mqtt, oracle.exchange, *replies)
 
 
 @TASKS.task(
@@ -265,24 +387,39 @@ async def rapid_broker_inspections(run: Repetition, mqtt: Rig) -> None:
     capability="outages",
     position=11,
     requirements="REC-001 REC-002",
+    keys="mqtt.recovery",
 )
 async def broker_restart(run: Repetition, mqtt: Rig) -> None:
-    await survive_a_restart(run, mqtt, "info")
-    run.witnessed(oracle.exchange(await mqtt.journal()))
+    """Ask for the state of the connection; again after the broker was stopped; and again after it was started.
+
+    Said: success; then a failure with `connect_failed`, `connection_lost` or `timeout`; then success in the same
+        session.
+    Seen: an exchange with the broker after it is back.
+    Why: an outage of the broker must not need a person who restarts the adapter, and must not be hidden.
+    """
+    reply = await survive_a_restart(run, mqtt, "info")
+    if reply.success:
+        await status_is_known(run, mqtt, oracle.exchange, reply)
 
 
 @broker_restart.after
 async def a_failed_publish_is_not_delivered_later(run: Repetition, mqtt: Rig) -> None:
+    """Publish while the broker is away, and ask for the state when it is back.
+
+    Said: a failure for the message, success for the state.
+    Seen: nothing of the message: what was reported as failed is not made up for.
+    """
     if not mqtt.claims("publish"):
         return
     payload = f"nonce-{run.rng.getrandbits(64):016x}"
+    await mqtt.prove()
     await mqtt.stop_device()
     reply = await mqtt.call("publish", topic="control/pump", payload=payload, qos=1)
-    run.fails(reply, *CONNECTION_FAULTS, outcome=UNCERTAIN)
+    run.fails(reply, *CONNECTION_FAULTS, outcome=UNCERTAIN, requirement="MQT-001", code_requirement="REC-002")
     await mqtt.start_device()
-    run.succeeds((await mqtt.call_until_success("info", window_s=SETTLING_S))[-1])
+    run.succeeds((await mqtt.call_until_success("info", window_s=mqtt.recovery_s))[-1], requirement="REC-001")
     await mqtt.stays_quiet(QUIET_S, lambda journal: oracle.never_published(journal, payload.encode()))
-    run.succeeds(await mqtt.call("info"))
+    run.succeeds(await mqtt.call("info"), requirement="REC-001")
     run.witnessed(oracle.never_published(await mqtt.journal(), payload.encode()))
 
 
@@ -293,6 +430,14 @@ async def a_failed_publish_is_not_delivered_later(run: Repetition, mqtt: Rig) ->
     needs="mqtt.info",
     capability="outages",
     requirements="REC-001 REC-002 MCP-009",
+    keys="mqtt.recovery",
 )
 async def recovery(run: Repetition, mqtt: Rig) -> None:
+    """Ask for the state of the connection; again after the broker was stopped; then, after it was started, in the same
+    session and in a fresh one with a new process.
+
+    Said: success; a failure of the connection; success in both sessions.
+    Seen: an exchange of both sessions with the broker, and no command.
+    Why: how soon an outage is noticed, and how soon work goes on, decides what the adapter can be used for.
+    """
     await outage(run, mqtt, "info", oracle.exchange)

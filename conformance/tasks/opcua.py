@@ -14,7 +14,17 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.rig import Rig
 from pytest_otmcp.trial.task import Tasks
 
-from .common import CONNECTION_FAULTS, QUIET_S, RAPID_CALLS, SETTLING_S, UNCERTAIN, outage, survive_a_restart
+from .common import (
+    CONNECTION_FAULTS,
+    NOTHING_SENT,
+    QUIET_S,
+    RAPID_CALLS,
+    UNCERTAIN,
+    Witness,
+    fresh,
+    outage,
+    survive_a_restart,
+)
 
 __all__ = ["TASKS"]
 
@@ -23,6 +33,11 @@ TASKS = Tasks()
 TEMPERATURE = "ns=2;s=Temperature"
 VALVE = "ns=2;s=ValvePosition"
 SENSORS = ("Temperature", "Pressure", "FlowRate", "TankLevel")
+
+
+def reading(node: str) -> Witness:
+    """Return the check that the server was asked for the node's value."""
+    return partial(oracle.read_from_device, node=node)
 
 
 @TASKS.task(
@@ -34,14 +49,20 @@ SENSORS = ("Temperature", "Pressure", "FlowRate", "TankLevel")
     requirements="RD-001 RD-004 OUA-002",
 )
 async def read_temperature(run: Repetition, opcua: Rig) -> None:
+    """Read a variable whose value was set at random just before.
+
+    Said: this value, with the status Good.
+    Seen: a read of this variable, and nothing that changes the plant.
+    Why: a value from memory looks right until somebody acts on it.
+    """
     value = round(run.rng.uniform(-50.0, 150.0), 6)
     await opcua.poke(node="Temperature", value=value)
     reply = await opcua.call("read", node="ns=2;s=Temperature")
     run.succeeds(reply, value=value, status="Good")
     journal = await opcua.journal()
     run.witnessed(
-        oracle.read_from_device(journal, "ns=2;s=Temperature"),
-        oracle.no_state_changing_service(journal),
+        fresh(journal, (reply, reading(TEMPERATURE))),
+        oracle.no_state_changing_service(journal, requirement="MCP-008"),
         oracle.image_holds(await opcua.image(), "ns=2;s=Temperature", value),
     )
 
@@ -55,13 +76,20 @@ async def read_temperature(run: Repetition, opcua: Rig) -> None:
     requirements="OUA-006",
 )
 async def browse_actuators(run: Repetition, opcua: Rig) -> None:
+    """Browse a folder.
+
+    Said: every node in it, each with its own name.
+    Seen: a Browse of the folder.
+    Why: a name that stands beside another node's id makes an assistant move the wrong valve.
+    """
     image = await opcua.image()
     actuators = oracle.children_of(image, "Actuators")
     reply = await opcua.call("browse", node=oracle.folder_id(image, "Actuators"))
     run.succeeds(reply)
+    folder = partial(oracle.browsed, node=oracle.folder_id(image, "Actuators"))
     run.witnessed(
         oracle.names_and_ids_agree(reply.outputs.get("node_ids"), reply.outputs.get("browse_names"), actuators),
-        oracle.browsed(await opcua.journal(), oracle.folder_id(image, "Actuators")),
+        fresh(await opcua.journal(), (reply, folder)),
     )
 
 
@@ -75,6 +103,13 @@ async def browse_actuators(run: Repetition, opcua: Rig) -> None:
     requirements="WR-004 WR-001 WR-002 WR-003",
 )
 async def write_valve_position(run: Repetition, opcua: Rig) -> None:
+    """Write a variable, and read it.
+
+    Said: the value that was written, in both answers.
+    Seen: one write of this value, and of nothing but the value; every other variable stays as it was, and the value is
+        still there two seconds of plant time later.
+    Why: an adapter that says "written" may have written twice, another type, or not at all.
+    """
     value = 25.0 + run.rep
     valve = "ns=2;s=ValvePosition"
     before = await opcua.image()
@@ -82,7 +117,8 @@ async def write_valve_position(run: Repetition, opcua: Rig) -> None:
     after = await opcua.image()
     read = await opcua.call("read", node=valve)
     run.succeeds(written, value=value)
-    run.succeeds(read, value=value, status="Good")
+    # What the server holds now may not be the value, which is the fault of the write; the read has to tell it.
+    run.succeeds(read, value=oracle.held(after, valve), status="Good")
     await opcua.tick(2)
     run.witnessed(
         oracle.exactly_one_write(await opcua.journal(), valve, value),
@@ -93,18 +129,22 @@ async def write_valve_position(run: Repetition, opcua: Rig) -> None:
 
 @write_valve_position.after
 async def nothing_is_written_with_writes_disabled(run: Repetition, opcua_ro: Rig | None) -> None:
+    """Write, and read, through the adapter that was started with writes disabled.
+
+    Said: a refusal with `writes_disabled` and the outcome `not_sent`; success for the read.
+    Seen: the read, and over the whole life of that session nothing that changes the plant.
+    """
     if opcua_ro is None:
         return
     before = await opcua_ro.image()
-    run.fails(
-        await opcua_ro.call("write", node="ns=2;s=ValvePosition", value=99.5), "writes_disabled", outcome="not_sent"
-    )
+    refused = await opcua_ro.call("write", node="ns=2;s=ValvePosition", value=99.5)
+    run.fails(refused, "writes_disabled", outcome="not_sent", requirement="WR-004")
     run.succeeds(await opcua_ro.call("read", node="ns=2;s=ValvePosition"))
     await opcua_ro.close_session()
     run.witnessed(
         oracle.read_from_device(await opcua_ro.journal(), "ns=2;s=ValvePosition"),
         oracle.nothing_changed_by(await opcua_ro.follow(StateChanges)),
-        oracle.only_changed(before, await opcua_ro.image(), {}),
+        oracle.only_changed(before, await opcua_ro.image(), {}, otherwise="WR-004"),
     )
 
 
@@ -117,11 +157,17 @@ async def nothing_is_written_with_writes_disabled(run: Repetition, opcua_ro: Rig
     requirements="OUA-006",
 )
 async def enumerate_variables(run: Repetition, opcua: Rig) -> None:
+    """Ask for all variables of the plant.
+
+    Said: every variable, once.
+    Seen: at least one request.
+    Why: a list that ends after its first page hides the rest of the plant.
+    """
     reply = await opcua.call("variables")
     run.succeeds(reply)
     run.witnessed(
         oracle.complete_enumeration(reply.outputs.get("node_ids"), await opcua.image()),
-        oracle.some_service(await opcua.journal()),
+        fresh(await opcua.journal(), (reply, oracle.some_service)),
     )
 
 
@@ -132,16 +178,38 @@ async def enumerate_variables(run: Repetition, opcua: Rig) -> None:
     needs="opcua.read",
     capability="refusing",
     requirements="ERR-003 ENV-007",
+    keys="opcua.probes.missing_node",
 )
 async def read_missing_node(run: Repetition, opcua: Rig) -> None:
+    """Read a node that the server does not have.
+
+    Said: a failure with `illegal_address`, and the server's status code in the trace. An adapter that refuses by a list
+        of nodes of its own may also say `invalid_input`; nothing was sent then.
+    Seen: a request for the node, which the server refuses with BadNodeIdUnknown; or none.
+    Why: an assistant that gets an empty value for a node that does not exist believes it.
+    """
     missing = opcua.probe("missing_node")
     reply = await opcua.call("read", node=missing)
-    run.fails(reply, "illegal_address", trace={"status_code": {"symbol": "BadNodeIdUnknown"}})
-    journal = await opcua.journal()
-    run.witnessed(
-        oracle.exactly_one_service(journal, "Read", node=missing),
-        oracle.result_status(journal, "Read", "BadNodeIdUnknown"),
-    )
+    seen = reply.during(await opcua.journal())
+    if not oracle.reached(seen, missing):
+        # A list of nodes of its own refuses as well as the server does.
+        run.fails(reply, "illegal_address", "invalid_input", outcome=NOTHING_SENT, requirement="ERR-003")
+        return
+    unknown = {"status_code": {"symbol": "BadNodeIdUnknown"}}
+    run.fails(reply, "illegal_address", trace=unknown, requirement="ERR-003")
+    run.witnessed(oracle.refused_with(seen, missing, "BadNodeIdUnknown"))
+
+
+@read_missing_node.after
+async def a_node_that_is_there_can_be_read(run: Repetition, opcua: Rig) -> None:
+    """Read a variable that is there: a refusal proves something only if the same call works elsewhere.
+
+    Said: success, and the value.
+    Seen: the variable holds it.
+    """
+    value = round(run.rng.uniform(-50.0, 150.0), 6)
+    await opcua.poke(node="Temperature", value=value)
+    run.succeeds(await opcua.call("read", node=TEMPERATURE), value=value, status="Good")
 
 
 @TASKS.task(
@@ -153,21 +221,32 @@ async def read_missing_node(run: Repetition, opcua: Rig) -> None:
     requirements="ADR-004",
 )
 async def write_wrong_type(run: Repetition, opcua: Rig) -> None:
+    """Write a text to a variable that holds a floating-point number.
+
+    Said: a failure with `type_mismatch`; the outcome is `not_sent` or `rejected`.
+    Seen: no write that the server accepted; the server holds what it held.
+    Why: a text that is turned into a number in silence is a value that nobody asked for.
+    """
     before = await opcua.image()
     reply = await opcua.call("write", node=VALVE, value="fully open")
-    run.fails(reply, "type_mismatch", outcome=("not_sent", "rejected"))
+    run.fails(reply, "type_mismatch", outcome=("not_sent", "rejected"), requirement="ADR-004")
     run.witnessed(
-        oracle.only_changed(before, await opcua.image(), {}),
-        oracle.accepted_writes(await opcua.journal(), 0),
+        oracle.only_changed(before, await opcua.image(), {}, otherwise="ADR-004"),
+        oracle.accepted_writes(await opcua.journal(), 0, requirement="ADR-004"),
     )
 
 
 @write_wrong_type.after
 async def a_number_is_accepted(run: Repetition, opcua: Rig) -> None:
-    await opcua.stays_quiet(QUIET_S, lambda journal: oracle.accepted_writes(journal, 0))
+    """Write a number.
+
+    Said: success.
+    Seen: one write that the server accepted, and the value in the variable.
+    """
+    await opcua.stays_quiet(QUIET_S, lambda journal: oracle.accepted_writes(journal, 0, requirement="ADR-004"))
     run.succeeds(await opcua.call("write", node=VALVE, value=31.25), value=31.25)
     run.witnessed(
-        oracle.accepted_writes(await opcua.journal(), 1),
+        oracle.accepted_writes(await opcua.journal(), 1, requirement="OUA-001"),
         oracle.image_holds(await opcua.image(), VALVE, 31.25),
     )
 
@@ -182,14 +261,20 @@ async def a_number_is_accepted(run: Repetition, opcua: Rig) -> None:
     requirements="CON-001",
 )
 async def concurrent_node_reads(run: Repetition, opcua: Rig) -> None:
+    """Read four variables by four calls at the same time.
+
+    Said: in each answer the value of its own variable.
+    Seen: a read of each variable.
+    Why: an answer that belongs to another call is a wrong value that looks right.
+    """
     values = {name: round(run.rng.uniform(0.0, 100.0), 6) for name in SENSORS}
     for name, value in values.items():
         await opcua.poke(node=name, value=value)
     replies = await run.together(*(opcua.call("read", node=f"ns=2;s={name}") for name in values))
     for reply, value in zip(replies, values.values(), strict=True):
         run.succeeds(reply, value=value, status="Good")
-    journal = await opcua.journal()
-    run.witnessed(*(oracle.read_from_device(journal, f"ns=2;s={name}") for name in values))
+    nodes = [reading(f"ns=2;s={name}") for name in values]
+    run.witnessed(fresh(await opcua.journal(), *zip(replies, nodes, strict=True)))
 
 
 @TASKS.task(
@@ -202,6 +287,12 @@ async def concurrent_node_reads(run: Repetition, opcua: Rig) -> None:
     requirements="CON-004 WR-003",
 )
 async def concurrent_node_read_and_write(run: Repetition, opcua: Rig) -> None:
+    """Read a variable and write it at the same time.
+
+    Said: the old value or the new one for the read, success for the write.
+    Seen: one write; the variable holds the new value.
+    Why: a mixture of two values, or a lost write, shows only under load.
+    """
     old, new = (round(run.rng.uniform(0.0, 100.0), 6) for _ in range(2))
     speed = "ns=2;s=FanSpeed"
     await opcua.poke(node="FanSpeed", value=old)
@@ -225,14 +316,23 @@ async def concurrent_node_read_and_write(run: Repetition, opcua: Rig) -> None:
     requirements="CON-006",
 )
 async def rapid_node_reads(run: Repetition, opcua: Rig) -> None:
+    """Read variables fifty times, one call after the other.
+
+    Said: the right value in every answer.
+    Seen: for each call a read of its variable, during the call.
+    Why: leaks, caches and sessions that are used up show in a long series only.
+    """
+    asked = []
     for index in range(RAPID_CALLS):
         name = SENSORS[index % len(SENSORS)]
         value = round(run.rng.uniform(0.0, 100.0), 6)
         if index < len(SENSORS):
             await opcua.poke(node=name, value=value)
             run.notes[name] = value
-        run.succeeds(await opcua.call("read", node=f"ns=2;s={name}"), value=run.notes[name], status="Good")
-    run.witnessed(oracle.read_from_device(await opcua.journal(), None, at_least=RAPID_CALLS))
+        reply = await opcua.call("read", node=f"ns=2;s={name}")
+        run.succeeds(reply, value=run.notes[name], status="Good")
+        asked.append((reply, reading(f"ns=2;s={name}")))
+    run.witnessed(fresh(await opcua.journal(), *asked))
 
 
 @TASKS.task(
@@ -243,25 +343,40 @@ async def rapid_node_reads(run: Repetition, opcua: Rig) -> None:
     capability="outages",
     position=12,
     requirements="REC-001 REC-002 RD-004",
+    keys="opcua.recovery",
 )
 async def opcua_restart(run: Repetition, opcua: Rig) -> None:
-    await survive_a_restart(run, opcua, "read", node="ns=2;s=Temperature")
-    run.witnessed(oracle.read_from_device(await opcua.journal(), "ns=2;s=Temperature"))
+    """Read a variable; again after the server was stopped; and again after it was started.
+
+    Said: success; then a failure with `connect_failed`, `connection_lost` or `timeout`; then success in the same
+        session.
+    Seen: a read after the server is back.
+    Why: an outage of the line must not need a person who restarts the adapter, and old values must not hide it.
+    """
+    reply = await survive_a_restart(run, opcua, "read", node=TEMPERATURE)
+    if reply.success:
+        run.witnessed(fresh(await opcua.journal(), (reply, reading(TEMPERATURE))))
 
 
 @opcua_restart.after
 async def a_failed_node_write_is_not_delivered_later(run: Repetition, opcua: Rig) -> None:
+    """Write while the server is away, and read when it is back.
+
+    Said: a failure for the write, success for the read.
+    Seen: no write: what was reported as failed is not made up for.
+    """
     if not opcua.claims("write"):
         return
+    await opcua.prove()
     await opcua.stop_device()
     reply = await opcua.call("write", node="ns=2;s=FanSpeed", value=round(run.rng.uniform(0.0, 100.0), 6))
-    run.fails(reply, *CONNECTION_FAULTS, outcome=UNCERTAIN)
+    run.fails(reply, *CONNECTION_FAULTS, outcome=UNCERTAIN, requirement="WR-001", code_requirement="REC-002")
     await opcua.start_device()
-    read = await opcua.call_until_success("read", window_s=SETTLING_S, node="ns=2;s=Temperature")
-    run.succeeds(read[-1])
-    await opcua.stays_quiet(QUIET_S, oracle.no_state_changing_service)
-    run.succeeds(await opcua.call("read", node="ns=2;s=Temperature"))
-    run.witnessed(oracle.no_state_changing_service(await opcua.journal()))
+    read = await opcua.call_until_success("read", window_s=opcua.recovery_s, node="ns=2;s=Temperature")
+    run.succeeds(read[-1], requirement="REC-001")
+    await opcua.stays_quiet(QUIET_S, partial(oracle.no_state_changing_service, requirement="WR-010"))
+    run.succeeds(await opcua.call("read", node="ns=2;s=Temperature"), requirement="REC-001")
+    run.witnessed(oracle.no_state_changing_service(await opcua.journal(), requirement="WR-010"))
 
 
 @TASKS.task(
@@ -271,7 +386,14 @@ async def a_failed_node_write_is_not_delivered_later(run: Repetition, opcua: Rig
     needs="opcua.read",
     capability="outages",
     requirements="REC-001 REC-002 MCP-009",
+    keys="opcua.recovery",
 )
 async def recovery(run: Repetition, opcua: Rig) -> None:
-    witness = partial(oracle.read_from_device, node=TEMPERATURE)
-    await outage(run, opcua, "read", witness, node=TEMPERATURE)
+    """Read; again after the server was stopped; then, after it was started, in the same session and in a fresh one with
+    a new process.
+
+    Said: success; a failure of the connection; success in both sessions.
+    Seen: the reads of both sessions, and nothing that changes the plant.
+    Why: how soon an outage is noticed, and how soon work goes on, decides what the adapter can be used for.
+    """
+    await outage(run, opcua, "read", reading(TEMPERATURE), node=TEMPERATURE)

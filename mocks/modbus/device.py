@@ -16,6 +16,7 @@ from typing import Any
 from ..device import Device
 from ..endpoint import OpenEndpoint
 from ..journal import Direction
+from ..peer import process_of
 from .faults import FaultPlan, Rule
 from .image import UnitImage, poke
 from .pdu import READS, IllegalRequest, describe, execute, read_response, values_read
@@ -91,7 +92,8 @@ class _Connection(asyncio.Protocol):
         self._transport = transport
         self._device.connections += 1
         self._number = self._device.connections
-        self._record("in", "CONNECTED", peer=transport.get_extra_info("peername")[1])
+        peer = transport.get_extra_info("peername")[1]
+        self._device.journal.connected(self._number, process_of(transport), peer=peer)
 
     def connection_lost(self, exc: Exception | None) -> None:
         if self._buffer:

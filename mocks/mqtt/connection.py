@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 from ..journal import Direction, Origin
+from ..peer import process_of
 from .broker import Broker
 from .codec import UnsupportedProtocol, decode, encode
 from .describe import REQUESTS, describe, describe_content, describe_publish
@@ -61,6 +62,8 @@ class Connection(asyncio.Protocol):
         self._transport = transport
         self.number = self._broker.opened(transport)
         self._loop = asyncio.get_running_loop()
+        if self.origin == "client":
+            self._broker.journal.heard_of(self.number, process_of(transport))
         self._record("in", "CONNECTED", peer=transport.get_extra_info("peername")[1])
         self._timer = self._loop.call_later(self._broker.limits.connect_timeout_s, self.end, "no CONNECT in time")
 

@@ -16,6 +16,7 @@ from asyncua.server.internal_server import InternalServer
 from asyncua.server.uaprocessor import UaProcessor
 from asyncua.ua.ua_binary import struct_from_binary
 
+from ..peer import process_of
 from .exchange import Exchange, current
 from .state import DeviceState
 
@@ -29,7 +30,9 @@ _SERVICES = {
     if name.endswith(_SUFFIX)
 }
 # The session journals these services itself, with the nodes that they are about.
-_WITH_NODES = frozenset({"Read", "Write", "Browse", "BrowseNext", "TranslateBrowsePaths", "Call"})
+_WITH_NODES = frozenset(
+    {"Read", "Write", "Browse", "BrowseNext", "TranslateBrowsePaths", "Call", "CreateMonitoredItems"}
+)
 
 
 class _Processor(UaProcessor):  # type: ignore[misc]
@@ -89,7 +92,9 @@ class _Processor(UaProcessor):  # type: ignore[misc]
     ) -> None:
         exchange = current()
         # A notification is sent when a value changes, not while a request is handled: it belongs to no exchange.
-        if not isinstance(response, ua.PublishResponse):
+        if isinstance(response, ua.PublishResponse):
+            self._notified(response.Parameters)
+        else:
             rule = exchange.rule
             if rule.close or rule.reset:
                 self._transport.abort() if rule.reset else self._transport.close()
@@ -97,6 +102,17 @@ class _Processor(UaProcessor):  # type: ignore[misc]
                 return
             exchange.answered(response.ResponseHeader.ServiceResult)
         super().send_response(requesthandle, seqhdr, response, msgtype)
+
+    def _notified(self, result: ua.PublishResult) -> None:
+        """Journal the nodes whose values a notification has; one without values keeps the subscription alive."""
+        nodes = [
+            {"node_id": self.session.monitored[result.SubscriptionId, item.ClientHandle], "attribute": "Value"}
+            for data in result.NotificationMessage.NotificationData or []
+            for item in getattr(data, "MonitoredItems", None) or []
+            if (result.SubscriptionId, item.ClientHandle) in self.session.monitored
+        ]
+        if nodes:
+            self._device.journal.append(connection=self._number, direction="out", kind="Publish", nodes=nodes)
 
     async def close(self) -> None:
         for task in list(self._late):
@@ -113,14 +129,11 @@ class PlantProtocol(OPCUAProtocol):  # type: ignore[misc]
         self._number = number
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._journal("CONNECTED")
+        self._device.journal.connected(self._number, process_of(transport))
         super().connection_made(transport)
         self.processor = _Processor(self.iserver, self.transport, self.limits, self._device, self._number)
         self.processor.set_policies(self.policies)
 
     def connection_lost(self, ex: BaseException | None) -> None:
-        self._journal("DISCONNECTED")
+        self._device.journal.append(connection=self._number, direction="in", kind="DISCONNECTED")
         super().connection_lost(ex)
-
-    def _journal(self, kind: str) -> None:
-        self._device.journal.append(connection=self._number, direction="in", kind=kind)

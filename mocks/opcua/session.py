@@ -42,6 +42,8 @@ class PlantSession(InternalSession):  # type: ignore[misc]
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self.browser = Browser(self.aspace, lambda: self.device.limits)
+        # Node ids by subscription and the client's handle of the item.
+        self.monitored: dict[tuple[int, int], str] = {}
 
     async def create_session(self, params: ua.CreateSessionParameters, sockname: Any = None) -> Any:
         if self.device.limits.sessions and len(self.device.browsers) >= self.device.limits.sessions:
@@ -200,6 +202,25 @@ class PlantSession(InternalSession):  # type: ignore[misc]
         exchange.answer["results"] = [{"status": result.StatusCode.name} for result in results]
         return results
 
+    # -- monitored items ----------------------------------------------------------------------------------
+
+    async def create_monitored_items(
+        self, params: ua.CreateMonitoredItemsParameters
+    ) -> list[ua.MonitoredItemCreateResult]:
+        exchange, items = current(), params.ItemsToCreate or []
+        asked = [item.ItemToMonitor for item in items]
+        exchange.asked(
+            nodes=[{"node_id": item.NodeId.to_string(), "attribute": _attribute(item.AttributeId)} for item in asked]
+        )
+        await exchange.suffer(_names(item.NodeId for item in asked))
+        for item in items:
+            if item.ItemToMonitor.AttributeId == Ids.Value:
+                handle = item.RequestedParameters.ClientHandle
+                self.monitored[params.SubscriptionId, handle] = item.ItemToMonitor.NodeId.to_string()
+        results: list[ua.MonitoredItemCreateResult] = await super().create_monitored_items(params)
+        exchange.answer["results"] = [{"status": result.StatusCode.name} for result in results]
+        return results
+
     # -- methods ------------------------------------------------------------------------------------------
 
     async def call(self, params: list[ua.CallMethodRequest]) -> list[ua.CallMethodResult]:
@@ -282,6 +303,7 @@ def _written(item: ua.WriteValue) -> dict[str, Any]:
         "attribute": _attribute(item.AttributeId),
         "value": to_json(value.Value),
         "variant_type": value.VariantType.name,
+        "has_status": item.Value.StatusCode is not None and item.Value.StatusCode.value != 0,
         "has_timestamp": item.Value.SourceTimestamp is not None or item.Value.ServerTimestamp is not None,
     }
 

@@ -21,19 +21,22 @@ _PADDING = 7
 
 
 def badge(certificate: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the content of ``badge.json``: the protocols, and the share of the suite that applied when it was not all."""
-    predicate = certificate["predicate"]
-    message = "conformant: " + ", ".join(protocols()[protocol].name for protocol in predicate["otmcp"]["adapters"])
-    passed, left_out = len(predicate["passedTests"]), len(predicate["otmcp"]["not_applicable"])
-    if left_out:
-        message += f" ({passed} of {passed + left_out} items)"
+    """Return the content of ``badge.json``: the protocols, and how many items of the suite applied."""
+    told = certificate["predicate"]["otmcp"]
+    applied = told["applied"]
+    message = "conformant: " + ", ".join(protocols()[protocol].name for protocol in told["adapters"])
+    message += f" ({applied['items']} of {applied['of']} items applied)"
     return {"schemaVersion": 1, "label": _LABEL, "message": message, "color": _COLOUR.removeprefix("#")}
 
 
 def badge_svg(certificate: Mapping[str, Any]) -> str:
     """Draw the badge, with a title that a screen reader reads."""
     shown = badge(certificate)
-    title = f"{shown['label']}: {shown['message']} ({certificate['subject'][0]['name']})"
+    adapters = certificate["predicate"]["otmcp"]["adapters"]
+    deadlines = ", ".join(f"{protocol} {facts['deadline_s']:g} s" for protocol, facts in adapters.items())
+    title = (
+        f"{shown['label']}: {shown['message']} ({certificate['subject'][0]['name']}; deadlines of a call: {deadlines})"
+    )
     title = "".join(letter if letter.isprintable() else " " for letter in title)
     left, right = (_width(shown[side]) for side in ("label", "message"))
     width = left + right

@@ -19,10 +19,13 @@ from ..record.schema import Run
 from ..subject.claims import Claims
 from ..trial.task import Task
 
-__all__ = ["MINIMUM_REPS", "exercised", "objections", "unguarded"]
+__all__ = ["MAXIMUM_DEADLINE_S", "MINIMUM_REPS", "exercised", "objections", "unguarded", "unhurried"]
 
 MINIMUM_REPS = 30
 """Repetitions of the paper's matrix: thirty passes of thirty mean at least 90 % with 95 % confidence, fewer mean less."""
+
+MAXIMUM_DEADLINE_S = 30
+"""The longest deadline of a call: an answer that takes longer is one that nobody waited for."""
 
 Tasks = Mapping[str, Task]
 
@@ -36,7 +39,14 @@ def objections(run: Run, tasks: Tasks) -> list[str]:
     """
     found = [
         *_verdict_objections(run, tasks),
-        *(_gaps(run) or [*_settings_objections(run), *unguarded(_claims(run), run["subject"]["adapters"])]),
+        *(
+            _gaps(run)
+            or [
+                *_settings_objections(run),
+                *unguarded(_claims(run), run["subject"]["adapters"]),
+                *unhurried({protocol: facts["deadline_s"] for protocol, facts in run["subject"]["adapters"].items()}),
+            ]
+        ),
     ]
     # A run that did not pass needs no further reason; a run that passed must have exercised everything that the subject claims.
     return found or list(_item_objections(run, tasks))
@@ -112,6 +122,19 @@ def unguarded(claims: Claims, adapters: Iterable[str]) -> Iterator[str]:
             yield (
                 f"{protocol}: it writes, and that its writes can be disabled ({GUARD}, requirement WR-004) "
                 f"is not claimed: {reason}"
+            )
+
+
+def unhurried(deadlines: Mapping[str, float]) -> Iterator[str]:
+    """Yield a sentence for each adapter whose deadline is longer than an assistant, or a person, waits for an answer.
+
+    Args:
+        deadlines: seconds within which a call must have answered, by protocol.
+    """
+    for protocol, deadline_s in deadlines.items():
+        if deadline_s > MAXIMUM_DEADLINE_S:
+            yield (
+                f"{protocol}: its deadline_s of {deadline_s:g} s is above the {MAXIMUM_DEADLINE_S} s that a certificate allows"
             )
 
 

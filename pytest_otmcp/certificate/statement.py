@@ -19,6 +19,7 @@ from ..core.statistics import lower_bound, proportion_interval
 from ..core.verdict import Status
 from ..protocols.registry import protocols
 from ..record.schema import AdapterFacts, Item, Run
+from ..record.warnings import warnings
 from ..subject.claims import Claims
 from ..trial.task import Task
 from .eligibility import exercised
@@ -58,13 +59,15 @@ def certificate(run: Run, run_sha256: str, tasks: Tasks) -> dict[str, object]:
         tasks: the whole suite.
     """
     subject, kit, footer = run["subject"], run["kit"], run["footer"]
+    warned = warnings(run["items"])
+    with_warnings = {name for one in warned for name in one["items"]}
     passed = [item["id"] for item in run["items"] if item["status"] == Status.PASS]
     return {
         "_type": STATEMENT_TYPE,
         "subject": [{"name": f"{subject['name']} {subject['version']}", "digest": _digest_set(subject["digest"])}],
         "predicateType": PREDICATE_TYPE,
         "predicate": {
-            "result": "PASSED",
+            "result": "WARNED" if warned else "PASSED",
             "configuration": [
                 {"name": f"{kit['name']} {kit['version']}", "digest": _digest_set(kit["digest"])},
                 {"name": "conformance suite", "digest": _digest_set(kit["suite_digest"])},
@@ -79,12 +82,14 @@ def certificate(run: Run, run_sha256: str, tasks: Tasks) -> dict[str, object]:
                 ),
                 {"name": "run.json", "digest": {"sha256": run_sha256}, "mediaType": "application/json"},
             ],
-            "passedTests": passed,
-            "warnedTests": [],
+            "passedTests": [name for name in passed if name not in with_warnings],
+            "warnedTests": [name for name in passed if name in with_warnings],
             "failedTests": [],
             "otmcp": {
                 "schema": SCHEMA,
                 "verdict": footer["verdict"],
+                "warnings": warned,
+                "applied": {"items": len(passed), "of": len(tasks)},
                 "level": dict(_LEVEL),
                 "run_id": run["run_id"],
                 "measured_at": run["environment"]["started_at"],
@@ -131,6 +136,8 @@ def _adapter(protocol: str, facts: AdapterFacts, run: Run, tasks: Tasks) -> dict
         "envelope_requirements_unmet": facts["unmet"],
         "outputs_not_judged": facts["unjudged"],
         "recovery": facts["recovery"],
+        "recovery_s": facts["recovery_s"],
+        "cached_s": facts["cached"],
         "facets": {"earned": earned, "claimed_not_exercised": not_exercised, "not_claimed": not_claimed},
     }
 

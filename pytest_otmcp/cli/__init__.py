@@ -13,12 +13,13 @@ from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 
-from ..core.errors import KitError, UsageError
+from ..core.errors import ExhaustedError, KitError, UsageError
+from ..core.exhaustion import exhausted
 from ..core.verdict import ExitCode
 
 __all__ = ["Refusal", "main"]
 
-_COMMANDS = ("init", "doctor", "certify", "verify", "report", "mock")
+_COMMANDS = ("init", "doctor", "certify", "verify", "explain", "report", "mock")
 
 
 class Refusal(Exception):
@@ -65,12 +66,16 @@ def _run(argv: Sequence[str] | None) -> int:
         return _say(str(reason), reason.code)
     except UsageError as error:
         return _say(str(error), ExitCode.USAGE)
+    except ExhaustedError as error:
+        return _say(str(error), ExitCode.INDETERMINATE)
     except KitError as error:
         return _say(f"{error} (a fault of the kit; please file a bug)", ExitCode.INDETERMINATE)
     except BrokenPipeError:
         raise
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
+        if (cure := exhausted(error)) is not None:
+            return _say(f"{where}{cure}", ExitCode.INDETERMINATE)
         return _say(f"{where}{error.strerror or error}", ExitCode.USAGE)
     except Exception as error:
         return _say(f"a fault of the kit at {_place(error)}: {error!r}; please file a bug", ExitCode.INDETERMINATE)

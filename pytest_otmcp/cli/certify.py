@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
         KitError: the suite did not run.
         Refusal: there is no certificate.
     """
-    from ..certificate.eligibility import MINIMUM_REPS, unguarded
+    from ..certificate.eligibility import MINIMUM_REPS, unguarded, unhurried
     from ..subject import load_subject, reference_subject
     from ..subject.claims import Claims
 
@@ -84,7 +84,8 @@ def run(args: argparse.Namespace) -> int:
             f"no certificate: {subject.source} declares known deviations ({known}), and a certificate excuses nothing; "
             f"pytest --otmcp-reps={args.reps} accepts them until they expire"
         )
-    if without := list(unguarded(Claims.of_subject(subject.adapters), subject.adapters)):
+    deadlines = {protocol: adapter.deadline_s for protocol, adapter in subject.adapters.items()}
+    if without := [*unguarded(Claims.of_subject(subject.adapters), subject.adapters), *unhurried(deadlines)]:
         raise Refusal(f"no certificate: {'; '.join(without)}")
     out.mkdir(parents=True, exist_ok=True)
     print(f"certifying {subject.name} {subject.version} ({file or 'shipped with the kit'})", flush=True)
@@ -199,12 +200,15 @@ def _write(out: Path, statement: dict[str, Any]) -> None:
     told = statement["predicate"]["otmcp"]
     for protocol, adapter in told["adapters"].items():
         facets = adapter["facets"]
-        print(f"{protocol}: earned {', '.join(facets['earned']) or 'nothing'}")
+        print(
+            f"{protocol}: earned {', '.join(facets['earned']) or 'nothing'}, every call within {adapter['deadline_s']:g} s"
+        )
         if facets["claimed_not_exercised"]:
             print(
                 f"{protocol}: claimed, but nothing applied that needs it: {', '.join(facets['claimed_not_exercised'])}"
             )
         for name, reason in facets["not_claimed"].items():
             print(f"{protocol}: not claimed: {name} ({reason})")
+    print(f"{told['applied']['items']} of {told['applied']['of']} items applied")
     print(told["level"]["why"])
     print(f"certificate.json, badge.json and badge.svg are in {out}, beside the run.json that they are about")

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.errors import SubjectError, UsageError
+from ..protocols.journal import judged
 from ..protocols.registry import protocols
 from .init import parse_environment, recognise_protocol
 
@@ -24,7 +25,10 @@ def add_parser(subparsers: Any) -> None:
     parser: argparse.ArgumentParser = subparsers.add_parser(
         "doctor",
         help="find out why an adapter does not start",
-        description="Start the adapters of a subject file, or a COMMAND, at mock devices, and explain what goes wrong.",
+        description=(
+            "Start the adapters of a subject file, or a COMMAND, at mock devices, and explain what goes wrong: also whether an "
+            "adapter really talks to the mock device. Nothing is written."
+        ),
     )
     parser.add_argument("--subject", metavar="FILE", type=Path, help="a subject file (default: otmcp.toml)")
     parser.add_argument("--protocol", choices=tuple(protocols()), help="what COMMAND speaks (default: seen in it)")
@@ -77,6 +81,7 @@ async def _examine(adapter: Adapter, variant: str) -> bool:
     from ..subject.binding_check import check_bindings
     from ..subject.model import READ_WRITE
     from ..trial.adapter_under_test import AdapterUnderTest, BenchOptions
+    from ..trial.session_proof import prove_session
 
     program = adapter.variants[variant].command[0]
     device = MockDevice(protocols()[adapter.protocol].mock, adapter.protocol)
@@ -92,15 +97,25 @@ async def _examine(adapter: Adapter, variant: str) -> bool:
             f"  {variant}: starts in {took:.1f} s: {session.server_name} {session.server_version}, "
             f"MCP {session.protocol_version}, {len(session.tools)} tools"
         )
+        if under_test.legacy:
+            print(
+                f"  {variant}: ends at the first request of today's handshake, so it was given that of 2025: say era = 'legacy'"
+            )
         count, first = session.stray_output()
         if count:
             print(f"  {variant}: {count} line(s) on stdout are no MCP message, the first: {first[0]!r}")
-        connected = bool((await device.journal(0)).entries)
+        connected = bool(judged((await device.journal(0)).entries))
         print(f"  {variant}: the device {'has seen a connection' if connected else 'has seen nothing yet'}")
         faults = check_bindings(adapter, session.tools) if variant == READ_WRITE else []
         for fault in faults:
             print(f"  {variant}: {fault}")
-        return not faults
+        if faults or not adapter.operations:
+            return not faults
+        problem = await prove_session(under_test)
+        print(
+            f"  {variant}: {problem or 'a random value went between the mock device and the adapter: it talks to the mock'}"
+        )
+        return problem is None
     except SubjectError as failure:
         print(f"  {variant}: {failure}")
         known = protocols()[adapter.protocol].onboarding is not None

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
+import tomllib
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +25,8 @@ def add_parser(subparsers: Any) -> None:
         help="propose a subject file for an adapter",
         description=(
             "Start the adapter at a mock device, read its tools, try them, and write a commented otmcp.toml. In COMMAND and "
-            "in --env {host}, {port} and {url} stand for the mock device."
+            "in --env {host}, {port} and {url} stand for the mock device. Tools that write are tried only after random values of "
+            "the mock device came back through the adapter; tools that read are called wherever the adapter leads."
         ),
     )
     parser.add_argument(
@@ -30,6 +34,18 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument(
         "--env", metavar="NAME=VALUE", action="append", default=[], help="environment of the adapter; may be repeated"
+    )
+    parser.add_argument(
+        "--file",
+        metavar="NAME=CONTENT",
+        action="append",
+        default=[],
+        help="a file below {work}, written before the launch; {host} and its like stand for the mock device",
+    )
+    parser.add_argument(
+        "--era",
+        choices=("auto", "legacy"),
+        help="'legacy' for a server that must be addressed by the handshake of 2025-11-25 (default: found out)",
     )
     parser.add_argument("--url", help="its endpoint, when it serves streamable HTTP: http://127.0.0.1:{http_port}/mcp")
     parser.add_argument("--deadline", metavar="S", type=float, default=15.0, help="seconds for each call (default: 15)")
@@ -46,10 +62,9 @@ def run(args: argparse.Namespace) -> int:
         UsageError: an option is wrong, or the protocol cannot be recognised.
         Refusal: the adapter cannot be started.
     """
-    if args.out.exists() and not args.force:
-        raise UsageError(f"{args.out}: exists already; give another --out, or --force to replace it")
-    env = parse_environment(args.env)
+    env, files = parse_environment(args.env), parse_environment(args.file, "--file")
     protocol = args.protocol or recognise_protocol([*args.command, *env, *env.values()])
+    added_to = None if args.force else _existing(args.out, protocol)
     if not 0 < args.deadline <= 300:
         raise UsageError(f"--deadline: expected seconds above 0 and up to 300, found {args.deadline:g}")
 
@@ -62,7 +77,14 @@ def run(args: argparse.Namespace) -> int:
 
     pack = load_pack(protocol)
     adapter = describe_launch(
-        protocol, args.command, env, url=args.url, deadline_s=args.deadline, start_timeout_s=max(30.0, args.deadline)
+        protocol,
+        args.command,
+        env,
+        url=args.url,
+        deadline_s=args.deadline,
+        start_timeout_s=max(30.0, args.deadline),
+        files=files,
+        era=args.era,
     )
 
     async def work() -> Draft:
@@ -80,7 +102,9 @@ def run(args: argparse.Namespace) -> int:
         raise Refusal(f"no proposal: {failure}; 'otmcp doctor' may know why") from None
     finally:
         loop.close()
-    args.out.write_text(write_document(drafted), encoding="utf-8")
+    drafted = replace(drafted, command=[_from_file(part, args.out.parent) for part in drafted.command])
+    text = write_document(drafted, into=added_to is not None)
+    args.out.write_text(text if added_to is None else f"{added_to.rstrip()}\n\n{text}", encoding="utf-8")
     # A proposal that cannot be loaded is a fault of the kit; it is better found here than by the user.
     load_subject(args.out)
     print(f"\n{args.out} is written. What is left to fill in:")
@@ -90,7 +114,34 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def parse_environment(options: Sequence[str]) -> Mapping[str, str]:
+def _existing(path: Path, protocol: str) -> str | None:
+    """Return the text of a subject file that has no adapter for the protocol yet; None when there is no file.
+
+    Raises:
+        UsageError: the file must not be changed.
+    """
+    if not path.exists():
+        return None
+    text = path.read_text(encoding="utf-8")
+    try:
+        adapters = tomllib.loads(text)["adapter"]
+        there = protocol in adapters
+    except (tomllib.TOMLDecodeError, KeyError, TypeError):
+        there = True
+    if there:
+        raise UsageError(f"{path}: exists already; give another --out, or --force to replace it")
+    return text
+
+
+def _from_file(part: str, directory: Path) -> str:
+    """Return a word of the command; a file is named from the directory of the subject file, which may be used from anywhere."""
+    path = Path(part)
+    if path.is_absolute() or not path.is_file() or "{" in part:
+        return part
+    return f"{{dir}}/{os.path.relpath(path, directory)}"
+
+
+def parse_environment(options: Sequence[str], flag: str = "--env") -> Mapping[str, str]:
     """Return the options ``--env NAME=VALUE`` as a table.
 
     Raises:
@@ -100,7 +151,7 @@ def parse_environment(options: Sequence[str]) -> Mapping[str, str]:
     for option in options:
         name, found, value = option.partition("=")
         if not found or not name:
-            raise UsageError(f"--env: expected NAME=VALUE, found {option!r}")
+            raise UsageError(f"{flag}: expected NAME=VALUE, found {option!r}")
         table[name] = value
     return table
 

@@ -42,10 +42,11 @@ def run(args: argparse.Namespace) -> int:
         Refusal: the certificate or the record does not hold.
     """
     told = verify(args.certificate, args.record)
-    counts = told["predicate"]["otmcp"]["counts"]["total"]
+    said = told["predicate"]["otmcp"]
+    counts, applied = said["counts"]["total"], said["applied"]
     print(
-        f"verified: {told['subject'][0]['name']} is {told['predicate']['otmcp']['verdict']}; {counts['passed']} of "
-        f"{counts['planned']} repetitions passed in {counts['items']} items, and judging them again found the same"
+        f"verified: {told['subject'][0]['name']} is {said['verdict']}; {applied['items']} of {applied['of']} items applied, "
+        f"{counts['passed']} of {counts['planned']} repetitions passed, and judging them again found the same"
     )
     if judges := [
         entry["name"] for entry in told["predicate"]["configuration"] if entry["name"].startswith("protocol ")

@@ -5,6 +5,7 @@
     Exception
     ├── UsageError      the user's: a bad option or file; one sentence, exit code 2
     ├── KitError        ours: a mock died, the plant could not start; the verdict becomes INDETERMINATE
+    │   └── ExhaustedError    the machine's: it has no descriptors, memory, processes or disk left; one sentence that helps
     └── SubjectError    the adapter's: it could not start or serve; becomes a Finding, never a traceback
 
 A fault of the adapter found by an oracle is no exception at all but a :class:`~pytest_otmcp.core.finding.Finding`.
@@ -12,7 +13,7 @@ A fault of the adapter found by an oracle is no exception at all but a :class:`~
 
 from __future__ import annotations
 
-__all__ = ["KitError", "SubjectError", "UsageError"]
+__all__ = ["ExhaustedError", "KitError", "SubjectError", "UsageError"]
 
 
 class UsageError(Exception):
@@ -21,6 +22,10 @@ class UsageError(Exception):
 
 class KitError(Exception):
     """The kit or its plant failed. Never the adapter's fault; please file a bug."""
+
+
+class ExhaustedError(KitError):
+    """The machine of the kit has run out of something; the message says of what, and what helps. No bug, so none is to be filed."""
 
 
 class SubjectError(Exception):

@@ -2,10 +2,22 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Literal
 
-__all__ = ["Finding"]
+__all__ = ["Finding", "Kind", "kind_of"]
+
+Kind = tuple[str, str | None, str]
+"""What findings of the same fault have in common: code, requirement, and the message without its values."""
+
+_VALUES = re.compile(r"[0-9a-f]{8,}|-?\d+(?:\.\d+)?")
+"""Values differ from one repetition to the next, so that no answer from memory can pass."""
+
+
+def kind_of(code: str, requirement: str | None, message: str) -> Kind:
+    """Return the kind of a finding: equal for one that another repetition makes of the same fault."""
+    return code, requirement, _VALUES.sub("#", message)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,3 +39,8 @@ class Finding:
     evidence: str | None = None
     strength: Literal["MUST", "SHOULD"] = "MUST"
     cause: str | None = None
+
+    @property
+    def is_must(self) -> bool:
+        """Whether a MUST is not met; otherwise the finding is a warning."""
+        return self.strength == "MUST"

@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Literal, TypedDict
+from typing import Literal, NotRequired, TypedDict
 
-__all__ = ["JournalEntry"]
+__all__ = ["JournalEntry", "OwnerProcess"]
+
+
+class OwnerProcess(TypedDict):
+    """The process that had a connection when it was accepted: its number and the name of its program."""
+
+    pid: int
+    name: str
 
 
 class JournalEntry(TypedDict):
@@ -12,8 +19,10 @@ class JournalEntry(TypedDict):
 
     ``seq``: sequence number, from 0 since the device was started, without gaps. ``connection``: number of the
     connection, 0 for none. ``direction``: ``in`` for what the device received, ``out`` for what it sent. ``kind``: its
-    type, in the protocol's words. ``origin``: who caused it: a ``client`` of the device, the ``plant``'s own
-    simulation, or the ``kit``. ``request``: a client asks the plant for something; keeping a session alive is no
+    type, in the protocol's words. ``origin``: who caused it: the adapter's session (``client``), one that is over
+    (``former``), another program (``stranger``), somebody who cannot be known and has not spoken the protocol
+    (``unknown``), the ``plant``'s own simulation, or the ``kit``. ``process``: the process that has the connection,
+    when it was accepted, and of everything that is not the adapter's. ``request``: a client asks the plant for something; keeping a session alive is no
     request. ``state_changing``: a request that may change the plant. ``answers``: ``seq`` of the request that this
     entry answers, or None.
     """
@@ -23,7 +32,8 @@ class JournalEntry(TypedDict):
     connection: int
     direction: Literal["in", "out"]
     kind: str
-    origin: Literal["client", "plant", "kit"]
+    origin: Literal["client", "former", "stranger", "unknown", "plant", "kit"]
     request: bool
     state_changing: bool
     answers: int | None
+    process: NotRequired[OwnerProcess]

@@ -34,9 +34,11 @@ class Draft:
 
     protocol: str
     name: str
-    version: str
+    server_version: str
     command: Sequence[str]
     env: Mapping[str, str]
+    files: Mapping[str, str]
+    era: str | None
     transport_url: str | None
     native: bool
     proposals: Mapping[str, Proposal]
@@ -46,22 +48,32 @@ class Draft:
     left: list[str] = field(default_factory=list)
 
 
-def write_document(draft: Draft) -> str:
+def write_document(draft: Draft, *, into: bool = False) -> str:
     """Return the subject file; add the entries that the user has to fill in to ``draft.left``."""
     form = _form(draft.proposals.values())
-    lines = [
+    head = [
         "# Proposed by `otmcp init`: guessed from names, tried at a mock device. Read every line; docs/subject-file.md says",
         "# what each key means.",
         "",
         "[subject]",
         f"name = {_value(draft.name)}",
-        f"version = {_value(draft.version)}",
+        f"# Fill in the version of your product. The server says {_value(draft.server_version)}, which may be its SDK's.",
+        'version = "unknown"',
         "",
+    ]
+    lines = [
+        *([] if into else head),
         f"[adapter.{draft.protocol}]",
         f"command = {_value(list(draft.command))}",
     ]
+    if not into:
+        draft.left.append("the version of your product")
     if draft.env:
         lines.append(f"env = {_value(dict(draft.env))}")
+    if draft.files:
+        lines.append(f"files = {_value(dict(draft.files))}")
+    if draft.era is not None:
+        lines.append(f"era = {_value(draft.era)}")
     if draft.transport_url is not None:
         lines += ['transport = "http"', f"url = {_value(draft.transport_url)}"]
     lines += [
@@ -148,6 +160,8 @@ def _binding(draft: Draft, operation: str, form: str) -> list[str]:
         ]
     guess = proposal.guess
     body = [f"tool = {_value(guess.tool)}", f"arguments = {_value(dict(guess.arguments))}"]
+    if proposal.blocking:
+        body.append("blocking = true")
     if proposal.offset:
         body.append(f"offset = {_value(dict(proposal.offset))}")
     if guess.convert:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from ..core.errors import SubjectError
 from ..plant.mock_device import MockDevice
 from ..protocols.envelope import check_result
+from ..protocols.journal import Entries
 from ..protocols.registry import protocols
+from ..subject.grammar import LONGEST_RECOVERY_S
 from ..subject.model import READ_WRITE, Adapter, Answering, Connect, Variant
 from ..trial.adapter_under_test import AdapterUnderTest, BenchOptions
 from .document import Draft
@@ -28,9 +31,11 @@ def describe_launch(
     deadline_s: float,
     start_timeout_s: float,
     connect: Connect | None = None,
+    files: Mapping[str, str] | None = None,
+    era: str | None = None,
 ) -> Adapter:
     """Describe an adapter whose launch is all that is known."""
-    variant = Variant(command=tuple(command), env=dict(env), cwd=None, files={})
+    variant = Variant(command=tuple(command), env=dict(env), cwd=None, files=dict(files or {}))
     return Adapter(
         protocol=protocol,
         directory=Path.cwd(),
@@ -40,11 +45,13 @@ def describe_launch(
         unclaimed={},
         connect=connect,
         recovery="same_session",
+        recovery_s=LONGEST_RECOVERY_S,
+        lists={},
         probes={},
         secrets=(),
         transport="stdio" if url is None else "http",
         url=url,
-        era=None,
+        era=era,
         deadline_s=deadline_s,
         start_timeout_s=start_timeout_s,
     )
@@ -76,13 +83,20 @@ async def draft(adapter: Adapter, pack: Pack, device: MockDevice, say: Callable[
             under_test = AdapterUnderTest(replace(adapter, connect=connect), READ_WRITE, device, BenchOptions())
         experimenter = Experimenter(under_test, device, pack.late)
         proposals: dict[str, Proposal] = {}
-        for operation in protocols()[adapter.protocol].operations:
+        # What writes comes last: what was read has to prove first where the adapter leads.
+        for operation, known in sorted(
+            protocols()[adapter.protocol].operations.items(), key=lambda item: item[1].writes
+        ):
+            if known.writes:
+                _refuse_unreached(under_test.endpoint["url"], proposals.values(), (await device.journal(0)).entries)
             guesses = guess_tools(pack, operation, tools)
-            proposal = await experimenter.best(guesses, pack.operations[operation].experiment)
+            experiment = pack.operations[operation].experiment
+            proposal = await experimenter.best(guesses, experiment, writes=known.writes)
             if proposal is not None:
                 proposals[operation] = proposal
             say(_line(operation, proposal))
     finally:
+        legacy = under_test.legacy
         await under_test.close()
     goods = [proposal.good for proposal in proposals.values() if proposal.proven and proposal.good is not None]
     results = [result for good in goods if isinstance(result := good.get("result"), dict)]
@@ -90,15 +104,33 @@ async def draft(adapter: Adapter, pack: Pack, device: MockDevice, say: Callable[
     return Draft(
         protocol=adapter.protocol,
         name=name or Path(adapter.variants["rw"].command[0]).name,
-        version=version or "0",
+        server_version=version,
         command=adapter.variants["rw"].command,
         env=adapter.variants["rw"].env,
+        files=adapter.variants["rw"].files,
+        era="legacy" if legacy else adapter.era,
         transport_url=adapter.url,
         native=native,
         proposals=proposals,
         connect=None if step is None else (step.tool, step.arguments),
         tools=tuple(tools),
         errors=pack.errors,
+    )
+
+
+def _refuse_unreached(url: str, tried: Iterable[Proposal], entries: Entries) -> None:
+    """Stop before anything is written when tools answered and the mock device saw nothing at all.
+
+    Raises:
+        SubjectError: the adapter talks to another device, or to none.
+    """
+    answered = next((proposal for proposal in tried if proposal.good is not None), None)
+    if answered is None or any(entry["origin"] == "client" for entry in entries):
+        return
+    raise SubjectError(
+        "not_proven",
+        f"the adapter does not talk to the mock device at {url}, which saw nothing: {answered.guess.tool}: "
+        f"{answered.evidence[0]}. Nothing was written. Tell the adapter where the device is, with --env NAME={{host}} or in COMMAND",
     )
 
 

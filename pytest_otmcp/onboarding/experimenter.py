@@ -8,7 +8,9 @@ from dataclasses import dataclass, field
 
 from ..core.strict_json import parse_strict
 from ..plant.mock_device import MockDevice
-from ..protocols.journal import JournalEntry
+from ..protocols.journal import JournalEntry, judged
+from ..protocols.oracle import state_changing
+from ..subject.addressing import mentions_address
 from ..subject.answers import read_answer
 from ..subject.model import Answering, Binding
 from ..trial.adapter_under_test import AdapterUnderTest
@@ -24,6 +26,10 @@ _LATE_S = 0.2
 """Seconds to wait for a late journal entry."""
 
 
+class _NotProvenError(Exception):
+    """Nothing may be written: the session may talk to any device; the message says why."""
+
+
 @dataclass(slots=True, kw_only=True)
 class Proposal:
     """A proposed binding and the evidence for it.
@@ -36,6 +42,8 @@ class Proposal:
         outputs: output to its rule.
         good, bad: answers to a call that succeeded and to one that had to fail.
         bad_code: the error code that the latter should have.
+        blocking: the call waits for what it answers.
+        returned: a random value came from the mock device through the tool, or to it.
     """
 
     guess: Guess
@@ -47,6 +55,8 @@ class Proposal:
     good: Mapping[str, object] | None = None
     bad: Mapping[str, object] | None = None
     bad_code: str | None = None
+    blocking: bool = False
+    returned: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,24 +82,31 @@ class Experimenter:
         random: source of values that no adapter can know.
     """
 
-    def __init__(
-        self, adapter: AdapterUnderTest, device: MockDevice, late: Mapping[str, object] | None = None, seed: int = 0
-    ) -> None:
+    def __init__(self, adapter: AdapterUnderTest, device: MockDevice, late: Mapping[str, object] | None = None) -> None:
         """Take an adapter that is configured for the device.
 
         Args:
             late: a journal entry that may follow the answer to a call; see :class:`~pytest_otmcp.onboarding.pack.Pack`.
         """
         self.device = device
-        self.random = random.Random(f"proposal/{seed}")
+        self.random: random.Random = random.SystemRandom()
         self._adapter = adapter
         self._late = late
+        self._read: list[tuple[Proposal, Experiment]] = []
+        self._writing = False
 
-    async def best(self, guesses: list[Guess], experiment: Experiment) -> Proposal | None:
-        """Return the proposal for the first guess that the device confirms, else for the likeliest guess."""
+    async def best(self, guesses: list[Guess], experiment: Experiment, *, writes: bool) -> Proposal | None:
+        """Return the proposal for the first guess that the device confirms, else for the likeliest guess.
+
+        Args:
+            writes: the operation writes: nothing is tried before a read has proven that the adapter talks to the mock device.
+        """
+        self._writing = writes
         tried: list[Proposal] = []
         for variation in (variation for guess in guesses[:_TRIES] for variation in guess.variations()):
             proposal = await self._try(variation, experiment)
+            if not writes and not variation.missing:
+                self._read.append((proposal, experiment))
             if proposal.proven:
                 return proposal
             tried.append(proposal)
@@ -99,7 +116,46 @@ class Experimenter:
         if guess.missing:
             lacking = ", ".join(guess.missing)
             return Proposal(guess=guess, proven=False, evidence=[f"not tried: no idea what to give for {lacking}"])
-        return await experiment(self, guess)
+        try:
+            if self._writing:
+                await self._prove_session(guess)
+            return await experiment(self, guess)
+        except _NotProvenError as problem:
+            return Proposal(guess=guess, proven=False, evidence=[f"not tried, nothing was written: {problem}"])
+
+    async def _prove_session(self, guess: Guess) -> None:
+        """Make sure, before a tool may write, that the session talks to the mock device: with new random values.
+
+        Raises:
+            _NotProvenError: it may talk to any device.
+        """
+        addressed = [proposal for proposal, _ in self._proofs() if mentions_address(proposal.guess.arguments)]
+        if addressed and not mentions_address(guess.arguments) and self._adapter.adapter.connect is None:
+            raise _NotProvenError(
+                f"{addressed[0].guess.tool} is told with each call where the device is, this tool is not"
+            )
+        await self._adapter.open()
+        if self._adapter.cursor.proven is not None:
+            return
+        self._writing = False
+        try:
+            for proposal, experiment in self._proofs():
+                again = await experiment(self, proposal.guess)
+                if again.returned or (again.proven and not proposal.returned):
+                    self._adapter.cursor.proven = proposal.guess.operation
+                    return
+        finally:
+            self._writing = True
+        raise _NotProvenError("no random value that was set at the mock device came back through the adapter")
+
+    def _proofs(self) -> list[tuple[Proposal, Experiment]]:
+        """Return the experiments that prove a session: those through which a random value came.
+
+        Where no tool gives values at all, it has to do that the device saw a call.
+        """
+        returned = [tried for tried in self._read if tried[0].returned]
+        giving = [tried for tried in self._read if tried[1] is not reach]
+        return returned or ([] if giving else [tried for tried in self._read if tried[0].proven])
 
     async def call(self, guess: Guess, offset: Mapping[str, int], **inputs: object) -> Shown:
         """Call the guessed tool and read what reached the device."""
@@ -115,13 +171,18 @@ class Experimenter:
             convert=guess.convert,
         )
         await adapter.open()
-        assert adapter.session is not None
+        if self._writing and adapter.cursor.proven is None:
+            await self._prove_session(guess)
         since = await self.device.mark()
         arguments = binding.fill(inputs, adapter.endpoint)
-        exchange = await adapter.session.call(guess.tool, arguments, timeout_s=1.2 * adapter.deadline_s)
+        timeout_s = 1.2 * adapter.deadline_s
+        exchange = await adapter.call_tool(guess.tool, arguments, writes=self._writing, timeout_s=timeout_s)
         if self._late is not None:
             await self.device.wait(since, dict(self._late), timeout_s=_LATE_S)
-        entries = (await self.device.journal(since)).entries
+        entries = judged((await self.device.journal(since)).entries)
+        if self._writing and not state_changing(entries):
+            # Where did it go?
+            adapter.cursor.withdraw_proof()
         if exchange.response is None:
             return Shown(message=None, entries=entries, words=f"no answer ({exchange.failure})")
         try:
@@ -158,6 +219,7 @@ class Experimenter:
             return
         proposal.form = found.form
         proposal.outputs[output] = found.rule
+        proposal.returned = True
         proposal.evidence.append(f"the value {str(expected)[:60]} of the device was found there")
 
     def locate_echo(self, proposal: Proposal, output: str, expected: object) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import islice, product
 
 __all__ = ["Guess"]
@@ -21,6 +21,7 @@ class Guess:
         convert: input to the type that the tool seems to expect.
         missing: required arguments for which no value is known.
         trials: further arguments, each with values to try.
+        optional: arguments that the tool does not require, with values for the case that it does not work without them.
     """
 
     operation: str
@@ -30,12 +31,22 @@ class Guess:
     convert: Mapping[str, str]
     missing: tuple[str, ...]
     trials: Mapping[str, tuple[str, ...]]
+    optional: Mapping[str, object] = field(default_factory=dict)
 
     def variations(self) -> list[Guess]:
-        """Return one guess for each combination of the values to try; only this guess when there are none to try."""
+        """Return one guess for each combination of the values to try; only this guess when there are none to try.
+
+        Arguments that the tool does not require come last: what is not asked for need not be invented.
+        """
         names = list(self.trials)
-        combinations = islice(product(*self.trials.values()), _MOST_TRIALS)
+        combinations = list(islice(product(*self.trials.values()), _MOST_TRIALS))
         return [
-            replace(self, arguments={**self.arguments, **dict(zip(names, values, strict=True))}, trials={})
+            replace(
+                self,
+                arguments={**self.arguments, **more, **dict(zip(names, values, strict=True))},
+                trials={},
+                optional={},
+            )
+            for more in ([{}, self.optional] if self.optional else [{}])
             for values in combinations
         ]

@@ -27,6 +27,17 @@ _CONNECTIONS = ("tcp:{host}:{port}", "{host}:{port}", "tcp://{host}:{port}", "{u
 """Forms in which a required argument whose name matches ``_CONNECTION`` may expect the device's address."""
 
 
+_WRITES = frozenset("write writes set put publish send force toggle delete execute invoke actuate".split())
+"""Words in the names of tools that write."""
+
+_FOREIGN = re.compile(
+    r"(?<![a-z0-9])(ethercat|sdo|pdo|ethernet.?ip|enip|eip|cip|s7|s7comm|profinet|profibus|bacnet|dnp3|canopen|knx|iec104)"
+    r"(?![a-z0-9])",
+    re.IGNORECASE,
+)
+"""Names of protocols that the kit does not know, in the names and descriptions of tools."""
+
+
 def guess_tools(pack: Pack, operation: str, tools: Mapping[str, Mapping[str, object]]) -> list[Guess]:
     """Guess the tools that may perform the operation, likeliest first."""
     found = [guess for name, tool in tools.items() if (guess := _guess(pack, operation, name, tool)) is not None]
@@ -72,19 +83,36 @@ def _resolved(value: object, definitions: Mapping[str, object], depth: int) -> o
     return value
 
 
+def _is_foreign(protocol: str, name: str, tool: Mapping[str, Any]) -> bool:
+    """Tell whether a tool speaks another protocol: it may reach another device, and is never called."""
+    own, text = protocols()[protocol].recognise, f"{name} {tool.get('description') or ''}"[:400]
+    if own.search(text):
+        return False
+    others = (known.recognise for key, known in protocols().items() if key != protocol)
+    return any(other.search(text) for other in (*others, _FOREIGN))
+
+
+def _may_write(words: set[str], tool: Mapping[str, Any]) -> bool:
+    """Tell whether a tool may write, by its name and by what it says of itself: it is not tried for reading."""
+    return not words.isdisjoint(_WRITES) or (tool.get("annotations") or {}).get("destructiveHint") is True
+
+
 def _guess(pack: Pack, operation: str, name: str, tool: Mapping[str, Any]) -> Guess | None:
     asked, hints = protocols()[pack.protocol].operations[operation], pack.operations[operation]
     words, likely = _words(name), set(hints.likely.split())
     if hints.needed and not words & set(hints.needed.split()):
         return None
+    if _is_foreign(pack.protocol, name, tool) or (not asked.writes and _may_write(words, tool)):
+        return None
     score = 2.0 * len(words & likely) - 3.0 * len(words & set(hints.unlikely.split()))
     score += 0.25 * len(_words(str(tool.get("description") or "")[:400]) & likely)
-    # A call that waits is not proposed: only the adapter's author can say how long it may wait.
     names = {**_ARGUMENTS, **pack.arguments}
     inputs = {name: tuple(names[name].split()) for name in asked.inputs if name in names}
-    arguments, convert = _arguments(pack, hints, inputs, tool)
+    arguments, optional, convert = _arguments(pack, hints, inputs, tool)
     placed = placeholders(arguments)
-    score += 2.0 * len(placed & set(inputs)) - 2.0 * len(set(inputs) - placed - set(asked.optional))
+    # Whether a call waits speaks neither for a tool nor against it.
+    telling = set(inputs) - {asked.waits}
+    score += 2.0 * len(placed & telling) - 2.0 * len(telling - placed - set(asked.optional))
     required = (tool.get("inputSchema") or {}).get("required") or []
     trials = {
         str(argument): values
@@ -105,6 +133,7 @@ def _guess(pack: Pack, operation: str, name: str, tool: Mapping[str, Any]) -> Gu
         convert=convert,
         missing=missing,
         trials=trials,
+        optional=optional,
     )
 
 
@@ -119,9 +148,10 @@ Inputs = Mapping[str, tuple[str, ...]]
 
 def _arguments(
     pack: Pack, hints: Hints, inputs: Inputs, tool: Mapping[str, Any]
-) -> tuple[dict[str, Any], dict[str, str]]:
+) -> tuple[dict[str, Any], dict[str, Any], dict[str, str]]:
     properties = _properties(tool)
     arguments: dict[str, Any] = {}
+    optional: dict[str, Any] = {}
     convert: dict[str, str] = {}
     for name in inputs:
         actual = _named(inputs[name], properties, arguments)
@@ -133,13 +163,13 @@ def _arguments(
     for key, schema in properties.items():
         if key in arguments:
             continue
-        if (choice := _choice(hints, schema)) is not None:
+        choice, constant, endpoint = _choice(hints, schema), _constant(pack, key), _endpoint(key, schema)
+        if choice is not None:
+            # What an enumeration is about, such as a table, has to be said in any case.
             arguments[key] = choice
-        elif (constant := _constant(pack, key)) is not None:
-            arguments[key] = constant
-        elif (endpoint := _endpoint(key, schema)) is not None and (key in required or schema.get("default") is None):
-            arguments[key] = endpoint
-    return arguments, convert
+        elif (value := endpoint if constant is None else constant) is not None:
+            (arguments if key in required else optional)[key] = value
+    return arguments, optional, convert
 
 
 def _named(names: tuple[str, ...], properties: Mapping[str, object], taken: Mapping[str, object]) -> str | None:

@@ -9,6 +9,7 @@ from typing import Protocol
 from ..core.errors import KitError
 from ..protocols.journal import JournalEntry
 from .endpoint import Endpoint
+from .owners import Sessions
 
 __all__ = ["Device", "Journal", "check_kept"]
 
@@ -47,10 +48,12 @@ class Device(Protocol):
         running: True while it serves.
         accepting_ns: monotonic time since which it serves. A TCP port accepts connections then. A UDP port or a pseudo
             terminal accepts nothing; there it is the time at which the device said that it reads its telegrams.
+        sessions: the sessions of adapters that it is there for; its journal says of each entry whose it is.
     """
 
     running: bool
     accepting_ns: int
+    sessions: Sessions
 
     @property
     def endpoints(self) -> Mapping[str, Endpoint]:

@@ -16,17 +16,25 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from ..core.errors import KitError
+from ..core.errors import ExhaustedError, KitError
+from ..core.exhaustion import exhausted
 from ..protocols.journal import JournalEntry
 from ..session.process import subject_environment
 from .device import Journal, check_kept
 from .endpoint import Endpoint, first_port
+from .owners import Peer, PeerProcess, Sessions
 
 __all__ = ["MockDevice"]
 
 _LAUNCH_TIMEOUT_S = 60.0
 _ANSWER_TIMEOUT_S = 20.0
 _LINE_LIMIT = 64 * 1024 * 1024
+_EXHAUSTED = 75
+"""Exit code of a launcher or device that has run out of something: EX_TEMPFAIL of ``sysexits.h``."""
+
+
+class _ClosedError(KitError):
+    """The device has closed its control channel, so it has ended."""
 
 
 class _Control:
@@ -49,12 +57,12 @@ class _Control:
                     waiting.set_result(answer)
         for waiting in self._waiting.values():
             if not waiting.done():
-                waiting.set_exception(KitError(f"the {self._name} mock closed its control channel"))
+                waiting.set_exception(_ClosedError(f"the {self._name} mock closed its control channel"))
         self._waiting.clear()
 
     async def ask(self, op: str, *, answer_within_s: float = _ANSWER_TIMEOUT_S, **fields: object) -> dict[str, Any]:
         if self._pump.done():
-            raise KitError(f"the {self._name} mock closed its control channel (asked for {op!r})")
+            raise _ClosedError(f"the {self._name} mock closed its control channel (asked for {op!r})")
         number = next(self._ids)
         answer: asyncio.Future[dict[str, Any]] = asyncio.get_running_loop().create_future()
         self._waiting[number] = answer
@@ -90,6 +98,7 @@ class MockDevice:
         endpoints: see :class:`~pytest_otmcp.plant.device.Device`.
         running: True while it serves.
         accepting_ns: monotonic time at which its launcher said that it serves.
+        sessions: see :class:`~pytest_otmcp.plant.device.Device`.
     """
 
     def __init__(self, mock: str, protocol: str | None = None) -> None:
@@ -98,9 +107,11 @@ class MockDevice:
         self._launcher: asyncio.subprocess.Process | None = None
         self._control: _Control | None = None
         self._stderr: asyncio.Task[bytes] | None = None
+        self._died: KitError | None = None
         self.endpoints: Mapping[str, Endpoint] = {}
         self.running = False
         self.accepting_ns = 0
+        self.sessions = Sessions()
 
     @property
     def host(self) -> str:
@@ -120,17 +131,22 @@ class MockDevice:
         """Start the mock program and wait until its device serves, with its simulation paused."""
         # A module of the working directory must not replace one that the mock imports.
         command = [sys.executable, "-P", "-m", "pytest_otmcp.mocks", self._mock]
-        self._launcher = await asyncio.create_subprocess_exec(
-            *command,
-            stdin=asyncio.subprocess.PIPE,
-            stdout=asyncio.subprocess.PIPE,
-            stderr=asyncio.subprocess.PIPE,
-            env=subject_environment({}),
-            start_new_session=True,
-        )
-        assert self._launcher.stderr is not None
-        self._stderr = asyncio.create_task(self._launcher.stderr.read(), name=f"otmcp-stderr-{self._name}")
-        await self._ready()
+        try:
+            self._launcher = await asyncio.create_subprocess_exec(
+                *command,
+                stdin=asyncio.subprocess.PIPE,
+                stdout=asyncio.subprocess.PIPE,
+                stderr=asyncio.subprocess.PIPE,
+                env=subject_environment({}),
+                start_new_session=True,
+            )
+            assert self._launcher.stderr is not None
+            self._stderr = asyncio.create_task(self._launcher.stderr.read(), name=f"otmcp-stderr-{self._name}")
+            await self._ready()
+        except (OSError, RuntimeError) as error:
+            if (cure := exhausted(error)) is not None:
+                raise ExhaustedError(f"the {self._name} mock could not be started: {cure}") from error
+            raise
 
     async def _event(self, expected: str) -> dict[str, Any]:
         assert self._launcher is not None
@@ -139,13 +155,34 @@ class MockDevice:
             line = await asyncio.wait_for(self._launcher.stdout.readline(), _LAUNCH_TIMEOUT_S)
         except TimeoutError:
             raise KitError(f"the {self._name} mock said nothing for {_LAUNCH_TIMEOUT_S:g} s") from None
+        if not line and await self._launcher.wait() == _EXHAUSTED:
+            raise self._exhausted()
         if not line:
             stderr = (await self._stderr).decode("utf-8", "replace").strip() if self._stderr else ""
             raise KitError(f"the {self._name} mock ended unexpectedly: {stderr[-800:] or 'nothing on stderr'}")
         event: dict[str, object] = json.loads(line)
+        if event.get("event") == "died" and event.get("exit") == _EXHAUSTED:
+            raise self._exhausted()
         if event.get("event") != expected:
             raise KitError(f"the {self._name} mock said {event} where {expected!r} was expected")
         return event
+
+    async def _death(self, closed: _ClosedError) -> KitError:
+        """Return why a device that was not asked to stop does not answer any more; its launcher says so once."""
+        if self._died is None and self.running:
+            try:
+                await self._event("died")
+            except ExhaustedError as error:
+                self._died = error
+            else:
+                self._died = closed
+        return self._died or closed
+
+    def _exhausted(self) -> ExhaustedError:
+        return ExhaustedError(
+            f"the {self._name} mock ended because it has no file descriptors or memory left; raise the limits of its processes, "
+            "for instance with `ulimit -n 1024`"
+        )
 
     async def _ready(self) -> None:
         ready = await self._event("ready")
@@ -158,9 +195,9 @@ class MockDevice:
 
     async def stop(self) -> None:
         """Kill the device process: its connections break, its TCP ports refuse, its other endpoints do not answer."""
+        self.running = False
         await self._command("stop")
         await self._event("stopped")
-        self.running = False
         if self._control is not None:
             await self._control.close()
             self._control = None
@@ -208,7 +245,10 @@ class MockDevice:
         """
         if self._control is None:
             raise KitError(f"the {self._name} mock is not running (asked for {op!r})")
-        return await self._control.ask(op, answer_within_s=answer_within_s, **fields)
+        try:
+            return await self._control.ask(op, answer_within_s=answer_within_s, **fields)
+        except _ClosedError as error:
+            raise await self._death(error) from None
 
     async def image(self) -> dict[str, Any]:
         """Return what the device really holds."""
@@ -230,7 +270,7 @@ class MockDevice:
         """
         answer = await self.ask("journal", since=since)
         check_kept(since, answer["first"])
-        return Journal(entries=answer["entries"], next=answer["next"])
+        return Journal(entries=self._attributed(answer), next=answer["next"])
 
     async def forget(self, before: int) -> None:
         """Release the entries before ``before`` for good: they have been read."""
@@ -245,17 +285,26 @@ class MockDevice:
         Raises:
             KitError: the oldest entries from ``since`` on were released, or have given way to newer ones.
         """
-        answer = await self.ask(
-            "wait",
-            answer_within_s=timeout_s + _ANSWER_TIMEOUT_S,
-            since=since,
-            match=dict(match),
-            count=count,
-            timeout_s=timeout_s,
-        )
-        check_kept(since, answer["first"])
-        entries: list[JournalEntry] = answer["entries"]
-        return entries
+        # The device does not know whose an entry is.
+        fields = {name: value for name, value in match.items() if name != "origin"}
+
+        async def look(count: int, timeout_s: float) -> list[JournalEntry]:
+            answer = await self.ask(
+                "wait",
+                answer_within_s=timeout_s + _ANSWER_TIMEOUT_S,
+                since=since,
+                match=fields,
+                count=count,
+                timeout_s=timeout_s,
+            )
+            check_kept(since, answer["first"])
+            return self._attributed(answer)
+
+        return await self.sessions.wait(look, match, count=count, timeout_s=timeout_s)
+
+    def _attributed(self, answer: Mapping[str, Any]) -> list[JournalEntry]:
+        peers = {int(number): _peer(peer) for number, peer in answer["peers"].items()}
+        return self.sessions.attribute(answer["entries"], peers)
 
     async def poke(self, **params: object) -> None:
         """Set a value out of band."""
@@ -273,3 +322,9 @@ class MockDevice:
     async def tick(self, steps: int = 1) -> None:
         """Advance the simulation by ``steps`` seconds of plant time."""
         await self.ask("tick", steps=steps)
+
+
+def _peer(told: Mapping[str, Any]) -> Peer:
+    found = told["process"]
+    process = None if found is None else PeerProcess(**{**found, "ancestors": tuple(found["ancestors"])})
+    return Peer(accepted_ns=told["accepted_ns"], process=process, spoke=told["spoke"])

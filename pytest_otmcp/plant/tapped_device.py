@@ -14,6 +14,7 @@ from ..protocols.journal import JournalEntry
 from ..protocols.protocol import Framing
 from .device import Journal, check_kept
 from .endpoint import Endpoint
+from .owners import Sessions
 from .tap.tap import Tap, new_tap
 
 __all__ = ["TappedDevice"]
@@ -43,6 +44,7 @@ class TappedDevice:
         self.endpoints: Mapping[str, Endpoint] = {}
         self.running = False
         self.accepting_ns = 0
+        self.sessions = Sessions()
 
     @property
     def host(self) -> str:
@@ -123,7 +125,7 @@ class TappedDevice:
         """
         journal = self.tap.journal
         check_kept(since, journal.first)
-        return Journal(entries=journal.since(since), next=journal.next)
+        return Journal(entries=self.sessions.attribute(journal.since(since), journal.peers), next=journal.next)
 
     async def forget(self, before: int) -> None:
         """Release the entries before ``before`` for good: they have been read."""
@@ -139,9 +141,15 @@ class TappedDevice:
             KitError: the oldest entries from ``since`` on were released, or have given way to newer ones.
         """
         journal = self.tap.journal
-        entries = await journal.wait(since, match, count, timeout_s)
-        check_kept(since, journal.first)
-        return entries
+        # The tap does not know whose an entry is.
+        fields = {name: value for name, value in match.items() if name != "origin"}
+
+        async def look(count: int, timeout_s: float) -> list[JournalEntry]:
+            entries = await journal.wait(since, fields, count, timeout_s)
+            check_kept(since, journal.first)
+            return self.sessions.attribute(entries, journal.peers)
+
+        return await self.sessions.wait(look, match, count=count, timeout_s=timeout_s)
 
     async def poke(self, **params: object) -> None:
         """Refuse: how to change a device past the tap is a matter of its protocol.

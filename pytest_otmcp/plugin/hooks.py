@@ -7,14 +7,17 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import pytest
 
 from ..core.errors import UsageError
+from ..core.exhaustion import exhausted
 from ..core.matrix import SUITES
+from ..core.verdict import ExitCode
 from ..protocols.own import OWN
 from ..protocols.registry import protocol_keys
 from .collection import (
@@ -40,6 +43,7 @@ from .stash import INTERFERENCE, PLANNED, PROGRESS, RECORDER, RESULT, RUN, SETTI
 
 if TYPE_CHECKING:
     from ..trial.task import Task
+    from .controller import RunRecorder
 
 __all__ = [
     "otmcp_device",
@@ -313,6 +317,16 @@ def pytest_runtest_makereport(
     return report
 
 
+@contextmanager
+def _writable(recorder: RunRecorder) -> Iterator[None]:
+    """End the run with one sentence when its record cannot be written: without a record there is nothing to judge."""
+    try:
+        yield
+    except OSError as error:
+        cure = exhausted(error) or error.strerror or str(error)
+        pytest.exit(f"{recorder.path} cannot be written: {cure}", returncode=ExitCode.INDETERMINATE)
+
+
 class _ResultReceiver:
     """Plugin of the controller that takes the results from the reports of items.
 
@@ -333,7 +347,9 @@ class _ResultReceiver:
         interference = config.stash[INTERFERENCE]
         item = result["item"]
         interference.check_outcome(item["id"], item["status"], report.outcome)
-        if config.stash[RECORDER].add(result, worker.id if worker is not None else "main", facts):
+        with _writable(config.stash[RECORDER]):
+            is_new = config.stash[RECORDER].add(result, worker.id if worker is not None else "main", facts)
+        if is_new:
             config.stash[PROGRESS].show_finished(item, result["measured"])
         else:
             interference.add_repeated(item["id"])
@@ -359,7 +375,8 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
     with ignore_warnings():
         if run is not None:
             if recorder is not None and run.unfinished is not None:
-                recorder.add(run.unfinished, "main", run.facts())
+                with _writable(recorder):
+                    recorder.add(run.unfinished, "main", run.facts())
             run.facts()
             run.close()
         if interference is None:
@@ -371,7 +388,8 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
         limit = config.getoption("maxfail", 0)
         if limit and session.testsfailed >= limit and recorder.missing:
             interference.note(f"the run ended at failure number {limit} (-x or --maxfail)")
-        recorder.finish(interrupted=exitstatus == pytest.ExitCode.INTERRUPTED)
+        with _writable(recorder):
+            recorder.finish(interrupted=exitstatus == pytest.ExitCode.INTERRUPTED)
     session.exitstatus = _exit_status(exitstatus, recorder, session.testsfailed)
 
 
@@ -392,7 +410,8 @@ def pytest_testnodedown(node: Any, error: object) -> None:
     if INTERFERENCE in node.config.stash:
         node.config.stash[INTERFERENCE].note(*output.get(_NARROWED, ()))
     if REFUSED in output:
-        _refuse(UsageError(output[REFUSED]))
+        sentence, code = output[REFUSED]
+        pytest.exit(sentence, returncode=code)
 
 
 def pytest_terminal_summary(terminalreporter: Any, exitstatus: int, config: pytest.Config) -> None:

@@ -10,6 +10,7 @@ from typing import TypedDict
 
 from ..record.consistency import tool_calls
 from ..record.schema import AdapterFacts, Device, Finding, ItemBody, Role, Sample
+from ..record.warnings import Warned, WarningTally, failing
 
 __all__ = ["FailedSample", "ItemResult", "Measured", "Tally", "WorkerFacts"]
 
@@ -31,6 +32,7 @@ class Measured(TypedDict):
     median_ms: float | None
     tool_calls: dict[Role, int]
     failed: list[FailedSample]
+    warnings: list[Warned]
 
 
 class ItemResult(TypedDict):
@@ -53,33 +55,39 @@ class Tally:
     """Running count of the samples of one item.
 
     Args:
+        item: its id.
         suite: of the item.
     """
 
-    def __init__(self, suite: str) -> None:
+    def __init__(self, item: str, suite: str) -> None:
+        self._item = item
         self._suite = suite
         self._durations = array("d")
         self._passed = 0
         self._calls: Counter[Role] = Counter()
         self._failed: list[FailedSample] = []
+        self._warnings = WarningTally()
 
     def add(self, sample: Sample) -> None:
         """Count a sample."""
         self._durations.append(sample["duration_ms"])
         self._passed += sample["ok"]
         self._calls += tool_calls(self._suite, sample["calls"])
+        self._warnings.add(self._item, sample["findings"])
         if not sample["ok"] and len(self._failed) < _FAILED_KEPT:
-            self._failed.append({"repetition": sample["repetition"], "findings": sample["findings"]})
+            self._failed.append({"repetition": sample["repetition"], "findings": failing(sample["findings"])})
 
     def measured(self, item: ItemBody) -> Measured:
         """Return the summary of the samples; tool calls around them are counted, too."""
         calls = self._calls.copy()
         for part in item["around"]:
             calls += tool_calls(self._suite, part["calls"])
+        self._warnings.add(self._item, item["findings"])
         return {
             "samples": len(self._durations),
             "passed": self._passed,
             "median_ms": statistics.median(self._durations) if self._durations else None,
             "tool_calls": dict(calls),
             "failed": self._failed,
+            "warnings": self._warnings.kinds,
         }

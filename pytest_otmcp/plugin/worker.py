@@ -77,6 +77,7 @@ class Run:
                 # A mock that cannot be started is reported by every task that needs it.
                 with suppress(KitError):
                     self._loop.run(self._bench.prepare(wanted))
+                    self._loop.check()
             if drift := self._bench.drift():
                 raise UsageError(f"{self.subject.source}: " + "; ".join(drift))
         return self._loop, self._bench
@@ -98,9 +99,19 @@ class Run:
 
         Raises:
             UsageError: the subject file contradicts the tools that an adapter lists.
+            ExhaustedError: the machine has run out of something before the task could begin.
         """
-        loop, bench = self._start()
+        from ..core.errors import ExhaustedError
+        from ..core.exhaustion import exhausted
 
+        try:
+            return self._execute(task, *self._start())
+        except (OSError, RuntimeError, MemoryError) as error:
+            if (cure := exhausted(error)) is not None:
+                raise ExhaustedError(f"{task.id} could not begin: {cure}") from error
+            raise
+
+    def _execute(self, task: Task, loop: LoopThread, bench: Bench) -> ItemResult:
         from ..record.writer import SampleSpool
         from ..trial.live_driver import LiveDriver
         from ..trial.trial import Trial
@@ -110,7 +121,7 @@ class Run:
         folder.mkdir(parents=True, exist_ok=True)
         # Plugins that repeat tests may execute the same item twice.
         spool = SampleSpool(folder / f"{task.id}-{uuid4().hex}.jsonl")
-        tally, redactor = Tally(task.suite), self._redactor()
+        tally, redactor = Tally(task.id, task.suite), self._redactor()
 
         def keep(sample: Sample) -> None:
             spool.add(redactor.apply(sample))
@@ -125,7 +136,9 @@ class Run:
         driver = LiveDriver(bench, task, seed=self.settings.seed)
         trial = Trial(driver, task, planned, keep=keep, progress=report)
         try:
-            return result(loop.run(trial.run()))
+            item = loop.run(trial.run())
+            loop.check()
+            return result(item)
         except KeyboardInterrupt:
             self.unfinished = result(trial.interrupted())
             raise

@@ -15,6 +15,7 @@ from .conversation import Conversation
 from .external import ExternalDevice
 from .framing import FrameLength
 from .journal import Entries, JournalEntry
+from .proof import Proof
 from .session_oracle import SessionOracle
 
 __all__ = [
@@ -23,6 +24,7 @@ __all__ = [
     "Choice",
     "Colour",
     "Composite",
+    "Declared",
     "Framing",
     "Operation",
     "Origin",
@@ -35,6 +37,10 @@ GUARD = "guard"
 
 RECOVERY = "recovery"
 """Facet: after an outage of the endpoint the same session works again."""
+
+
+Declared = Mapping[str, Sequence[str]]
+"""The lists of its protocol that a subject file has about an adapter, by key."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,8 +57,12 @@ class Operation:
         needed: the outputs without which nothing could be judged.
         writes: the operation changes the state of the plant.
         optional: inputs that a tool may lack; each is a facet of its own, such as ``subscribe.qos``.
+        status: it asks whether the device is reachable, which an adapter may know from a moment ago.
         waits: the input that limits how many seconds a call may wait for the messages that it returns; None where no call
             waits.
+        requirement: id of the requirement that a call breaks which should succeed and does not, or whose outputs are wrong.
+            Default: that the device holds what was written, that the status is true, or that the answer is what the device holds.
+        tells: the output that says whether the device can be reached; where it says ``false``, the device could not.
     """
 
     meaning: str
@@ -61,7 +71,14 @@ class Operation:
     needed: tuple[str, ...] = ()
     writes: bool = False
     optional: tuple[str, ...] = ()
+    status: bool = False
     waits: str | None = None
+    requirement: str = ""
+    tells: str | None = None
+
+    def __post_init__(self) -> None:
+        if not self.requirement:
+            object.__setattr__(self, "requirement", "WR-001" if self.writes else "REC-002" if self.status else "RD-001")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -142,6 +159,10 @@ class Origin:
     digest: str
 
 
+def _assumed(request: JournalEntry, answer: JournalEntry | None) -> bool:
+    return True
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OtProtocol:
     """One OT protocol.
@@ -155,9 +176,12 @@ class OtProtocol:
         composites: facets that tasks need and that are no operation, by name.
         probes: values that tasks ask for where the request must be refused; a subject file may replace each.
         choices: keys that the protocol adds to a subject file.
+        lists: further keys in a subject file whose values are lists of strings, each with its meaning.
         framing: decoding of recorded bytes; None when only the mock can be the witness.
         unsolicited: returns findings for everything in a journal slice that commands the plant, although the adapter was
             asked for nothing.
+        carried_out: tells whether the device did what a state-changing request asked for, from the request and its answer, which
+            is None as long as there is none; None if that cannot be told without the answer.
         describe: describes one journal entry in a few words, for findings and the report.
         title: names a journal entry, for the report's conversations; None where the entry's kind is name enough.
         mock: name of the mock as ``python -m pytest_otmcp.mocks`` takes it: a folder of ``mocks``, or the dotted name of
@@ -173,6 +197,7 @@ class OtProtocol:
         colour: in figures and reports.
         external: the user's device in the mock's place; None when the mock cannot be replaced.
         session_oracles: the oracles that judge the whole life of a session.
+        proof: what shows that a session talks to the mock device, before anything is written through it.
         always: the protocol's items are part of every run, as the paper's matrix has it; otherwise only of runs whose
             subject has an adapter for it.
         origin: None for the kit's own protocols.
@@ -183,16 +208,18 @@ class OtProtocol:
     package: str
     scheme: str
     operations: Mapping[str, Operation]
-    unsolicited: Callable[[Entries], list[Finding]]
+    unsolicited: Callable[[Entries, Declared], list[Finding]]
     describe: Callable[[JournalEntry], str]
     mock: str
     clients: str
     tasks: str
     recognise: re.Pattern[str]
     colour: Colour
+    carried_out: Callable[[JournalEntry, JournalEntry | None], bool | None] = _assumed
     composites: Mapping[str, Composite] = field(default_factory=dict)
     probes: Mapping[str, object] = field(default_factory=dict)
     choices: tuple[Choice, ...] = ()
+    lists: Mapping[str, str] = field(default_factory=dict)
     framing: Framing | None = None
     onboarding: str | None = None
     title: Callable[[JournalEntry], str] | None = None
@@ -201,6 +228,7 @@ class OtProtocol:
     packages: tuple[str, ...] = ()
     external: ExternalDevice | None = None
     session_oracles: tuple[type[SessionOracle], ...] = ()
+    proof: Proof = field(default_factory=Proof)
     always: bool = False
     origin: Origin | None = None
 

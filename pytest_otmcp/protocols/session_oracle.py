@@ -7,12 +7,14 @@ memory grows with the age of the session. A protocol names its oracles in its de
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections import deque
 
 from .journal import JournalEntry
 
-__all__ = ["SessionOracle", "StateChanges"]
+__all__ = ["Exchanges", "SessionOracle", "StateChanges"]
 
 _KEPT = 10
+_ANSWERS_KEPT = 1000
 
 
 class SessionOracle(ABC):
@@ -41,3 +43,19 @@ class StateChanges(SessionOracle):
             self.count += 1
             if len(self.first) < _KEPT:
                 self.first.append(entry)
+
+
+class Exchanges(SessionOracle):
+    """The moments at which the device answered the adapter, as far back as an answer from memory may go."""
+
+    def __init__(self) -> None:
+        self._answered_ns: deque[int] = deque(maxlen=_ANSWERS_KEPT)
+
+    def feed(self, entry: JournalEntry) -> None:
+        """Note the time of an answer."""
+        if entry["answers"] is not None and entry["origin"] == "client":
+            self._answered_ns.append(entry["t_ns"])
+
+    def between(self, begin_ns: int, end_ns: int) -> bool:
+        """Tell whether the device answered in this time."""
+        return any(begin_ns <= moment <= end_ns for moment in self._answered_ns)

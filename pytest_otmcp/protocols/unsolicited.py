@@ -7,12 +7,13 @@ journal is read between the items as well.
 from __future__ import annotations
 
 from ..core.finding import Finding
-from .journal import Entries
+from .journal import Entries, judged
+from .protocol import Declared
 from .registry import protocols
 
 __all__ = ["nothing_commanded"]
 
 
-def nothing_commanded(protocol: str, entries: Entries) -> list[Finding]:
+def nothing_commanded(protocol: str, entries: Entries, declared: Declared) -> list[Finding]:
     """Expect that the adapter sent the device of ``protocol`` nothing that commands the plant."""
-    return protocols()[protocol].unsolicited(entries)
+    return protocols()[protocol].unsolicited(judged(entries), declared)

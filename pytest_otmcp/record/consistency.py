@@ -12,6 +12,7 @@ from datetime import datetime
 from ..core.matrix import SUITES
 from ..core.verdict import Status, Verdict, decide
 from .schema import ROLES, Call, Footer, Header, Item, ItemHead, Role, Sample
+from .warnings import failing
 
 __all__ = ["Contradiction", "RunChecker", "count_calls", "tool_calls"]
 
@@ -62,13 +63,13 @@ class RunChecker:
         for sample in samples:
             if sample["repetition"] != count or count >= item["planned"]:
                 raise Contradiction(f"the repetitions of {name} are not the first of {item['planned']}")
-            if sample["ok"] and sample["findings"]:
+            if sample["ok"] and failing(sample["findings"]):
                 raise Contradiction(f"a repetition of {name} is called ok, but has findings")
             count, good = count + 1, good and sample["ok"]
             self._calls += tool_calls(item["suite"], sample["calls"])
             yield sample
         self._samples += count
-        if item["status"] == Status.PASS and (item["findings"] or count < item["planned"] or not good):
+        if item["status"] == Status.PASS and (failing(item["findings"]) or count < item["planned"] or not good):
             raise Contradiction(f"{name} is called PASS, but not everything of it passed")
 
     def _check_head(self, item: ItemHead) -> None:

@@ -44,12 +44,14 @@ __all__ = [
     "Role",
     "Run",
     "Sample",
+    "SessionProof",
     "SessionRemark",
     "SessionStart",
     "Settings",
     "ShapeError",
     "State",
     "StoredBinding",
+    "Stranger",
     "Subject",
     "check",
 ]
@@ -158,21 +160,28 @@ class StoredBinding(TypedDict):
     offset: dict[str, float]
     names: dict[str, dict[str, Any]]
     convert: dict[str, str]
+    max_age_s: NotRequired[float | None]
 
 
 class AdapterFacts(TypedDict):
     """One adapter under test: what its subject file says, and how its server introduced itself.
 
     ``unclaimed``: facet to the reason why it is not claimed. ``blocking``: operations whose call waits for what it answers.
+    ``recovery_s``: the time within which work goes on after an outage. ``lists``: the lists of the protocol's own keys.
+    ``cached``: operations whose answers may come from a cache, and how old they may be, in seconds.
     ``lacks``: optional inputs that no tool takes. ``probes``: what is asked for where something must be refused.
     ``bindings``: every operation that was used; None for one that a Python function performs. ``unmet``: requirements of the
     envelope that its own answers do not meet. ``unjudged``: outputs that the subject file does not say where to find.
-    The members of the server are None when no session was ever opened.
+    The members of the server are None when no session was ever opened. ``addressed_by``: keys of the subject file that hold the
+    address of the mock device.
     """
 
     command: list[str]
     envelope: Literal["native", "synthesised"]
     recovery: str
+    recovery_s: NotRequired[Deadline]
+    lists: NotRequired[dict[str, list[str]]]
+    cached: NotRequired[dict[str, float]]
     deadline_s: Deadline
     unclaimed: dict[str, str]
     blocking: list[str]
@@ -185,6 +194,7 @@ class AdapterFacts(TypedDict):
     server_version: Name | None
     protocol_version: Name | None
     tools: Count | None
+    addressed_by: NotRequired[list[str]]
 
 
 class Subject(TypedDict):
@@ -371,7 +381,7 @@ class Phases(TypedDict):
     same_session_attempts: Count
     same_session_ok: bool
     fresh_session: float | None
-    fresh_session_ok: bool
+    fresh_session_ok: bool | None
 
 
 class Sample(TypedDict):
@@ -396,13 +406,25 @@ class Around(TypedDict):
     observations: list[Observation]
 
 
+class SessionProof(TypedDict):
+    """How far a session is proven to talk to its mock device.
+
+    ``proven``: the operation whose call proved it, None when none did. ``preferred``: the operation that proved a session of the
+    adapter last. ``refused``: the item that could not prove it, and why; then nothing is written through it.
+    """
+
+    proven: str | None
+    preferred: str | None
+    refused: tuple[str, str] | None
+
+
 class ItemDevice(TypedDict):
     """A device as an item found it.
 
     ``device``: its name in the run's ``devices``. ``begin``: sequence number at which the item began, seen between ``asked_ns``
     and ``seen_ns``. ``starts``: how often the device had been started again before. ``before``: the entries from the end of the
     last item that had the device to this one. ``quiet``: nobody called the adapter meanwhile. ``session``: its session, None when
-    there was none yet.
+    there was none yet. ``proof``: absent as long as no session of the adapter was to be proven.
     """
 
     device: str
@@ -414,6 +436,7 @@ class ItemDevice(TypedDict):
     before: list[JournalEntry]
     quiet: bool
     session: SessionStart | None
+    proof: NotRequired[SessionProof]
 
 
 class SessionRemark(TypedDict):
@@ -426,6 +449,21 @@ class SessionRemark(TypedDict):
     unknown_ids: list[str]
     stray_lines: Count
     first_stray: str
+
+
+class Stranger(TypedDict):
+    """A program other than the adapter under test that was at a device during an item; it was left out of the judgement.
+
+    ``at``: name of the adapter whose device it is. ``origin``: as in the journal's entries. ``program``: its name; None if that
+    cannot be known. ``connections``, ``messages``: how many it made and sent. ``sent``: the first of them in words.
+    """
+
+    at: str
+    origin: Literal["former", "stranger", "unknown"]
+    program: Name | None
+    connections: Count
+    messages: Count
+    sent: list[str]
 
 
 class Ended(TypedDict):
@@ -470,6 +508,7 @@ class ItemBody(TypedDict):
     devices: dict[str, ItemDevice]
     around: list[Around]
     sessions: list[SessionRemark]
+    strangers: NotRequired[list[Stranger]]
     ended: Ended | None
 
 

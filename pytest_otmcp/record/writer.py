@@ -53,8 +53,15 @@ class SampleSpool:
 
     def add(self, sample: Sample) -> None:
         """Append a sample."""
-        with self.path.open("ab") as file:
-            file.write((b",\n   " if self._count else b"\n   ") + dump(sample))
+        content = (b",\n   " if self._count else b"\n   ") + dump(sample)
+        # Unbuffered: what a full disk has torn must not be written again when the file is closed.
+        with self.path.open("ab", buffering=0) as file:
+            begin = file.tell()
+            try:
+                _write(file.fileno(), begin, content)
+            except OSError:
+                file.truncate(begin)
+                raise
         self._count += 1
 
     @staticmethod

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from ..core.strict_json import same_json
 from ..record.schema import Device, ItemDevice, JournalEntry, SessionStart
 from ..trial.cursor import JournalCursor
 from .reply import HistoryError
@@ -52,8 +53,12 @@ class DeviceHistory:
         if found["quiet"] != quiet and not unknown:
             raise HistoryError(f"{self.name} was {'' if quiet else 'not '}left alone since the last item that had it")
         self.has_session(found["session"])
+        proof = found.get("proof")
         if unknown:
             cursor.next = max(cursor.next, found["begin"] - len(found["before"]))
+            cursor.assume(proof)
+        elif not same_json(proof, cursor.proof):
+            raise HistoryError(f"the items before do not show of the session at {self.name} that its proof is {proof}")
         self.looked(found["before"], found["begin"], found["seen_ns"])
         self.take(found["before"], found["begin"], found["asked_ns"])
 

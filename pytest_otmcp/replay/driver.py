@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 
-from ..core.errors import KitError, SubjectError
+from ..core.errors import ExhaustedError, KitError, SubjectError
 from ..core.verdict import Status
 from ..protocols.journal import Entries
+from ..protocols.protocol import Declared
 from ..record.reader import StoredItem
 from ..record.schema import Around, Role, Sample
 from ..subject.model import READ_ONLY
@@ -102,9 +103,13 @@ class ReplayDriver:
             raise HistoryError(f"{' and '.join(missing)} did not take part")
         await self.open_sessions()
 
-    def before(self) -> Sequence[tuple[str, Entries]]:
+    def before(self) -> Sequence[tuple[str, Entries, Declared]]:
         """Return what had reached the devices while nobody called their adapters."""
-        return [(state.protocol, state.found["before"]) for state in self._states if state.found["quiet"]]
+        return [
+            (state.protocol, state.found["before"], state.adapter.facts["lists"])
+            for state in self._states
+            if state.found["quiet"]
+        ]
 
     def repetition(self, rep: int, role: Role) -> Repetition:
         """Return the next stored repetition, ready to be played back."""
@@ -141,7 +146,9 @@ class ReplayDriver:
         message = ended["message"]
         if ended["fault_of"] == "subject":
             return SubjectError(ended["code"], message)
-        return NoBindingError(message) if ended["fault_of"] == "binding" else KitError(message)
+        if ended["fault_of"] == "binding":
+            return NoBindingError(message)
+        return ExhaustedError(message) if ended["code"] == "exhausted" else KitError(message)
 
     async def perform(self, repetition: Repetition, steps: Steps) -> None:
         """Take the steps through the history."""
@@ -149,7 +156,7 @@ class ReplayDriver:
             state.history.cursor.looked_through = False
         try:
             try:
-                await execute(steps, repetition)
+                await execute(self._task, steps, repetition)
             except EndedError:
                 for at in repetition.all:
                     if not at.running:

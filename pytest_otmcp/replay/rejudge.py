@@ -160,6 +160,7 @@ class _Judge:
         yield from found
         if objection is None and not driver.objections:
             yield from _differing(name, shown, head, _OF_ITEM)
+            yield from _differing(name, {"strangers": []} | shown, {"strangers": []} | head, ("strangers",))
             for part, told in zip(shown["around"], head["around"], strict=True):
                 yield from _of_calls(f"{name} {told['role']}", part["calls"], told["calls"])
             yield from _of_findings(name, shown["findings"], head["findings"])
@@ -199,12 +200,17 @@ def _same_question(one: Said, other: Said) -> bool:
 
 
 def _of_findings(where: str, found: Sequence[Said], said: Sequence[Said]) -> Iterator[str]:
-    shown = Counter((finding["code"], finding["message"]) for finding in found)
-    stated = Counter((finding["code"], finding["message"]) for finding in said)
-    for code, message in shown - stated:
-        yield f"{where}: the stored history shows {message!r} ({code}), the record says nothing of it"
-    for code, message in stated - shown:
-        yield f"{where}: the record says {message!r} ({code}), the stored history does not show it"
+    shown = Counter(map(_of_finding, found))
+    stated = Counter(map(_of_finding, said))
+    for kind, message in shown - stated:
+        yield f"{where}: the stored history shows {message!r} ({kind}), the record says nothing of it"
+    for kind, message in stated - shown:
+        yield f"{where}: the record says {message!r} ({kind}), the stored history does not show it"
+
+
+def _of_finding(finding: Said) -> tuple[str, str]:
+    warning = "" if finding["strength"] == "MUST" else ", a warning"
+    return f"{finding['code']}{warning}", finding["message"]
 
 
 def _differing(where: str, found: Said, said: Said, names: Sequence[str]) -> Iterator[str]:

@@ -5,10 +5,11 @@ Each call or observation that the steps ask for must be the next one in the hist
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, cast
 
 from ..core.strict_json import same_json
+from ..protocols.protocol import Declared
 from ..record.images import Images, restore_image
 from ..record.schema import AdapterFacts, Call, DeviceEntry, ItemDevice, Observation
 from ..subject.claims import Claims
@@ -178,11 +179,35 @@ class ReplayRig(Rig):
     def blocks(self, operation: str) -> bool:
         return operation in self._state.adapter.facts["blocking"]
 
+    def max_age_s(self, operation: str) -> float | None:
+        return self._state.adapter.facts["cached"].get(operation)
+
+    @property
+    def recovery_s(self) -> float:
+        return self._state.adapter.facts["recovery_s"]
+
+    @property
+    def declared(self) -> Declared:
+        return self._state.adapter.facts["lists"]
+
     def probe(self, name: str) -> Any:
         return self._state.adapter.facts["probes"][name]
 
     def accepts_input(self, operation: str, name: str) -> bool:
         return f"{operation}.{name}" not in self._state.adapter.facts["lacks"]
+
+    @property
+    def device_url(self) -> str:
+        return self._state.history.facts["placeholders"].get("url", "")
+
+    @property
+    def addressed_by(self) -> Sequence[str]:
+        return self._state.adapter.facts.get("addressed_by", [])
+
+    def _is_bound(self, operation: str, inputs: Mapping[str, object]) -> bool:
+        # An operation that was never used has no bindings in the record: then it was no way to prove anything.
+        cases = self._state.adapter.bindings.get(operation, [])
+        return cases is None or any(case.fits(inputs) for case in cases)
 
     @property
     def running(self) -> bool:
@@ -238,11 +263,11 @@ class ReplayRig(Rig):
             deadline_s=self._state.adapter.deadline_s,
         )
 
-    async def journal(self) -> list[Entry]:
+    async def _journal(self) -> list[Entry]:
         seen = self._seen("journal")
         return self._until(seen["journal"], seen["seen_ns"])
 
-    async def wait_for(self, *, timeout_s: float, count: int = 1, **match: object) -> list[Entry]:
+    async def _wait(self, match: Mapping[str, object], *, timeout_s: float, count: int) -> list[Entry]:
         seen = self._seen("wait")
         found = [
             entry
@@ -256,7 +281,7 @@ class ReplayRig(Rig):
             )
         return found[: seen["wait"]]
 
-    async def session_journal(self) -> list[Entry]:
+    async def _session_journal(self) -> list[Entry]:
         seen = self._seen("session_journal")
         begin, end = seen["session_journal"]
         if begin != self._cursor.began:
@@ -278,7 +303,7 @@ class ReplayRig(Rig):
     async def tick(self, steps: int) -> None:
         pass
 
-    async def _watch(self, seconds: float) -> None:
+    async def pause(self, seconds: float) -> None:
         pass
 
     async def _reconnecting(self) -> None:

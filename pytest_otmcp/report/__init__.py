@@ -14,13 +14,16 @@ from ..core.matrix import SUITES, repetitions
 from ..core.statistics import lower_bound
 from ..protocols.external import external_devices
 from ..record.schema import AdapterFacts, Call, Item, Run
+from ..suite.catalogue import tasks_by_id
 
 __all__ = [
     "Item",
     "Run",
     "adapters",
+    "applied",
     "applies",
     "command",
+    "deadlines",
     "durations",
     "least",
     "phases",
@@ -34,6 +37,19 @@ __all__ = [
 def applies(item: Item) -> bool:
     """Tell whether the subject claims the facets that the item needs."""
     return bool(item["status"] != "NOT_APPLICABLE")
+
+
+def applied(run: Run) -> str:
+    """Say how many items of the suite ran and apply to the subject, of all that there are: what a verdict is about."""
+    ran = {item["id"]: applies(item) for item in run["items"]}
+    total = len({*tasks_by_id(run["subject"]["adapters"]), *ran})
+    return f"{sum(ran.values())} of {total} items applied"
+
+
+def deadlines(run: Run) -> str:
+    """Say within which time each adapter has to answer a call, as the subject file declares it."""
+    told = (f"{protocol} {facts['deadline_s']:g} s" for protocol, facts in adapters(run).items())
+    return ", ".join(told)
 
 
 def tally(items: Iterable[Item]) -> tuple[int, int]:

@@ -1,6 +1,6 @@
 """The capabilities that an adapter has earned, for each protocol, and the items that decided them. Pure.
 
-A capability is earned when every item behind it passed. A capability with a missing item is undecided, not earned: a
+A capability is earned when every item behind it passed, and no finding of any item is about one of its requirements. A capability with a missing item is undecided, not earned: a
 narrowed run can only earn less. The items say which capabilities they are about; the suite says which items there should be.
 """
 
@@ -14,7 +14,9 @@ from ..core.capability import Capability
 from ..core.verdict import Status
 from ..protocols.protocol import GUARD
 from ..protocols.registry import protocols
+from ..record.warnings import failing, findings_of
 from ..suite.catalogue import all_tasks, tasks_by_id
+from ..suite.requirements import requirements
 from . import Item, Run, adapters
 from .families import families
 
@@ -92,19 +94,24 @@ def earned(run: Run) -> list[tuple[Heading, dict[str, Earned]]]:
     Items about no capability that is known here form a capability of their own, so that none of their failures is overlooked.
     """
     wanted, further = _wanted(run)
+    lost = _lost(run)
     items = {item["id"]: item for item in run["items"]}
-    rows = [(heading, wanted[name], _not_claimed(run, heading.facet)) for name, heading in _HEADINGS.items()]
+    rows = [
+        (heading, wanted[name], lost[name], _not_claimed(run, heading.facet)) for name, heading in _HEADINGS.items()
+    ]
     if further:
-        rows.append((_FURTHER, further, set()))
+        rows.append((_FURTHER, further, {}, set()))
     return [
         (
             heading,
             {
-                family: Earned(grade=Grade.NOT_CLAIMED) if family in unclaimed else _grade(ids.get(family, ()), items)
+                family: Earned(grade=Grade.NOT_CLAIMED)
+                if family in unclaimed
+                else _grade(ids.get(family, ()), items, losing.get(family, ()))
                 for family in families(run)
             },
         )
-        for heading, ids, unclaimed in rows
+        for heading, ids, losing, unclaimed in rows
     ]
 
 
@@ -120,6 +127,23 @@ def _wanted(run: Run) -> tuple[dict[str, _Ids], _Ids]:
         for ids in [wanted[name] for name in capabilities if name in wanted] or [further]:
             ids.setdefault(family, []).append(identifier)
     return wanted, further
+
+
+def _lost(run: Run) -> dict[str, _Ids]:
+    """Return the ids of the items with a finding about a requirement of each capability, by family.
+
+    An item about refusing 70000 may find that it was written as 4464: then writing is not earned, whichever items are
+    about writing.
+    """
+    lost: dict[str, _Ids] = {name: {} for name in _HEADINGS}
+    for item in run["items"]:
+        if item["status"] != Status.FAIL:
+            continue
+        broken = {finding["requirement"] for finding in failing(findings_of(item))}
+        rows = [row for name in broken if name is not None and (row := requirements().get(name)) is not None]
+        for name in {capability for row in rows for capability in row.capabilities}:
+            lost[name].setdefault(item["family"], []).append(item["id"])
+    return lost
 
 
 def _capabilities(item: Item) -> Collection[str]:
@@ -139,7 +163,7 @@ def _not_claimed(run: Run, facet: str | None) -> set[str]:
     }
 
 
-def _grade(wanted: Sequence[str], items: Mapping[str, Item]) -> Earned:
+def _grade(wanted: Sequence[str], items: Mapping[str, Item], losing: Sequence[str]) -> Earned:
     statuses = {name: items[name]["status"] if name in items else None for name in wanted}
 
     def select(*found: Status | None) -> tuple[str, ...]:
@@ -149,7 +173,9 @@ def _grade(wanted: Sequence[str], items: Mapping[str, Item]) -> Earned:
     if not wanted:
         return Earned(grade=Grade.NOT_TESTED)
     if failed := select(Status.FAIL, Status.NOT_TESTABLE):
-        return Earned(grade=Grade.NOT_EARNED, because=failed, without=unclaimed)
+        return Earned(grade=Grade.NOT_EARNED, because=tuple(dict.fromkeys((*failed, *losing))), without=unclaimed)
+    if losing and len(unclaimed) < len(wanted):
+        return Earned(grade=Grade.NOT_EARNED, because=tuple(losing), without=unclaimed)
     if undecided := select(Status.KIT_ERROR, Status.INTERRUPTED, None):
         return Earned(grade=Grade.UNDECIDED, because=undecided, without=unclaimed)
     if passed := select(Status.PASS):

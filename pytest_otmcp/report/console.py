@@ -12,7 +12,10 @@ from collections.abc import Iterator
 from ..core.matrix import SUITES
 from ..core.statistics import mean, mean_interval, percentile
 from ..record.consistency import count_calls
-from . import Item, Run, applies, durations, least, phases, recovered, tally, timing_valid
+from ..record.warnings import said, warnings
+from . import Item, Run, applied, deadlines, durations, least, phases, recovered, tally, timing_valid
+from .findings import cited, faults, subject_keys
+from .strangers import strangers
 from .text import count, interval, number, printable, shortened
 
 __all__ = ["summary"]
@@ -45,7 +48,16 @@ def summary(run: Run, width: int = 100) -> list[Line]:
         if items:
             table = _recovery(run, items, width) if suite == "recovery" else _suite(run, suite, items, width)
             lines += [("", "plain"), *table]
-    return [*lines, ("", "plain"), *_findings(run, width), *_counts(run, width), *_narrowed(run, width), _verdict(run)]
+    return [
+        *lines,
+        ("", "plain"),
+        *_findings(run, width),
+        *_warnings(run, width),
+        *_counts(run, width),
+        *_narrowed(run, width),
+        *_strangers(run, width),
+        _verdict(run),
+    ]
 
 
 def _suite(run: Run, suite: str, items: list[Item], width: int) -> Iterator[Line]:
@@ -98,22 +110,37 @@ def _wrapped(text: str, width: int, indent: str) -> Iterator[str]:
 
 
 def _findings(run: Run, width: int) -> Iterator[Line]:
-    failing = [item for item in run["items"] if item["status"] not in ("PASS", "NOT_APPLICABLE")]
-    if not failing:
+    failed = [item for item in run["items"] if item["status"] not in ("PASS", "NOT_APPLICABLE")]
+    if not failed:
         return
     yield "findings", "head"
-    for item in failing:
+    for item in failed:
         yield shortened(f"  {item['id']} {item['status']}: {item['title']}", width), "bad"
-        shown = [("", finding) for finding in item["findings"]]
-        for sample in item["samples"]:
-            where = f"rep {sample['repetition'] + 1}/{item['planned']}: "
-            shown += [(where, finding) for finding in sample["findings"]]
-        for where, finding in shown[:_SHOWN_FINDINGS]:
-            rule = f" [{finding['requirement']}]" if finding.get("requirement") else ""
-            for line in _wrapped(f"      {where}{finding['message']}{rule}", width, "        "):
-                yield line, "plain"
+        shown = faults(item)
+        texts = [
+            f"{fault.where(item['planned'])}{fault.finding['message']} [{cited(fault.finding)}]" for fault in shown
+        ]
+        texts = texts[:_SHOWN_FINDINGS]
         if len(shown) > _SHOWN_FINDINGS:
-            yield f"      and {len(shown) - _SHOWN_FINDINGS} more in run.json", "plain"
+            texts.append(f"and {len(shown) - _SHOWN_FINDINGS} more in run.json")
+        if item["reason"] and (item["status"] == "KIT_ERROR" or not shown):
+            texts.insert(0, item["reason"])
+        texts += [f"in the subject file: {key}" for key in subject_keys(item)]
+        for text in texts:
+            for line in _wrapped(f"      {text}", width, "        "):
+                yield line, "plain"
+    yield "  otmcp explain says what an item, or an id in brackets, means", "plain"
+    yield "", "plain"
+
+
+def _warnings(run: Run, width: int) -> Iterator[Line]:
+    found = warnings(run["items"])
+    if not found:
+        return
+    yield "warnings", "head"
+    for one in found:
+        for line in _wrapped(f"  {said(one)}", width, "    "):
+            yield line, "plain"
     yield "", "plain"
 
 
@@ -133,6 +160,8 @@ def _counts(run: Run, width: int) -> Iterator[Line]:
         outside = 100 * (1 - sum(spent.get(what, 0.0) for what in _BENCHMARK) / total)
         texts.append(f"{footer['elapsed_s']:.1f} s: {', '.join(parts)}")
         texts.append(f"{outside:.0f} % of that outside of tool calls, endpoint restarts and fresh sessions")
+    if told := deadlines(run):
+        texts.append(f"deadlines of a call: {told}")
     if not timing_valid(run):
         texts.append("latencies withheld: the run was parallel, so they measure the neighbours too")
     for text in texts:
@@ -146,12 +175,18 @@ def _narrowed(run: Run, width: int) -> Iterator[Line]:
             yield line, "bad"
 
 
+def _strangers(run: Run, width: int) -> Iterator[Line]:
+    for sentence in strangers(run):
+        for line in _wrapped(f"note: {sentence}", width, "  "):
+            yield line, "plain"
+
+
 def _verdict(run: Run) -> Line:
     footer, items = run["footer"], run["items"]
     good, planned = tally(items)
-    note = f"{good}/{planned} runs passed in {len(items)} items"
-    if unclaimed := sum(not applies(item) for item in items):
-        note += f", {unclaimed} of them not applicable"
+    note = f"{applied(run)}, {good}/{planned} runs passed"
+    if found := len(warnings(items)):
+        note += f", {found} warning{'s' if found > 1 else ''}"
     if footer.get("reason"):
         note += f"; {footer['reason']}"
     verdict = footer.get("verdict", "INCOMPLETE")

@@ -12,12 +12,13 @@ from typing import Any
 
 from markupsafe import escape
 
-from ..record.schema import Finding
+from ..record.warnings import failing
 from . import Item, Run, command
 from .exchange import Event, conversation
+from .findings import subject_keys
 from .text import clipped
 
-__all__ = ["Evidence", "Failure", "failures", "findings_of"]
+__all__ = ["Evidence", "Failure", "failures"]
 
 _LETTERS = 6_000_000
 """Letters of evidence, as HTML has them: items after so many are shown with their first findings only."""
@@ -45,7 +46,7 @@ class Evidence:
 
     Attributes:
         command: shell command that runs this part again.
-        findings: with ``message``, ``requirement`` and ``evidence``.
+        findings: with ``message``, ``requirement``, ``code`` and ``evidence``.
         more_findings: number of findings that are not shown.
         events: the conversation; see :func:`pytest_otmcp.report.exchange.conversation`.
     """
@@ -68,10 +69,15 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Failure:
-    """An item that did not pass, with the evidence that is shown, and a note on the evidence that is not."""
+    """An item that did not pass, with the evidence that is shown, and a note on the evidence that is not.
+
+    Attributes:
+        keys: keys of the subject file that may be why, each with its meaning.
+    """
 
     item: Item
     evidence: list[Evidence]
+    keys: list[str]
     note: str
 
 
@@ -87,24 +93,20 @@ def failures(run: Run) -> list[Failure]:
     return found
 
 
-def findings_of(item: Item) -> list[Finding]:
-    """Return all findings of an item: those of its repetitions and its own."""
-    return [*(finding for sample in item["samples"] for finding in sample["findings"]), *item["findings"]]
-
-
 def _failure(run: Run, item: Item, limits: _Limits) -> Failure:
     # The same fault in thirty repetitions is one fault: one repetition of each kind of failure is shown.
     kinds: dict[tuple[str, ...], list[int]] = {}
     for index, sample in enumerate(item["samples"]):
         if not sample["ok"]:
-            kind = tuple(sorted({f"{finding['code']} {finding.get('requirement')}" for finding in sample["findings"]}))
+            found = failing(sample["findings"])
+            kind = tuple(sorted({f"{finding['code']} {finding.get('requirement')}" for finding in found}))
             kinds.setdefault(kind, []).append(index)
     evidence = [_repetition(run, item, alike, limits) for alike in list(kinds.values())[:_REPETITIONS]]
-    if item["findings"]:
+    if own := failing(item["findings"]):
         calls = [call for part in item["around"] for call in part["calls"] if call.get("frames")]
         device = [entry for part in item["around"] for entry in part["device"]]
         title = "Before, between and after the repetitions"
-        evidence.append(_evidence(title, command(run, item), item["findings"], calls, device, limits))
+        evidence.append(_evidence(title, command(run, item), own, calls, device, limits))
     notes = []
     if len(kinds) > _REPETITIONS:
         notes.append(f"{len(kinds) - _REPETITIONS} more kinds of failing repetitions are in run.json.")
@@ -112,7 +114,7 @@ def _failure(run: Run, item: Item, limits: _Limits) -> Failure:
         notes.append(f"{missing} of {item['planned']} repetitions did not run.")
     if not limits.conversation:
         notes.append("What was said and seen is in run.json.")
-    return Failure(item=item, evidence=evidence, note=" ".join(notes))
+    return Failure(item=item, evidence=evidence, keys=subject_keys(item), note=" ".join(notes))
 
 
 def _repetition(run: Run, item: Item, alike: Sequence[int], limits: _Limits) -> Evidence:
@@ -121,7 +123,7 @@ def _repetition(run: Run, item: Item, alike: Sequence[int], limits: _Limits) -> 
     if len(alike) > 1:
         title += f", and {len(alike) - 1} more like it"
     again = command(run, item, alike[0])
-    return _evidence(title, again, sample["findings"], sample["calls"], sample.get("device", []), limits)
+    return _evidence(title, again, failing(sample["findings"]), sample["calls"], sample.get("device", []), limits)
 
 
 def _evidence(
@@ -136,6 +138,7 @@ def _evidence(
         {
             "message": clipped(finding["message"], limits.letters),
             "requirement": finding.get("requirement"),
+            "code": finding["code"],
             "evidence": clipped(str(finding.get("evidence") or ""), limits.letters),
         }
         for finding in findings[: limits.findings]

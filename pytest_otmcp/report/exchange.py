@@ -38,6 +38,7 @@ _ROLES = {
     "warmup": "warm-up",
     "recovery": "while recovering",
 }
+_LEFT_OUT = frozenset({"stranger", "former", "unknown"})
 _PLACED = frozenset({"protocol", "variant", *JournalEntry.__annotations__})
 """Members of an entry that are not listed among its facts: its place in the conversation shows them."""
 
@@ -166,6 +167,8 @@ def _more(wanted: bool, *pairs: tuple[str, object]) -> tuple[tuple[str, str], ..
 
 def _entry(entry: Mapping[str, object]) -> Event:
     who = f"{entry.get('protocol', '')} device, connection {entry.get('connection')}"
+    if (origin := entry.get("origin")) in _LEFT_OUT:
+        who += f" ({origin})"
     if entry.get("variant"):
         who += " (writes disabled)"
     facts = [f"{key}={_fact(key, value)}" for key, value in entry.items() if key not in _PLACED and value is not None]

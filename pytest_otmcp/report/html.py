@@ -19,12 +19,15 @@ from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
 from ..core.matrix import SUITES
-from . import Item, Run, command, overview, tally, timing_valid
+from ..record.warnings import warnings
+from ..suite.requirements import requirements
+from . import Item, Run, applied, command, deadlines, overview, tally, timing_valid
 from .capabilities import earned
 from .drawings import latencies, recovery, strip
 from .evidence import failures
 from .families import families, style_sheet
 from .limits import narrowed
+from .strangers import strangers
 from .text import clipped, printable
 
 __all__ = ["page", "write_html"]
@@ -73,9 +76,15 @@ def page(run: Run) -> str:
         verdict=verdict,
         tone=_TONES.get(verdict, "open"),
         sentence=_SENTENCES.get(verdict, ""),
+        applied=applied(run),
+        deadlines=deadlines(run),
+        rules=_rules(overview.requirements(run)),
+        catalogue=requirements(),
         good=good,
         planned=planned,
+        warnings=warnings(run["items"]),
         narrowed=narrowed(run),
+        strangers=strangers(run),
         deviations=overview.deviations(run),
         families=families(run),
         capabilities=earned(run),
@@ -115,6 +124,11 @@ def _shown(value: object) -> Any:
     if not isinstance(value, str) or isinstance(value, Markup):
         return value
     return printable(clipped(value, _LONGEST), keep="\n\t")
+
+
+def _rules(rows: Iterable[tuple[str, object]]) -> dict[str, str]:
+    """Map each requirement that the run says something about to its anchor on the page."""
+    return {name: f"rule-{name}" if name in requirements() else f"rule_{index}" for index, (name, _) in enumerate(rows)}
 
 
 def _anchors(items: Iterable[Item]) -> dict[str, str]:

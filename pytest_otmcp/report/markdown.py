@@ -11,12 +11,15 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from ..core.matrix import SUITES
-from . import Item, Run, command, tally
+from ..record.warnings import said, warnings
+from . import Item, Run, applied, command, deadlines, tally
 from .capabilities import earned
-from .evidence import failures, findings_of
+from .evidence import failures
 from .families import families
+from .findings import cited, faults, subject_keys
 from .limits import narrowed
 from .overview import deviations, tasks
+from .strangers import strangers
 from .text import printable
 
 __all__ = ["code", "escape", "summary", "write_markdown"]
@@ -68,9 +71,12 @@ def summary(run: Run) -> str:
     lines = [
         f"## {'✅' if verdict == 'CONFORMANT' else '❌'} {escape(verdict)}: {code(name)}",
         "",
-        f"**{good}** of **{planned}** repetitions passed in {len(items)} items.",
+        f"**{applied(run)}**, **{good}** of **{planned}** repetitions passed.",
         "",
+        *(f"- warning: {code(said(one))}" for one in warnings(items)),
+        *(f"- deadlines of a call: {escape(told)}" for told in [deadlines(run)] if told),
         *(f"- {escape(reason)}" for reason in narrowed(run)),
+        *(f"- Note: {escape(sentence)}." for sentence in strangers(run)),
         *(
             f"- known deviation {escape(one.item)}: {code(one.reason)}, until {escape(one.expires)}; {one.state}"
             for one in deviations(run)
@@ -119,14 +125,14 @@ def _findings(run: Run) -> Iterator[str]:
 
 def _finding(run: Run, item: Item) -> Iterator[str]:
     yield f"- **{escape(item['id'])}** {escape(item['status'])}: {escape(item['title'])}"
-    # A message that several repetitions share is listed once.
-    messages = list(
-        dict.fromkeys((finding["message"], finding.get("requirement") or "") for finding in findings_of(item))
-    )
-    for message, requirement in messages[:_FINDINGS]:
-        yield f"  - {code(message)}" + (f" {escape(requirement)}" if requirement else "")
-    if len(messages) > _FINDINGS:
-        yield f"  - {len(messages) - _FINDINGS} more findings; see report.html"
+    found = faults(item)
+    for fault in found[:_FINDINGS]:
+        yield f"  - {code(fault.finding['message'])} {escape(cited(fault.finding))}"
+    if len(found) > _FINDINGS:
+        yield f"  - {len(found) - _FINDINGS} more findings; see report.html"
+    if not found and item["reason"]:
+        yield f"  - {code(item['reason'])}"
+    yield from (f"  - in the subject file: {code(key)}" for key in subject_keys(item))
     first = next((sample["repetition"] for sample in item["samples"] if not sample["ok"]), 0)
     yield f"  - again: {code(command(run, item, first))}"
 

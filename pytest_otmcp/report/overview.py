@@ -18,9 +18,9 @@ from ..core.statistics import (
     percentile,
     standard_deviation,
 )
+from ..record.warnings import failing, findings_of
 from . import Item, Run, durations, least, phases, recovered, tally
 from . import adapters as having_sessions
-from .evidence import findings_of
 from .text import count, interval, number
 
 __all__ = [
@@ -39,6 +39,8 @@ __all__ = [
 ]
 
 NONE = "—"
+PAPERS_WINDOW_MS = 1000.0
+"""How long after a restart the paper lets a call fail; the verdict allows what the subject declares."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,6 +81,7 @@ class Adapter:
     server: str
     revision: str
     tools: str
+    deadline: str
     command: str
     notes: tuple[str, ...]
 
@@ -110,7 +113,7 @@ def requirements(run: Run) -> list[tuple[str, dict[str, Cell]]]:
     """
     found: dict[str, dict[str, dict[str, str]]] = {}
     for item in run["items"]:
-        broken = {requirement for finding in findings_of(item) if (requirement := finding["requirement"])}
+        broken = {requirement for finding in failing(findings_of(item)) if (requirement := finding["requirement"])}
         for name in [*item.get("requirements", ()), *sorted(broken)]:
             state = "violated" if name in broken else "passed" if item["status"] == "PASS" else "not shown"
             if item["status"] == "NOT_APPLICABLE":
@@ -130,18 +133,32 @@ def _cell(items: Mapping[str, str]) -> Cell:
 
 
 def recovery_rows(run: Run) -> list[tuple[str, ...]]:
-    """Return, by item: id, family, median detection, and rate and median of the same session and of a fresh session."""
+    """Return a row for each item with outages: id, family, median detection, rate and median of the same session, how often
+    that was within the paper's window, and rate and median of a fresh session."""
     rows: list[tuple[str, ...]] = []
     for item in run["items"]:
-        if item["suite"] == "recovery":
-            cells = [item["id"], item["family"], _number(percentile(phases(run, item, "detect"), 50))]
-            for way in ("same_session", "fresh_session"):
-                good, total = recovered([item], way)
-                bound = lower_bound(good, total)
-                cells.append(_count(good, total) + (f", at least {100 * bound:.1f} %" if bound is not None else ""))
-                cells.append(_number(percentile(phases(run, item, way), 50)))
-            rows.append(tuple(cells))
+        if item["suite"] == "recovery" or any(sample["phases"] for sample in item["samples"]):
+            same, fresh = (phases(run, item, way) for way in ("same_session", "fresh_session"))
+            rows.append(
+                (
+                    item["id"],
+                    item["family"],
+                    _number(percentile(phases(run, item, "detect"), 50)),
+                    _rate(item, "same_session"),
+                    _number(percentile(same, 50)),
+                    _count(sum(time_ms <= PAPERS_WINDOW_MS for time_ms in same), len(same)),
+                    # After a restart between calls no fresh session is tried.
+                    _rate(item, "fresh_session") if item["suite"] == "recovery" else NONE,
+                    _number(percentile(fresh, 50)),
+                )
+            )
     return rows
+
+
+def _rate(item: Item, way: str) -> str:
+    good, total = recovered([item], way)
+    bound = lower_bound(good, total)
+    return _count(good, total) + (f", at least {100 * bound:.1f} %" if bound is not None else "")
 
 
 def statistics(run: Run) -> list[tuple[str, ...]]:
@@ -202,11 +219,16 @@ def _adapter(protocol: str, facts: Mapping[str, Any]) -> Adapter:
     if unjudged := facts.get("unjudged"):
         notes.append(f"Not found in its answers, so not judged: {', '.join(unjudged)}.")
     notes += [f"Does not claim {facet}: {reason}." for facet, reason in facts.get("unclaimed", {}).items()]
+    if "recovery_s" in facts:
+        notes.append(f"Has {facts['recovery_s']:g} s to work again after an outage.")
+    for operation, seconds in facts.get("cached", {}).items():
+        notes.append(f"Declares that {operation} may be known from up to {seconds:g} s ago.")
     return Adapter(
         protocol=protocol,
         server=f"{facts.get('server_name') or NONE} {facts.get('server_version') or ''}",
         revision=str(facts.get("protocol_version") or NONE),
         tools=str(facts.get("tools", NONE)),
+        deadline=f"{facts['deadline_s']:g}",
         command=" ".join(facts.get("command", ())) or NONE,
         notes=tuple(notes),
     )

@@ -17,6 +17,7 @@ from urllib.parse import urlsplit
 import httpx2
 from mcp.client.streamable_http import streamable_http_client
 
+from ..core.exhaustion import exhausted
 from .frames import FrameRecorder
 from .process import MAX_FRAME_BYTES, StopReport, SubjectProcess
 
@@ -91,7 +92,9 @@ class HttpTransport:
         while not process.exited.is_set():
             try:
                 _, writer = await asyncio.open_connection(parts.hostname, parts.port or 80)
-            except OSError:
+            except OSError as error:
+                if exhausted(error) is not None:
+                    raise
                 await asyncio.sleep(_POLL_S)
                 continue
             writer.close()

@@ -12,7 +12,10 @@ import threading
 from collections.abc import Coroutine
 from concurrent.futures import CancelledError, Future
 from contextvars import Context
-from typing import TypeVar
+from typing import Any, TypeVar
+
+from ..core.errors import ExhaustedError
+from ..core.exhaustion import exhausted
 
 __all__ = ["LoopThread"]
 
@@ -28,6 +31,8 @@ class LoopThread:
 
     def __init__(self) -> None:
         self._loop = asyncio.new_event_loop()
+        self._loop.set_exception_handler(self._note_exhaustion)
+        self._exhaustion: str | None = None
         self._thread = threading.Thread(target=self._serve, name="otmcp-loop", daemon=True)
         self._thread.start()
 
@@ -39,6 +44,25 @@ class LoopThread:
             self._loop.run_until_complete(self._loop.shutdown_asyncgens())
             asyncio.set_event_loop(None)
             self._loop.close()
+
+    def _note_exhaustion(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        """Keep what no task has handled, where it is the machine's fault: a tap that cannot accept a connection, for instance,
+        tells nobody else, and its silence would be held against the adapter."""
+        cure = exhausted(context["exception"]) if isinstance(context.get("exception"), Exception) else None
+        if cure is None:
+            loop.default_exception_handler(context)
+        else:
+            self._exhaustion = cure
+
+    def check(self) -> None:
+        """Tell what the machine has run out of since the last time that this was asked.
+
+        Raises:
+            ExhaustedError: it has.
+        """
+        cure, self._exhaustion = self._exhaustion, None
+        if cure is not None:
+            raise ExhaustedError(cure)
 
     def run(self, work: Coroutine[object, object, T]) -> T:
         """Run ``work`` on the loop and return its result.

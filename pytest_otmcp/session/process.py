@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import os
 import signal
 import sys
@@ -18,10 +19,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
+from ..core.errors import ExhaustedError, KitError
+from ..core.exhaustion import exhausted
+
 __all__ = ["MAX_FRAME_BYTES", "StopReport", "SubjectProcess", "subject_environment"]
 
 MAX_FRAME_BYTES = 16 * 1024 * 1024
 """Length of the longest line on stdout that is read to its end; no OT reply has a reason to be longer."""
+
+_OF_THE_COMMAND = (errno.ENOENT, errno.EACCES, errno.ENOEXEC, errno.ENOTDIR)
+"""What the system says when the command is wrong; whatever else it says is about the kit's machine."""
 
 _SETTLE_S = 3.0
 _STDERR_LINES = 60
@@ -36,10 +43,14 @@ _INHERITED = (
 ).split()
 
 
+# What a subject prints on stdout is to be seen when it is printed, not when a buffer is full.
+_ALWAYS = {"PYTHONUNBUFFERED": "1"}
+
+
 def subject_environment(declared: Mapping[str, str]) -> dict[str, str]:
     """Return the environment of a subject: a short allow-list from the kit's own, and the variables that it declares."""
     inherited = {name: os.environ[name] for name in _INHERITED if name in os.environ}
-    return inherited | dict(declared)
+    return inherited | _ALWAYS | dict(declared)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -144,12 +155,20 @@ class SubjectProcess:
 
         Raises:
             OSError: the command cannot be executed.
+            KitError: no process could be started, for a reason that is not the command's.
         """
         loop = asyncio.get_running_loop()
         options: dict[str, Any] = {"start_new_session": True} if os.name == "posix" else {}
-        transport, pipes = await loop.subprocess_exec(
-            lambda: _Pipes(on_line, on_overflow), *command, env=dict(env), cwd=cwd, **options
-        )
+        try:
+            transport, pipes = await loop.subprocess_exec(
+                lambda: _Pipes(on_line, on_overflow), *command, env=dict(env), cwd=cwd, **options
+            )
+        except Exception as error:
+            if (cure := exhausted(error)) is not None:
+                raise ExhaustedError(f"the adapter could not be started: {cure}") from error
+            if isinstance(error, OSError) and error.errno not in _OF_THE_COMMAND:
+                raise KitError(f"the adapter could not be started: {error}") from error
+            raise
         return cls(transport, pipes)
 
     @property

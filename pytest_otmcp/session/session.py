@@ -20,11 +20,12 @@ from mcp import Client, MCPError
 from mcp.types import RequestParamsMeta
 from pydantic import ValidationError
 
-from ..core.errors import SubjectError
+from ..core.errors import ExhaustedError, KitError, SubjectError
+from ..core.exhaustion import exhausted
 from .exchange import Exchange
 from .frames import MAX_STRAY_LINES, META_KEY, FrameRecorder, Measurement
 from .http import HttpTransport
-from .process import MAX_FRAME_BYTES, StopReport
+from .process import MAX_FRAME_BYTES, StopReport, subject_environment
 from .stdio import StdioTransport
 
 __all__ = ["McpSession", "SessionOptions"]
@@ -61,6 +62,7 @@ class McpSession:
         self._options = options
         self._recorder = FrameRecorder()
         self._transport: StdioTransport | HttpTransport
+        env = subject_environment(env)
         if options.url is None:
             self._transport = StdioTransport(command, env, cwd, self._recorder, options.exit_grace_s)
         else:
@@ -89,6 +91,7 @@ class McpSession:
         Raises:
             SubjectError: the command cannot be run, the process ended, or it did not answer in time; the message
                 carries its last stderr lines. The process has ended when this is raised.
+            KitError: no process could be started, for a reason that is not the adapter's.
         """
         ready: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self.spawned_ns = time.monotonic_ns()
@@ -108,8 +111,10 @@ class McpSession:
             raise
         except BaseException as error:
             await self.close()
-            if isinstance(error, SubjectError):
+            if isinstance(error, SubjectError | KitError):
                 raise
+            if (cure := exhausted(error)) is not None:
+                raise ExhaustedError(f"no session could be opened with the adapter: {cure}") from error
             raise SubjectError("cannot_start", self._explain_failed_start(error)) from error
         self.ready_ns = time.monotonic_ns()
 
@@ -226,6 +231,12 @@ class McpSession:
             asked_ns=asked_ns,
             returned_ns=returned_ns,
         )
+
+    @property
+    def pid(self) -> int | None:
+        """Number of the process; None as long as it has not been started."""
+        process = self._transport.process
+        return None if process is None else process.pid
 
     @property
     def died(self) -> bool:

@@ -128,6 +128,8 @@ def interpret(message: Mapping[str, object], answering: Answering) -> Answer:
         ):
             success = rule.success
             break
+    else:
+        success = success and not _admits_failure(document)
     if "error" in message:
         # A JSON-RPC error has no result that could be a success, so no rule can make it one.
         success = False
@@ -136,6 +138,20 @@ def interpret(message: Mapping[str, object], answering: Answering) -> Answer:
     failure = text or json.dumps(document, ensure_ascii=False, default=str)
     code = next((rule.code for rule in answering.errors if re.search(rule.text, failure)), UNCLASSIFIED)
     return Answer(success=False, document=document, text=failure, code=code)
+
+
+def _admits_failure(document: object) -> bool:
+    """Tell whether a structured answer says of itself that it is a failure; rules of the subject file come first."""
+    if isinstance(document, Mapping) and list(document) == ["result"]:
+        # The SDKs wrap some results in this way.
+        document = document["result"]
+    if not isinstance(document, Mapping):
+        return False
+    for name in ("success", "ok"):
+        if isinstance(document.get(name), bool):
+            return document[name] is False
+    error = document.get("error")
+    return isinstance(error, str | Mapping) and bool(error)
 
 
 def _is_true(value: object) -> bool:

@@ -7,11 +7,12 @@ would be reported as a finding.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
+from .addressing import mentions_address
 from .claims import Claims
-from .model import Adapter
+from .model import Adapter, placeholders
 
 __all__ = ["check_bindings"]
 
@@ -53,9 +54,45 @@ def _compare(
             near = difflib.get_close_matches(argument, properties, 1)
             hint = f"did you mean {near[0]!r}?" if near else f"it takes {', '.join(properties) or 'none'}"
             yield f"{where}.arguments.{argument}: the tool {tool!r} has no such argument; {hint}"
+    for argument, value in arguments.items():
+        if (
+            not placeholders(value)
+            and not mentions_address(value)
+            and (problem := _misfit(value, properties.get(argument)))
+        ):
+            yield f"{where}.arguments.{argument}: {problem}"
+        elif isinstance(value, str) and value == "{port}" and _type_of(properties.get(argument)) == "integer":
+            yield f'{where}.arguments.{argument}: the tool {tool!r} takes an integer; say "{{port:int}}"'
     for argument in schema.get("required") or []:
         if argument not in arguments:
             yield f"{where}.arguments: the tool {tool!r} requires {argument!r}"
+
+
+def _type_of(schema: object) -> object:
+    return schema.get("type") if isinstance(schema, Mapping) else None
+
+
+def _misfit(value: object, schema: object) -> str | None:
+    """Say how a constant contradicts the type that the tool's schema names; None where it does not, or nothing is named."""
+    wanted = _type_of(schema)
+    fits = _JSON_TYPES.get(str(wanted))
+    if fits is None or fits(value):
+        return None
+    return f"the tool takes {wanted}, the subject file gives {value!r}"
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+_JSON_TYPES: Mapping[str, Callable[[object], bool]] = {
+    "string": lambda value: isinstance(value, str),
+    "boolean": lambda value: isinstance(value, bool),
+    "number": _is_number,
+    "integer": lambda value: _is_number(value) and float(str(value)).is_integer(),
+    "array": lambda value: isinstance(value, list),
+    "object": lambda value: isinstance(value, Mapping),
+}
 
 
 def _is_open(schema: Mapping[str, object]) -> bool:

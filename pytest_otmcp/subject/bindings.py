@@ -52,7 +52,16 @@ def _binding(table: Mapping[str, Any], key: str, answering: Answering) -> Bindin
         offset=table["offset"],
         names=table["names"],
         convert=table["as"],
+        max_age_s=_max_age_s(table, key, answering),
     )
+
+
+def _max_age_s(table: Mapping[str, Any], key: str, answering: Answering) -> float | None:
+    if "max_age_s" not in table:
+        return None
+    if not read_answering(table, key, answering).native:
+        raise Refusal(f"{key}.source", "only an answer in the kit's envelope says how old it is")
+    return float(table["max_age_s"])
 
 
 def _outcome_rule(table: Mapping[str, Any]) -> OutcomeRule:

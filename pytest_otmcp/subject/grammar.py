@@ -25,13 +25,18 @@ from .kinds import (
     TEXT,
     Kind,
     OneOf,
+    at_most,
     strings,
 )
 from .tables import ByType, Key, ListOf, MapOf, Named, Rule, Table, Template
 
-__all__ = ["OUTPUT_TABLE", "adapter_table", "binding_table", "subject_file"]
+__all__ = ["LONGEST_RECOVERY_S", "OUTPUT_TABLE", "adapter_table", "binding_table", "subject_file"]
 
 _VARIANTS = ("rw", "ro")
+LONGEST_RECOVERY_S = 5.0
+"""Requirement REC-001, the bound of level Silver."""
+OLDEST_STATUS_S = 5.0
+"""Requirement REC-002: a status may be as old as one keep-alive; no longer one is accepted."""
 _ARGV = Named("argv", strings("the argument vector", filled=True))
 _TABLE = MapOf(ANYTHING)
 _VARIANT = Named(
@@ -174,6 +179,12 @@ def adapter_table(protocol: OtProtocol) -> Table:
                 "How work goes on after an outage.",
                 default="same_session",
             ),
+            "recovery_s": Key(
+                at_most(LONGEST_RECOVERY_S),
+                "Time within which work goes on after an outage.",
+                default=LONGEST_RECOVERY_S,
+            ),
+            **{name: Key(strings(f"the {name}"), meaning, default=[]) for name, meaning in protocol.lists.items()},
             **_answering("; without it the adapter answers in the kit's own envelope"),
             "probes": Key(probes, "What to ask for where something must be refused.", default={}),
             "bindings": Key(TEXT, "Python file with functions for operations."),
@@ -204,9 +215,15 @@ def binding_table(operation: Operation) -> Table:
             "names": Key(_by_input(inputs, _TABLE), "The vendor's name for each value of an input.", default={}),
             "as": Key(_by_input(inputs, _INPUT_TYPE), "The type in which the tool wants an input.", default={}),
             "blocking": Key(FLAG, "The call waits for what it answers.", default=False),
+            "source": Key(
+                OneOf(("device", "cache")), "'cache' for a status that may be a moment old.", default="device"
+            ),
+            "max_age_s": Key(at_most(OLDEST_STATUS_S), "How old such a status may be."),
             **_answering("; without it as the adapter does"),
         },
-        rules=(_HAS_A_TOOL, _RESOURCE_STANDS_ALONE) + ((_ANSWERS_AT_ONCE,) if operation.waits is None else ()),
+        rules=(_HAS_A_TOOL, _RESOURCE_STANDS_ALONE, _CACHE_HAS_AN_AGE)
+        + (() if operation.status else (_KNOWN_FROM_THE_DEVICE,))
+        + ((_ANSWERS_AT_ONCE,) if operation.waits is None else ()),
     )
 
 
@@ -221,7 +238,11 @@ def _bind(protocol: OtProtocol) -> Table:
 def _answering(otherwise: str) -> dict[str, Key]:
     return {
         "answer": Key(_ANSWER, f"What an answer is{otherwise}."),
-        "outcome": Key(_OUTCOME, "Whether an answer is a success; first match wins, without a match isError decides."),
+        "outcome": Key(
+            _OUTCOME,
+            "Whether an answer is a success; first match wins. Without a match isError decides, and what a structured answer says "
+            "of itself: success or ok that is false, an error.",
+        ),
         "errors": Key(_ERRORS, "Codes of failures; first match wins."),
     }
 
@@ -293,6 +314,22 @@ _RESOURCE_STANDS_ALONE = Rule(
         "if": {"required": ["resource"]},
         "then": {"properties": {"tool": False, "arguments": {"maxProperties": 0}}},
     },
+)
+_CACHE_HAS_AN_AGE = Rule(
+    holds=lambda table: (table.get("source") == "cache") == ("max_age_s" in table),
+    at="max_age_s",
+    objection='source = "cache" says how old an answer may be, and nothing else does',
+    described={
+        "if": {"required": ["source"], "properties": {"source": {"const": "cache"}}},
+        "then": {"required": ["max_age_s"]},
+        "else": {"properties": {"max_age_s": False}},
+    },
+)
+_KNOWN_FROM_THE_DEVICE = Rule(
+    holds=lambda table: table.get("source") != "cache",
+    at="source",
+    objection="only a status may come from a cache",
+    described={"properties": {"source": {"const": "device"}}},
 )
 _ANSWERS_AT_ONCE = Rule(
     holds=lambda table: not table.get("blocking"),

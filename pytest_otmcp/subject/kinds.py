@@ -34,6 +34,7 @@ __all__ = [
     "OneOf",
     "Refusal",
     "Scalar",
+    "at_most",
     "nearest",
     "strings",
     "toml_type",
@@ -159,12 +160,19 @@ REASON = Scalar(
     shown=lambda value: "a blank string" if isinstance(value, str) else toml_type(value),
 )
 NUMBER = Scalar(expected="a number", accepts=_is_number, described={"type": "number"})
-SECONDS = Scalar(
-    expected="seconds above 0 and up to 300",
-    accepts=lambda value: _is_number(value) and 0 < value <= 300,
-    described={"type": "number", "exclusiveMinimum": 0, "maximum": 300},
-    shown=repr,
-)
+
+
+def at_most(seconds: float) -> Scalar:
+    """Return the kind of a time in seconds that must not be longer than this."""
+    return Scalar(
+        expected=f"seconds above 0 and up to {seconds:g}",
+        accepts=lambda value: _is_number(value) and 0 < value <= seconds,
+        described={"type": "number", "exclusiveMinimum": 0, "maximum": seconds},
+        shown=repr,
+    )
+
+
+SECONDS = at_most(300)
 FLAG = Scalar(expected="true or false", accepts=lambda value: isinstance(value, bool), described={"type": "boolean"})
 # JSON has no dates: an editor gives a validator a string or a value of its own type.
 DATE = Scalar(

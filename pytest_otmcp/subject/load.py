@@ -21,6 +21,7 @@ from .. import __version__
 from ..core.errors import UsageError
 from ..protocols.protocol import RECOVERY
 from ..protocols.registry import protocols
+from .addressing import check_addresses
 from .bindings import read_answering, read_bindings
 from .functions import load_functions
 from .grammar import subject_file
@@ -38,6 +39,7 @@ from .model import (
     Variant,
     environment_names,
 )
+from .placeholder_check import check_placeholders
 
 __all__ = ["load_subject", "reference_subject"]
 
@@ -100,15 +102,20 @@ def _deviations(tables: list[dict[str, Any]]) -> tuple[Deviation, ...]:
 def _adapter(protocol: str, table: Mapping[str, Any], path: Path) -> Adapter:
     key, known = f"adapter.{protocol}", protocols()[protocol]
     answering = read_answering(table, key, Answering())
+    operations, connect = _operations(protocol, table, key, answering, path), _connect(table)
+    _check_placeholders(table, key, operations)
+    check_addresses(protocol, operations, connect, f"{key}.bind")
     return Adapter(
         protocol=protocol,
         directory=path.parent.resolve(),
         variants={name: _variant(table, name, key, path.parent) for name in (READ_WRITE, READ_ONLY)},
-        operations=_operations(protocol, table, key, answering, path),
+        operations=operations,
         answering=answering,
         unclaimed=_unclaimed(protocol, table),
-        connect=_connect(table),
+        connect=connect,
         recovery=table["recovery"],
+        recovery_s=float(table["recovery_s"]),
+        lists={key: tuple(table[key]) for key in known.lists},
         probes={**known.probes, **table["probes"]},
         secrets=tuple(table["secrets"]),
         transport=table["transport"],
@@ -117,6 +124,21 @@ def _adapter(protocol: str, table: Mapping[str, Any], path: Path) -> Adapter:
         deadline_s=float(table["deadline_s"]),
         start_timeout_s=float(table["start_timeout_s"]),
     )
+
+
+def _check_placeholders(
+    table: Mapping[str, Any], key: str, operations: Mapping[str, tuple[Binding, ...] | Function]
+) -> None:
+    for variant in ("", *(f".{name}" for name in (READ_WRITE, READ_ONLY))):
+        within = table if not variant else table[variant[1:]]
+        for name in ("command", "args", "env"):
+            check_placeholders(within.get(name), f"{key}{variant}.{name}")
+    check_placeholders(table.get("url"), f"{key}.url")
+    check_placeholders(table.get("connect", {}).get("arguments"), f"{key}.connect.arguments")
+    known = protocols()[key.rpartition(".")[2]].operations
+    for name, bound in operations.items():
+        for binding in bound if not isinstance(bound, Function) else ():
+            check_placeholders(binding.arguments, f"{key}.bind.{name}.arguments", known[name].inputs)
 
 
 def _unclaimed(protocol: str, table: Mapping[str, Any]) -> dict[str, str]:

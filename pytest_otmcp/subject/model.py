@@ -153,6 +153,7 @@ class Binding:
         names: input name to the vendor's name for each of its values.
         convert: input name to the type in which the tool wants it.
         answering: how the tool's answers are read.
+        max_age_s: how old an answer may be that comes from a cache, as declared; None for one that must not.
     """
 
     tool: str
@@ -165,6 +166,7 @@ class Binding:
     convert: Mapping[str, str]
     resource: bool = False
     blocking: bool = False
+    max_age_s: float | None = None
 
     def fill(self, inputs: Mapping[str, object], endpoint: Mapping[str, str]) -> dict[str, Any]:
         """Return the tool's arguments for these inputs."""
@@ -298,6 +300,8 @@ class Adapter:
         unclaimed: facet to the reason why the adapter does not have it.
         connect: the tool call before all others, or None.
         recovery: after an outage work goes on in the ``same_session``, after the ``connect_step``, or in a ``new_session``.
+        recovery_s: the time within which work goes on after an outage.
+        lists: the lists of the protocol's own keys, such as ``command_topics``, by key.
         probes: name to the input that tasks use where the adapter must refuse.
         secrets: names of environment variables whose values must not be shown.
         transport: ``stdio`` or ``http``.
@@ -315,6 +319,8 @@ class Adapter:
     unclaimed: Mapping[str, str]
     connect: Connect | None
     recovery: str
+    recovery_s: float
+    lists: Mapping[str, tuple[str, ...]]
     probes: Mapping[str, Any]
     secrets: tuple[str, ...]
     transport: str
@@ -354,12 +360,26 @@ class Adapter:
             if isinstance(bound, tuple) and any(binding.blocking for binding in bound)
         )
 
+    @property
+    def cached(self) -> dict[str, float]:
+        """The operations whose answers may come from a cache, and how old they may be."""
+        return {
+            name: case.max_age_s
+            for name, bound in self.operations.items()
+            if isinstance(bound, tuple)
+            for case in bound
+            if case.max_age_s is not None
+        }
+
     def facts(self) -> AdapterFacts:
         """Return what ``run.json`` says about the test of this adapter; its server's facts are added later."""
         return {
             "command": list(self.variants["rw"].command),
             "envelope": "native" if self.answering.native else "synthesised",
             "recovery": self.recovery,
+            "recovery_s": self.recovery_s,
+            "lists": {key: list(values) for key, values in self.lists.items()},
+            "cached": self.cached,
             "deadline_s": self.deadline_s,
             "unclaimed": dict(self.unclaimed),
             "blocking": list(self.blocking),

@@ -9,6 +9,7 @@ import socket
 import sys
 import tempfile
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TypedDict, cast
@@ -19,12 +20,14 @@ from ..core.strict_json import parse_strict
 from ..core.text import printable
 from ..plant.device import Device
 from ..plant.endpoint import Endpoint, first_port
+from ..plant.owners import TOKEN_VARIABLE, new_token
 from ..protocols.envelope import check_result
 from ..protocols.registry import protocols
 from ..record.schema import AdapterFacts, StoredBinding
 from ..record.schema import Device as DeviceFacts
 from ..session.exchange import Exchange, joined
 from ..session.session import McpSession, SessionOptions
+from ..subject.addressing import addressed_by, carries_address
 from ..subject.answers import interpret, read_answer
 from ..subject.functions import Refused, ToolAnswer, checked_outputs
 from ..subject.model import (
@@ -73,6 +76,9 @@ class NoBindingError(Exception):
     """The subject claims something but does not say how to ask for it: the item is not testable."""
 
 
+AUTO = "auto"
+"""The era in which an adapter is asked what it speaks."""
+
 MAIN = "main"
 """Name of the worker of a run that has only one."""
 
@@ -109,6 +115,7 @@ class AdapterUnderTest:
         first: sequence number at which the adapter took over the journal of its device.
         cursor: where the adapter is in the journal of its device.
         used: operations that were performed.
+        legacy: the adapter ended at the first request of today's handshake, and was started with the one of 2025-11-25.
         unmet: requirements of the envelope that the adapter's own answers do not meet, where it does not claim to have one.
     """
 
@@ -118,14 +125,18 @@ class AdapterUnderTest:
         self.adapter = adapter
         self.variant = variant
         self.device = device
+        device.sessions.expect()
         self.session: McpSession | None = None
         self.tools: Mapping[str, Mapping[str, object]] | None = None
         self.unmet: set[str] = set()
         self._options = options
         self._start_failure: SubjectError | None = None
         self._work: tempfile.TemporaryDirectory[str] | None = None
+        self._token: str | None = None
         self._server: ServerFacts = {}
         self.used: dict[str, None] = {}
+        self._addressed = False
+        self.legacy = False
         self.first = first
         self.cursor = JournalCursor(adapter.protocol, first)
 
@@ -148,7 +159,7 @@ class AdapterUnderTest:
     def facts(self) -> AdapterFacts:
         """Return what ``run.json`` says about the adapter."""
         adapter = self.adapter
-        used = {name: adapter.operations.get(name) for name in self.used}
+        used = {name: adapter.operations.get(name) for name in self.used if name in adapter.operations}
         return {
             **adapter.facts(),
             **self._server,
@@ -157,6 +168,7 @@ class AdapterUnderTest:
                 for name, cases in used.items()
             },
             "unmet": sorted(self.unmet),
+            "addressed_by": addressed_by(adapter),
         }
 
     def device_facts(self) -> DeviceFacts:
@@ -199,12 +211,15 @@ class AdapterUnderTest:
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_text(content, encoding="utf-8")
         options = SessionOptions(
-            era=self.adapter.era or self._options.era,
+            era="legacy" if self.legacy else self.adapter.era or self._options.era,
             start_timeout_s=self.adapter.start_timeout_s * self._options.time_scale,
             exit_grace_s=_EXIT_GRACE_S * self._options.time_scale,
             url=None if self.adapter.url is None else str(replace_placeholders(self.adapter.url, values)),
         )
-        return McpSession(launch.command, launch.env, launch.cwd, options)
+        self._token = new_token()
+        session = McpSession(launch.command, {**launch.env, TOKEN_VARIABLE: self._token}, launch.cwd, options)
+        self.device.sessions.begin(self._token, lambda: session.pid)
+        return session
 
     async def open(self) -> None:
         """Make sure that there is a usable session.
@@ -220,9 +235,8 @@ class AdapterUnderTest:
         await self.close()
         # Everything that this session does at its device is in the journal from this sequence number on.
         self.cursor.open_session(await self.device.mark())
-        session = self.new_session()
         try:
-            await session.open()
+            session = await self._opened()
             self.session, self.tools = session, session.tools
             self._server = {
                 "server_name": printable(session.server_name),
@@ -236,6 +250,28 @@ class AdapterUnderTest:
             await self.close()
             raise
 
+    async def _opened(self) -> McpSession:
+        """Start the adapter; one that ends at the first request of today's handshake is started with the one of 2025.
+
+        Raises:
+            SubjectError: it cannot be started in either way; what is said is about the first.
+        """
+        session = self.new_session()
+        try:
+            await session.open()
+        except SubjectError as failure:
+            ended = session.stop_report is not None and session.stop_report.how == "exited"
+            if not ended or (self.adapter.era or self._options.era) != AUTO or self.legacy:
+                raise
+            self.legacy = True
+            session = self.new_session()
+            try:
+                await session.open()
+            except SubjectError:
+                self.legacy = False
+                raise failure from None
+        return session
+
     async def _connect(self) -> None:
         failure = await self.connect()
         if failure is not None:
@@ -248,7 +284,7 @@ class AdapterUnderTest:
         if step is None:
             return None
         arguments = replace_template(step.arguments, {}, self.endpoint)
-        exchange = await self._current(None).call(step.tool, arguments, timeout_s=1.2 * self.deadline_s)
+        exchange = await self._current().call(step.tool, arguments, timeout_s=1.2 * self.deadline_s)
         if exchange.response is None:
             return f"no reply ({exchange.failure})"
         try:
@@ -263,32 +299,39 @@ class AdapterUnderTest:
         self.cursor.close_session()
         if session is not None:
             await session.close()
+        token, self._token = self._token, None
+        if token is not None:
+            if self.device.running:
+                # What its process has sent before it ended is its own; it is in the journal before the answer.
+                with suppress(KitError):
+                    await self.device.mark()
+            self.device.sessions.end(token)
         work, self._work = self._work, None
         if work is not None:
             work.cleanup()
 
-    def _current(self, session: McpSession | None) -> McpSession:
-        session = session or self.session
-        if session is None:
+    def _current(self) -> McpSession:
+        if self.session is None:
             raise KitError(f"the {self.adapter.protocol} session was used before it was opened")
-        return session
+        return self.session
 
     # -- calls --------------------------------------------------------------------------------------------
 
-    async def call(self, operation: str, *, session: McpSession | None = None, **inputs: object) -> Reply:
+    async def call(self, operation: str, **inputs: object) -> Reply:
         """Perform an abstract operation through the adapter's own tools.
 
         Args:
             operation: name of the operation.
-            session: a session other than the adapter's own.
             inputs: the operation's inputs.
 
         Raises:
             NoBindingError: the subject does not say how it is performed.
+            KitError: the operation writes, and the session is not proven to talk to the mock device.
         """
+        self._guard(operation, writes=protocols()[self.adapter.protocol].operations[operation].writes)
         bound = self.adapter.operations.get(operation)
         self.used[operation] = None
-        session = self._current(session)
+        session = self._current()
         if isinstance(bound, Function):
             return await self._perform(bound, session, inputs)
         binding = next((case for case in bound or () if case.fits(inputs)), None)
@@ -302,12 +345,56 @@ class AdapterUnderTest:
         if binding.resource:
             exchange = await session.read_resource(binding.tool, timeout_s=timeout_s)
         else:
-            exchange = await session.call(binding.tool, binding.fill(inputs, self.endpoint), timeout_s=timeout_s)
+            arguments = binding.fill(inputs, self.endpoint)
+            self.check_address(
+                binding.tool, arguments, writes=protocols()[self.adapter.protocol].operations[operation].writes
+            )
+            exchange = await session.call(binding.tool, arguments, timeout_s=timeout_s)
         listed = self.variant == READ_WRITE or binding.resource or binding.tool in session.tools
         expected = self._expectation(operation, binding.answering, binding.outputs, listed=listed)
         if not binding.answering.native:
             self._note_unmet(exchange)
         return observe(exchange, expected)
+
+    async def call_tool(
+        self, tool: str, arguments: Mapping[str, object], *, writes: bool, timeout_s: float
+    ) -> Exchange:
+        """Call a tool by its own name.
+
+        Args:
+            writes: it may write, as far as is known.
+
+        Raises:
+            KitError: the tool may write, and the session is not proven to talk to the mock device.
+        """
+        self._guard(tool, writes=writes)
+        self.check_address(tool, arguments, writes=writes)
+        return await self._current().call(tool, arguments, timeout_s=timeout_s)
+
+    def _guard(self, what: str, *, writes: bool) -> None:
+        # The last of several: whoever wants to write has proven the session before, or was told why he cannot.
+        if writes and self.cursor.proven is None:
+            raise KitError(f"{what} may write, and nothing has proven that the session talks to the mock device")
+
+    def check_address(self, tool: str, arguments: Mapping[str, object], *, writes: bool) -> None:
+        """Refuse a call that may write and is not told where the device is, although calls that read are.
+
+        Raises:
+            NoBindingError: it would reach whatever the tool takes without being told.
+        """
+        carries = carries_address(arguments, self.endpoint)
+        if not writes:
+            self._addressed = self._addressed or carries
+        elif self._addressed and not carries and self.adapter.connect is None:
+            raise NoBindingError(
+                f"{self.adapter.protocol}: {tool} may write and is not told where the mock device is, although tools that read "
+                "are; nothing was written"
+            )
+
+    def is_bound(self, operation: str, inputs: Mapping[str, object]) -> bool:
+        """Tell whether the subject says how the operation is performed with these inputs."""
+        bound = self.adapter.operations.get(operation)
+        return isinstance(bound, Function) or any(case.fits(inputs) for case in bound or ())
 
     def _expectation(
         self, operation: str, answering: Answering, outputs: Mapping[str, OutputRule], *, listed: bool = True
@@ -331,13 +418,15 @@ class AdapterUnderTest:
             self.unmet |= {fault.requirement for fault in check_result(result["result"]) if fault.requirement}
 
     async def _perform(self, function: Function, session: McpSession, inputs: dict[str, object]) -> Reply:
-        tools = _Tools(self, session)
+        tools = _Tools(self, session, writes=protocols()[self.adapter.protocol].operations[function.name].writes)
         outputs: Mapping[str, object] = {}
         refusal: Refused | None = None
         try:
             outputs = checked_outputs(function, self.adapter.protocol, await function.call(tools, **inputs))
         except Refused as stated:
             refusal = stated
+        except (NoBindingError, KitError):
+            raise
         except _NoAnswerError:
             pass
         except UsageError as error:
@@ -364,16 +453,22 @@ class _NoAnswerError(Exception):
 class _Tools:
     """The object that a function of the bindings file is given: it calls the adapter's tools and records every exchange."""
 
-    def __init__(self, under_test: AdapterUnderTest, session: McpSession) -> None:
+    def __init__(self, under_test: AdapterUnderTest, session: McpSession, *, writes: bool) -> None:
         self.host = under_test.device.host
         self.port = under_test.device.port
         self.url = under_test.endpoint["url"]
         self.state = session.state
         self.exchanges: list[Exchange] = []
+        self._under_test = under_test
+        self._writes = writes
+        self._told = False
         self._session = session
         self._timeout_s = 1.2 * under_test.deadline_s
 
     async def call(self, tool: str, /, **arguments: object) -> ToolAnswer:
+        # A function may open a connection first, which the calls after it use.
+        self._told = self._told or carries_address(arguments, self._under_test.endpoint)
+        self._under_test.check_address(tool, arguments, writes=self._writes and not self._told)
         return self._answer(await self._session.call(tool, arguments, timeout_s=self._timeout_s))
 
     async def read_resource(self, uri: str) -> ToolAnswer:

@@ -8,9 +8,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TypeVar
 
+from ..protocols.journal import judged
 from ..protocols.registry import protocols
 from ..protocols.session_oracle import SessionOracle
-from ..record.schema import SessionStart
+from ..record.schema import SessionProof, SessionStart
 from .ledger import Entry
 
 __all__ = ["JournalCursor", "Oracle"]
@@ -32,10 +33,15 @@ class JournalCursor:
         starts: how often the device was started again.
         connected: the adapter's session is open.
         looked_through: everything before ``next`` has been looked at, and since then nobody has called the adapter.
+        proven: the operation that proved that the session talks to this device; None as long as nothing did.
+        refused: the item in which the session could not be proven, and the reason; or None.
+        preferred: the operation that proved any session of the adapter last.
+        arrived: the device saw a client arrive since the session began.
     """
 
     def __init__(self, protocol: str, first: int = 0) -> None:
         self._kinds = protocols()[protocol].session_oracles
+        self._arrival = protocols()[protocol].proof.arrival
         self._oracles: dict[type[SessionOracle], SessionOracle] = {}
         self.next = first
         self.fed = first
@@ -45,11 +51,27 @@ class JournalCursor:
         self._began: int | None = None
         self.connected = False
         self.looked_through = False
+        self.proven: str | None = None
+        self.refused: tuple[str, str] | None = None
+        self.preferred: str | None = None
+        self.arrived = False
 
     @property
     def quiet(self) -> bool:
         """Nobody has called the connected adapter since ``next``: what it does from there on, it does by itself."""
         return self.connected and self.looked_through
+
+    @property
+    def proof(self) -> SessionProof | None:
+        """How far the session is proven; None as long as none of the adapter was to be."""
+        if (self.proven, self.preferred, self.refused) == (None, None, None):
+            return None
+        return {"proven": self.proven, "preferred": self.preferred, "refused": self.refused}
+
+    def assume(self, proof: SessionProof | None) -> None:
+        """Take over how far the session is proven."""
+        known = proof or {"proven": None, "preferred": None, "refused": None}
+        self.proven, self.preferred, self.refused = known["proven"], known["preferred"], known["refused"]
 
     @property
     def session(self) -> SessionStart | None:
@@ -62,15 +84,22 @@ class JournalCursor:
         self._began = seq
         self.connected = True
         self._oracles = {kind: kind() for kind in self._kinds}
+        self.withdraw_proof()
 
     def close_session(self) -> None:
         """End the session; its oracles can still be asked about it."""
         self.connected = False
 
+    def withdraw_proof(self) -> None:
+        """Forget where the session leads: before anything else is written it has to be proven."""
+        self.proven = self.refused = None
+        self.arrived = False
+
     def restart(self) -> None:
         """Begin a journal that counts from 0 again, as that of a restarted device does."""
         self.starts += 1
         self.next = self.fed = self.released = 0
+        self.withdraw_proof()
         if self._began is not None:
             self._began = 0
             self._oracles = {kind: kind() for kind in self._kinds}
@@ -82,8 +111,9 @@ class JournalCursor:
 
     def feed(self, entries: Iterable[Entry], until: int) -> None:
         """Show the session's oracles the entries that they have not seen, which are all before ``until``."""
-        for entry in entries:
+        for entry in judged(entries):
             if self._began is not None and entry["seq"] >= max(self.fed, self._began):
+                self.arrived = self.arrived or (self._arrival is not None and self._arrival(entry))
                 for oracle in self._oracles.values():
                     oracle.feed(entry)
         self.fed = max(self.fed, until)

@@ -13,6 +13,7 @@ from typing import Protocol, TypedDict
 
 from ..core.verdict import Status
 from ..protocols.journal import Entries
+from ..protocols.protocol import Declared
 from ..record.schema import ItemDevice, Role, SessionRemark
 from .repetition import Repetition
 from .task import Steps
@@ -82,7 +83,7 @@ class TrialDriver(Protocol):
     async def prepare(self) -> None:
         """Bring the devices into their initial state and open the sessions."""
 
-    def before(self) -> Sequence[tuple[str, Entries]]:
+    def before(self) -> Sequence[tuple[str, Entries, Declared]]:
         """Return the protocol and the journal of each device whose adapter was not called since its last item."""
 
     def repetition(self, rep: int, role: Role) -> Repetition:

@@ -8,24 +8,34 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 
+from ..core.error_registry import registry
 from ..core.finding import Finding
 from ..core.strict_json import same_json
+from ..protocols.registry import protocols
 from ..subject.answers import UNCLASSIFIED
 from .reply import Reply
 
 __all__ = ["failed", "succeeded"]
 
+_DECIMALS = range(6)
 
-def succeeded(reply: Reply, **outputs: object) -> list[Finding]:
+
+def succeeded(reply: Reply, *, requirement: str | None = None, **outputs: object) -> list[Finding]:
     """Expect that the call claims success and that its outputs equal ``outputs``.
 
     An output that the subject's binding does not say how to find is not judged here; the device still is.
+
+    Args:
+        requirement: id of the requirement that the call breaks otherwise; None is that of the operation.
+        outputs: the outputs, by name.
     """
+    requirement = requirement or protocols()[reply.adapter].operations[reply.operation].requirement
     if reply.success is not True:
         return [
             Finding(
                 code="not_successful",
                 message=f"{reply.label}: expected success, got {_outcome(reply)}",
+                requirement=requirement,
                 evidence=_shown(reply.envelope),
             )
         ]
@@ -33,7 +43,7 @@ def succeeded(reply: Reply, **outputs: object) -> list[Finding]:
         Finding(
             code="wrong_value",
             message=f"{reply.label}: {name} should be {_shown(expected)}, the reply says {_shown(reply.outputs.get(name))}",
-            requirement="RD-001",
+            requirement="ENC-003" if _rounded(expected, reply.outputs[name]) else requirement,
             evidence=_shown(reply.envelope),
         )
         for name, expected in outputs.items()
@@ -41,11 +51,23 @@ def succeeded(reply: Reply, **outputs: object) -> list[Finding]:
     ]
 
 
+def _rounded(expected: object, found: object) -> bool:
+    """Tell whether what was found is the expected value, or several of them, with fewer decimals."""
+    if isinstance(expected, list) and isinstance(found, list) and len(expected) == len(found):
+        differing = [pair for pair in zip(expected, found, strict=True) if not same_json(*pair)]
+        return bool(differing) and all(_rounded(*pair) for pair in differing)
+    if not isinstance(expected, float) or not isinstance(found, float):
+        return False
+    return any(round(expected, decimals) == found for decimals in _DECIMALS)
+
+
 def failed(
     reply: Reply,
     *codes: str,
     outcome: str | Sequence[str] | None = None,
     trace: Mapping[str, object] | None = None,
+    requirement: str = "ERR-001",
+    code_requirement: str | None = None,
 ) -> list[Finding]:
     """Expect that the call is refused in an envelope, with one of ``codes``.
 
@@ -53,6 +75,8 @@ def failed(
         codes: acceptable error codes.
         outcome: what ``error.outcome`` must be; of a sequence, one of its values.
         trace: members that ``meta.trace`` must have; a mapping is compared member by member.
+        requirement: id of the requirement that the call breaks when it claims success.
+        code_requirement: id of the requirement that another code breaks; None is the same.
 
     For an adapter without envelopes only this is judged: that its answer is a refusal and, where the subject file
     classifies the answer, the code.
@@ -63,32 +87,35 @@ def failed(
             Finding(
                 code="not_refused",
                 message=f"{reply.label}: expected an error envelope with code {' or '.join(codes)}, {claim}",
-                requirement="ERR-001",
+                requirement=requirement,
                 evidence=_shown(reply.envelope),
             )
         ]
     findings = []
     envelope = reply.envelope or {}
-    if reply.error_code not in codes and (reply.native or reply.error_code != UNCLASSIFIED):
+    error = envelope.get("error")
+    # An envelope's error that is no object, or has no code of the registry, has been reported as such.
+    comparable = _is_known(reply.error_code) if reply.native else reply.error_code != UNCLASSIFIED
+    if reply.error_code not in codes and comparable:
         findings.append(
             Finding(
                 code="wrong_error_code",
                 message=f"{reply.label}: error code should be {' or '.join(codes)}, it is {reply.error_code!r}",
-                requirement="ERR-001",
-                evidence=_shown(envelope.get("error")),
+                requirement=code_requirement or requirement,
+                evidence=_shown(error),
             )
         )
     if not reply.native:
         return findings
     allowed = [outcome] if isinstance(outcome, str) else list(outcome or [])
-    stated = _member(envelope.get("error"), "outcome")
-    if allowed and stated not in allowed:
+    stated = _member(error, "outcome")
+    if allowed and stated not in allowed and isinstance(error, Mapping):
         findings.append(
             Finding(
                 code="wrong_outcome",
                 message=f"{reply.label}: error outcome should be {' or '.join(allowed)}, it is {stated!r}",
                 requirement="ERR-006",
-                evidence=_shown(envelope.get("error")),
+                evidence=_shown(error),
             )
         )
     found_trace = _member(envelope.get("meta"), "trace") or {}
@@ -101,6 +128,10 @@ def failed(
             )
         )
     return findings
+
+
+def _is_known(code: str | None) -> bool:
+    return code is not None and (code in registry() or code.startswith("x_"))
 
 
 def _member(value: object, name: str) -> object:

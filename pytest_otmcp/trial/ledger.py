@@ -27,6 +27,7 @@ class Judged:
         role: ``task``, ``control``, ``setup``, ``warmup`` or ``recovery``; only ``task`` calls count for the benchmark.
         group: number of the calls that were made at the same time.
         ok: the call met its task's expectation; None until it has been judged.
+        proof: the call proves where the session leads; the steps did not ask for it.
     """
 
     reply: Reply
@@ -34,6 +35,7 @@ class Judged:
     role: Role
     group: int
     ok: bool | None = None
+    proof: bool = False
 
 
 class Ledger:
@@ -42,6 +44,8 @@ class Ledger:
     Args:
         role: role of the calls for which the steps name none.
         time_scale: factor on windows and deadlines.
+        item: id of the task.
+        origin: text from which random numbers of this execution are made.
 
     Attributes:
         calls: in the order of their replies.
@@ -49,11 +53,15 @@ class Ledger:
         journal: every entry of this repetition that has been kept so far, with its ``protocol`` and, of a read-only
             adapter, ``variant``.
         observations: the looks at devices.
+        refused: why nothing may be written, so that the item ends; None as long as nothing was refused.
     """
 
-    def __init__(self, role: Role, time_scale: float) -> None:
+    def __init__(self, role: Role, time_scale: float, *, item: str = "", origin: str = "") -> None:
         self.role = role
         self.time_scale = time_scale
+        self.item = item
+        self.origin = origin
+        self.refused: Finding | None = None
         self.calls: list[Judged] = []
         self.findings: list[Finding] = []
         self.observations: list[Observation] = []
@@ -68,6 +76,13 @@ class Ledger:
         self.calls.append(Judged(reply=reply, inputs=inputs, role=role or self.role, group=self._group))
         self.findings.extend(reply.faults)
 
+    def add_proof(self, reply: Reply, inputs: Mapping[str, object]) -> None:
+        """Note a call that proves where the session leads: nothing is expected of its reply."""
+        if not self._together:
+            self._group += 1
+        ok = bool(reply.success)
+        self.calls.append(Judged(reply=reply, inputs=inputs, role="setup", group=self._group, ok=ok, proof=True))
+
     @contextmanager
     def one_group(self) -> Iterator[None]:
         """Count every call made inside the block as made at the same time."""
@@ -79,6 +94,11 @@ class Ledger:
             self._together = False
 
     @property
+    def failed(self) -> bool:
+        """Whether a MUST was not met."""
+        return any(finding.is_must for finding in self.findings)
+
+    @property
     def together(self) -> bool:
         """Calls are being made at the same time."""
         return self._together
@@ -86,7 +106,7 @@ class Ledger:
     def judge(self, reply: Reply, findings: Iterable[Finding]) -> bool:
         """Note the findings of the task's expectation of a reply; return whether it was met."""
         found = list(findings)
-        met = not found and not reply.faults
+        met = not any(finding.is_must for finding in found) and not reply.faulty
         self._replace(reply, ok=met)
         # A missing reply, or one that is no envelope, has been reported as such.
         if not (reply.envelope is None and reply.faults):

@@ -11,6 +11,7 @@ from datetime import UTC, datetime
 from ..core.errors import SubjectError
 from ..core.verdict import Status
 from ..protocols.journal import Entries
+from ..protocols.protocol import Declared
 from ..record.schema import Role, SessionRemark
 from ..subject.model import READ_ONLY
 from .adapter_under_test import NoBindingError
@@ -64,10 +65,12 @@ class LiveDriver:
             await state.enter()
         await self.open_sessions()
 
-    def before(self) -> Sequence[tuple[str, Entries]]:
+    def before(self) -> Sequence[tuple[str, Entries, Declared]]:
         """Return what reached the devices while nobody called their adapters."""
         return [
-            (state.under_test.adapter.protocol, state.found["before"]) for state in self._states if state.found["quiet"]
+            (state.under_test.adapter.protocol, state.found["before"], state.under_test.adapter.lists)
+            for state in self._states
+            if state.found["quiet"]
         ]
 
     def repetition(self, rep: int, role: Role) -> Repetition:
@@ -87,7 +90,7 @@ class LiveDriver:
             state.under_test.cursor.looked_through = False
         try:
             with uncollected():
-                await execute(steps, repetition)
+                await execute(self._task, steps, repetition)
         except EndedError:
             await _all_running(repetition)
         except (NoBindingError, SubjectError):

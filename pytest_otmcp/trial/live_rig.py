@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict
 from typing import Any, cast
 
 from ..core.finding import Finding
 from ..plant.device import Journal
+from ..protocols.journal import ADAPTER
+from ..protocols.protocol import Declared
 from ..record.images import Images, keep_image
 from ..record.schema import ItemDevice, Observation, SessionStart
 from ..session.session import McpSession
+from ..subject.addressing import addressed_by
 from ..subject.claims import Claims
 from .adapter_under_test import AdapterUnderTest
 from .bench import Bench
@@ -60,6 +63,8 @@ class LiveItemState:
             "quiet": cursor.quiet,
             "session": cursor.session,
         }
+        if (proof := cursor.proof) is not None:
+            self._found["proof"] = proof
         self.told_session = cursor.session
         cursor.take(journal.entries, journal.next)
         await self.release()
@@ -108,11 +113,33 @@ class LiveRig(Rig):
     def blocks(self, operation: str) -> bool:
         return operation in self.under_test.adapter.blocking
 
+    def max_age_s(self, operation: str) -> float | None:
+        return self.under_test.adapter.cached.get(operation)
+
+    @property
+    def recovery_s(self) -> float:
+        return self.under_test.adapter.recovery_s
+
+    @property
+    def declared(self) -> Declared:
+        return self.under_test.adapter.lists
+
     def probe(self, name: str) -> Any:
         return self.under_test.adapter.probes[name]
 
     def accepts_input(self, operation: str, name: str) -> bool:
         return f"{operation}.{name}" not in self.under_test.adapter.missing_inputs()
+
+    @property
+    def device_url(self) -> str:
+        return self.under_test.endpoint.get("url", "")
+
+    @property
+    def addressed_by(self) -> Sequence[str]:
+        return addressed_by(self.under_test.adapter)
+
+    def _is_bound(self, operation: str, inputs: Mapping[str, object]) -> bool:
+        return self.under_test.is_bound(operation, inputs)
 
     @property
     def running(self) -> bool:
@@ -150,12 +177,12 @@ class LiveRig(Rig):
         with self._observing():
             return await self.device.journal(since), asked_ns
 
-    async def journal(self) -> list[Entry]:
+    async def _journal(self) -> list[Entry]:
         journal, asked_ns = await self._look(self._cursor.next)
         self._noted({"journal": journal.next}, asked_ns)
         return journal.entries
 
-    async def wait_for(self, *, timeout_s: float, count: int = 1, **match: object) -> list[Entry]:
+    async def _wait(self, match: Mapping[str, object], *, timeout_s: float, count: int) -> list[Entry]:
         asked_ns = time.monotonic_ns()
         with self._observing():
             scaled = timeout_s * self._ledger.time_scale
@@ -163,7 +190,7 @@ class LiveRig(Rig):
         self._noted({"wait": len(entries)}, asked_ns)
         return entries
 
-    async def session_journal(self) -> list[Entry]:
+    async def _session_journal(self) -> list[Entry]:
         begin = self._cursor.began
         journal, asked_ns = await self._look(begin)
         self._noted({"session_journal": [begin, journal.next]}, asked_ns)
@@ -190,7 +217,7 @@ class LiveRig(Rig):
         with self._observing():
             await self.device.tick(steps)
 
-    async def _watch(self, seconds: float) -> None:
+    async def pause(self, seconds: float) -> None:
         with self._bench.spent.on("quiet windows"):
             await asyncio.sleep(seconds)
 
@@ -198,8 +225,9 @@ class LiveRig(Rig):
         # An adapter may reconnect in its own time: a new connection is the sign to call it again. Without one it is called
         # after a pause, so that an adapter which fails at once is not called without pause.
         since = self._cursor.next
-        seen = len(await self.device.wait(since, {"kind": "CONNECTED"}, timeout_s=0.0))
-        await self.device.wait(since, {"kind": "CONNECTED"}, timeout_s=0.05, count=seen + 1)
+        connected = {"origin": ADAPTER, "kind": "CONNECTED"}
+        seen = len(await self.device.wait(since, connected, timeout_s=0.0))
+        await self.device.wait(since, connected, timeout_s=0.05, count=seen + 1)
         if self.under_test.adapter.recovery == "connect_step":
             # The connect step may fail as long as the device is not ready; then the call after it fails as well, and says so.
             with self._bench.spent.on("tool calls"):

@@ -47,9 +47,10 @@ class Repetition:
         self.rep = rep
         self.role = role
         self.time_scale = time_scale
-        self.ledger = Ledger(role, time_scale)
+        origin = f"{seed}/{task_id}/{role}/{rep}"
+        self.ledger = Ledger(role, time_scale, item=task_id, origin=origin)
         # The same seed gives the same nonces, whatever ran before.
-        self.rng = random.Random(f"{seed}/{task_id}/{role}/{rep}")
+        self.rng = random.Random(origin)
         self.phases: Phases | None = None
         self.notes: dict[str, object] = {}
         self._at = {(at.protocol, at.variant): at for at in rigs}
@@ -110,13 +111,13 @@ class Repetition:
 
     # -- judging ------------------------------------------------------------------------------------------
 
-    def succeeds(self, reply: Reply, **outputs: object) -> None:
-        """Expect success with these outputs."""
-        self.judge(reply, oracle.succeeded(reply, **outputs))
+    def succeeds(self, reply: Reply, *, requirement: str | None = None, **outputs: object) -> bool:
+        """Expect success with these outputs, and return whether it was so; ``requirement`` as for ``expectations``."""
+        return self.judge(reply, oracle.succeeded(reply, requirement=requirement, **outputs))
 
     def must_succeed(self, reply: Reply, **outputs: object) -> None:
         """Expect success with these outputs; without it the repetition ends here."""
-        if not self.judge(reply, oracle.succeeded(reply, **outputs)):
+        if not self.succeeds(reply, requirement=None, **outputs):
             raise EndedError
 
     def fails(self, reply: Reply, *codes: str, **expected: Any) -> None:
@@ -137,8 +138,8 @@ class Repetition:
 
     @property
     def unanswered(self) -> bool:
-        """At least one call got no response at all."""
-        return not all(call.reply.answered for call in self.ledger.calls)
+        """At least one call of the steps got no response at all."""
+        return not all(call.reply.answered for call in self.ledger.calls if not call.proof)
 
     @property
     def duration_ms(self) -> float:

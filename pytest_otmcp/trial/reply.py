@@ -9,6 +9,7 @@ from typing import Any
 from ..core.finding import Finding
 from ..core.strict_json import parse_strict
 from ..protocols.envelope import check_result
+from ..protocols.journal import Entries, JournalEntry
 from ..protocols.registry import protocols
 from ..session.exchange import Exchange
 from ..subject.answers import extract, interpret, read_answer, synthesised, synthesised_from_outputs
@@ -94,6 +95,16 @@ class Reply:
         error = (self.envelope or {}).get("error")
         code = error.get("code") if isinstance(error, dict) else None
         return code if isinstance(code, str) else None
+
+    def during(self, entries: Entries) -> list[JournalEntry]:
+        """Return those entries of a journal that were made between the request and the reply."""
+        begin_ns, end_ns = self.exchange.sent_ns, self.exchange.received_ns
+        return [entry for entry in entries if end_ns is not None and begin_ns <= entry["t_ns"] <= end_ns]
+
+    @property
+    def faulty(self) -> bool:
+        """Whether a MUST for replies as such is not met."""
+        return any(fault.is_must for fault in self.faults)
 
     @property
     def label(self) -> str:
@@ -182,8 +193,12 @@ def _read_answer(exchange: Exchange, message: Mapping[str, object], expected: Ex
         # A tool that is not listed counts as "writes disabled" (requirement MCP-008), even if a rule meant for other
         # answers matches the text "Unknown tool".
         answer = replace(answer, code="writes_disabled")
-    writes = protocols()[expected.adapter].operations[expected.operation].writes
-    envelope = synthesised(answer, protocol=expected.adapter, operation=expected.operation, writes=writes)
+    operation = protocols()[expected.adapter].operations[expected.operation]
+    told = None if operation.tells is None else extract(expected.outputs, answer.document).get(operation.tells)
+    if answer.success and told is False:
+        # The answer came, and says that the device did not: no success, whatever else it says.
+        answer = replace(answer, success=False, code="connect_failed")
+    envelope = synthesised(answer, protocol=expected.adapter, operation=expected.operation, writes=operation.writes)
     if answer.admission is None:
         return envelope, []
     fault = Finding(

@@ -6,17 +6,20 @@ which uses a running adapter and device, and by ``replay.rig``, which reads the 
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar, cast
 
 from ..core.finding import Finding
+from ..protocols.journal import ADAPTER, judged
+from ..protocols.protocol import Declared
 from ..record.schema import DeviceEntry, Role
 from ..subject.model import READ_WRITE
 from .cursor import JournalCursor, Oracle
 from .ledger import Entry, Ledger
 from .reply import Reply
+from .write_gate import EndedError, WriteGate
 
 __all__ = ["EndedError", "Entry", "FreshSession", "Rig", "adapter_name"]
 
@@ -29,13 +32,6 @@ def adapter_name(protocol: str, variant: str) -> str:
 
 
 _NOTICING_PAUSE_S = 0.05
-
-
-class EndedError(Exception):
-    """The repetition ends here: something that its next steps need, such as an answer, did not come.
-
-    The next steps would show nothing, or only wait for one deadline after the other.
-    """
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,7 +51,7 @@ class FreshSession:
     seconds: float
 
 
-class Rig(ABC):
+class Rig(WriteGate):
     """One adapter at its device.
 
     Attributes:
@@ -64,11 +60,9 @@ class Rig(ABC):
     """
 
     def __init__(self, protocol: str, variant: str, cursor: JournalCursor) -> None:
-        self.protocol = protocol
+        super().__init__(protocol, cursor)
         self.variant = variant
         self.name = adapter_name(protocol, variant)
-        self._ledger: Ledger
-        self._cursor = cursor
 
     def join(self, ledger: Ledger) -> None:
         """Write into the ledger of a repetition from now on."""
@@ -77,12 +71,18 @@ class Rig(ABC):
     # -- what the subject says of itself ------------------------------------------------------------------
 
     @abstractmethod
-    def claims(self, facet: str) -> bool:
-        """Tell whether the subject claims this facet of its adapter."""
+    def max_age_s(self, operation: str) -> float | None:
+        """Return how old the operation's answer may be, as the subject declares; None when it must come from the device."""
 
+    @property
     @abstractmethod
-    def blocks(self, operation: str) -> bool:
-        """Tell whether the operation is performed by a call that waits for the message that it returns."""
+    def recovery_s(self) -> float:
+        """The time within which work goes on after an outage, as the subject declares."""
+
+    @property
+    @abstractmethod
+    def declared(self) -> Declared:
+        """The lists of the protocol's own keys in the subject file."""
 
     @abstractmethod
     def probe(self, name: str) -> Any:
@@ -99,9 +99,15 @@ class Rig(ABC):
     # -- what the steps of a task do ----------------------------------------------------------------------
 
     async def call(self, operation: str, *, role: Role | None = None, **inputs: object) -> Reply:
-        """Perform an operation; see :meth:`pytest_otmcp.trial.adapter_under_test.AdapterUnderTest.call`."""
+        """Perform an operation; see :meth:`pytest_otmcp.trial.adapter_under_test.AdapterUnderTest.call`.
+
+        An operation that writes is performed only in a session that is proven to talk to the mock device.
+        """
+        writes = await self._before(operation)
         reply = await self._perform(operation, inputs)
         self._ledger.add(reply, inputs, role)
+        if writes:
+            self._after(reply)
         if not reply.answered:
             raise EndedError
         return reply
@@ -133,14 +139,14 @@ class Rig(ABC):
             if not reply.success or reply.exchange.sent_ns - begun_ns >= window_ns:
                 return reply
             self._ledger.set_aside(reply)
-            await self._watch(_NOTICING_PAUSE_S)
+            await self.pause(_NOTICING_PAUSE_S)
 
     async def stays_quiet(self, seconds: float, judge: Callable[[list[Entry]], list[Finding]]) -> None:
         """Watch the device for a while, then judge what reached it; for messages that must not come.
 
         Shorter deadlines do not make a message come sooner, so a time scale below 1 leaves this window as it is.
         """
-        await self._watch(seconds * max(1.0, self._ledger.time_scale))
+        await self.pause(seconds * max(1.0, self._ledger.time_scale))
         self._ledger.witnessed(judge(await self.journal()))
 
     async def keep_journal(self) -> None:
@@ -148,6 +154,8 @@ class Rig(ABC):
         # The read-only variant has a device of its own, whose entries count from 0 as well.
         variant = {} if self.variant == READ_WRITE else {"variant": self.variant}
         entries = await self.take_slice()
+        self._compare(judged(entries))
+        self._claimed = 0
         kept = ({"protocol": self.protocol, **variant, **entry} for entry in entries)
         self._ledger.journal.extend(cast(DeviceEntry, entry) for entry in kept)
 
@@ -168,32 +176,33 @@ class Rig(ABC):
             )
         return fresh
 
-    # -- how it is done -----------------------------------------------------------------------------------
+    async def prove_first(self) -> None:
+        """Prove the session before the steps, with a slice of the journal of its own: the steps' slice begins after it."""
+        if self._cursor.proven is None:
+            await self.prove()
+            await self.keep_journal()
 
-    @property
-    @abstractmethod
-    def running(self) -> bool:
-        """The device runs."""
+    # -- how it is done -----------------------------------------------------------------------------------
 
     @property
     @abstractmethod
     def accepting_ns(self) -> int:
         """Monotonic time since which the device accepts connections."""
 
-    @abstractmethod
     async def journal(self) -> list[Entry]:
-        """Return what reached the device, and what it answered, since this repetition began."""
+        return judged(await self._journal())
 
-    @abstractmethod
     async def wait_for(self, *, timeout_s: float, count: int = 1, **match: object) -> list[Entry]:
-        """Return the journal entries of this repetition that match, as soon as there are ``count``, or after the timeout."""
+        """Return the adapter's journal entries of this repetition that match, as soon as there are ``count``, or after the
+        timeout."""
+        return await self._wait({"origin": ADAPTER, **match}, timeout_s=timeout_s, count=count)
 
-    @abstractmethod
     async def session_journal(self) -> list[Entry]:
         """Return the entries of this repetition since the adapter's session was opened.
 
         A session of earlier repetitions caused more entries than these: :meth:`follow` judges all of them.
         """
+        return judged(await self._session_journal())
 
     async def follow(self, kind: type[Oracle]) -> Oracle:
         """Return the session oracle of this kind, which has seen everything that the session did at the device so far."""
@@ -203,10 +212,6 @@ class Rig(ABC):
     @abstractmethod
     async def image(self) -> dict[str, object]:
         """Return the values that the device really holds."""
-
-    @abstractmethod
-    async def poke(self, **params: object) -> None:
-        """Set a value out of band."""
 
     @abstractmethod
     async def tick(self, steps: int) -> None:
@@ -225,19 +230,19 @@ class Rig(ABC):
         """Take the journal since the repetition began; the next repetition's slice begins where this one ends."""
 
     @abstractmethod
-    async def _perform(self, operation: str, inputs: Mapping[str, object]) -> Reply: ...
+    async def _journal(self) -> list[Entry]:
+        """Return the entries since this repetition began, whoever caused them."""
 
     @abstractmethod
-    async def _feed(self) -> None:
-        """Show the session's oracles the entries that they have not seen."""
+    async def _session_journal(self) -> list[Entry]:
+        """Return the entries of this repetition since the adapter's session was opened, whoever caused them."""
+
+    @abstractmethod
+    async def _wait(self, match: Mapping[str, object], *, timeout_s: float, count: int) -> list[Entry]: ...
 
     @abstractmethod
     async def _reconnecting(self) -> None:
         """Wait, after a failed call, until it makes sense to call again."""
-
-    @abstractmethod
-    async def _watch(self, seconds: float) -> None:
-        """Let time pass."""
 
     @abstractmethod
     async def _stop(self) -> float: ...

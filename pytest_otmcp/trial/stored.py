@@ -22,7 +22,10 @@ def stored_calls(ledger: Ledger) -> list[Call]:
     The envelope of a good reply says all that its frames said. The frames are kept where they show more: where there is a
     fault, or where the answer is no envelope.
     """
-    return [_call(call, with_frames=bool(ledger.findings) or not call.reply.native) for call in ledger.calls]
+    return [
+        _call(call, with_frames=ledger.failed or bool(call.reply.faults) or not call.reply.native)
+        for call in ledger.calls
+    ]
 
 
 def _call(judged: Judged, *, with_frames: bool) -> Call:
@@ -35,7 +38,7 @@ def _call(judged: Judged, *, with_frames: bool) -> Call:
         "tool": reply.tool,
         "arguments": dict(reply.arguments),
         "latency_ms": None if reply.latency_ms is None else round(reply.latency_ms, 4),
-        "ok": bool(judged.ok) and not reply.faults,
+        "ok": bool(judged.ok) and not reply.faulty,
         "envelope": reply.envelope,
         "native": reply.native,
         "listed": reply.listed,

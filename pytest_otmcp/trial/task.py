@@ -42,6 +42,7 @@ class Task:
         guards: protocols whose read-only variant takes part when the subject claims that there is one.
         requirements: ids of the requirement catalogue that it exercises.
         steps: the steps of one repetition.
+        keys: keys of the subject file that may be why it fails, with their protocol, such as ``modbus.probes.missing_address``.
         position: its place in the suite, where it does not follow the items that its module declares before it.
         begin: steps run once before the repetitions, with the role ``setup``; or None.
         end: steps run once after the repetitions, with the role ``control``; or None.
@@ -56,6 +57,7 @@ class Task:
     guards: tuple[str, ...]
     requirements: tuple[str, ...]
     steps: Steps
+    keys: tuple[str, ...] = ()
     position: int | None = None
     begin: Steps | None = None
     end: Steps | None = None
@@ -70,6 +72,16 @@ class Task:
         """Name of its protocol, as tables print it; for a task about several protocols, the name of such tasks."""
         only, *others = self.protocols
         return CROSS_PROTOCOL if others else protocols()[only].name
+
+    @property
+    def writing(self) -> set[str]:
+        """Names of the adapters through which the task may write; a guard that does not hold writes as well."""
+        facets = [facet.partition(".") for facet in self.needs]
+        writing = {
+            key for key, _, name in facets if name in (known := protocols()[key].operations) and known[name].writes
+        }
+        guarded = {key for key, _, name in facets if name == GUARD} | {*self.guards}
+        return writing | {f"{key}@{READ_ONLY}" for key in guarded}
 
     @property
     def warm_up(self) -> bool:
@@ -102,12 +114,18 @@ def _rig_names(steps: Steps) -> list[str]:
     return rigs
 
 
-async def execute(steps: Steps, run: Repetition) -> None:
-    """Run steps with the rigs that their parameters name."""
+async def execute(task: Task, steps: Steps, run: Repetition) -> None:
+    """Run steps with the rigs that their parameters name.
+
+    Adapters through which the task writes have to be proven to talk to their mock devices first.
+    """
     rigs = {
         name: run.rig(name.removesuffix(_READ_ONLY_SUFFIX), guarded=name.endswith(_READ_ONLY_SUFFIX))
         for name in _rig_names(steps)
     }
+    for rig in rigs.values():
+        if rig is not None and rig.name in task.writing:
+            await rig.prove_first()
     await steps(run, **rigs)
 
 
@@ -124,6 +142,7 @@ class Tasks(list[Task]):
         capability: str,
         guards: str = "",
         requirements: str = "",
+        keys: str = "",
         position: int | None = None,
     ) -> Callable[[Steps], Task]:
         """Return a decorator that turns the steps of one repetition into a task.
@@ -157,6 +176,7 @@ class Tasks(list[Task]):
                 guards=tuple(guards.split()),
                 requirements=tuple(requirements.split()),
                 steps=steps,
+                keys=tuple(keys.split()),
                 position=position,
             )
             declared._check(steps)

@@ -8,16 +8,22 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Literal, cast
 
-from ..core.errors import KitError, SubjectError
-from ..core.finding import Finding
+from ..core.errors import ExhaustedError, KitError, SubjectError
+from ..core.exhaustion import exhausted
+from ..core.finding import Finding, Kind, kind_of
 from ..protocols.unsolicited import nothing_commanded
-from ..record.schema import Around, Ended, ItemBody, Role, Sample, State
+from ..record.schema import Around, DeviceEntry, Ended, ItemBody, Role, Sample, State
+from ..subject.model import READ_WRITE
 from .adapter_under_test import NoBindingError
 from .driver import SessionFacts, TrialDriver
+from .ledger import Ledger
 from .repetition import Repetition
+from .rig import adapter_name
 from .stored import stored_calls, stored_finding
+from .strangers import Strangers
 from .task import Steps, Task
 
 __all__ = ["Repetition", "Trial"]
@@ -26,7 +32,16 @@ _GIVE_UP_AFTER = 3
 """Consecutive repetitions without any reply after which an item is not continued: a hanging adapter is then found within
 a few deadlines, not after thirty."""
 
+
+class _DisturbedError(Exception):
+    """Another program has changed a device: what is seen there from now on says nothing about the adapter."""
+
+
 ReportProgress = Callable[[int, int], None]
+
+
+class _ItemOverError(Exception):
+    """End of the item: nothing may be written, and the findings say why."""
 
 
 class Trial:
@@ -60,6 +75,9 @@ class Trial:
         self._reason: str | None = None
         self._ended: Ended | None = None
         self._around: list[Around] = []
+        self._warm_up: dict[Finding, Kind] = {}
+        self._repeated: set[Kind] = set()
+        self._strangers = Strangers()
 
     async def run(self) -> ItemBody:
         """Run the task to its end; faults of adapter and kit alike end up in the returned item."""
@@ -75,11 +93,21 @@ class Trial:
     async def _guarded(self) -> None:
         try:
             await self._execute()
+        except _DisturbedError as disturbance:
+            # What was found before stands.
+            if not self._failed:
+                self._status = "KIT_ERROR"
+            self._reason = str(disturbance)
+        except _ItemOverError:
+            pass
         except SubjectError as failure:
             self._end("subject", failure.code, str(failure), "MCP-002")
         except NoBindingError as gap:
             self._status, self._reason = "NOT_TESTABLE", str(gap)
             self._end("binding", "not_testable", str(gap))
+        except ExhaustedError as failure:
+            self._status = "KIT_ERROR"
+            self._end("kit", "exhausted", str(failure))
         except KitError as failure:
             self._status = "KIT_ERROR"
             self._end("kit", "kit_error", str(failure))
@@ -90,19 +118,17 @@ class Trial:
         self, fault_of: Literal["subject", "binding", "kit"], code: str, message: str, requirement: str | None = None
     ) -> None:
         self._ended = {"fault_of": fault_of, "code": code, "message": message}
-        if fault_of == "kit":
+        if code == "kit_error":
             message = f"{message}. This is the kit's fault; please file a bug."
         self._findings.append(Finding(code=code, message=message, requirement=requirement))
 
     async def _execute(self) -> None:
         task, driver = self._task, self._driver
-        await driver.prepare()
-        for protocol, entries in driver.before():
-            for finding in nothing_commanded(protocol, entries):
-                when = "before this item, when nobody called the adapter"
-                self._note(
-                    finding.code, f"{protocol}: {when}: {finding.message}", finding.requirement, finding.evidence
-                )
+        try:
+            await driver.prepare()
+        finally:
+            # It came before the item, whether or not the item's adapters can be started.
+            self._judge_before()
         if task.begin is not None:
             await self._execute_around(task.begin, "setup")
         if task.warm_up:
@@ -123,6 +149,15 @@ class Trial:
             await self._execute_around(task.end, "control")
         self._take(await driver.inspect())
 
+    def _judge_before(self) -> None:
+        """Judge what reached the devices since the last item that had them."""
+        for at, found in self._driver.history()["devices"].items():
+            self._strangers.take(at, found["before"], watched=False)
+        for protocol, entries, declared in self._driver.before():
+            for finding in nothing_commanded(protocol, entries, declared):
+                when = "before this item, when nobody called the adapter"
+                self._add(replace(finding, message=f"{protocol}: {when}: {finding.message}"))
+
     async def _execute_around(self, steps: Steps, role: Role) -> None:
         """Execute set-up, warm-up or closing checks: they are judged like a repetition, but are no sample."""
         repetition = self._driver.repetition(0, role)
@@ -136,8 +171,14 @@ class Trial:
                 "observations": ledger.observations,
             }
         )
-        for finding in repetition.ledger.findings:
-            self._note(finding.code, f"{role}: {finding.message}", finding.requirement, finding.evidence)
+        self._watch_strangers(ledger)
+        if self._strangers.disturbance is not None:
+            raise _DisturbedError(self._strangers.disturbance)
+        for finding in ledger.findings:
+            noted = self._add(replace(finding, message=f"{role}: {finding.message}"))
+            if role == "warmup":
+                self._warm_up[noted] = kind_of(finding.code, finding.requirement, finding.message)
+        self._stop_if_refused(repetition)
         if repetition.unanswered:
             self._take(await self._driver.end_sessions())
             await self._driver.open_sessions()
@@ -146,24 +187,52 @@ class Trial:
         repetition = self._driver.repetition(rep, "task")
         await self._driver.perform(repetition, self._task.steps)
         ledger = repetition.ledger
-        self._all_passed = self._all_passed and not ledger.findings
+        self._watch_strangers(ledger)
+        disturbance = self._strangers.disturbance
+        findings = ledger.findings if disturbance is None else []
+        passed = ledger.refused is None and not (ledger.failed and disturbance is None)
+        self._all_passed = self._all_passed and passed
+        self._repeated |= {kind_of(found.code, found.requirement, found.message) for found in findings}
         self._keep(
             {
                 "repetition": rep,
-                "ok": not ledger.findings,
+                "ok": passed and disturbance is None,
                 "duration_ms": round(repetition.duration_ms, 4),
                 "calls": stored_calls(ledger),
                 "device": ledger.journal,
                 "observations": ledger.observations,
-                "findings": [stored_finding(finding) for finding in ledger.findings],
+                "findings": [stored_finding(finding) for finding in findings],
                 "phases": repetition.phases,
             }
         )
+        if disturbance is not None:
+            raise _DisturbedError(disturbance)
+        self._stop_if_refused(repetition)
         return repetition.unanswered
 
-    def _note(self, code: str, message: str, requirement: str | None = None, evidence: str | None = None) -> None:
-        if (code, message) not in [(finding.code, finding.message) for finding in self._findings]:
-            self._findings.append(Finding(code=code, message=message, requirement=requirement, evidence=evidence))
+    def _watch_strangers(self, ledger: Ledger) -> None:
+        slices: dict[str, list[DeviceEntry]] = {}
+        for entry in ledger.journal:
+            slices.setdefault(adapter_name(entry["protocol"], entry.get("variant", READ_WRITE)), []).append(entry)
+        for at, entries in slices.items():
+            self._strangers.take(at, entries)
+
+    def _stop_if_refused(self, repetition: Repetition) -> None:
+        refused = repetition.ledger.refused
+        if refused is not None:
+            self._findings.append(refused)
+            raise _ItemOverError
+
+    def _note(self, code: str, message: str, requirement: str | None = None) -> Finding:
+        return self._add(Finding(code=code, message=message, requirement=requirement))
+
+    def _add(self, finding: Finding) -> Finding:
+        """Note a finding once, and return the one that was noted."""
+        for known in self._findings:
+            if (finding.code, finding.message) == (known.code, known.message):
+                return known
+        self._findings.append(finding)
+        return finding
 
     def _take(self, sessions: list[SessionFacts]) -> None:
         for facts in sessions:
@@ -184,30 +253,43 @@ class Trial:
         return self._item()
 
     def broken(self, error: Exception) -> ItemBody:
-        """Return the item as far as it was measured when an exception, which is a bug of the kit, ended it."""
+        """Return the item as far as it was measured when an exception ended it that is not the adapter's: a bug of the kit, or a
+        machine that has run out of something."""
         self._status = "KIT_ERROR"
-        trace = "".join(traceback.format_exception(error))[-2000:]
-        message = f"{type(error).__name__}: {error}. This is the kit's fault; please file a bug."
-        self._findings = [Finding(code="kit_error", message=message, evidence=trace)]
+        if (cure := str(error) if isinstance(error, ExhaustedError) else exhausted(error)) is not None:
+            self._findings = [Finding(code="exhausted", message=cure)]
+        else:
+            trace = "".join(traceback.format_exception(error))[-2000:]
+            message = f"{type(error).__name__}: {error}. This is the kit's fault; please file a bug."
+            self._findings = [Finding(code="kit_error", message=message, evidence=trace)]
         return self._item()
+
+    @property
+    def _failed(self) -> bool:
+        return any(finding.is_must for finding in self._findings) or not self._all_passed
 
     def _item(self) -> ItemBody:
         task = self._task
-        failed = bool(self._findings) or not self._all_passed
-        return {
+        # What a repetition has found as well is said there.
+        findings = [found for found in self._findings if self._warm_up.get(found) not in self._repeated]
+        item: ItemBody = {
             "id": task.id,
             "suite": task.suite,
             "family": task.family,
             "title": task.title,
             "capabilities": list(task.capabilities),
             "requirements": list(task.requirements),
-            "status": self._status or ("FAIL" if failed else "PASS"),
+            "status": self._status or ("FAIL" if self._failed else "PASS"),
             "reason": self._reason,
             "planned": self._planned,
-            "findings": [stored_finding(finding) for finding in self._findings],
+            "findings": [stored_finding(finding) for finding in findings],
             "requirement_rows": [],
             "timing_ms": dict(self._driver.timing_ms()),
             "around": self._around,
             "ended": self._ended,
             **self._driver.history(),
+            "strangers": self._strangers.noted(),
         }
+        if not item["strangers"]:
+            del item["strangers"]
+        return item

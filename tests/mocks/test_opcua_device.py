@@ -291,8 +291,8 @@ async def test_the_journal_tells_what_was_written_besides_the_value(plant: MockP
     await client.get_node(node("FanSpeed")).write_value(timed)
     first, second = (entry["nodes"] for entry in await plant.control.journal(mark, kind="Write", direction="in"))
     plain = {"node_id": "ns=2;s=FanSpeed", "attribute": "Value", "variant_type": "Double"}
-    assert first == [{**plain, "value": 12.5, "has_timestamp": False}]
-    assert second == [{**plain, "value": 13.5, "has_timestamp": True}]
+    assert first == [{**plain, "value": 12.5, "has_status": False, "has_timestamp": False}]
+    assert second == [{**plain, "value": 13.5, "has_status": False, "has_timestamp": True}]
     # The plant has its own clock.
     assert (await read(client, "FanSpeed")).SourceTimestamp != timed.SourceTimestamp
 

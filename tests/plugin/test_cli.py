@@ -49,7 +49,7 @@ def test_help_names_every_command_and_imports_nothing_heavy(tmp_path: Path) -> N
     )
     done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    for command in ("init", "doctor", "certify", "verify", "report", "mock"):
+    for command in ("init", "doctor", "certify", "verify", "explain", "report", "mock"):
         assert re.search(rf"^ +{command} ", done.stdout, re.MULTILINE)
 
 
@@ -87,7 +87,12 @@ def test_what_cannot_be_done_is_said_in_a_sentence_and_ends_with_2(
         (cli.Refusal("no certificate: M1\nfailed"), 1, "otmcp: no certificate: M1 failed"),
         (KitError("the mock died"), 3, "otmcp: the mock died (a fault of the kit; please file a bug)"),
         (KeyboardInterrupt(), 2, "otmcp: interrupted"),
-        (OSError(28, "No space left on device", "out/run.json"), 2, "otmcp: out/run.json: No space left on device"),
+        (
+            OSError(28, "No space left on device", "out/run.json"),
+            3,
+            "otmcp: out/run.json: the disk is full; make room, ",
+        ),
+        (OSError(13, "Permission denied", "out/run.json"), 2, "otmcp: out/run.json: Permission denied"),
         (ZeroDivisionError("division"), 3, "otmcp: a fault of the kit at test_cli.py:"),
     ],
 )

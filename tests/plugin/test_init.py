@@ -13,6 +13,7 @@ from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.subject import load_subject
 from tests.warm_start import WarmStart
 
+FOREIGN = Path(__file__).parents[1] / "soundness" / "foreign.py"
 OTMCP = [sys.executable, "-m", "pytest_otmcp.cli"]
 
 # A typical adapter: two tools, answers in prose, isError always false, one-based addresses.
@@ -46,6 +47,39 @@ def set_register(register: int, value: int) -> str:
 
 server.run()
 '''
+
+# A server on an old SDK: it ends at a request that it does not know before "initialize". Its address comes from a file.
+OLD = """
+import json
+import sys
+from pathlib import Path
+from pymodbus.client import ModbusTcpClient
+
+host, port = Path(sys.argv[1]).read_text().split()
+client = ModbusTcpClient(host, port=int(port), retries=0)
+schema = {"type": "object", "properties": {"address": {"type": "integer"}, "count": {"type": "integer"}}}
+schema["required"] = list(schema["properties"])
+greeted = False
+for line in sys.stdin:
+    message = json.loads(line)
+    if message["method"] == "initialize":
+        greeted = True
+        info = {"name": "old", "version": "1.9.4"}
+        result = {"protocolVersion": "2024-11-05", "capabilities": {"tools": {}}, "serverInfo": info}
+    elif not greeted:
+        sys.exit("received a request before initialization was complete")
+    elif message["method"] == "tools/list":
+        result = {"tools": [{"name": "read_holding_registers", "inputSchema": schema}]}
+    elif message["method"] == "tools/call":
+        asked = message["params"]["arguments"]
+        client.connect()
+        found = client.read_holding_registers(asked["address"], count=asked["count"], device_id=1)
+        text = json.dumps({"error": str(found)} if found.isError() else {"registers": found.registers})
+        result = {"content": [{"type": "text", "text": text}]}
+    else:
+        continue
+    print(json.dumps({"jsonrpc": "2.0", "id": message["id"], "result": result}), flush=True)
+"""
 
 Otmcp = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -86,6 +120,9 @@ def test_a_prose_adapter_is_described_by_what_the_device_saw(
     assert adapter.answering.form == "text"
     assert [rule.success for rule in adapter.answering.outcome] == [False]
     assert "illegal_address" in [rule.code for rule in adapter.answering.errors]
+    assert adapter.variants["rw"].command[-1] == "{dir}/prose.py"
+    assert load_subject(tmp_path / "otmcp.toml").version == "unknown"
+    assert "the version of your product" in done.stdout
 
 
 @pytest.mark.parametrize("protocol", ["modbus", "mqtt", "opcua"])
@@ -107,6 +144,47 @@ def test_every_tool_of_a_reference_adapter_is_found_and_proven(
     written = load_subject(tmp_path / "otmcp.toml").adapters[protocol]
     assert written.answering.native
     assert set(written.operations) == set(protocols()[protocol].operations)
+
+
+def test_a_call_that_waits_is_proposed_as_one(otmcp: Otmcp, tmp_path: Path, warm_start: WarmStart) -> None:
+    endpoint = ("--env", "BROKER_HOST={host}", "--env", "BROKER_PORT={port}")
+    done = otmcp("init", "--protocol", "mqtt", *endpoint, "--", *warm_start.python, str(FOREIGN), "mqtt-collect")
+    assert done.returncode == 0, done.stderr
+    assert (
+        "messages        collect (proven: the device saw a SUBSCRIBE, and its message is in the answer)" in done.stdout
+    )
+    (collect,) = load_subject(tmp_path / "otmcp.toml").adapters["mqtt"].operations["messages"]
+    assert collect.blocking
+    assert collect.fill({"filter": "a/#", "seconds": 3}, {}) == {"topic": "a/#", "timeout": 3}
+
+
+def test_an_old_server_is_described_beside_another_adapter(otmcp: Otmcp, tmp_path: Path) -> None:
+    (tmp_path / "old.py").write_text(OLD, encoding="utf-8")
+    there = '[subject]\nname = "x"\nversion = "7"\n\n[adapter.mqtt]\ncommand = ["adapter"]\n'
+    (tmp_path / "otmcp.toml").write_text(there, encoding="utf-8")
+    launch = (
+        "--protocol",
+        "modbus",
+        "--file",
+        "address={host} {port}",
+        "--",
+        sys.executable,
+        "old.py",
+        "{work}/address",
+    )
+    done = otmcp("init", *launch)
+    assert done.returncode == 0, done.stderr
+    assert "read_holding    read_holding_registers (proven" in done.stdout
+    text = (tmp_path / "otmcp.toml").read_text(encoding="utf-8")
+    assert text.startswith(there)
+    subject = load_subject(tmp_path / "otmcp.toml")
+    assert subject.version == "7"
+    assert set(subject.adapters) == {"mqtt", "modbus"}
+    assert subject.adapters["modbus"].era == "legacy"
+    assert subject.adapters["modbus"].variants["rw"].files == {"address": "{host} {port}"}
+    again = otmcp("init", *launch)
+    assert again.returncode == 2
+    assert "otmcp.toml: exists already" in again.stderr
 
 
 def test_a_file_that_is_there_is_not_replaced(otmcp: Otmcp, tmp_path: Path) -> None:

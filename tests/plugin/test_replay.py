@@ -28,7 +28,7 @@ from .vendor import Repository
 Record = dict[str, Any]
 
 SOUNDNESS = Path(__file__).parents[1] / "soundness"
-DEFECTIVE, ROGUE = str(SOUNDNESS / "defective.py"), str(SOUNDNESS / "rogue.py")
+DEFECTIVE, MUTANT, ROGUE = (str(SOUNDNESS / name) for name in ("defective.py", "mutants/program.py", "rogue.py"))
 
 FOREIGN_SUBJECT = """
 [subject]
@@ -190,7 +190,7 @@ def write_in_the_read_only_session(item: Record) -> None:
 
 CHANGES: dict[Callable[[Record], None], tuple[str, str]] = {
     forget_the_connect: ("Q1", "the journal of mqtt should have the entries"),
-    repeat_a_sequence_number: ("Q4", "the broker should have received one DDATA of device-1"),
+    repeat_a_sequence_number: ("Q4", "Q4 repetition 2: the steps ask for wait of mqtt"),
     shift_a_slice: ("O1", "O1 repetition 1: the journal of opcua has 1 entries beyond its end"),
     deny_a_connection: ("R-modbus", "R-modbus repetition 1: the stored history shows phases"),
     come_back_too_late: ("R-mqtt", "R-mqtt repetition 1: the stored history shows phases"),
@@ -223,9 +223,9 @@ WAITED_FOR = ("hang", "wrong-id")
     [
         ((DEFECTIVE, "wrong-value"), "M2 S1", "wrong_value"),
         ((DEFECTIVE, "hang"), "S10", "no_reply"),
-        ((DEFECTIVE, "stdout-noise"), "M1", "stdout_noise"),
-        ((DEFECTIVE, "never-reconnects"), "S10", "not_successful"),
-        ((DEFECTIVE, "lying-guard"), "M4", "wrote"),
+        ((MUTANT, "MU-49"), "M1", "stdout_noise"),
+        ((MUTANT, "MU-126"), "S10", "not_successful"),
+        ((MUTANT, "MU-20"), "M4", "wrote"),
         ((ROGUE, "not-json"), "M1", "not_strict_json"),
         ((ROGUE, "huge-reply"), "M1", "frame_too_long"),
         ((ROGUE, "dies-in-call"), "M2 M3", "session_lost"),

@@ -16,6 +16,7 @@ import termios
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import psutil
 import pytest
@@ -27,6 +28,7 @@ from tests.warm_start import WarmStart
 from .vendor import PATIENCE_S, WAITING, Outcome, Repository, port_of
 
 SUITE = ("--pyargs", "pytest_otmcp.conformance")
+HONEST = Path(__file__).parents[1] / "soundness" / "honest" / "adapter.py"
 
 SILENT = """
 import socket, sys
@@ -55,7 +57,7 @@ def test_a_narrowed_run_is_recorded_and_called_incomplete(repository: Repository
     options = ("-k", "normal and M2 or FM1", "--otmcp-reps=4", "--junit-xml=junit.xml")
     outcome = repository.pytest(*SUITE, *options, plugins=None, drawn=True)
     assert outcome.code == 1, outcome.output
-    assert "VERDICT: INCOMPLETE (8/8 runs passed in 2 items; 36 of 38 items did not run" in outcome.output
+    assert "VERDICT: INCOMPLETE (2 of 38 items applied, 8/8 runs passed; 36 of 38 items did not run" in outcome.output
     record = outcome.record
     assert record["schema"] == "otmcp-run/2"
     assert [item["id"] for item in record["items"]] == ["M2", "FM1"]
@@ -71,6 +73,19 @@ def test_a_narrowed_run_is_recorded_and_called_incomplete(repository: Repository
 
 def test_the_record_is_plain_json(wrong_value: Outcome) -> None:
     assert json.loads((wrong_value.report / "run.json").read_bytes()) == wrong_value.record
+
+
+def test_a_warning_fails_nothing_and_stands_beside_the_verdict(repository: Repository) -> None:
+    repository.subject("mcp/no-text-block", program=HONEST)
+    outcome = repository.pytest(*SUITE, "-k", "normal and M1", "--otmcp-reps=2", "--junit-xml=junit.xml")
+    assert outcome.statuses == {"M1": "PASS"}
+    assert re.search(r"VERDICT: INCOMPLETE \(.*2/2 runs passed, 1 warning", outcome.output), outcome.output
+    assert "MCP-006, 2 times in M1: ping(): the result has no text block" in outcome.output
+    (case,) = ElementTree.parse(repository.root / "junit.xml").iter("testcase")
+    properties = {entry.get("name"): entry.get("value") for entry in case.iter("property")}
+    assert "the result has no text block" in (properties["otmcp_warning"] or "")
+    for report in ("report.html", "summary.md"):
+        assert "the result has no text block" in (outcome.report / report).read_text(encoding="utf-8")
 
 
 def test_a_defective_adapter_makes_the_run_fail_with_a_finding(wrong_value: Outcome) -> None:

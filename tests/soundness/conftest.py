@@ -90,6 +90,7 @@ def judge(loop: LoopThread, plant: Plant, warm_start: WarmStart) -> Judge:
     """``judge(protocol, program, mode, …)`` runs every task that needs the protocol, once, with that adapter replaced.
 
     A ``command`` is started as it is, a program is started warm.
+    ``described`` changes what the subject file says of it.
     """
 
     def run(
@@ -98,13 +99,17 @@ def judge(loop: LoopThread, plant: Plant, warm_start: WarmStart) -> Judge:
         command: tuple[str, ...] | None = None,
         tasks: str | None = None,
         time_scale: float = 1.0,
+        described: Callable[[Adapter], Adapter] | None = None,
     ) -> Results:
         reference = warm_start.subject(reference_subject())
         replaced = reference.adapters[protocol]
         if command is None:
             command = (*warm_start.python, str(HERE / program[0]), *program[1:])
         variants = {name: replace(variant, command=command, cwd=None) for name, variant in replaced.variants.items()}
-        adapters: dict[str, Adapter] = {**reference.adapters, protocol: replace(replaced, variants=variants)}
+        replacing = replace(replaced, variants=variants)
+        if described is not None:
+            replacing = described(replacing)
+        adapters: dict[str, Adapter] = {**reference.adapters, protocol: replacing}
         subject = Subject(name="defective", version="0", adapters=adapters, source=HERE)
         chosen = [task for task in tasks_by_id().values() if protocol in task.adapters and _wanted(task, tasks)]
         return loop.run(perform(AmongGenuine(subject, plant, protocol, time_scale), chosen))
@@ -204,3 +209,14 @@ def words(results: Results) -> str:
         for findings in (result["findings"], *(sample["findings"] for sample in result["samples"]))
         for finding in findings
     )
+
+
+def requirements(results: Results) -> set[str]:
+    """Return the requirements that the findings cite."""
+    return {
+        finding["requirement"]
+        for result in results.values()
+        for findings in (result["findings"], *(sample["findings"] for sample in result["samples"]))
+        for finding in findings
+        if finding["cause"] is None and finding["requirement"] is not None
+    }

@@ -1,4 +1,4 @@
-"""Reference adapters with one defect each: run as ``python defective.py NAME``.
+"""Reference adapters with one defect each that is not in the catalogue: run as ``python defective.py NAME``.
 
 A defect is a small function that takes the built server and changes one thing. It may use the private members of the
 server: nothing else in the project may.
@@ -14,7 +14,7 @@ from dataclasses import replace
 from importlib import import_module
 from typing import Any
 
-from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
+from pytest_otmcp.reference_adapters.core import AdapterServer, Call
 from pytest_otmcp.reference_adapters.core import server as core_server
 from pytest_otmcp.reference_adapters.core.run import serve
 
@@ -47,44 +47,6 @@ def traceback_as_text(server: AdapterServer) -> None:
     core_server._result = result
 
 
-def lying_guard(name: str) -> Callable[[AdapterServer], None]:
-    """Return a defect: the tool writes, and then says that writes are disabled."""
-
-    def bend(server: AdapterServer) -> None:
-        tool = server._tools[name]
-        enabled = server.writes_enabled
-
-        async def handler(call: Call, arguments: Any) -> dict[str, Any]:
-            data: dict[str, Any] = await tool.handler(call, arguments)
-            if enabled:
-                return data
-            raise AdapterError("writes_disabled", "writes are disabled", outcome="not_sent")
-
-        server._tools[name] = replace(tool, handler=handler, writes=False)
-
-    return bend
-
-
-def write_not_sent(server: AdapterServer) -> None:
-    """Say that the value was written, write nothing, and serve the value from memory when it is read back."""
-    claimed: dict[int, int] = {}
-
-    async def write(call: Call, arguments: Any) -> dict[str, Any]:
-        claimed[arguments.address] = arguments.value
-        return {"address": arguments.address, "value": arguments.value}
-
-    def read(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> dict[str, Any]:
-            data: dict[str, Any] = await genuine(call, arguments)
-            data["values"][0] = claimed.get(arguments.address, data["values"][0])
-            return data
-
-        return handler
-
-    wrap(server, "write_register", lambda genuine: write)
-    wrap(server, "read_multiple_holding_registers", read)
-
-
 def write_sent_twice(server: AdapterServer) -> None:
     def twice(genuine: Handler) -> Handler:
         async def handler(call: Call, arguments: Any) -> dict[str, Any]:
@@ -95,28 +57,6 @@ def write_sent_twice(server: AdapterServer) -> None:
         return handler
 
     wrap(server, "write_register", twice)
-
-
-def never_reconnects(server: AdapterServer) -> None:
-    """Never connect again after the first lost connection."""
-    lost = False
-
-    def once(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> dict[str, Any]:
-            nonlocal lost
-            if lost:
-                raise AdapterError("connect_failed", "the connection is gone", outcome="not_sent")
-            try:
-                data: dict[str, Any] = await genuine(call, arguments)
-            except AdapterError as error:
-                lost = error.code in ("connect_failed", "connection_lost")
-                raise
-            return data
-
-        return handler
-
-    for name in list(server._tools):
-        wrap(server, name, once)
 
 
 def hang(server: AdapterServer) -> None:
@@ -130,15 +70,28 @@ def hang(server: AdapterServer) -> None:
     wrap(server, "read_input_registers", lambda genuine: handler)
 
 
-def stdout_noise(server: AdapterServer) -> None:
-    print("Connected to Modbus device", flush=True)
-
-
 def wrong_value(server: AdapterServer) -> None:
     def off(genuine: Handler) -> Handler:
         async def handler(call: Call, arguments: Any) -> dict[str, Any]:
             data: dict[str, Any] = await genuine(call, arguments)
             data["values"] = [(value + 1) % 65536 for value in data["values"]]
+            return data
+
+        return handler
+
+    wrap(server, "read_input_registers", off)
+
+
+def wrong_at_first(server: AdapterServer) -> None:
+    """Only the first answer of the process is wrong, as that of a buffer that has not been filled yet."""
+    answered: list[bool] = []
+
+    def off(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> dict[str, Any]:
+            data: dict[str, Any] = await genuine(call, arguments)
+            if not answered:
+                data["values"] = [0] * len(data["values"])
+            answered.append(True)
             return data
 
         return handler
@@ -173,89 +126,7 @@ def swapped_parallel_replies(server: AdapterServer) -> None:
     wrap(server, "read_input_registers", swapped)
 
 
-def truncates_overflow(server: AdapterServer) -> None:
-    """Write 70000 as 4464, and call that a success."""
-    tool = server._tools["write_register"]
-    bare = type("Anything", (tool.model,), {"__annotations__": {"value": int}, "__module__": __name__})
-
-    def cut(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> dict[str, Any]:
-            value = arguments.value
-            sent = tool.model(address=arguments.address, value=value & 0xFFFF)
-            await genuine(call, sent)
-            return {"address": arguments.address, "value": value}
-
-        return handler
-
-    wrap(server, "write_register", cut, model=bare)
-
-
-def is_error_never_set(server: AdapterServer) -> None:
-    genuine = core_server._result
-
-    def result(envelope: dict[str, Any]) -> dict[str, Any]:
-        return {**genuine(envelope), "isError": False}
-
-    core_server._result = result
-
-
-def error_is_a_word(server: AdapterServer) -> None:
-    """Reduce the envelope's error to its code alone, as adapters in the wild do."""
-    genuine = core_server._result
-
-    def result(envelope: dict[str, Any]) -> dict[str, Any]:
-        error = envelope["error"]
-        return genuine({**envelope, "error": error and error["code"]})
-
-    core_server._result = result
-
-
 # -- MQTT -----------------------------------------------------------------------------------------------------
-
-
-def cached_status(server: AdapterServer) -> None:
-    """Answer broker info from memory after the first time."""
-
-    def cached(genuine: Handler) -> Handler:
-        memory: dict[str, Any] = {}
-
-        async def handler(call: Call, arguments: Any) -> dict[str, Any]:
-            if not memory:
-                memory.update(await genuine(call, arguments))
-            return memory
-
-        return handler
-
-    wrap(server, "get_broker_info", cached)
-
-
-def clamps_qos(server: AdapterServer) -> None:
-    tool = server._tools["subscribe_topic"]
-    bare = type("Anything", (tool.model,), {"__annotations__": {"qos": int}, "__module__": __name__})
-
-    def clamp(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> dict[str, Any]:
-            data: dict[str, Any] = await genuine(call, tool.model(topic=arguments.topic, qos=min(arguments.qos, 2)))
-            return data
-
-        return handler
-
-    wrap(server, "subscribe_topic", clamp, model=bare)
-
-
-def publish_not_sent(server: AdapterServer) -> None:
-    async def handler(call: Call, arguments: Any) -> dict[str, Any]:
-        return {"topic": arguments.topic, "qos": 0, "retain": False, "payload_bytes": 1, "delivery": "unacknowledged"}
-
-    def unless_invalid(genuine: Handler) -> Handler:
-        async def choose(call: Call, arguments: Any) -> dict[str, Any]:
-            chosen = handler if arguments.topic else genuine
-            data: dict[str, Any] = await chosen(call, arguments)
-            return data
-
-        return choose
-
-    wrap(server, "publish_message", unless_invalid)
 
 
 # -- OPC UA ---------------------------------------------------------------------------------------------------
@@ -273,45 +144,15 @@ def incomplete_enumeration(server: AdapterServer) -> None:
     wrap(server, "get_all_variables", short)
 
 
-def bad_code(server: AdapterServer) -> None:
-    """Report illegal_address as protocol_error."""
-
-    def collapsed(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> dict[str, Any]:
-            try:
-                data: dict[str, Any] = await genuine(call, arguments)
-            except AdapterError as error:
-                if error.code == "illegal_address":
-                    raise AdapterError("protocol_error", "something went wrong") from None
-                raise
-            return data
-
-        return handler
-
-    wrap(server, "read_opcua_node", collapsed)
-
-
 DEFECTS: dict[str, tuple[str, Callable[[AdapterServer], None]]] = {
     "unknown-tool": ("modbus", unknown_tool),
     "traceback-as-text": ("modbus", traceback_as_text),
-    "lying-guard": ("modbus", lying_guard("write_register")),
-    "write-not-sent": ("modbus", write_not_sent),
     "write-sent-twice": ("modbus", write_sent_twice),
-    "never-reconnects": ("modbus", never_reconnects),
     "hang": ("modbus", hang),
-    "stdout-noise": ("modbus", stdout_noise),
     "wrong-value": ("modbus", wrong_value),
+    "wrong-at-first": ("modbus", wrong_at_first),
     "swapped-parallel-replies": ("modbus", swapped_parallel_replies),
-    "truncates-overflow": ("modbus", truncates_overflow),
-    "is-error-never-set": ("modbus", is_error_never_set),
-    "error-is-a-word": ("modbus", error_is_a_word),
-    "lying-guard-mqtt": ("mqtt", lying_guard("publish_message")),
-    "cached-status": ("mqtt", cached_status),
-    "clamps-qos": ("mqtt", clamps_qos),
-    "publish-not-sent": ("mqtt", publish_not_sent),
-    "lying-guard-opcua": ("opcua", lying_guard("write_opcua_node")),
     "incomplete-enumeration": ("opcua", incomplete_enumeration),
-    "bad-code": ("opcua", bad_code),
     "none": ("modbus", lambda server: None),
 }
 

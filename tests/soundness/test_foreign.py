@@ -62,20 +62,23 @@ LIES = {
         "M2 M3 M4 FM1 FM2 S1 S4 S7 S10 R-modbus",
         "claims success, but says itself that it is not the device's: Demo Mode",
     ),
-    ("modbus-prose", "wrong-table"): ("M2 S1 S7 S10", "should have seen 1 request(s) with function 4"),
+    ("modbus-prose", "wrong-table"): ("M2 S1 S7 S10", "should have been asked for 4 cell(s) from 0 by function 4"),
     ("modbus-prose", "partial-write"): ("FM2", "the device should have seen no state-changing request, it saw 1"),
     ("modbus-prose", "guard-in-words"): ("M4", "the device should have seen no state-changing request, it saw 1"),
     ("modbus-prose", "guard-by-hiding"): ("M4", "expected an error envelope with code writes_disabled, it claims"),
     ("modbus-json", "not-a-number"): ("M2 S1 S7", "the reply says null"),
     ("modbus-json", "cache"): ("S10 R-modbus", "says itself that it is not the device's: source is 'cache'"),
-    ("modbus-json", "silent-cache"): ("M2 S7 S10 R-modbus", "values should be"),
+    ("modbus-json", "silent-cache"): ("M2 M3 S4 S7 S10 R-modbus", "values should be"),
     ("modbus-json", "dry-run"): ("M3 M4 FM2 S4 S10", "not the device's: dry_run is True"),
-    ("modbus-json", "clamps-value"): ("FM2", "it claims success"),
+    ("modbus-json", "clamps-value"): ("FM2", "asked to write 70000; the adapter said"),
     ("modbus-json", "applied-late"): ("FM2", "should have seen one write of [65535] to holding_registers 1, it saw 3"),
     ("modbus-json", "makes-up-late"): ("R-modbus", "the device should have seen no state-changing request, it saw 1"),
     ("modbus-json", "applied-later"): ("M4", "the device should have seen no state-changing request, it saw"),
     ("modbus-json", "makes-up-for-it"): ("S10", "the device should have seen no state-changing request, it saw 1"),
-    ("modbus-http", "reads-neighbour"): ("M2 M3 FM1 S1 S4 S7 S10", "with function 4, address 0, quantity 4, it saw 0"),
+    ("modbus-http", "reads-neighbour"): (
+        "M2 M3 FM1 S1 S4 S7 S10",
+        "should have been asked for 4 cell(s) from 0 by function 4",
+    ),
     ("mqtt-connect", "always-connected"): ("Q1 S8 S11 R-mqtt", "the broker should have answered at least"),
     ("mqtt-connect", "publishes-into-the-void"): ("S11", "it claims success"),
     ("mqtt-connect", "no-wildcards"): ("Q2 S2", "the broker should have granted 'sensors/#', it saw SUBSCRIBE for"),
@@ -130,4 +133,6 @@ def test_a_subject_file_that_asks_for_something_else_cannot_pass(judge_foreign: 
     name, lie, described, tasks = MISDESCRIBED[case]
     results = judge_foreign(name, lie=lie, described=described)
     assert failing(results) == set(tasks.split()), words(results)
-    assert "the device should have seen 1 request(s) with function 4, address 0, quantity 4, it saw 0" in words(results)
+    assert "the device should have been asked for 4 cell(s) from 0 by function 4 during the call, it was not" in words(
+        results
+    )

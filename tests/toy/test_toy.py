@@ -144,7 +144,7 @@ def test_a_certificate_names_the_protocols_of_third_parties(run: Run, tmp_path: 
 
 
 TAPPED = """
-import asyncio, json, sys
+import asyncio, json, os, sys
 from pytest_otmcp.plant.mock_device import MockDevice
 from pytest_otmcp.plant.tap.faults import Action, FaultRule
 from pytest_otmcp.plant.tap.tap import new_tap
@@ -174,10 +174,16 @@ async def ask(kind, port, *lines):
     transport.close()
     return answers
 
+async def owners(device):
+    # The tap is this process, too.
+    return [[entry["origin"], entry["process"]["pid"] == os.getpid()] for entry in (await device.journal(0)).entries]
+
 async def main(key):
     protocol = protocols()[key]
     device = MockDevice(protocol.mock)
     await device.launch()
+    # The adapter is somebody else than this process.
+    device.sessions.expect()
     endpoint = next(iter(device.endpoints.values()))
     tap = new_tap(endpoint, protocol.framing)
     await tap.start()
@@ -191,6 +197,11 @@ async def main(key):
             "tap": [[entry.get(name) for name in common] for entry in told if entry["kind"].islower()],
             "links": [entry["answers"] is not None for entry in told if entry["direction"] == "out"],
             "writes": len(state_changing(told)),
+            "direct": await ask(endpoint.kind, endpoint.port, b"R 3\\n") and await owners(device),
+            "tapped": [
+                [entry["origin"], entry["process"]["pid"] == os.getpid()]
+                for entry in device.sessions.attribute(told, tap.journal.peers)
+            ],
         }))
     finally:
         await tap.aclose()
@@ -210,3 +221,6 @@ def test_the_tap_sees_of_a_toy_what_its_device_sees(run: Run, tmp_path: Path, ke
     assert seen["tap"] == seen["device"]
     assert [kind for kind, *_ in seen["tap"]] == ["read", "value", "write", "written"]
     assert (seen["links"], seen["writes"]) == ([True, True], 1)
+    for told in (seen["direct"], seen["tapped"]):
+        assert told
+        assert {(origin, of_this_process) for origin, of_this_process in told} == {("stranger", True)}

@@ -164,3 +164,24 @@ def test_an_envelope_is_made_and_says_that_it_is() -> None:
     assert envelope["error"]["code"] == "illegal_address"
     assert envelope["error"]["outcome"] == "unknown"
     assert envelope["meta"]["synthesised"] is True
+
+
+@pytest.mark.parametrize(
+    ("document", "success"),
+    [
+        ({"success": False}, False),
+        ({"ok": False, "data": 1}, False),
+        ({"error": "no such register"}, False),
+        ({"error": {"code": 2}}, False),
+        ({"result": {"success": False}}, False),
+        ({"success": True, "error": "none"}, True),
+        ({"error": ""}, True),
+        ({"error": None, "value": 1}, True),
+        ({"value": False}, True),
+    ],
+)
+def test_a_structured_answer_that_calls_itself_a_failure_is_one(document: dict[str, Any], success: bool) -> None:
+    message = {"result": {"content": [{"type": "text", "text": json.dumps(document)}], "isError": False}}
+    assert interpret(message, Answering(form="json")).success is success
+    overruled = Answering(form="json", outcome=(OutcomeRule(success=True, is_error=False),))
+    assert interpret(message, overruled).success is True

@@ -24,6 +24,7 @@ from pytest_otmcp.suite.catalogue import tasks_by_id
 
 from ..stored_runs import store
 from .certified import NO_PING, adapter, conformant_run
+from .samples import finding
 
 TASKS = tasks_by_id()
 FILE = "ab" * 32
@@ -65,6 +66,27 @@ def test_it_is_an_in_toto_statement_about_a_test_result(statement: dict[str, Any
         assert len(descriptor["digest"]["sha256"]) == 64
 
 
+def test_warnings_are_named_with_the_items_that_they_are_about(record: dict[str, Any]) -> None:
+    warning = {**finding("no_text", "there is no text block", "MCP-006"), "strength": "SHOULD"}
+    warned = next(item for item in record["items"] if item["id"] == "M2")
+    warned["samples"][3]["findings"] = [warning]
+    warned["findings"] = [{**warning, "message": "warmup: there is no text block"}]
+    assert objections(record, TASKS) == []
+    statement = certificate(record, FILE, TASKS)
+    predicate = statement["predicate"]
+    assert (predicate["result"], predicate["warnedTests"]) == ("WARNED", ["M2"])
+    assert "M2" not in predicate["passedTests"]
+    assert told(statement)["warnings"] == [
+        {
+            "requirement": "MCP-006",
+            "code": "no_text",
+            "message": "there is no text block",
+            "items": ["M2"],
+            "times": 2,
+        }
+    ]
+
+
 def test_every_item_has_passed_or_says_why_it_does_not_apply(statement: dict[str, Any]) -> None:
     passed, not_applicable = set(statement["predicate"]["passedTests"]), told(statement)["not_applicable"]
     assert passed | not_applicable.keys() == TASKS.keys()
@@ -103,10 +125,29 @@ def test_messages_can_be_received_without_subscribing_by_a_call_that_waits_for_t
     assert "Q2 is called PASS, which is not what the subject claims" in objections(run, TASKS)
 
 
+def test_how_many_items_applied_stands_beside_the_verdict(statement: dict[str, Any]) -> None:
+    applied = told(statement)["applied"]
+    assert applied == {"items": len(statement["predicate"]["passedTests"]), "of": 38}
+    assert applied["items"] + len(told(statement)["not_applicable"]) == 38
+
+
+def test_a_deadline_that_nobody_waits_for_earns_nothing(record: dict[str, Any]) -> None:
+    record["subject"]["adapters"]["opcua"]["deadline_s"] = 30.0
+    assert objections(record, TASKS) == []
+    record["subject"]["adapters"]["opcua"]["deadline_s"] = 30.5
+    assert objections(record, TASKS) == ["opcua: its deadline_s of 30.5 s is above the 30 s that a certificate allows"]
+
+
 def test_the_deadline_is_named(record: dict[str, Any]) -> None:
     record["subject"]["adapters"]["modbus"]["deadline_s"] = 30.0
     adapters = told(certificate(record, FILE, TASKS))["adapters"]
     assert (adapters["modbus"]["deadline_s"], adapters["opcua"]["deadline_s"]) == (30.0, 5.0)
+
+
+def test_the_time_to_come_back_and_declared_caches_are_named(record: dict[str, Any]) -> None:
+    record["subject"]["adapters"]["modbus"] |= {"recovery_s": 2.0, "cached": {"ping": 1.5}}
+    modbus = told(certificate(record, FILE, TASKS))["adapters"]["modbus"]
+    assert (modbus["recovery_s"], modbus["cached_s"]) == (2.0, {"ping": 1.5})
 
 
 def test_a_stranger_that_judges_a_protocol_is_named_with_its_digest(record: dict[str, Any]) -> None:
@@ -276,14 +317,15 @@ def test_the_badge_is_what_shields_draws_from(statement: dict[str, Any]) -> None
     assert badge(statement) == {
         "schemaVersion": 1,
         "label": "OT-MCP benchmark",
-        "message": f"conformant: Modbus, OPC UA ({passed} of {len(TASKS)} items)",
+        "message": f"conformant: Modbus, OPC UA ({passed} of {len(TASKS)} items applied)",
         "color": "1a7f37",
     }
 
 
-def test_a_badge_for_everything_counts_nothing() -> None:
+def test_a_badge_for_everything_counts_too() -> None:
     everything = conformant_run({name: adapter(name, "2026-07-28") for name in ("modbus", "mqtt", "opcua")})
-    assert badge(certificate(everything, FILE, TASKS))["message"] == "conformant: Modbus, MQTT, OPC UA"
+    message = badge(certificate(everything, FILE, TASKS))["message"]
+    assert message == "conformant: Modbus, MQTT, OPC UA (38 of 38 items applied)"
 
 
 def test_the_picture_is_valid_and_says_in_words_what_it_shows(statement: dict[str, Any]) -> None:
@@ -293,7 +335,8 @@ def test_the_picture_is_valid_and_says_in_words_what_it_shows(statement: dict[st
     title = picture.find(f"{namespace}title")
     assert title is not None
     message = badge(statement)["message"]
-    assert title.text == f'OT-MCP benchmark: {message} (a <b> & "c"  1.0)'
+    deadlines = "deadlines of a call: modbus 5 s, opcua 5 s"
+    assert title.text == f'OT-MCP benchmark: {message} (a <b> & "c"  1.0; {deadlines})'
     assert picture.get("aria-label") == title.text
     assert picture.get("role") == "img"
     texts = [element.text for element in picture.iter(f"{namespace}text")]

@@ -53,7 +53,7 @@ def test_a_success_with_the_expected_outputs_is_one() -> None:
 @pytest.mark.parametrize("value", [40, 41.5, "41", True, None, [41]])
 def test_another_value_or_another_type_is_told(value: Any) -> None:
     (finding,) = succeeded(success(value=value), value=41)
-    assert (finding.code, finding.requirement) == ("wrong_value", "RD-001")
+    assert (finding.code, finding.requirement) == ("wrong_value", "WR-001")
     assert f"value should be 41, the reply says {json.dumps(value)}" in finding.message
 
 
@@ -63,7 +63,7 @@ def test_an_output_that_the_subject_does_not_say_where_to_find_is_not_judged() -
 
 def test_a_failure_is_no_success_whatever_its_outputs() -> None:
     (finding,) = succeeded(refusal("timeout"), value=41)
-    assert finding.code == "not_successful"
+    assert said([finding]) == [("not_successful", "WR-001")]
     assert "write(address=1): expected success, got error 'timeout': no" in finding.message
 
 
@@ -106,7 +106,34 @@ def test_a_wrong_code_is_wrong_whoever_found_it(native: bool) -> None:
 
 def test_a_failure_that_the_subject_file_does_not_classify_is_legal_where_it_was_made_for_the_adapter() -> None:
     assert failed(refusal("unclassified", native=False), "illegal_address") == []
-    assert said(failed(refusal("unclassified"), "illegal_address")) == [("wrong_error_code", "ERR-001")]
+
+
+def test_a_code_that_no_registry_has_is_not_reported_twice() -> None:
+    assert failed(refusal("unclassified"), "illegal_address") == []
+
+
+def test_a_step_says_which_requirement_a_claim_of_success_and_another_code_break() -> None:
+    (finding,) = failed(success(), "range_overflow", requirement="ADR-003")
+    assert finding.requirement == "ADR-003"
+    broken = failed(refusal("timeout"), "connect_failed", requirement="WR-001", code_requirement="REC-002")
+    assert said(broken) == [("wrong_error_code", "REC-002")]
+    (finding,) = succeeded(refusal("timeout"), requirement="REC-001")
+    assert finding.requirement == "REC-001"
+
+
+@pytest.mark.parametrize(
+    ("expected", "found", "requirement"),
+    [
+        (1.23456, 1.23, "ENC-003"),
+        ([1.5, 2.71828], [1.5, 2.72], "ENC-003"),
+        (1.23456, 1.24, "WR-001"),
+        ([1.23456], [1.23, 2.0], "WR-001"),
+        (2.5, 3.0, "WR-001"),
+    ],
+)
+def test_a_value_with_fewer_decimals_was_rounded(expected: object, found: object, requirement: str) -> None:
+    (finding,) = succeeded(success(value=found), value=expected)
+    assert finding.requirement == requirement
 
 
 def test_the_outcome_must_be_one_of_those_that_can_be() -> None:
@@ -129,18 +156,21 @@ def test_of_an_adapter_without_envelopes_neither_outcome_nor_trace_is_asked_for(
 
 
 @pytest.mark.parametrize(
-    "envelope",
+    ("envelope", "codes"),
     [
-        {"success": False, "error": "timeout"},
-        {"success": False, "error": ["timeout"], "meta": 5},
-        {"success": False, "error": {"code": 7, "outcome": {}}, "meta": {"trace": "none"}},
-        {"success": False},
+        ({"success": False, "error": "timeout"}, ["wrong_trace"]),
+        ({"success": False, "error": ["timeout"], "meta": 5}, ["wrong_trace"]),
+        (
+            {"success": False, "error": {"code": 7, "outcome": {}}, "meta": {"trace": "none"}},
+            ["wrong_outcome", "wrong_trace"],
+        ),
+        ({"success": False}, ["wrong_trace"]),
     ],
     ids=["a word", "a list", "other types", "nothing"],
 )
-def test_an_envelope_with_members_of_other_types_is_judged_like_any_other(envelope: dict[str, Any]) -> None:
+def test_what_was_reported_of_an_envelope_is_not_reported_again(envelope: dict[str, Any], codes: list[str]) -> None:
     findings = failed(reply(envelope), "timeout", outcome="not_sent", trace={"exception_code": 2})
-    assert {finding.code for finding in findings} == {"wrong_error_code", "wrong_outcome", "wrong_trace"}
+    assert [finding.code for finding in findings] == codes
 
 
 # -- messages -----------------------------------------------------------------------------------------------------------
@@ -192,4 +222,4 @@ def test_a_message_that_is_not_there_once_and_alone_is_told(messages: Any, filte
 
 
 def test_a_failure_to_look_is_told_as_such() -> None:
-    assert said(received(refusal("timeout"), "a/b", "nonce", filtered=True)) == [("not_successful", None)]
+    assert said(received(refusal("timeout"), "a/b", "nonce", filtered=True)) == [("not_successful", "WR-001")]

@@ -18,6 +18,7 @@ from typing import Any
 import pytest
 
 from pytest_otmcp.report.html import page, write_html
+from pytest_otmcp.suite.requirements import requirements
 
 from .samples import around as checks
 from .samples import call, entry, finding, item, run, wire, written_twice
@@ -31,7 +32,9 @@ BROKEN_KIT = {
     **item("O1", "normal", "OPC UA", "Read.", []),
     "status": "KIT_ERROR",
     "planned": 3,
-    "findings": [{"code": "kit_error", "message": "the device died", "requirement": None, "evidence": None}],
+    "findings": [
+        {"code": "kit_error", "message": "the device died", "requirement": None, "evidence": None, "strength": "MUST"}
+    ],
 }
 
 
@@ -279,13 +282,12 @@ def test_a_run_that_passes_is_a_small_page() -> None:
 
 def test_a_run_that_fails_everywhere_with_endless_texts_is_a_page_below_twenty_megabytes() -> None:
     endless = '"<&>' * 3_000
-    finding = {"message": endless, "requirement": None, "evidence": endless}
     failed = written_twice(6)
     for index, sample in enumerate(failed["samples"]):
         spoken = {**sample["calls"][0], "arguments": {"x": endless}, "envelope": {"success": True, "data": endless}}
         sample["calls"] = [{**spoken, **wire(endless, endless, 1, 2)}] * 50
         sample["device"] = [entry(1, "in", "request", value=endless)] * 50
-        sample["findings"] = [{**finding, "code": f"{index}"}] * 30
+        sample["findings"] = [finding(f"{index}", endless, evidence=endless)] * 30
     record = run([])
     record["items"] = [{**failed, "id": f"WR-{index:03}"} for index in range(200)]
     size = len(page(record).encode())
@@ -359,9 +361,46 @@ def test_an_item_that_does_not_apply_says_why_and_takes_nothing_from_what_was_ea
 def test_a_requirement_is_violated_only_where_a_finding_names_it() -> None:
     shown = Page(page(run([M1, written_twice()]))).text
     table = shown[shown.index("Requirements by adapter “Violated”") :]
-    assert "WR-001 ✗ not shown M3" not in table
-    assert "WR-001 ○ not shown M3" in table
-    assert "WR-003 ✗ violated M3" in table
+    rows = {
+        name: table[table.index(f"{name} {row.statement}") :] for name, row in requirements().items() if name in table
+    }
+    assert re.match(r"WR-001 [^✗○✓]*○ not shown M3", rows["WR-001"])
+    assert re.match(r"WR-003 [^✗○✓]*✗ violated M3", rows["WR-003"])
+
+
+def test_a_finding_leads_to_the_words_and_the_source_of_its_requirement() -> None:
+    shown = Page(page(run([M1, written_twice()])))
+    row = requirements()["WR-003"]
+    assert shown.values("href").count("#rule-WR-003") >= 2
+    assert "rule-WR-003" in shown.values("id")
+    assert f"WR-003 {row.statement} Source: {row.source} (section not checked)" in shown.text
+
+
+def test_a_requirement_of_another_catalogue_has_an_anchor_all_the_same() -> None:
+    foreign = written_twice()
+    for sample in foreign["samples"]:
+        sample["findings"][0]["requirement"] = "ACME 7"
+    shown = Page(page(run([foreign])))
+    assert {target[1:] for target in shown.values("href") if target.startswith("#rule")} <= set(shown.values("id"))
+    assert "ACME 7" in shown.text
+
+
+def test_an_item_that_cannot_be_tested_says_why_and_names_the_keys() -> None:
+    why = "modbus: the subject binds no tool to the operation 'ping'"
+    untestable = {**item("M1", "normal", "Modbus", "Ping.", []), "status": "NOT_TESTABLE", "planned": 3, "reason": why}
+    assert why in Page(page(run([untestable]))).text
+    late = written_twice()
+    late["samples"][0]["findings"][0]["code"] = "deadline_missed"
+    assert "In the subject file: deadline_s: Time within which" in Page(page(run([late]))).text
+
+
+def test_deadlines_stand_beside_the_verdict_and_the_adapters() -> None:
+    record = run([M1])
+    record["subject"]["adapters"]["mqtt"]["deadline_s"] = 12.5
+    shown = Page(page(record)).text
+    assert "Deadlines of a call: modbus 5 s, mqtt 12.5 s, opcua 5 s." in shown
+    assert "mqtt acme 1 2026-07-28 15 12.5" in shown
+    assert "1 of 38 items applied ; 30 of 30 repetitions passed" in shown
 
 
 def test_latencies_of_a_parallel_run_are_not_drawn() -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import base64
 from typing import Any
 
+import pytest
+
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.mqtt import oracle
 
@@ -117,13 +119,65 @@ def test_a_publication_counts_once_and_as_it_was_asked_for() -> None:
     assert "with QoS 0 and not retained, it came with QoS 0 and retained [MQT-003]" in retained
 
 
-def test_a_packet_that_must_not_come_is_found_also_when_it_is_malformed() -> None:
-    assert oracle.no_packet(journal(*SUBSCRIBED, publish(**KIT)), "PUBLISH", direction="in") == []
-    assert "no PUBLISH from the adapter, it saw 1 [ERR-006]" in words(oracle.no_packet(journal(publish()), "PUBLISH"))
+OWN = {"topic": "acme/status", "retain": True}
+
+
+def test_what_an_adapter_publishes_of_itself_elsewhere_is_its_own_affair() -> None:
+    own = publish(b"online", **OWN)
+    reported = publish(b"x", topic="spBv1.0/factory/NDATA/line")
+    assert oracle.published_once(journal(own, publish(), reported), topic="control/pump", payload=b"50") == []
+    commanded = publish(b"x", topic="spBv1.0/factory/DCMD/line/device-1")
+    for other in (publish(b"51", topic="control/fan"), commanded, publish(topic="elsewhere")):
+        found = oracle.published_once(journal(publish(), other), topic="control/pump", payload=b"50")
+        assert "it received 2 message(s) [WR-003]" in words(found)
+
+
+@pytest.mark.parametrize(
+    ("declared", "topic"),
+    [("line/+/set", "line/7/set"), ("line/#", "line/7/set"), ("line/#", "line"), ("+/7/#", "line/7"), ("#", "any")],
+)
+def test_a_subject_declares_further_topics_of_commands(declared: str, topic: str) -> None:
+    sent_there = journal(publish(topic=topic))
+    assert oracle.no_command(sent_there) == []
+    assert "it saw 1 [WR-010]" in words(oracle.no_command(sent_there, {"command_topics": [declared]}))
+    assert oracle.no_command(journal(publish(topic="line7/set")), {"command_topics": ["line/+/set"]}) == []
+    assert oracle.no_command(journal(publish(topic="$own/line")), {"command_topics": ["#"]}) == []
+
+
+def test_a_message_that_is_delivered_again_over_another_connection_is_one_message() -> None:
+    wanted: dict[str, Any] = {"topic": "control/pump", "payload": b"50", "qos": None}
+    first, again = publish(qos=1, packet_id=4, connection=1), publish(qos=1, packet_id=4, dup=True, connection=2)
+    assert oracle.published_once(journal(first, again), **wanted) == []
+    for other in ({"connection": 1}, {"dup": False}, {"packet_id": 5}, {"qos": 0}):
+        twice = oracle.published_once(journal(first, {**again, **other}), **wanted)
+        assert "it received 2 message(s) [WR-003]" in words(twice)
+
+
+def test_a_message_that_must_not_come_is_found_also_when_it_is_malformed() -> None:
+    own = publish(b"online", **OWN)
+    assert oracle.not_published(journal(*SUBSCRIBED, own, publish(**KIT)), b"50") == []
+    assert "no PUBLISH from the adapter, it saw 1 [ERR-006]" in words(
+        oracle.not_published(journal(own, publish()), b"50")
+    )
+    malformed = sent("malformed", packet="PUBLISH", reason="empty topic")
+    assert "empty topic" in words(oracle.not_published(journal(own, malformed), b"50"))
+    assert "it saw 1" in words(oracle.not_published(journal(publish(b"other")), b"50"))
+
+
+def test_a_subscription_that_must_not_come_is_found_also_when_it_is_malformed() -> None:
+    assert oracle.not_subscribed(journal(*SUBSCRIBED), "stress/#") == []
+    assert "no SUBSCRIBE from the adapter, it saw 1 [ADR-007]" in words(
+        oracle.not_subscribed(journal(*SUBSCRIBED), "sensors/#")
+    )
     malformed = sent("malformed", packet="SUBSCRIBE", reason="SUBSCRIBE 't' with the options 0x05")
-    assert "the options 0x05" in words(oracle.no_packet(journal(malformed), "SUBSCRIBE"))
-    assert oracle.no_packet(journal(malformed), "PUBLISH") == []
-    assert oracle.no_packet(journal(publish(direction="out")), "PUBLISH", direction="out") != []
+    assert "the options 0x05" in words(oracle.not_subscribed(journal(malformed), "stress/#"))
+
+
+def test_a_device_that_must_not_be_reported_is_told_from_the_adapters_own_node() -> None:
+    born = publish(topic="spBv1.0/factory/NBIRTH/line")
+    assert oracle.not_reported(journal(born, publish(b"online", **OWN)), "device-1") == []
+    device = publish(topic="spBv1.0/factory/DBIRTH/line/device-1")
+    assert "it saw 1 [WR-004]" in words(oracle.not_reported(journal(born, device), "device-1"))
 
 
 def test_a_session_that_ends_is_found() -> None:
@@ -166,12 +220,24 @@ def test_a_quality_of_service_that_cannot_be_asked_for_may_be_any() -> None:
     assert "b'50' on 'control/pump' retained" not in retained
 
 
-def test_a_publication_in_a_session_is_counted_and_the_first_ones_are_shown() -> None:
-    assert fed(oracle.Publications(), journal(*SUBSCRIBED)).none() == []
-    (finding,) = fed(oracle.Publications(), journal(*(publish() for _ in range(30)))).none()
+def test_commands_in_a_guarded_session_are_counted_and_the_first_ones_are_shown() -> None:
+    assert fed(oracle.Publications(), journal(*SUBSCRIBED, publish(topic="acme/status"))).guarded({}) == []
+    (finding,) = fed(oracle.Publications(), journal(*(publish() for _ in range(30)))).guarded({})
     assert finding.message == "the broker should have seen no PUBLISH from the adapter, it saw 30"
+    assert (finding.requirement, finding.strength) == ("WR-004", "MUST")
     assert finding.evidence is not None
     assert finding.evidence.endswith("; … 20 more")
+    told = fed(oracle.Publications(), journal(publish(topic="line/set")))
+    assert told.guarded({}) == []
+    assert len(told.guarded({"command_topics": ["line/#"]})) == 1
+    malformed = fed(oracle.Publications(), journal(sent("malformed", packet=None, reason="no packet")))
+    assert len(malformed.guarded({})) == 1
+
+
+def test_what_a_guarded_session_leaves_behind_on_a_topic_of_its_own_is_a_warning() -> None:
+    (finding,) = fed(oracle.Publications(), journal(*(publish(b"online", **OWN) for _ in range(3)))).guarded({})
+    assert (finding.code, finding.requirement, finding.strength) == ("retained_own", "WR-004", "SHOULD")
+    assert "'acme/status'" in finding.message
 
 
 def test_a_long_session_leaves_no_more_behind_than_a_short_one() -> None:

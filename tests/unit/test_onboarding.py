@@ -49,7 +49,8 @@ def test_the_likeliest_tool_is_the_right_one(operation: str, expected: str) -> N
     best = guesses("modbus", operation, PROSE_MODBUS)[0]
     assert best.tool == expected
     assert best.arguments["address"] == "$address"
-    assert best.arguments["slave_id"] == 1
+    # An argument that is not required is given when it does not work without.
+    assert [variation.arguments.get("slave_id") for variation in best.variations()] == [None, 1]
 
 
 def test_a_coil_is_no_register() -> None:
@@ -66,7 +67,7 @@ def test_nodes_and_values_are_put_into_lists_of_objects() -> None:
 
 
 def test_an_endpoint_for_every_call_is_put_in() -> None:
-    listing = tool("address count", host={"type": "string"}, port={"type": "integer"})
+    listing = tool("address count host port", host={"type": "string"}, port={"type": "integer"})
     (guess,) = guesses("modbus", "read_holding", {"read_registers": listing})
     assert (guess.arguments["host"], guess.arguments["port"]) == ("{host}", "{port:int}")
 
@@ -197,3 +198,23 @@ def test_a_protocol_without_a_pack_is_refused_in_a_sentence(monkeypatch: pytest.
     monkeypatch.setattr("pytest_otmcp.onboarding.pack.protocols", lambda: {"s7": bare})
     with pytest.raises(UsageError, match="otmcp init cannot propose bindings for S7comm yet"):
         load_pack("s7")
+
+
+def test_a_tool_of_another_protocol_is_never_guessed() -> None:
+    described = {
+        "ethercat_sdo_write": tool("address value"),
+        "write_tag": tool("address value") | {"description": "Write a register of an EtherNet/IP device."},
+        "opcua_write": tool("address value"),
+    }
+    assert guesses("modbus", "write_holding", described) == []
+    both = tool("address value") | {"description": "Write a register over Modbus or EtherCAT."}
+    assert [guess.tool for guess in guesses("modbus", "write_holding", {"write_register": both})] == ["write_register"]
+
+
+def test_a_tool_that_may_write_is_never_guessed_for_reading() -> None:
+    tools = {
+        "write_and_read_registers": tool("address count"),
+        "read_and_clear_register": tool("address count") | {"annotations": {"destructiveHint": True}},
+        "read_registers": tool("address count"),
+    }
+    assert [guess.tool for guess in guesses("modbus", "read_holding", tools)] == ["read_registers"]

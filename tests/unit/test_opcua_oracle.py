@@ -37,15 +37,16 @@ def words(findings: list[Any]) -> str:
     return f"{finding.message} [{finding.requirement}] {finding.evidence or ''}"
 
 
-def test_reading_the_plant_is_not_watching_the_server() -> None:
+def test_a_read_is_fresh_by_whatever_service_the_value_came() -> None:
     journal = [asked("CreateSession"), read(SERVER_STATE), read(VALVE, "ns=2;s=Temperature")]
+    item = {"node_id": VALVE, "attribute": "Value"}
     assert oracle.read_from_device(journal, VALVE) == []
-    assert oracle.read_from_device(journal, None, at_least=2) == []
-    assert "should have seen 3 read(s) of a value, there were 2 [RD-004]" in words(
-        oracle.read_from_device(journal, None, at_least=3)
-    )
-    assert "1 read(s) of ns=2;s=X, there were 0" in words(oracle.read_from_device(journal, "ns=2;s=X"))
-    assert "Read i=2259" in words(oracle.read_from_device(journal, "ns=2;s=X"))
+    assert oracle.read_from_device([asked("CreateMonitoredItems", item)], VALVE) == []
+    assert oracle.read_from_device([{**answer("Publish"), "nodes": [item]}], VALVE) == []
+    missing = words(oracle.read_from_device(journal, "ns=2;s=X"))
+    assert "should have seen a read of ns=2;s=X during the call [RD-004] Read i=2259" in missing
+    assert oracle.read_from_device([asked("Read", {**item, "attribute": "DataType"})], VALVE) != []
+    assert oracle.read_from_device([write()], VALVE) != []
 
 
 def test_keeping_a_session_is_no_service_to_the_plant() -> None:
@@ -54,27 +55,26 @@ def test_keeping_a_session_is_no_service_to_the_plant() -> None:
     assert oracle.some_service([*keeping, read(VALVE)]) == []
 
 
-def test_one_service_means_one() -> None:
-    assert oracle.exactly_one_service([read(VALVE), read("ns=2;s=Other")], "Read", node=VALVE) == []
-    assert "one Read of ns=2;s=ValvePosition, it saw 2" in words(
-        oracle.exactly_one_service([read(VALVE)] * 2, "Read", node=VALVE)
-    )
+def test_browsing_is_of_the_node_that_was_asked_for() -> None:
     assert oracle.browsed([asked("Browse", "ns=2;i=5")], "ns=2;i=5") == []
     assert "a Browse of ns=2;i=6" in words(oracle.browsed([asked("Browse", "ns=2;i=5")], "ns=2;i=6"))
 
 
-def test_a_status_is_found_in_items_and_in_faults() -> None:
-    items = [answer("Read", {"status": "BadNodeIdUnknown", "value": None})]
-    assert oracle.result_status(items, "Read", "BadNodeIdUnknown") == []
-    assert oracle.result_status([answer("Write", "BadTypeMismatch")], "Write", "BadTypeMismatch") == []
-    assert (
-        oracle.result_status([answer("Read", service_result="BadSessionIdInvalid")], "Read", "BadSessionIdInvalid")
-        == []
+def test_a_refusal_is_found_in_items_and_in_faults_of_the_requests_that_name_the_node() -> None:
+    def refused(request: Entry, reply: Entry, symbol: str) -> list[Any]:
+        entries = journal(request, {**reply, "seq": 1, "answers": 0})
+        assert oracle.reached(entries, VALVE) == (request["kind"] != "CreateSession")
+        return oracle.refused_with(entries, VALVE, symbol)
+
+    unknown = answer("Read", {"status": "BadNodeIdUnknown", "value": None})
+    assert refused(read(VALVE), unknown, "BadNodeIdUnknown") == []
+    assert refused(asked("Browse", VALVE), answer("Browse", "BadNodeIdUnknown"), "BadNodeIdUnknown") == []
+    fault = answer("Read", service_result="BadSessionIdInvalid")
+    assert refused(read(VALVE), fault, "BadSessionIdInvalid") == []
+    assert "BadNotWritable for ns=2;s=ValvePosition, its answers were ['BadNodeIdUnknown']" in words(
+        refused(read(VALVE), unknown, "BadNotWritable")
     )
-    assert "with BadNotWritable, its answers were ['BadNodeIdUnknown']" in words(
-        oracle.result_status(items, "Read", "BadNotWritable")
-    )
-    assert "its answers were none" in words(oracle.result_status([], "Read", "Good"))
+    assert "its answers were none" in words(refused(asked("CreateSession"), unknown, "BadNodeIdUnknown"))
 
 
 def test_a_write_counts_once_with_its_value_and_nothing_else() -> None:
@@ -86,11 +86,20 @@ def test_a_write_counts_once_with_its_value_and_nothing_else() -> None:
         ([asked("Call")], "it saw Call []"),
         ([write(26.0)], "it saw Write [['ns=2;s=ValvePosition', 'Value', 26.0]]"),
         ([write(True)], "it saw Write [['ns=2;s=ValvePosition', 'Value', True]]"),
-        ([write(has_timestamp=True)], "a timestamp was written with it [OUA-005]"),
-        ([write(), answer("Write", "BadTypeMismatch")], "the server refused it with BadTypeMismatch"),
+        ([write(has_status=True)], "a status was written with it [OUA-005]"),
+        ([write(), answer("Write", "BadNotWritable")], "the server refused it with BadNotWritable [WR-001]"),
+        (
+            [write(25, variant_type="Int64"), answer("Write", "BadTypeMismatch")],
+            "the adapter sent 25 as Int64, which is not the node's data type [OUA-001]",
+        ),
     ):
         assert problem in words(oracle.exactly_one_write(entries, VALVE, 25.0))
     assert "it saw" in words(oracle.exactly_one_write([write(1)], VALVE, True))
+
+
+def test_a_timestamp_that_is_written_with_a_value_is_a_warning() -> None:
+    (finding,) = oracle.exactly_one_write([write(has_timestamp=True)], VALVE, 25.0)
+    assert (finding.code, finding.requirement, finding.strength) == ("timestamp_written", "OUA-005", "SHOULD")
 
 
 def test_nothing_that_changes_the_plant_may_arrive() -> None:

@@ -20,7 +20,7 @@ from pytest_otmcp.report.markdown import summary
 from pytest_otmcp.report.render import NAMES, write_all
 
 from ..stored_runs import header_of
-from .samples import adapter, item, run, written_twice
+from .samples import adapter, finding, item, run, written_twice
 from .test_latex import ALL
 
 
@@ -118,6 +118,35 @@ def modbus(identifier: str, status: str = "PASS", suite: str = "normal") -> dict
 )
 def test_a_capability_is_earned_when_every_item_behind_it_passed(first: str, second: str, expected: Earned) -> None:
     assert grades(modbus("M1", first), modbus("M2", second))["Reading"]["Modbus"] == expected
+
+
+def refused(identifier: str, requirement: str, status: str = "FAIL", strength: str = "MUST") -> dict[str, Any]:
+    found = {**finding("device_differs", "it holds 4464", requirement), "strength": strength}
+    return {**modbus(identifier, status, "fault"), "findings": [found]}
+
+
+def test_a_finding_takes_away_what_its_requirement_is_about_whichever_item_it_is_in() -> None:
+    behind = [modbus("M3"), item("S4", "stress", "Modbus", "x", [1.0])]
+    assert grades(*behind)["Writing"]["Modbus"] == Earned(grade=Grade.EARNED, because=("M3",))
+    truncated = grades(*behind, refused("FM2", "ADR-003"))
+    assert truncated["Writing"]["Modbus"] == Earned(grade=Grade.NOT_EARNED, because=("FM2",))
+    assert truncated["Reading"]["Modbus"].grade is not Grade.NOT_EARNED
+    both = grades(modbus("M3", "FAIL"), refused("FM2", "ADR-003"))
+    assert both["Writing"]["Modbus"] == Earned(grade=Grade.NOT_EARNED, because=("M3", "FM2"))
+
+
+def test_a_recommendation_a_fault_of_the_kit_and_a_rule_about_answers_take_nothing_away() -> None:
+    kept = Earned(grade=Grade.EARNED, because=("M3",))
+    assert grades(modbus("M3"), refused("FM2", "ADR-003", "PASS", "SHOULD"))["Writing"]["Modbus"] == kept
+    assert grades(modbus("M3"), refused("FM2", "ADR-003", strength="SHOULD"))["Writing"]["Modbus"] == kept
+    assert grades(modbus("M3"), refused("FM2", "ADR-003", "KIT_ERROR"))["Writing"]["Modbus"] == kept
+    assert grades(modbus("M3"), refused("FM2", "ENV-001"))["Writing"]["Modbus"] == kept
+    assert grades(modbus("M3"), refused("FM2", "ACME 7"))["Writing"]["Modbus"] == kept
+
+
+def test_what_is_not_claimed_cannot_be_lost() -> None:
+    unclaimed = grades(modbus("M3", "NOT_APPLICABLE"), refused("FM2", "WR-001"))
+    assert unclaimed["Writing"]["Modbus"] == Earned(grade=Grade.NOT_CLAIMED, without=("M3",))
 
 
 def test_a_capability_whose_item_did_not_run_is_not_earned() -> None:

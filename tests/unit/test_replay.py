@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import hashlib
 import json
+import random
 from collections.abc import Callable
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 
 from pytest_otmcp.plant.mock_device import MockDevice
 from pytest_otmcp.protocols.modbus.entries import points
+from pytest_otmcp.protocols.modbus.proof import PROOF
 from pytest_otmcp.record.images import Images, keep_image, restore_image
 from pytest_otmcp.record.reader import StoredRun
 from pytest_otmcp.record.schema import Run, check
@@ -106,6 +108,25 @@ def look(at_ns: int, **seen: Any) -> dict[str, Any]:
     return {"at": "modbus", "asked_ns": at_ns, "seen_ns": at_ns + 1000, **seen}
 
 
+def proof() -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Return the calls and looks that prove the session before its first write: random values of register 1, read twice."""
+    rng = random.Random(f"0/M3/warmup/0/proof/1/{DEVICE['placeholders']['url']}")
+    unbound, way = PROOF.ways[:2]
+    unbound.ask(rng)
+    calls, looks = [], []
+    now_ns = BEGIN_NS - 9000
+    for number in range(2):
+        [*_, poked] = way.ask(rng).pokes
+        read = call("read_holding", READ, {"address": 1, "count": 1}, {"values": [poked["values"][1]]}, group=number)
+        read["envelope"]["meta"]["latency_ms"] = 0.0
+        calls.append(
+            {**read, "role": "setup", "latency_ms": 0.0001, "sent_ns": now_ns + 1100, "received_ns": now_ns + 1200}
+        )
+        looks += [look(now_ns, journal=1), look(now_ns + 1300, journal=1)]
+        now_ns += 2400
+    return calls, [*looks, look(now_ns, end=1)]
+
+
 def item() -> Item:
     """Return M3 as a run without fault would have it; its first repetition writes 40 to register 1."""
     task = tasks_by_id()["M3"]
@@ -148,6 +169,10 @@ def item() -> Item:
     warm_up, repetition = part(0), part(1)
     for one in warm_up["calls"]:
         one["role"] = "warmup"
+    proof_calls, proof_looks = proof()
+    warm_up["calls"] += proof_calls
+    warm_up["calls"].sort(key=lambda one: one["sent_ns"])
+    warm_up["observations"] = proof_looks + warm_up["observations"]
     return {
         "id": "M3",
         "suite": task.suite,
@@ -312,7 +337,16 @@ def lose_the_warm_up(changed: Item) -> None:
 
 
 def change_the_warm_up(changed: Item) -> None:
-    changed["around"][0]["calls"][1]["envelope"]["data"]["values"] = [39]
+    changed["around"][0]["calls"][-1]["envelope"]["data"]["values"] = [39]
+
+
+def change_a_value_that_proved_the_session(changed: Item) -> None:
+    changed["around"][0]["calls"][0]["envelope"]["data"]["values"] = [39]
+
+
+def claim_a_proof(changed: Item) -> None:
+    proof = {"proven": "read_holding", "preferred": "read_holding", "refused": None}
+    changed["devices"]["modbus"]["proof"] = proof
 
 
 def add_noise(changed: Item) -> None:
@@ -412,6 +446,8 @@ SENTENCES = {
     name_another_device: "M3: the run has no device 'modbus@ro' for modbus",
     lose_the_warm_up: "M3: the history ends after 0 repetitions and does not say why",
     change_the_warm_up: "M3: the stored history shows 'warmup: read_multiple_holding_registers(address=1, count=1): values",
+    change_a_value_that_proved_the_session: "M3 warmup: journal of modbus is not of its time",
+    claim_a_proof: "the items before do not show of the session at modbus that its proof is",
     add_noise: "M3: the stored history shows \"modbus: 1 line(s) on stdout that are no MCP message, the first: 'hello'\"",
     change_the_title: "M3: the stored history shows title",
 }
@@ -549,7 +585,11 @@ HOUR_NS = 3600 * 10**9
 def following() -> Item:
     """Return the same item an hour later; nothing reached the device in between."""
     later = item()
-    later["devices"]["modbus"] |= {"before": [], "quiet": True}
+    proof = {"proven": "read_holding", "preferred": "read_holding", "refused": None}
+    later["devices"]["modbus"] |= {"before": [], "quiet": True, "proof": proof}
+    warm_up = later["around"][0]
+    warm_up["calls"] = warm_up["calls"][2:]
+    warm_up["observations"] = warm_up["observations"][5:]
     shift(later, seq=8, ns=HOUR_NS)
     return later
 

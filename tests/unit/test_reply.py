@@ -11,6 +11,8 @@ from pytest_otmcp.session.exchange import Exchange
 from pytest_otmcp.subject.model import Answering, ErrorRule, OutcomeRule, OutputRule
 from pytest_otmcp.trial.reply import Expectation, Reply, observe, replace_outputs
 
+from .journals import entry
+
 PROSE = Answering(form="text", errors=(ErrorRule(text="[Uu]nknown|0x02", code="illegal_address"),))
 STRUCTURED = Answering(form="structured")
 
@@ -210,3 +212,23 @@ def test_no_answer_is_odd_enough_to_break_the_kit(form: str, listed: bool) -> No
         reply = observed(message, answering, listed=listed, outputs=rules)
         assert reply.success in (True, False, None)
         json.dumps([reply.envelope, reply.outputs], allow_nan=False)
+
+
+@pytest.mark.parametrize(("connected", "success"), [(True, True), (False, False)])
+def test_a_status_that_says_that_there_is_no_connection_is_no_success(connected: bool, success: bool) -> None:
+    reply = observed(
+        result(json.dumps({"alive": connected})),
+        Answering(form="json"),
+        operation="ping",
+        outputs={"reachable": OutputRule(path="alive")},
+    )
+    assert reply.success is success
+    assert reply.outputs == {"reachable": connected}
+    assert reply.error_code == (None if success else "connect_failed")
+
+
+def test_what_happened_during_a_call_is_told_from_what_came_before_and_after() -> None:
+    reply = observed(result("done"), received_ns=20)
+    entries = [entry("read", t_ns=moment) for moment in (-1, 0, 10, 20, 21)]
+    assert [seen["t_ns"] for seen in reply.during(entries)] == [0, 10, 20]
+    assert observed(None, failure="timeout").during(entries) == []

@@ -168,6 +168,32 @@ def test_only_an_edge_node_claims_births_and_data(tmp_path: Path, role: str, cla
     assert why_not(adapter, "publish") is None
 
 
+STATUS = f"""{LAUNCH}
+[adapter.modbus.bind.ping]
+tool = "status"
+source = "cache"
+max_age_s = 1.5
+"""
+
+
+def test_a_status_may_be_declared_to_come_from_a_cache(tmp_path: Path) -> None:
+    adapter = load(tmp_path, STATUS).adapters["modbus"]
+    assert adapter.cached == {"ping": 1.5}
+    assert adapter.facts()["cached"] == {"ping": 1.5}
+    assert reference_subject().adapters["modbus"].cached == {}
+
+
+def test_the_time_to_come_back_is_five_seconds_unless_it_is_declared_to_be_less(tmp_path: Path) -> None:
+    assert load(tmp_path, LAUNCH).adapters["modbus"].recovery_s == 5.0
+    assert load(tmp_path, LAUNCH + "recovery_s = 2\n").adapters["modbus"].facts()["recovery_s"] == 2.0
+
+
+def test_further_topics_of_commands_may_be_declared(tmp_path: Path) -> None:
+    text = LAUNCH.replace("modbus", "mqtt") + 'command_topics = ["line/+/set"]\n'
+    assert load(tmp_path, text).adapters["mqtt"].lists == {"command_topics": ("line/+/set",)}
+    assert load(tmp_path, LAUNCH).adapters["modbus"].lists == {}
+
+
 def test_deviations_have_a_last_day(tmp_path: Path) -> None:
     text = LAUNCH + '[[deviation]]\nitem = "FM1"\nreason = "known"\nexpires = 2027-03-31\n'
     (deviation,) = load(tmp_path, text).deviations
@@ -194,6 +220,30 @@ REFUSED = {
     ),
     "misspelt key": (LAUNCH + "deadlines = 3\n", "adapter.modbus.deadlines: unknown key; did you mean 'deadline_s'?"),
     "deadline": (LAUNCH + "deadline_s = -1\n", "adapter.modbus.deadline_s: expected seconds above 0 and up to 300"),
+    "recovery too slow": (
+        LAUNCH + "recovery_s = 6\n",
+        "adapter.modbus.recovery_s: expected seconds above 0 and up to 5",
+    ),
+    "cache too old": (
+        STATUS.replace("1.5", "30"),
+        "adapter.modbus.bind.ping.max_age_s: expected seconds above 0 and up to 5, found 30",
+    ),
+    "cache without age": (
+        STATUS.replace("max_age_s = 1.5", ""),
+        'adapter.modbus.bind.ping.max_age_s: source = "cache" says how old an answer may be, and nothing else does',
+    ),
+    "age without cache": (
+        STATUS.replace("cache", "device"),
+        'adapter.modbus.bind.ping.max_age_s: source = "cache" says how old an answer may be, and nothing else does',
+    ),
+    "cache of a value": (
+        STATUS.replace("bind.ping]", "bind.read_holding]") + 'result = { values = "v" }\n',
+        "adapter.modbus.bind.read_holding.source: only a status may come from a cache",
+    ),
+    "command topics": (
+        LAUNCH + 'command_topics = ["x"]\n',
+        "adapter.modbus.command_topics: unknown key",
+    ),
     "environment": (LAUNCH + "env = { A = 1 }\n", "adapter.modbus.env.A: expected a string, found a number"),
     "directory": (LAUNCH + 'cwd = "nowhere"\n', "adapter.modbus.cwd:"),
     "file elsewhere": (LAUNCH + 'files = { "../x" = "" }\n', "'../x' must be a name below {work}"),
@@ -331,3 +381,11 @@ def test_the_editors_schema_refuses_what_the_kit_refuses(name: str) -> None:
         "jmespath", "regular expression", "no bindings file", "deviation twice", "another host",
     }  # fmt: skip
     assert bool(found) == (name not in by_kit_alone)
+
+
+def test_an_answer_that_is_no_envelope_cannot_say_how_old_it_is(tmp_path: Path) -> None:
+    text = STATUS.replace("[adapter.modbus.bind", 'answer = "json"\n[adapter.modbus.bind')
+    with pytest.raises(
+        UsageError, match=r"bind\.ping\.source: only an answer in the kit's envelope says how old it is"
+    ):
+        load(tmp_path, text)

@@ -91,6 +91,23 @@ def test_nothing_is_collected_in_the_midst_of_a_call_and_nothing_adds_up() -> No
     assert gc.isenabled()
 
 
+def test_garbage_that_has_grown_old_is_collected_after_many_pauses() -> None:
+    def pause(times: int) -> None:
+        for _ in range(times):
+            with uncollected():
+                pass
+
+    gc.collect()
+    kept = Knot()
+    lost = weakref.ref(kept)
+    pause(3)
+    del kept
+    pause(1)
+    assert lost() is not None
+    pause(60)
+    assert lost() is None
+
+
 def test_a_failure_inside_ends_the_truce() -> None:
     with pytest.raises(ZeroDivisionError), uncollected():
         raise ZeroDivisionError

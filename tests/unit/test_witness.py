@@ -47,12 +47,14 @@ def test_session_keeping_is_no_exchange() -> None:
     assert "it saw none" in words(WITNESS.answered(journal(keeping, answer(0))))
 
 
-def test_exactly_one_counts_requests_with_these_fields() -> None:
-    assert WITNESS.exactly_one(journal(asked(1), asked(2)), kind="read", address=1) == []
-    found = words(WITNESS.exactly_one(journal(asked(1), asked(1)), kind="read", address=1))
-    assert found == (
-        "request_count: the device should have seen 1 request(s) with kind read, address 1, it saw 2 [ENV-005] "
-        "read 1; read 1"
+def test_what_was_asked_for_counts_when_it_was_answered_by_however_many_requests() -> None:
+    def reads(requests: Any) -> bool:
+        return {1, 2} <= {request["address"] for request in requests}
+
+    whole = journal(asked(1), answer(0), asked(2), answer(2), asked(7), answer(4))
+    assert WITNESS.was_asked(whole, "1 and 2", reads) == []
+    assert words(WITNESS.was_asked(whole[:3], "1 and 2", reads)) == (
+        "no_exchange: the device should have been asked for 1 and 2 during the call, it was not [RD-004] read 1; read 2"
     )
 
 

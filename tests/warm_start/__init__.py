@@ -10,12 +10,14 @@ Tests of processes themselves, such as exit codes, signals and children, use pro
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import tempfile
 from dataclasses import replace
 from pathlib import Path
 
+from pytest_otmcp.plant.owners import TOKEN_VARIABLE, new_token
 from pytest_otmcp.subject import Adapter, Subject
 
 __all__ = ["WarmStart"]
@@ -36,6 +38,8 @@ class WarmStart:
         # It has its own session, so that a Ctrl-C in the terminal does not reach the adapters, as without warm start.
         self._server = subprocess.Popen(
             [sys.executable, str(_HERE / "server.py"), str(path)],
+            # Room for the token of a session, by which a device knows whose process it is.
+            env={**os.environ, TOKEN_VARIABLE: "0" * len(new_token())},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             start_new_session=True,

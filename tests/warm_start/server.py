@@ -4,6 +4,7 @@ its standard input."""
 from __future__ import annotations
 
 import atexit
+import ctypes
 import gc
 import json
 import os
@@ -17,6 +18,9 @@ import traceback
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, NoReturn
+
+TOKEN = "OTMCP_SESSION"  # noqa: S105
+TOKEN_LETTERS = 32
 
 IMPORTED = (
     "asyncua",
@@ -162,6 +166,7 @@ def run(request: Request) -> None:
     os.closerange(3, os.sysconf("SC_OPEN_MAX"))
     os.environ.clear()
     os.environ.update(request.environment)
+    show_token(request.environment.get(TOKEN, ""))
     os.chdir(request.directory)
     gc.enable()
     sys.argv = [argument for argument in request.arguments if argument != "-P"]
@@ -172,6 +177,17 @@ def run(request: Request) -> None:
         runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
     else:
         runpy.run_path(sys.argv[0], run_name="__main__")
+
+
+def show_token(token: str) -> None:
+    """Let the process show the token of its session as the others do, in the environment that it was started with.
+
+    That is memory of the process (proc_pid_stat(5), env_start), and a fork has what the server was started with.
+    """
+    with open("/proc/self/stat", encoding="utf-8") as file:
+        begin, end = (int(field) for field in file.read().rpartition(")")[2].split()[47:49])
+    at = ctypes.string_at(begin, end - begin).index(f"{TOKEN}=".encode()) + len(TOKEN) + 1
+    ctypes.memmove(begin + at, token.ljust(TOKEN_LETTERS)[:TOKEN_LETTERS].encode(), TOKEN_LETTERS)
 
 
 def main() -> None:

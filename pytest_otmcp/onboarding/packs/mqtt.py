@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import base64
+from dataclasses import replace
 
+from ...subject.model import placeholders
 from ..evidence import find
 from ..experimenter import Experimenter, Proposal, reach
 from ..guess import Guess
@@ -11,34 +14,82 @@ from ..pack import Hints, Pack
 
 __all__ = ["PACK"]
 
+_ENDINGS = ("UNSUBSCRIBE", "DISCONNECT", "DISCONNECTED")
+_COLLECTED = "otmcp/init/z"
+_WAITING_S, _SUBSCRIBING_S = 2, 4.0
+"""How long a call that waits is told to wait, and how long it may take to subscribe."""
+
 
 def _nonce(experimenter: Experimenter) -> str:
     return f"nonce-{experimenter.random.getrandbits(48):012x}"
 
 
 async def _subscribe(experimenter: Experimenter, guess: Guess) -> Proposal:
-    shown = await experimenter.call(guess, {}, filter="otmcp/init/#", qos=0)
-    seen = any(entry["kind"] == "SUBSCRIBE" and "otmcp/init/#" in str(entry) for entry in shown.entries)
-    return experimenter.propose(guess, shown, proven=seen, seen="a SUBSCRIBE for the filter" if seen else "")
+    wanted = f"otmcp/{_nonce(experimenter)}/#"
+    shown = await experimenter.call(guess, {}, filter=wanted, qos=0)
+    asked = [entry["connection"] for entry in shown.entries if entry["kind"] == "SUBSCRIBE" and wanted in str(entry)]
+    ended = {entry["connection"] for entry in shown.entries if entry["kind"] in _ENDINGS}
+    # A call that subscribes, waits and leaves again receives by itself: it is no subscription for later.
+    kept = bool(set(asked) - ended)
+    proposal = experimenter.propose(guess, shown, proven=kept, seen="a SUBSCRIBE for the filter" if asked else "")
+    proposal.returned = bool(asked)
+    if kept:
+        # For the messages that the next experiment publishes.
+        await experimenter.call(guess, {}, filter="otmcp/init/#", qos=0)
+    return proposal
 
 
 async def _messages(experimenter: Experimenter, guess: Guess) -> Proposal:
+    if "seconds" not in placeholders(guess.arguments):
+        return await _inbox(experimenter, guess)
+    proposal = await _collected(experimenter, guess)
+    if proposal.proven:
+        return proposal
+    kept = {name: value for name, value in guess.arguments.items() if "seconds" not in placeholders(value)}
+    return await _inbox(experimenter, replace(guess, arguments=kept))
+
+
+async def _collected(experimenter: Experimenter, guess: Guess) -> Proposal:
+    """Try a tool that subscribes, waits, and answers with what came meanwhile."""
+    nonce, device = _nonce(experimenter), experimenter.device
+    since = await device.mark()
+    waiting = asyncio.create_task(experimenter.call(guess, {}, filter=_COLLECTED, seconds=_WAITING_S))
+    subscribed = await device.wait(since, {"kind": "SUBACK", "direction": "out"}, timeout_s=_SUBSCRIBING_S)
+    if subscribed:
+        await device.poke(publish=_message(_COLLECTED, nonce))
+    shown = await waiting
+    proven = bool(subscribed) and nonce in str(shown.message)
+    seen = "a SUBSCRIBE, and its message is in the answer"
+    proposal = experimenter.propose(guess, shown, proven=proven, seen=seen if proven else "")
+    proposal.returned = proposal.blocking = proven
+    return _placed(proposal, nonce) if proven else proposal
+
+
+def _message(topic: str, text: str) -> dict[str, object]:
+    return {"topic": topic, "payload": base64.b64encode(text.encode()).decode(), "qos": 0, "retain": False}
+
+
+async def _inbox(experimenter: Experimenter, guess: Guess) -> Proposal:
     nonce = _nonce(experimenter)
     since = await experimenter.device.mark()
-    payload = base64.b64encode(nonce.encode()).decode()
-    message = {"topic": "otmcp/init/x", "payload": payload, "qos": 0, "retain": False}
-    await experimenter.device.poke(publish=message)
+    await experimenter.device.poke(publish=_message("otmcp/init/x", nonce))
     await experimenter.device.wait(since, {"kind": "PUBLISH", "direction": "out"}, timeout_s=1.0)
     shown = await experimenter.call(guess, {}, filter="otmcp/init/x")
     proven = nonce in str(shown.message)
     proposal = experimenter.propose(
         guess, shown, proven=proven, seen="to it that the message it published is in the answer"
     )
+    proposal.returned = proven
     if not proven:
         proposal.evidence = [f"a message that was published was not in the answer: {shown.words}"]
         return proposal
-    for form in ("structured", "json"):
-        place = find(shown.message or {}, nonce, (form,))
+    return _placed(proposal, nonce)
+
+
+def _placed(proposal: Proposal, nonce: str) -> Proposal:
+    """Say where messages are in an answer that holds one with this payload."""
+    for form in ("structured", "json", "texts"):
+        place = find(proposal.good or {}, nonce, (form,))
         if place is not None and "[0]." in str(place.rule.get("path")):
             listed, payload = str(place.rule["path"]).split("[0].", 1)
             proposal.form = form
@@ -116,6 +167,7 @@ PACK = Pack(
     },
     arguments={
         "filter": "topic topic_filter filter pattern topics topic_pattern",
+        "seconds": "seconds timeout duration wait wait_seconds timeout_seconds duration_seconds timeout_s max_wait",
         "qos": "qos quality_of_service",
         "topic": "topic topic_name",
         "payload": "payload message data content body value",

@@ -19,6 +19,7 @@ from .faults import STREAM_ACTIONS, Action, FaultPlan, FaultRule
 from .frame_queue import FrameQueue
 from .journal import TapJournal
 from .medium import Medium
+from .peer import sender_of
 
 __all__ = ["DatagramTap"]
 
@@ -153,6 +154,7 @@ class DatagramTap:
         if len(self._clients) == _MOST_CLIENTS:
             self._clients.pop(next(iter(self._clients))).close()
         self._seen += 1
+        self._medium.journal.heard_of(self._seen, sender_of(address))
 
         def answer(data: bytes) -> None:
             # A datagram that the system cannot send is lost, as on any network.

@@ -19,11 +19,14 @@ from weakref import WeakKeyDictionary
 from ...protocols.conversation import Conversation, Direction, Message
 from ...protocols.journal import JournalEntry
 from ...protocols.oracle import has
+from ..owners import Peer, PeerProcess
 
 __all__ = ["TapJournal"]
 
 _CAPACITY = 200_000
 """A limit against floods, as in the mocks. Entries that were read are to be released with :meth:`TapJournal.forget`."""
+
+_NO_MESSAGES = frozenset({"CONNECTED", "DISCONNECTED", "malformed"})
 
 
 class TapJournal:
@@ -42,6 +45,7 @@ class TapJournal:
         self._next = 0
         self.dropped = 0
         self._waiters: list[_Waiter] = []
+        self._peers: dict[int, Peer] = {}
 
     @property
     def next(self) -> int:
@@ -80,6 +84,15 @@ class TapJournal:
         finally:
             self._waiters.remove(waiter)
         return waiter.found
+
+    def heard_of(self, connection: int, process: PeerProcess | None) -> None:
+        """Note which process has the other end of a client's connection."""
+        self._peers[connection] = Peer(accepted_ns=time.monotonic_ns(), process=process)
+
+    @property
+    def peers(self) -> Mapping[int, Peer]:
+        """The other ends of the clients' connections, by number."""
+        return self._peers
 
     def frame(
         self, connection: int, direction: Direction, frame: bytes, fault: str | None, conversation: Conversation
@@ -128,6 +141,9 @@ class TapJournal:
         if len(self._entries) == self._entries.maxlen:
             self.dropped += 1
         self._entries.append(entry)
+        peer = self._peers.get(connection)
+        if peer is not None and peer.spoke is None and message.direction == "in" and message.kind not in _NO_MESSAGES:
+            peer.spoke = self._next
         self._next += 1
         for waiter in self._waiters:
             waiter.offer(entry)

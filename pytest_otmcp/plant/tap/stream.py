@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Callable
 
 from ...core.errors import KitError
+from ...core.exhaustion import exhausted
 from ...protocols.conversation import Direction
 from ...protocols.framing import Framer
 from ...protocols.protocol import Framing
@@ -19,6 +20,7 @@ from .faults import Action, FaultPlan, FaultRule
 from .journal import TapJournal
 from .lane import Lane, reset_connection
 from .medium import Medium
+from .peer import process_of
 
 __all__ = ["StreamTap"]
 
@@ -170,6 +172,8 @@ class _Link:
         if self.ended.is_set() or self._condemned:
             self.reset()
         elif side is self.client:
+            assert side.transport is not None
+            self._medium.journal.heard_of(self.number, process_of(side.transport))
             self._medium.journal.event(self.number, "in", "CONNECTED")
             if self._medium.plan.for_connection(self.number) is not None:
                 self.reset()
@@ -181,7 +185,9 @@ class _Link:
         try:
             async with asyncio.timeout(_CONNECT_TIMEOUT_S):
                 await loop.create_connection(lambda: self._device, *self._target)
-        except OSError:
+        except OSError as error:
+            if exhausted(error) is not None:
+                loop.call_exception_handler({"message": "the tap cannot connect", "exception": error})
             # The device refuses or is silent. The tap has accepted the client, so it can only reset the connection.
             self.reset()
 

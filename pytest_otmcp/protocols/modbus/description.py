@@ -5,11 +5,12 @@ from __future__ import annotations
 import re
 
 from ..protocol import Colour, Framing, OtProtocol
-from ..session_oracle import StateChanges
+from ..session_oracle import Exchanges, StateChanges
 from .decoder import ModbusConversation, mbap_length
-from .entries import describe, title
+from .entries import carried_out, describe, title
 from .operations import OPERATIONS
 from .oracle import no_state_changing_request
+from .proof import PROOF
 
 __all__ = ["PROTOCOL"]
 
@@ -21,7 +22,8 @@ PROTOCOL = OtProtocol(
     operations=OPERATIONS,
     probes={"missing_address": 9999},
     framing=Framing(frame_length=mbap_length, conversation=ModbusConversation),
-    unsolicited=no_state_changing_request,
+    unsolicited=lambda entries, declared: no_state_changing_request(entries),
+    carried_out=carried_out,
     describe=describe,
     title=title,
     mock="modbus",
@@ -32,6 +34,7 @@ PROTOCOL = OtProtocol(
     envelope_names=("modbus-tcp", "modbus-tls"),
     packages=("pymodbus",),
     colour=Colour(light="#0072b2", dark="#56b4e9"),
-    session_oracles=(StateChanges,),
+    session_oracles=(StateChanges, Exchanges),
+    proof=PROOF,
     always=True,
 )

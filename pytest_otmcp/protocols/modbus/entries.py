@@ -6,7 +6,7 @@ from typing import cast
 
 from ..journal import JournalEntry
 
-__all__ = ["ModbusEntry", "as_modbus", "describe", "points", "title"]
+__all__ = ["ModbusEntry", "as_modbus", "carried_out", "describe", "points", "title"]
 
 _FUNCTIONS = {
     1: "read coils",
@@ -64,6 +64,11 @@ def describe(entry: JournalEntry) -> str:
     request = as_modbus(entry)
     text = f"FC {request['function']:02d} address {request.get('address')} quantity {request.get('quantity')}"
     return text + (f" values {request['values']}" if request.get("values") else "")
+
+
+def carried_out(request: JournalEntry, answer: JournalEntry | None) -> bool | None:
+    """Tell whether the device did what a request asked for: it did not answer with an exception."""
+    return None if answer is None else as_modbus(answer).get("exception") is None
 
 
 def points(table: str, address: int, values: list[object], *, unit: int = 1) -> dict[str, object]:

@@ -9,7 +9,7 @@ from ..protocol import Operation
 __all__ = ["OPERATIONS"]
 
 OPERATIONS: Mapping[str, Operation] = {
-    "ping": Operation(meaning="is the device reachable", outputs=("reachable",)),
+    "ping": Operation(meaning="is the device reachable", outputs=("reachable",), status=True, tells="reachable"),
     "read_input": Operation(
         meaning="read input registers (function 4)",
         inputs=("address", "count"),

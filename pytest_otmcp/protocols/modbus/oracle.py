@@ -2,34 +2,86 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 from ...core.finding import Finding
 from ...core.strict_json import same_json
 from ..journal import Entries, Image, JournalEntry
-from ..oracle import Witness
+from ..oracle import Witness, requests
 from .entries import as_modbus, describe, points
 
 __all__ = [
-    "exactly_one_request",
     "exactly_one_write",
     "exception_sent",
+    "held",
     "image_holds",
     "no_state_changing_request",
     "nothing_changed_by",
     "only_changed",
-    "request_count",
+    "reached",
+    "read_from_device",
+    "read_where_asked",
+    "refused_nothing_else",
     "some_exchange",
+    "stored_otherwise",
 ]
 
 _WITNESS = Witness(noun="the device", describe=describe)
+_READS = (1, 2, 3, 4)
 
 some_exchange = _WITNESS.answered
-exactly_one_request = _WITNESS.exactly_one
-request_count = _WITNESS.request_count
 no_state_changing_request = _WITNESS.nothing_changed
 nothing_changed_by = _WITNESS.nothing_changed_by
 only_changed = _WITNESS.only_changed
+
+
+def read_from_device(entries: Entries, *, function: int, address: int, count: int) -> list[Finding]:
+    """Expect that the device answered reads by this function that cover these cells, by whatever requests."""
+    what = f"{count} cell(s) from {address} by function {function}"
+    findings = _WITNESS.was_asked(entries, what, lambda asked: _covered(asked, function, address, count))
+    requirement = _misdirected(entries, function, address)
+    return [replace(finding, requirement=requirement or finding.requirement) for finding in findings]
+
+
+def read_where_asked(entries: Entries, *, function: int, address: int) -> list[Finding]:
+    """Expect that no read went to another cell, or another table, instead of this one."""
+    requirement = _misdirected(entries, function, address)
+    if requirement is None:
+        return []
+    return [
+        Finding(
+            code="read_elsewhere",
+            message=f"the device should have seen a read of address {address} with function {function}, it saw others",
+            requirement=requirement,
+            evidence=_WITNESS.seen(entries),
+        )
+    ]
+
+
+def _misdirected(entries: Entries, function: int, address: int) -> str | None:
+    """Return the requirement that reads break which should have gone to this cell and went elsewhere; None without any."""
+    reads = [read for read in requests(entries) if as_modbus(read).get("function") in _READS]
+    if any(_covered([read], function, address, 1) for read in reads):
+        return None
+    if any(_covered([read], other, address, 1) for read in reads for other in _READS):
+        return "RD-002"
+    return "ADR-001" if any(as_modbus(read)["function"] == function for read in reads) else None
+
+
+def reached(entries: Entries, *, function: int, address: int, count: int) -> bool:
+    """Tell whether requests by this function that cover these cells reached the device."""
+    return _covered(requests(entries), function, address, count)
+
+
+def _covered(asked: Sequence[JournalEntry], function: int, address: int, count: int) -> bool:
+    cells: set[int] = set()
+    for request in map(as_modbus, asked):
+        if request.get("function") == function:
+            first = request.get("address", 0)
+            cells.update(range(first, first + request.get("quantity", 0)))
+    return cells.issuperset(range(address, address + count))
 
 
 def exactly_one_write(entries: Entries, table: str, *, address: int, values: list[object]) -> list[Finding]:
@@ -38,10 +90,60 @@ def exactly_one_write(entries: Entries, table: str, *, address: int, values: lis
 
     def problem(entry: JournalEntry) -> tuple[str, str] | None:
         write = as_modbus(entry)
-        right = write["function"] in functions and write.get("address") == address
-        return None if right and same_json(write.get("values"), values) else ("WR-001", "it saw another write")
+        written, at = write.get("values"), write.get("address")
+        if write["function"] not in functions:
+            return "WR-001", f"it saw {describe(entry)}"
+        if same_json(written, values):
+            return None if at == address else ("ADR-001", f"it saw the same write to {at}")
+        requirement = "ENC-001" if at == address and _swapped(written, values) else "WR-001"
+        return requirement, f"it saw a write of {written} to {at}"
 
     return _WITNESS.exactly_one_write(entries, f"write of {values} to {table} {address}", problem)
+
+
+def refused_nothing_else(entries: Entries, *, function: int, address: int, count: int) -> list[Finding]:
+    """Expect that every read that the device refused was of these cells by this function, among others."""
+    refused = {entry["answers"] for entry in entries if as_modbus(entry).get("exception")}
+    other = [
+        entry
+        for entry in requests(entries)
+        if entry["seq"] in refused and not entry["state_changing"] and not _covered([entry], function, address, count)
+    ]
+    if not other:
+        return []
+    return [
+        Finding(
+            code="refused_other",
+            message=f"the device should have refused {count} cell(s) from {address} by function {function}, "
+            f"it refused {describe(other[0])}",
+            requirement=_misdirected(other, function, address) or "RD-001",
+        )
+    ]
+
+
+def _swapped(found: object, wanted: list[object]) -> bool:
+    """Tell whether these are the wanted registers, each with its bytes in the other order."""
+    words = [value for value in wanted if isinstance(value, int)]
+    return found == [(word & 0xFF) << 8 | word >> 8 for word in words]
+
+
+def stored_otherwise(image: Image, table: str, address: int, asked: int, *, told: object) -> list[Finding]:
+    """Return the finding about a value that the register cannot hold, although its write was told as a success."""
+    name = f"{table.removesuffix('s').replace('_', ' ')} {address}"
+    claim = "success" if told is None else f"that it wrote {told}"
+    return [
+        Finding(
+            code="not_refused",
+            message=f"asked to write {asked}; the adapter said {claim}; {name} holds {held(image, table, address)}",
+            requirement="ADR-003",
+        )
+    ]
+
+
+def held(image: Image, table: str, address: int, unit: int = 1) -> object:
+    """Return the value that a cell of the device holds."""
+    (point,) = points(table, address, [None], unit=unit)
+    return image["points"].get(point)
 
 
 def exception_sent(entries: Entries, code: int) -> list[Finding]:

@@ -5,12 +5,15 @@ from __future__ import annotations
 import re
 
 from ..protocol import Choice, Colour, Composite, Framing, OtProtocol, Simulator
+from ..session_oracle import Exchanges
+from .commands import COMMAND_TOPICS
 from .decoder import MqttConversation, packet_length
 from .entries import describe
 from .external import EXTERNAL
 from .operations import OPERATIONS
 from .oracle import Publications, Subscriptions, no_command
-from .sparkplug_oracle import SparkplugSequence
+from .proof import PROOF
+from .sparkplug_oracle import SparkplugSequence, kept_or_executed
 
 __all__ = ["PROTOCOL"]
 
@@ -39,8 +42,10 @@ PROTOCOL = OtProtocol(
             },
         ),
     ),
+    lists={COMMAND_TOPICS: "Topic filters, beside control/#, below which a publication commands the plant."},
     framing=Framing(frame_length=packet_length, conversation=MqttConversation),
     unsolicited=no_command,
+    carried_out=kept_or_executed,
     describe=describe,
     mock="mqtt",
     clients="an MQTT client, version 3.1.1 or 5",
@@ -57,6 +62,7 @@ PROTOCOL = OtProtocol(
     packages=("paho-mqtt", "protobuf"),
     colour=Colour(light="#009e73", dark="#2fc79a"),
     external=EXTERNAL,
-    session_oracles=(Publications, Subscriptions, SparkplugSequence),
+    session_oracles=(Publications, Subscriptions, SparkplugSequence, Exchanges),
+    proof=PROOF,
     always=True,
 )

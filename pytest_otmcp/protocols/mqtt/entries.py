@@ -6,9 +6,19 @@ import base64
 from collections.abc import Mapping
 from typing import Any, TypedDict, cast
 
-from ..journal import Entries, JournalEntry
+from ..journal import ADAPTER, Entries, JournalEntry
 
-__all__ = ["Filter", "FirstPackets", "MqttEntry", "adapter_packets", "as_mqtt", "describe", "payload_of", "shown"]
+__all__ = [
+    "Filter",
+    "FirstPackets",
+    "MqttEntry",
+    "adapter_packets",
+    "as_mqtt",
+    "describe",
+    "messages",
+    "payload_of",
+    "shown",
+]
 
 _MOST_SHOWN = 10
 
@@ -25,7 +35,7 @@ class MqttEntry(JournalEntry, total=False):
 
     Members:
         client_id: of the connection, or None before its CONNECT.
-        topic, payload, qos, retain: of a message; the payload in base64.
+        topic, payload, qos, retain, dup: of a message; the payload in base64.
         filters: of SUBSCRIBE and UNSUBSCRIBE.
         reason_codes: of an answer, one for each item.
         packet_id: the identifier that ties an answer to its request.
@@ -41,6 +51,7 @@ class MqttEntry(JournalEntry, total=False):
     payload: str
     qos: int
     retain: bool
+    dup: bool
     filters: list[Filter]
     reason_codes: list[int]
     packet_id: int
@@ -66,11 +77,29 @@ def adapter_packets(
     return [
         as_mqtt(entry)
         for entry in entries
-        if entry["origin"] == "client"
+        if entry["origin"] == ADAPTER
         and kind in (None, entry["kind"])
         and direction in (None, entry["direction"])
         and client_id in (None, as_mqtt(entry).get("client_id"))
     ]
+
+
+def messages(entries: Entries, client_id: str | None = None) -> list[MqttEntry]:
+    """Return the messages that the adapter published.
+
+    What is delivered again over another connection, marked as DUP, is the same message (MQTT 3.1.1, sections 3.3.1.1 and 4.4).
+    """
+    found: list[MqttEntry] = []
+    for packet in adapter_packets(entries, "PUBLISH", "in", client_id):
+        if not any(_again(packet, earlier) for earlier in found):
+            found.append(packet)
+    return found
+
+
+def _again(packet: MqttEntry, earlier: MqttEntry) -> bool:
+    same = ("client_id", "packet_id", "topic", "payload", "qos")
+    marked = bool(packet.get("dup")) and bool(packet.get("qos")) and packet["connection"] != earlier["connection"]
+    return marked and all(packet.get(name) == earlier.get(name) for name in same)
 
 
 def payload_of(message: Mapping[str, Any]) -> bytes:
@@ -83,24 +112,30 @@ class FirstPackets:
 
     Attributes:
         count: number of packets.
+        first: the first of them.
     """
 
     def __init__(self) -> None:
         self.count = 0
-        self._first: list[MqttEntry] = []
+        self.first: list[MqttEntry] = []
 
     def add(self, packet: MqttEntry) -> None:
         """Count a packet."""
         self.count += 1
-        if len(self._first) < _MOST_SHOWN:
-            self._first.append(packet)
+        if len(self.first) < _MOST_SHOWN:
+            self.first.append(packet)
+
+    def extend(self, others: FirstPackets) -> None:
+        """Count other packets, too."""
+        self.first += others.first[: _MOST_SHOWN - len(self.first)]
+        self.count += others.count
 
     def shown(self) -> str:
         """Describe the first packets, and say how many more there are."""
         if not self.count:
             return "no packet"
-        more = self.count - len(self._first)
-        return "; ".join(map(describe, self._first)) + (f"; … {more} more" if more else "")
+        more = self.count - len(self.first)
+        return "; ".join(map(describe, self.first)) + (f"; … {more} more" if more else "")
 
 
 def shown(entries: Entries) -> str:

@@ -6,11 +6,17 @@ base64. The packets of the simulator's clients and of the kit are left out every
 
 from __future__ import annotations
 
+from types import MappingProxyType
+
 from ...core.finding import Finding
 from ..journal import Entries, JournalEntry
 from ..oracle import Witness
+from ..protocol import Declared
 from ..session_oracle import SessionOracle
-from .entries import FirstPackets, MqttEntry, adapter_packets, as_mqtt, describe, payload_of, shown
+from .commands import commands
+from .entries import FirstPackets, MqttEntry, adapter_packets, describe, payload_of, shown
+from .entries import messages as published
+from .sparkplug_decoder import parse_topic
 from .sparkplug_oracle import SparkplugSequence, ddata_metric
 
 __all__ = [
@@ -22,7 +28,9 @@ __all__ = [
     "exchange",
     "never_published",
     "no_command",
-    "no_packet",
+    "not_published",
+    "not_reported",
+    "not_subscribed",
     "published_once",
     "session_stays_up",
 ]
@@ -30,9 +38,7 @@ __all__ = [
 _WITNESS = Witness(noun="the broker", describe=describe)
 
 _HIGHEST_QOS = 2
-_COMMANDS = "control/"
-"""Prefix of the topics on which the plant listens for commands. An adapter's messages on other topics command nothing."""
-
+_TOPICS_KEPT = 1000
 
 exchange = _WITNESS.answered
 
@@ -91,19 +97,45 @@ class Subscriptions(SessionOracle):
 
 
 class Publications(SessionOracle):
-    """The messages that the adapter published, and its malformed packets that may have been one."""
+    """The publications of the adapter, by topic, and packets of it that cannot be distinguished from publications."""
 
     def __init__(self) -> None:
-        self._first = FirstPackets()
+        self._malformed = FirstPackets()
+        self._by_topic: dict[str, FirstPackets] = {}
+        self._retained: dict[str, MqttEntry] = {}
 
     def feed(self, entry: JournalEntry) -> None:
-        """Count the entry if it is a PUBLISH."""
-        for packet in _packets([entry], "PUBLISH", "in", None):
-            self._first.add(packet)
+        """Note a PUBLISH."""
+        for packet in _packets([entry], "PUBLISH"):
+            topic = packet.get("topic")
+            if topic is None:
+                self._malformed.add(packet)
+            elif topic in self._by_topic or len(self._by_topic) < _TOPICS_KEPT:
+                self._by_topic.setdefault(topic, FirstPackets()).add(packet)
+                if packet.get("retain"):
+                    self._retained.setdefault(topic, packet)
 
-    def none(self) -> list[Finding]:
-        """Expect that nothing was published in the whole life of the session."""
-        return _unexpected("PUBLISH", "in", self._first)
+    def guarded(self, declared: Declared) -> list[Finding]:
+        """Expect that nothing commanded the plant in the whole life of the session; what was retained elsewhere is remarkable."""
+        found = FirstPackets()
+        found.extend(self._malformed)
+        for packets in self._by_topic.values():
+            if commands(packets.first[0], declared):
+                found.extend(packets)
+        return [
+            *_unexpected("PUBLISH", found, "WR-004"),
+            *(
+                Finding(
+                    code="retained_own",
+                    message=f"with writes disabled nothing should be retained, the adapter published {topic!r} so",
+                    requirement="WR-004",
+                    evidence=describe(packet),
+                    strength="SHOULD",
+                )
+                for topic, packet in self._retained.items()
+                if not commands(packet, declared)
+            ),
+        ]
 
 
 def delivered(entries: Entries, *, topic: str, payload: bytes, client_id: str | None = None) -> list[Finding]:
@@ -134,10 +166,16 @@ def published_once(
     payload: bytes,
     qos: int | None = 0,
     retain: bool = False,
+    declared: Declared = MappingProxyType({}),
     client_id: str | None = None,
 ) -> list[Finding]:
-    """Expect that the adapter published these bytes on this topic with this QoS (None is any), once, and nothing else."""
-    messages = adapter_packets(entries, "PUBLISH", "in", client_id)
+    """Expect that the adapter published these bytes on this topic in this manner (a QoS of None is any), exactly once, and
+    nothing else that commands the plant. What it publishes of itself elsewhere is its own affair."""
+    messages = [
+        message
+        for message in published(entries, client_id)
+        if message["topic"] == topic or payload_of(message) == payload or commands(message, declared)
+    ]
     code, requirement = "not_published_once", "WR-003" if len(messages) > 1 else "MQT-001"
     if len(messages) == 1 and _is(messages[0], topic, payload):
         found = (messages[0].get("qos"), bool(messages[0].get("retain")))
@@ -175,40 +213,61 @@ def never_published(entries: Entries, payload: bytes, *, client_id: str | None =
     ]
 
 
-def no_command(entries: Entries) -> list[Finding]:
-    """Expect that no message of the adapter reached the topics on which the plant listens for commands."""
-    return _WITNESS.nothing_changed(entries, requirement="WR-010", commands=_is_command)
+def no_command(entries: Entries, declared: Declared = MappingProxyType({})) -> list[Finding]:
+    """Expect no message of the adapter on the topics on which the plant listens for commands."""
+    return _WITNESS.nothing_changed(entries, requirement="WR-010", commands=lambda entry: commands(entry, declared))
 
 
-def _is_command(entry: JournalEntry) -> bool:
-    return as_mqtt(entry)["topic"].startswith(_COMMANDS)
-
-
-def no_packet(entries: Entries, kind: str, *, direction: str = "in", client_id: str | None = None) -> list[Finding]:
-    """Expect no packet of this kind, not even a malformed one."""
+def not_published(
+    entries: Entries,
+    payload: bytes,
+    *,
+    requirement: str = "ERR-006",
+    declared: Declared = MappingProxyType({}),
+) -> list[Finding]:
+    """Expect no message with these bytes, no command, and no malformed PUBLISH."""
     found = FirstPackets()
-    for packet in _packets(entries, kind, direction, client_id):
-        found.add(packet)
-    return _unexpected(kind, direction, found)
+    for packet in _packets(entries, "PUBLISH"):
+        if packet["kind"] == "malformed" or payload_of(packet) == payload or commands(packet, declared):
+            found.add(packet)
+    return _unexpected("PUBLISH", found, requirement)
 
 
-def _packets(entries: Entries, kind: str, direction: str, client_id: str | None) -> list[MqttEntry]:
+def not_reported(entries: Entries, device: str) -> list[Finding]:
+    """Expect no Sparkplug message about this device of the adapter's edge node."""
+    found = FirstPackets()
+    for packet in adapter_packets(entries, "PUBLISH", "in"):
+        topic = parse_topic(packet["topic"])
+        if topic is not None and topic.device == device:
+            found.add(packet)
+    return _unexpected("PUBLISH", found, "WR-004")
+
+
+def not_subscribed(entries: Entries, filter: str) -> list[Finding]:
+    """Expect no SUBSCRIBE to this filter, and no malformed one."""
+    found = FirstPackets()
+    for packet in _packets(entries, "SUBSCRIBE"):
+        if packet["kind"] == "malformed" or filter in [wanted.get("filter") for wanted in packet["filters"]]:
+            found.add(packet)
+    return _unexpected("SUBSCRIBE", found, "ADR-007")
+
+
+def _packets(entries: Entries, kind: str) -> list[MqttEntry]:
     return [
         entry
-        for entry in adapter_packets(entries, None, direction, client_id)
+        for entry in adapter_packets(entries, None, "in")
         if entry["kind"] == kind or (entry["kind"] == "malformed" and entry.get("packet") in (None, kind))
     ]
 
 
-def _unexpected(kind: str, direction: str, packets: FirstPackets) -> list[Finding]:
+def _unexpected(kind: str, packets: FirstPackets, requirement: str) -> list[Finding]:
     if not packets.count:
         return []
-    who = "from" if direction == "in" else "to"
     return [
         Finding(
             code="unexpected_packet",
-            message=f"the broker should have seen no {kind} {who} the adapter, it saw {packets.count}",
-            requirement="ERR-006",
+            message=f"the broker should have seen no {kind} from the adapter, it saw {packets.count}",
+            requirement=requirement,
             evidence=packets.shown(),
         )
     ]

@@ -13,10 +13,10 @@ from typing import Any
 from ...core.finding import Finding
 from ..journal import Entries, JournalEntry
 from ..session_oracle import SessionOracle
-from .entries import MqttEntry, adapter_packets, payload_of, shown
+from .entries import MqttEntry, adapter_packets, as_mqtt, payload_of, shown
 from .sparkplug_decoder import DATA_TYPES, NAMESPACE, Topic, decode_message, decode_payload, parse_topic
 
-__all__ = ["SparkplugSequence", "ddata_metric"]
+__all__ = ["SparkplugSequence", "ddata_metric", "kept_or_executed"]
 
 _BD_SEQ = "bdSeq"
 _REBIRTH = "Node Control/Rebirth"
@@ -119,6 +119,13 @@ def _declared(message: Mapping[str, Any]) -> Declared:
                 if key is not None:
                     declared[key] = (metric["name"], metric["datatype"])
     return declared
+
+
+def kept_or_executed(request: JournalEntry, answer: JournalEntry | None) -> bool:
+    """Tell whether a PUBLISH changed what the broker or the edge node behind it holds: it was retained, or is a command."""
+    message = as_mqtt(request)
+    topic = parse_topic(message["topic"])
+    return bool(message.get("retain")) or (topic is not None and topic.type in ("NCMD", "DCMD"))
 
 
 class SparkplugSequence(SessionOracle):

@@ -204,6 +204,9 @@ def _asked(name: str, reader: BinaryReader) -> dict[str, Any]:
         reader.node_id()
         reader.take(16)
         return {"nodes": reader.array(lambda: _browse_description(reader)) or []}
+    if name == "CreateMonitoredItems":
+        reader.take(8)
+        return {"nodes": reader.array(lambda: _monitored_item(reader)) or []}
     if name == "Call":
         return {"methods": reader.array(lambda: _method_call(reader)) or []}
     return {}
@@ -218,6 +221,15 @@ def _read_value_id(reader: BinaryReader) -> dict[str, Any]:
     reader.string()
     reader.qualified_name()
     return {"node_id": node, "attribute": _attribute(attribute)}
+
+
+def _monitored_item(reader: BinaryReader) -> dict[str, Any]:
+    item = _read_value_id(reader)
+    # Monitoring mode, the client's handle and the sampling interval come before the filter, the queue after it.
+    reader.take(16)
+    reader.extension_object()
+    reader.take(5)
+    return item
 
 
 def _write_value(reader: BinaryReader) -> dict[str, Any]:
@@ -257,6 +269,8 @@ def _answered(name: str, reader: BinaryReader) -> dict[str, Any]:
     if name in ("Browse", "BrowseNext"):
         results = reader.array(lambda: _browse_result(reader)) or []
         return {"results": [status for status, _ in results], "counts": [count for _, count in results]}
+    if name == "CreateMonitoredItems":
+        return {"results": reader.array(lambda: _monitored_result(reader)) or []}
     if name == "Call":
         return {"results": reader.array(lambda: _method_result(reader)) or []}
     return {}
@@ -276,6 +290,14 @@ def _reference(reader: BinaryReader) -> None:
     reader.localized_text()
     reader.unpack("I")
     reader.expanded_node_id()
+
+
+def _monitored_result(reader: BinaryReader) -> str:
+    status = symbol(reader.unpack("I"))
+    # The item's identifier, its sampling interval and its queue; then the result of its filter.
+    reader.take(16)
+    reader.extension_object()
+    return status
 
 
 def _method_result(reader: BinaryReader) -> dict[str, Any]:

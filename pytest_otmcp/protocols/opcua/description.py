@@ -7,9 +7,10 @@ import re
 from ..protocol import Colour, Framing, OtProtocol
 from ..session_oracle import StateChanges
 from .decoder import OpcUaConversation, chunk_length
-from .entries import describe
+from .entries import carried_out, describe
 from .operations import OPERATIONS
 from .oracle import no_state_changing_service
+from .proof import PROOF
 
 __all__ = ["PROTOCOL"]
 
@@ -21,7 +22,8 @@ PROTOCOL = OtProtocol(
     operations=OPERATIONS,
     probes={"missing_node": "ns=2;i=99999"},
     framing=Framing(frame_length=chunk_length, conversation=OpcUaConversation),
-    unsolicited=no_state_changing_service,
+    unsolicited=lambda entries, declared: no_state_changing_service(entries),
+    carried_out=carried_out,
     describe=describe,
     mock="opcua",
     clients="an OPC UA client with security None",
@@ -31,5 +33,6 @@ PROTOCOL = OtProtocol(
     packages=("asyncua",),
     colour=Colour(light="#e69f00", dark="#e69f00"),
     session_oracles=(StateChanges,),
+    proof=PROOF,
     always=True,
 )

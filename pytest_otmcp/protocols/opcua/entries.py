@@ -13,11 +13,12 @@ __all__ = [
     "OpcUaEntry",
     "answers",
     "as_opcua",
+    "carried_out",
     "describe",
     "holds_value",
     "node_ids",
     "statuses",
-    "values_read",
+    "values_asked",
 ]
 
 
@@ -41,7 +42,8 @@ class OpcUaEntry(JournalEntry, total=False):
     """An entry whose kind is the name of a service.
 
     Members:
-        nodes: the nodes that a request names; for other services than Read and Write only their node ids.
+        nodes: the nodes that a request names, or whose values a Publish notifies of; for other services than Read, Write,
+            CreateMonitoredItems and Publish only their node ids.
         results: of an answer, one for each item: a status code's symbol, or an object with ``status``.
         service_result: symbol of the status code of the service as a whole.
     """
@@ -61,8 +63,11 @@ def node_ids(entry: JournalEntry) -> list[str]:
     return [node["node_id"] if isinstance(node, dict) else node for node in as_opcua(entry).get("nodes", [])]
 
 
-def values_read(entry: JournalEntry) -> list[str]:
-    """Return the node ids whose value a Read asks for."""
+def values_asked(entry: JournalEntry) -> list[str]:
+    """Return the node ids whose value a request asks for, or a notification has."""
+    asks = entry["request"] and entry["kind"] in ("Read", "CreateMonitoredItems")
+    if not asks and not (entry["direction"] == "out" and entry["kind"] == "Publish"):
+        return []
     return [node["node_id"] for node in as_opcua(entry).get("nodes", []) if node["attribute"] == "Value"]
 
 
@@ -75,6 +80,14 @@ def statuses(entry: JournalEntry) -> list[str]:
 def answers(entries: Entries, kind: str) -> list[JournalEntry]:
     """Return the answers of one service."""
     return [entry for entry in entries if entry["direction"] == "out" and entry["kind"] == kind]
+
+
+def carried_out(request: JournalEntry, answer: JournalEntry | None) -> bool | None:
+    """Tell whether the server did at least a part of what a request asked for."""
+    if answer is None:
+        return None
+    results = statuses(answer) or [as_opcua(answer).get("service_result", "Good")]
+    return any(not status.startswith("Bad") for status in results)
 
 
 def describe(entry: JournalEntry) -> str:

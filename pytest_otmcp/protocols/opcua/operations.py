@@ -23,9 +23,19 @@ OPERATIONS: Mapping[str, Operation] = {
         inputs=("node",),
         outputs=("node_ids", "browse_names"),
         needed=("node_ids",),
+        requirement="OUA-006",
     ),
-    "write": Operation(meaning="write a variable's value", inputs=("node", "value"), outputs=("value",), writes=True),
+    "write": Operation(
+        meaning="write a variable's value",
+        inputs=("node", "value"),
+        outputs=("value",),
+        writes=True,
+        requirement="OUA-001",
+    ),
     "variables": Operation(
-        meaning="enumerate every variable of the plant", outputs=("node_ids",), needed=("node_ids",)
+        meaning="enumerate every variable of the plant",
+        outputs=("node_ids",),
+        needed=("node_ids",),
+        requirement="OUA-006",
     ),
 }

@@ -13,23 +13,24 @@ from ...core.finding import Finding
 from ...core.strict_json import same_json
 from ..journal import Entries, Image, JournalEntry
 from ..oracle import Witness, requests
-from .entries import answers, as_opcua, describe, holds_value, node_ids, statuses, values_read
+from .entries import answers, as_opcua, describe, holds_value, node_ids, statuses, values_asked
 
 __all__ = [
     "accepted_writes",
     "browsed",
     "children_of",
     "complete_enumeration",
-    "exactly_one_service",
     "exactly_one_write",
     "folder_id",
+    "held",
     "image_holds",
     "names_and_ids_agree",
     "no_state_changing_service",
     "nothing_changed_by",
     "only_changed",
+    "reached",
     "read_from_device",
-    "result_status",
+    "refused_with",
     "some_service",
 ]
 
@@ -88,18 +89,11 @@ def some_service(entries: Entries) -> list[Finding]:
     return [] if requests(entries) else [_missing("a service request", entries)]
 
 
-def read_from_device(entries: Entries, node: str | None, at_least: int = 1) -> list[Finding]:
-    """Expect that the value of ``node`` was read from the server so many times at least.
-
-    Args:
-        node: node id; None for any node of the plant (those of namespace 0 are the server's own: a client that
-            watches the server's state does not read the plant).
-    """
-    read = [found for entry in requests(entries, kind="Read") for found in values_read(entry)]
-    count = sum(found == node or (node is None and found.startswith("ns=")) for found in read)
-    if count >= at_least:
+def read_from_device(entries: Entries, node: str) -> list[Finding]:
+    """Expect that the server was asked for the value of ``node``, or sent it as a notification."""
+    if any(node in values_asked(entry) for entry in entries):
         return []
-    return [_missing(f"{at_least} read(s) of {node or 'a value'}, there were {count}", entries)]
+    return [_missing(f"a read of {node} during the call", entries)]
 
 
 def _missing(what: str, entries: Entries) -> Finding:
@@ -111,39 +105,29 @@ def _missing(what: str, entries: Entries) -> Finding:
     )
 
 
-def exactly_one_service(entries: Entries, kind: str, *, node: str) -> list[Finding]:
-    """Expect that exactly one request of this service named the node."""
-    count = sum(node in node_ids(entry) for entry in requests(entries, kind=kind))
-    if count == 1:
-        return []
-    return [
-        Finding(
-            code="request_count",
-            message=f"the server should have seen one {kind} of {node}, it saw {count}",
-            requirement="ENV-005",
-            evidence=_WITNESS.seen(entries),
-        )
-    ]
+def reached(entries: Entries, node: str) -> bool:
+    """Tell whether a request that names the node reached the server."""
+    return any(node in node_ids(entry) for entry in requests(entries))
 
 
-def result_status(entries: Entries, kind: str, symbol: str) -> list[Finding]:
-    """Expect that the server answered a request of this service with this status code, for an item or as a whole."""
-    found: list[str] = []
-    for entry in entries:
-        if entry["direction"] == "out" and entry["kind"] == kind:
-            found += statuses(entry)
-            result = as_opcua(entry).get("service_result")
-            if result not in (None, "Good"):
-                found.append(str(result))
+def refused_with(entries: Entries, node: str, symbol: str) -> list[Finding]:
+    """Expect that the server answered a request that names the node with this status code, for an item or as a whole."""
+    asked = {entry["seq"] for entry in requests(entries) if node in node_ids(entry)}
+    found = [code for entry in entries if entry["answers"] in asked for code in _codes(entry)]
     if symbol in found:
         return []
     return [
         Finding(
             code="no_status",
-            message=f"the server should have answered {kind} with {symbol}, its answers were {found or 'none'}",
+            message=f"the server should have answered {symbol} for {node}, its answers were {found or 'none'}",
             requirement="ERR-003",
         )
     ]
+
+
+def _codes(entry: JournalEntry) -> list[str]:
+    result = as_opcua(entry).get("service_result")
+    return [*statuses(entry), *([str(result)] if result not in (None, "Good") else [])]
 
 
 def exactly_one_write(entries: Entries, node: str, value: object) -> list[Finding]:
@@ -153,22 +137,47 @@ def exactly_one_write(entries: Entries, node: str, value: object) -> list[Findin
         write = as_opcua(entry)
         items = write.get("nodes", [])
         written = [[item["node_id"], item["attribute"], item.get("value")] for item in items]
+        refused = [status for answer in answers(entries, "Write") for status in statuses(answer) if status != "Good"]
+        if write["kind"] == "Write" and "BadTypeMismatch" in refused:
+            # The value and its type are in one Variant: a Boolean that was sent as a number is no other value.
+            sent = f"{items[0].get('value')!r} as {items[0].get('variant_type')}" if items else "nothing"
+            return "OUA-001", f"the adapter sent {sent}, which is not the node's data type"
         if write["kind"] != "Write" or not same_json(written, [[node, "Value", value]]):
             return "WR-001", f"it saw {write['kind']} {written}"
-        if items[0].get("has_status") or items[0].get("has_timestamp"):
-            # OPC 10000-4, section 5.11.4.1: servers may refuse to have status or timestamps written.
-            what = " and ".join(name for name in ("status", "timestamp") if items[0].get(f"has_{name}"))
-            return "OUA-005", f"a {what} was written with it"
-        refused = [status for answer in answers(entries, "Write") for status in statuses(answer) if status != "Good"]
+        if items[0].get("has_status"):
+            # OPC 10000-4, section 5.11.4.1: servers may refuse to have a status written.
+            return "OUA-005", "a status was written with it"
         if refused and not refused[0].startswith("Good"):
             return "WR-001", f"the server refused it with {refused[0]}"
         return None
 
-    return _WITNESS.exactly_one_write(entries, f"Write of {value!r} to {node}", problem)
+    return [
+        *_WITNESS.exactly_one_write(entries, f"Write of {value!r} to {node}", problem),
+        *_timestamps_written(entries),
+    ]
 
 
-def accepted_writes(entries: Entries, count: int) -> list[Finding]:
-    """Expect that the server accepted a value from so many Writes; it may have refused others."""
+def _timestamps_written(entries: Entries) -> list[Finding]:
+    # OPC 10000-4, section 5.11.4.1: a client may write them, a server may refuse the value then.
+    items = [item for entry in requests(entries, kind="Write") for item in as_opcua(entry).get("nodes", [])]
+    return [
+        Finding(
+            code="timestamp_written",
+            message=f"the value of {item['node_id']} should be written alone, a timestamp was written with it",
+            requirement="OUA-005",
+            strength="SHOULD",
+        )
+        for item in items
+        if item.get("has_timestamp")
+    ]
+
+
+def accepted_writes(entries: Entries, count: int, *, requirement: str) -> list[Finding]:
+    """Expect that the server accepted a value from so many Writes; it may have refused others.
+
+    Args:
+        requirement: id of the requirement that another number breaks.
+    """
     accepted = [
         entry for entry in answers(entries, "Write") if any(status.startswith("Good") for status in statuses(entry))
     ]
@@ -178,10 +187,15 @@ def accepted_writes(entries: Entries, count: int) -> list[Finding]:
         Finding(
             code="wrote",
             message=f"the server should have accepted {count} Write(s), it accepted {len(accepted)}",
-            requirement="WR-004",
+            requirement=requirement,
             evidence=_WITNESS.seen(entries),
         )
     ]
+
+
+def held(image: Image, node: str) -> object:
+    """Return the value that the node holds at the server."""
+    return image["points"].get(node)
 
 
 def image_holds(image: Image, node: str, value: Any) -> list[Finding]:

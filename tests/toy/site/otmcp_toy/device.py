@@ -10,6 +10,7 @@ from typing import Any, cast
 
 from pytest_otmcp.mocks.device import Device
 from pytest_otmcp.mocks.endpoint import OpenEndpoint
+from pytest_otmcp.mocks.peer import holder, process_of, socket_of
 
 from otmcp_toy.wire import parsed
 
@@ -81,7 +82,7 @@ class _Stream(asyncio.Protocol):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport = cast(asyncio.Transport, transport)
-        self._device.journal.append(connection=self._number, direction="in", kind="CONNECTED")
+        self._device.journal.connected(self._number, process_of(transport))
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._device.journal.append(connection=self._number, direction="in", kind="DISCONNECTED")
@@ -95,12 +96,17 @@ class _Stream(asyncio.Protocol):
 class _Datagrams(asyncio.DatagramProtocol):
     def __init__(self, device: ToyDevice) -> None:
         self._device = device
-        self._clients: dict[Any, int] = {}
+        self._clients: dict[tuple[Any, int], int] = {}
         self._transport: asyncio.DatagramTransport
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport = cast(asyncio.DatagramTransport, transport)
 
     def datagram_received(self, data: bytes, addr: Any) -> None:
-        number = self._clients.setdefault(addr, next(self._device.connections))
+        own = self._transport.get_extra_info("sockname")
+        client = socket_of(own, addr)
+        number = self._clients.get((addr, client))
+        if number is None:
+            number = self._clients[addr, client] = next(self._device.connections)
+            self._device.journal.heard_of(number, holder(client))
         self._device.answer(number, data, lambda reply: self._transport.sendto(reply, addr))

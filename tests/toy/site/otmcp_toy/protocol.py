@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import random
 import re
+from collections.abc import Mapping
 from dataclasses import replace
 
 from otmcp_toy.wire import ToyConversation, line_length
-from pytest_otmcp.protocols.journal import JournalEntry
+from pytest_otmcp.protocols.journal import Entries, Image, JournalEntry
 from pytest_otmcp.protocols.oracle import Witness
+from pytest_otmcp.protocols.proof import Proof, Question, Way
 from pytest_otmcp.protocols.protocol import Colour, Framing, Operation, OtProtocol
 from pytest_otmcp.protocols.session_oracle import StateChanges
 
@@ -21,6 +24,25 @@ def describe(entry: JournalEntry) -> str:
 
 WITNESS = Witness(noun="the toy", describe=describe)
 
+PROVING = 3
+"""The register whose value proves that a session reads this device."""
+
+
+def ask(rng: random.Random) -> Question:
+    """Ask for a random value that is set first."""
+    value = rng.getrandbits(40)
+
+    def bits(outputs: Mapping[str, object], entries: Entries) -> int:
+        return 40 if outputs.get("value") == value else 0
+
+    return Question(inputs={"address": PROVING}, pokes=({"address": PROVING, "value": value},), bits=bits)
+
+
+def restore(image: Image) -> tuple[Mapping[str, object], ...]:
+    """Bring the register back to its value."""
+    return ({"address": PROVING, "value": image["points"][str(PROVING)]},)
+
+
 TOY = OtProtocol(
     key="toy",
     name="Toy",
@@ -32,7 +54,7 @@ TOY = OtProtocol(
     },
     probes={"missing_address": 99},
     framing=Framing(frame_length=line_length, conversation=ToyConversation),
-    unsolicited=WITNESS.nothing_changed,
+    unsolicited=lambda entries, declared: WITNESS.nothing_changed(entries),
     describe=describe,
     mock="otmcp_toy.mock_tcp",
     clients="any client that sends lines",
@@ -40,6 +62,7 @@ TOY = OtProtocol(
     recognise=re.compile(r"\btoy\b"),
     colour=Colour(light="#888888", dark="#aaaaaa"),
     session_oracles=(StateChanges,),
+    proof=Proof(ways=(Way(operation="read", ask=ask),), restore=restore, unreachable=(("read", {"address": PROVING}),)),
 )
 
 TOY_UDP = replace(

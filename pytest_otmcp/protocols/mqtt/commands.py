@@ -1,0 +1,41 @@
+"""Which of an adapter's publications command the plant; what else it publishes is its own affair."""
+
+from __future__ import annotations
+
+from ..journal import JournalEntry
+from ..protocol import Declared
+from .entries import as_mqtt
+from .sparkplug_decoder import parse_topic
+
+__all__ = ["COMMAND_TOPICS", "commands"]
+
+COMMAND_TOPICS = "command_topics"
+"""Key of the subject file: further topic filters below which the plant listens for commands."""
+
+_PLANT = "control/#"
+
+
+def commands(entry: JournalEntry, declared: Declared) -> bool:
+    """Tell whether a PUBLISH goes where the plant, or an edge node of it, listens for commands.
+
+    Args:
+        declared: what the subject file says of its adapter, by key.
+    """
+    topic = as_mqtt(entry)["topic"]
+    sparkplug = parse_topic(topic)
+    if sparkplug is not None:
+        return sparkplug.type in ("NCMD", "DCMD")
+    return any(_matches(text, topic) for text in (_PLANT, *declared.get(COMMAND_TOPICS, ())))
+
+
+def _matches(text: str, topic: str) -> bool:
+    """Tell whether a topic filter selects the topic (MQTT 3.1.1, section 4.7)."""
+    wanted, levels = text.split("/"), topic.split("/")
+    if topic.startswith("$") != text.startswith("$"):
+        return False
+    for index, level in enumerate(wanted):
+        if level == "#":
+            return True
+        if index == len(levels) or level not in ("+", levels[index]):
+            return False
+    return len(wanted) == len(levels)

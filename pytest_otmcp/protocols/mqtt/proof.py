@@ -1,0 +1,72 @@
+"""The proof that a session talks to the mock broker: it sees a subscription to a random topic, or its message comes back."""
+
+from __future__ import annotations
+
+import base64
+import json
+import random
+from collections.abc import Mapping
+
+from ..journal import Entries, JournalEntry
+from ..proof import ENOUGH_BITS, Proof, Question, Way
+from .entries import adapter_packets
+
+__all__ = ["PROOF"]
+
+_TOPIC = "sensors/pressure"
+"""A topic that adapters are asked for anyway."""
+
+_WAITING_S = 1
+
+
+def _nonce(rng: random.Random) -> str:
+    return f"{rng.getrandbits(64):016x}"
+
+
+def _subscription(rng: random.Random, **inputs: object) -> Question:
+    topic = f"otmcp/proof/{_nonce(rng)}"
+
+    def bits(outputs: Mapping[str, object], entries: Entries) -> int:
+        asked = adapter_packets(entries, "SUBSCRIBE", "in")
+        return 64 if any(wanted.get("filter") == topic for packet in asked for wanted in packet["filters"]) else 0
+
+    return Question(inputs={"filter": topic, **inputs}, bits=bits)
+
+
+def _subscribe(rng: random.Random) -> Question:
+    return _subscription(rng, qos=0)
+
+
+def _collect(rng: random.Random) -> Question:
+    return _subscription(rng, seconds=_WAITING_S)
+
+
+def _receive(rng: random.Random) -> Question:
+    nonce = f"nonce-{_nonce(rng)}"
+    payload = base64.b64encode(nonce.encode()).decode()
+
+    def bits(outputs: Mapping[str, object], entries: Entries) -> int:
+        return 64 if nonce in json.dumps(outputs.get("messages")) else 0
+
+    message = {"topic": _TOPIC, "payload": payload, "qos": 0, "retain": False}
+    return Question(inputs={"filter": _TOPIC}, pokes=({"publish": message},), bits=bits)
+
+
+def _inspected(outputs: Mapping[str, object], entries: Entries) -> int:
+    return ENOUGH_BITS if adapter_packets(entries, direction="in") else 0
+
+
+def _is_connect(entry: JournalEntry) -> bool:
+    return entry["kind"] == "CONNECT" and entry["origin"] == "client"
+
+
+PROOF = Proof(
+    ways=(
+        Way(operation="subscribe", ask=_subscribe),
+        Way(operation="messages", ask=_collect, waiting=True),
+        Way(operation="messages", ask=_receive, waiting=False),
+        Way(operation="info", ask=lambda rng: Question(inputs={}, bits=_inspected), weak=True),
+    ),
+    arrival=_is_connect,
+    unreachable=(("info", {}), ("subscribe", {"filter": "otmcp/proof/outage", "qos": 0})),
+)

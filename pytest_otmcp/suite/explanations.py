@@ -1,0 +1,169 @@
+"""What an id means: of an item, a requirement, an error code or the code of a finding. Pure.
+
+``otmcp explain`` prints it, the pages in ``docs/`` are made of it, and reports take their sentences from here.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from ..core.error_registry import ErrorCode, registry, wire_codes
+from ..core.finding_registry import FindingCode, finding_codes
+from ..protocols.registry import protocols
+from ..trial.explanation import explanation
+from ..trial.task import Task
+from .catalogue import all_tasks
+from .keys import keys_of_code, keys_of_task
+from .requirements import Requirement, requirements
+
+__all__ = ["Explained", "Part", "error_code", "explained", "finding_code", "findings", "item", "near", "requirement"]
+
+Part = tuple[str, tuple[str, ...]]
+"""A label, and the paragraphs below it."""
+
+_SOCKETS = ("pytest_otmcp.core", "errors.toml", "socket")
+_REPEAT = {
+    "yes": "May be repeated as it is",
+    "no": "Must not be repeated without changing something",
+    "verify": "May be repeated only after reading back has shown that the first one did not happen",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Explained:
+    """One id in words.
+
+    Attributes:
+        kind: ``item``, ``requirement``, ``error code`` or ``finding code``.
+        about: the sentence for it.
+        parts: what else there is to say; none is empty.
+    """
+
+    id: str
+    kind: str
+    about: str
+    parts: tuple[Part, ...]
+
+
+def explained(identifier: str) -> list[Explained]:
+    """Return what an id means: more than one answer where an error and a finding have the same code, none for an unknown id."""
+    found = []
+    if (task := all_tasks().get(identifier)) is not None:
+        found.append(item(task))
+    if (row := requirements().get(identifier)) is not None:
+        found.append(requirement(row))
+    if (code := registry().get(identifier)) is not None:
+        found.append(error_code(code))
+    if identifier in findings():
+        found.append(finding_code(identifier))
+    return found
+
+
+def near(identifier: str) -> list[str]:
+    """Return the ids that an unknown one may have been meant for, the nearest first."""
+    known = dict.fromkeys([*all_tasks(), *requirements(), *registry(), *findings()])
+    folded = {name.casefold(): name for name in known}
+    return [folded[name] for name in difflib.get_close_matches(identifier.casefold(), folded, 3)]
+
+
+def findings() -> dict[str, tuple[FindingCode, str | None]]:
+    """Return every code of findings with the name of the protocol that alone has it, or None."""
+    every: dict[str, tuple[FindingCode, str | None]] = {code: (entry, None) for code, entry in finding_codes().items()}
+    for protocol in protocols().values():
+        every |= {code: (entry, protocol.name) for code, entry in finding_codes(protocol.package).items()}
+    return every
+
+
+def _explained(
+    identifier: str, kind: str, about: str, *parts: tuple[str, Iterator[str] | tuple[str, ...]]
+) -> Explained:
+    kept = ((label, tuple(text for text in texts if text)) for label, texts in parts)
+    return Explained(id=identifier, kind=kind, about=about, parts=tuple(part for part in kept if part[1]))
+
+
+def item(task: Task) -> Explained:
+    """Explain an item of the suite."""
+    steps, before, after = map(explanation, (task.steps, task.begin, task.end))
+    return _explained(
+        task.id,
+        "item",
+        task.title,
+        ("Asked", (steps.asked,)),
+        ("Must be said", (steps.said,)),
+        ("Must be seen at the device", (steps.seen,)),
+        ("Once before", (before.asked, before.said, before.seen)),
+        ("Once afterwards", (after.asked, after.said, after.seen)),
+        ("Why", (steps.why,)),
+        ("Suite", (f"{task.suite.capitalize()}, {task.family}; about {_words(task.capabilities)}",)),
+        ("Applies to", (f"A subject that claims {_list(task.needs)}",)),
+        ("Rules", tuple(map(_cited, task.requirements))),
+        ("In the subject file", tuple(keys_of_task(task))),
+    )
+
+
+def requirement(row: Requirement) -> Explained:
+    """Explain a row of the requirement catalogue."""
+    strength = row.strength + (", and the kit asks for more than the source does" if row.stricter else "")
+    source = row.source + ("" if row.checked else " (the text was not at hand: check the section before you quote it)")
+    lost = f"The grade for {_words(row.capabilities)}, whichever item the finding is in"
+    return _explained(
+        row.id,
+        "requirement",
+        row.statement,
+        ("Strength", (strength,)),
+        ("How it is judged", (row.judged,)),
+        ("Source", (source,)),
+        ("What it takes away", (lost if row.capabilities else "",)),
+        ("Items about it", (_list([task.id for task in all_tasks().values() if row.id in task.requirements]),)),
+    )
+
+
+def error_code(code: ErrorCode) -> Explained:
+    """Explain a code of the error registry."""
+    return _explained(
+        code.code,
+        "error code",
+        f"{code.meaning[0].upper()}{code.meaning[1:]}.",
+        ("Class", (_list(code.classes, "or"),)),
+        ("Outcome of a write", (_list(code.outcomes, "or"),)),
+        ("The same read", (_REPEAT.get(code.retry_read or "", ""),)),
+        ("The same write", (_REPEAT.get(code.retry_write or "", ""),)),
+        ("Stands for", tuple(_wire(code.code))),
+        ("The paper calls it", (code.label or "",)),
+    )
+
+
+def _wire(code: str) -> Iterator[str]:
+    tables = [(protocol.name, wire_codes(protocol.package)) for protocol in protocols().values()]
+    for name, table in [*tables, ("Sockets", wire_codes(*_SOCKETS))]:
+        if found := [wire.name for wire in table.values() if code in wire.codes]:
+            yield f"{name}: {', '.join(found)}"
+
+
+def finding_code(code: str) -> Explained:
+    """Explain the code of a finding."""
+    entry, protocol = findings()[code]
+    return _explained(
+        code,
+        "finding code",
+        entry.meaning,
+        ("What to change", (entry.change,)),
+        ("In the subject file", tuple(keys_of_code(code))),
+        ("Protocol", (protocol or "",)),
+    )
+
+
+def _cited(identifier: str) -> str:
+    row = requirements().get(identifier)
+    return identifier if row is None else f"{identifier}: {row.statement} Source: {row.source}."
+
+
+def _words(capabilities: tuple[str, ...]) -> str:
+    return _list([name.replace("_", " ") for name in capabilities])
+
+
+def _list(words: tuple[str, ...] | list[str], last: str = "and") -> str:
+    *first, end = words or ("",)
+    return f"{', '.join(first)} {last} {end}" if first else end

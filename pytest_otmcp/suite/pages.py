@@ -1,0 +1,99 @@
+"""The pages of ``docs/`` that are made of the suite's own declarations. ``python -m pytest_otmcp.suite.pages items`` prints one;
+the committed files must be current."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
+
+from ..core.error_registry import registry
+from ..core.matrix import SUITES
+from .catalogue import all_tasks
+from .explanations import Explained, error_code, finding_code, findings, item, requirement
+from .requirements import requirements
+
+__all__ = ["PAGES", "page"]
+
+_HEAD = "Made by `python -m pytest_otmcp.suite.pages {name}` from {origin}; a test fails when this page is not current."
+
+
+def _items() -> Iterator[str]:
+    yield "# The items"
+    yield _HEAD.format(name="items", origin="the declarations of the tasks")
+    yield (
+        "Each item is one task of the suite: what an assistant asks for, what the adapter must say, and what the device must have "
+        "seen. `otmcp explain M3` prints the same."
+    )
+    tasks = all_tasks().values()
+    for suite in SUITES:
+        yield f"## {suite.capitalize()} suite"
+        yield from _sections(item(task) for task in tasks if task.suite == suite)
+
+
+def _requirements() -> Iterator[str]:
+    yield "# The requirements"
+    yield _HEAD.format(name="requirements", origin="`conformance/requirements.toml`")
+    yield (
+        "These are the rows of the requirement catalogue that a task, an oracle or a check of the envelope cites today. Only a MUST "
+        "that is not met turns an item red. `otmcp explain WR-003` prints the same."
+    )
+    yield from _sections(map(requirement, requirements().values()), "##")
+
+
+def _codes() -> Iterator[str]:
+    yield "# The codes"
+    yield _HEAD.format(name="codes", origin="`core/errors.toml` and the files `findings.toml`")
+    yield (
+        "`error.code` of an answer is one of the error codes, or begins with `x_`; the rules `errors` of a subject file use the "
+        "same ones. A finding of the kit has a code, too. `otmcp explain illegal_address` prints the same."
+    )
+    yield "## Error codes"
+    yield from _sections(map(error_code, registry().values()))
+    yield "## Codes of findings"
+    yield from _sections(map(finding_code, findings()))
+
+
+PAGES: Mapping[str, Callable[[], Iterator[str]]] = {
+    "items": _items,
+    "requirements": _requirements,
+    "codes": _codes,
+}
+"""Name of a page to its paragraphs."""
+
+
+def _sections(entries: Iterable[Explained], level: str = "###") -> Iterator[str]:
+    for one in entries:
+        # An anchor of its own: error and finding may have the same code.
+        yield f'<a id="{one.kind.partition(" ")[0]}-{one.id}"></a>'
+        yield f"{level} {one.id}"
+        yield one.about
+        for label, texts in one.parts:
+            shown = [_linked(text) for text in texts]
+            yield (
+                f"**{label}.** {shown[0]}"
+                if len(shown) == 1
+                else "\n".join([f"**{label}.**", *map("- {}".format, shown)])
+            )
+
+
+def _linked(text: str) -> str:
+    """Make links of the ids of items and requirements, and code of keys of the subject file."""
+    text = re.sub(r"^((?:\[adapter\.\w+\] )?[a-z_]+(?:\.[a-z_]+)?)(?=: )", r"`\1`", text)
+
+    def link(match: re.Match[str]) -> str:
+        name = match.group()
+        if name in requirements():
+            return f"[{name}](requirements.md#requirement-{name})"
+        return f"[{name}](items.md#item-{name})" if name in all_tasks() else name
+
+    return re.sub(r"(?<![\w`-])[A-Z][A-Z0-9]*(?:-?[A-Za-z0-9]+)*(?![\w`-])", link, text)
+
+
+def page(name: str) -> str:
+    """Return a page as Markdown."""
+    return "\n\n".join(PAGES[name]()) + "\n"
+
+
+if __name__ == "__main__":
+    print(page(sys.argv[1]), end="")

@@ -1,0 +1,162 @@
+"""The gate in front of everything that writes: a rig performs no writing operation before its session is proven.
+
+A session is proven when a random value came through it from the mock device, or to it (``proving``). One proof is enough until
+the session or the device is another one, or the mock did not see a write that was answered with success.
+"""
+
+from __future__ import annotations
+
+import random
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping, Sequence
+
+from ..core.errors import KitError
+from ..core.finding import Finding
+from ..protocols.journal import JournalEntry
+from ..protocols.oracle import state_changing
+from ..protocols.registry import protocols
+from .cursor import JournalCursor
+from .ledger import Ledger
+from .proving import prove, why_reachable
+from .reply import Reply
+
+__all__ = ["EndedError", "WriteGate"]
+
+
+class EndedError(Exception):
+    """End of the repetition: something that its next steps need, such as an answer, did not come.
+
+    Those steps would show nothing, or only wait for one deadline after the other.
+    """
+
+
+class WriteGate(ABC):
+    """The part of a rig that decides whether a write may be sent.
+
+    Attributes:
+        protocol: of the adapter, such as ``modbus``.
+    """
+
+    def __init__(self, protocol: str, cursor: JournalCursor) -> None:
+        self.protocol = protocol
+        self._cursor = cursor
+        self._ledger: Ledger
+        self._proofs = 0
+        self._claimed = 0
+
+    # -- for tasks and drivers ----------------------------------------------------------------------------
+
+    async def prove(self) -> None:
+        """Prove the session, unless it is proven already; for steps that write after the device was stopped.
+
+        Raises:
+            EndedError: it cannot be proven. The ledger has the reason, and the item ends.
+        """
+        cursor = self._cursor
+        if cursor.proven is not None:
+            return
+        if cursor.refused is not None:
+            item, problem = cursor.refused
+            self._refuse(f"as {item}: {problem}", cause=item)
+        self._proofs += 1
+        rng = random.Random(f"{self._ledger.origin}/proof/{self._proofs}/{self.device_url}")
+        operation, problem = await prove(self, rng, preferred=cursor.preferred, time_scale=self._ledger.time_scale)
+        if operation is None:
+            cursor.refused = (self._ledger.item, problem)
+            self._refuse(problem)
+        cursor.proven = cursor.preferred = operation
+
+    def _refuse(self, problem: str, cause: str | None = None) -> None:
+        self._ledger.refused = Finding(code="not_proven", message=f"{self.protocol}: {problem}", cause=cause)
+        raise EndedError
+
+    # -- around each call ---------------------------------------------------------------------------------
+
+    async def _before(self, operation: str) -> bool:
+        """Let an operation pass when it writes nothing, or when the session is proven; return whether it writes."""
+        known = protocols()[self.protocol].operations.get(operation)
+        if known is None or not known.writes:
+            return False
+        if self.running:
+            if self._claimed:
+                self._compare(await self.journal())
+            await self.prove()
+        elif self._cursor.proven is None:
+            raise KitError(f"the steps write while {self.protocol} is stopped, and did not prove the session before")
+        else:
+            problem = await why_reachable(self, time_scale=self._ledger.time_scale)
+            if problem is not None:
+                self._refuse(problem)
+        return True
+
+    def _after(self, reply: Reply) -> None:
+        """Count a write that claims success."""
+        if reply.success:
+            self._claimed += 1
+
+    def _compare(self, entries: Iterable[JournalEntry]) -> None:
+        """Withdraw the proof when the mock saw fewer writes than claim success since the slice of these entries began."""
+        if len(state_changing(list(entries))) < self._claimed:
+            self._cursor.withdraw_proof()
+
+    # -- what a proof needs -------------------------------------------------------------------------------
+
+    async def ask(self, operation: str, inputs: Mapping[str, object]) -> Reply:
+        """Perform an operation of the proof; nothing is expected of its reply."""
+        reply = await self._perform(operation, inputs)
+        self._ledger.add_proof(reply, inputs)
+        return reply
+
+    def can_ask(self, operation: str, inputs: Mapping[str, object]) -> bool:
+        """Tell whether the subject claims the operation and says how it is performed with these inputs."""
+        return self.claims(operation) and self._is_bound(operation, inputs)
+
+    async def arrived(self) -> bool:
+        """Tell whether the device has seen a client arrive since the session began."""
+        await self._feed()
+        return self._cursor.arrived
+
+    @property
+    @abstractmethod
+    def running(self) -> bool:
+        """The device runs."""
+
+    @property
+    @abstractmethod
+    def device_url(self) -> str:
+        """Where the mock device listens."""
+
+    @property
+    @abstractmethod
+    def addressed_by(self) -> Sequence[str]:
+        """Keys of the subject file that tell the adapter where its device is."""
+
+    @abstractmethod
+    def claims(self, facet: str) -> bool:
+        """Tell whether the subject claims this facet of its adapter."""
+
+    @abstractmethod
+    def blocks(self, operation: str) -> bool:
+        """Tell whether the operation is performed by a call that waits for the message that it returns."""
+
+    @abstractmethod
+    async def journal(self) -> list[JournalEntry]:
+        """Return what reached the device, and what it answered, since this repetition began."""
+
+    @abstractmethod
+    async def poke(self, **params: object) -> None:
+        """Set a value out of band."""
+
+    @abstractmethod
+    async def pause(self, seconds: float) -> None:
+        """Let time pass."""
+
+    @abstractmethod
+    def _is_bound(self, operation: str, inputs: Mapping[str, object]) -> bool: ...
+
+    @abstractmethod
+    async def _perform(self, operation: str, inputs: Mapping[str, object]) -> Reply: ...
+
+    @abstractmethod
+    async def _feed(self) -> None:
+        """Show the session's oracles the entries that they have not seen."""

@@ -1,0 +1,184 @@
+"""``otmcp init``, ``otmcp doctor``, fixtures and ``otmcp certify`` write to the mock device and nowhere else."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from pytest_otmcp.plant.mock_device import MockDevice
+from pytest_otmcp.protocols.oracle import state_changing
+from pytest_otmcp.protocols.own import OWN
+from pytest_otmcp.protocols.registry import protocols
+from pytest_otmcp.session.loop import LoopThread
+from tests.warm_start import WarmStart
+
+from .vendor import Repository
+
+WANDERING = Path(__file__).parents[1] / "soundness" / "wandering.py"
+
+TESTS = """
+import pytest
+from pytest_otmcp.devices import SubjectError
+
+KEY, WRITE, TOOL = {arguments}
+
+def test_operation(otmcp_session):
+    with pytest.raises(SubjectError, match="does not talk to the mock device"):
+        otmcp_session(KEY).call(WRITE[0], **WRITE[1])
+
+def test_tool(otmcp_session):
+    with pytest.raises(SubjectError, match="nothing was written"):
+        otmcp_session(KEY).tool(TOOL, **WRITE[1])
+
+def test_variant(otmcp_session):
+    with pytest.raises(SubjectError, match="nothing was written"):
+        otmcp_session(KEY, variant="ro").call(WRITE[0], **WRITE[1])
+"""
+
+WRITES = {
+    "modbus": (("write_holding", {"address": 1, "value": 7}), "write_register"),
+    "mqtt": (("publish", {"topic": "control/pump", "payload": "on", "qos": 0}), "publish_message"),
+    "opcua": (("write", {"node": "ns=2;s=ValvePosition", "value": 7.0}), "write_opcua_node"),
+}
+
+
+class Elsewhere:
+    """A second device of a protocol, which no kit knows of."""
+
+    def __init__(self, loop: LoopThread, protocol: str) -> None:
+        self._loop = loop
+        self._device = MockDevice(protocols()[protocol].mock, protocol)
+        loop.run(self._device.launch())
+
+    @property
+    def address(self) -> str:
+        return f"{self._device.host}:{self._device.port}"
+
+    @property
+    def changes(self) -> list[str]:
+        """What may have changed it."""
+        return [entry["kind"] for entry in state_changing(self._loop.run(self._device.journal(0)).entries)]
+
+    @property
+    def touched(self) -> bool:
+        """Somebody was there."""
+        return any(entry["origin"] == "client" for entry in self._loop.run(self._device.journal(0)).entries)
+
+    def close(self) -> None:
+        self._loop.run(self._device.close())
+
+
+@pytest.fixture(params=OWN)
+def protocol(request: pytest.FixtureRequest) -> str:
+    found: str = request.param
+    return found
+
+
+@pytest.fixture
+def elsewhere(protocol: str) -> Iterator[Elsewhere]:
+    loop = LoopThread()
+    device = Elsewhere(loop, protocol)
+    yield device
+    device.close()
+    loop.close()
+
+
+Otmcp = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture
+def otmcp(tmp_path: Path) -> Otmcp:
+    def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "pytest_otmcp.cli", *arguments]
+        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600, check=False)
+
+    return run
+
+
+def subject(warm_start: WarmStart, protocol: str, plant: str) -> str:
+    """A subject file whose variable for the address is misspelt; the adapter has the plant's for a default."""
+    name = protocol.upper()
+    command = json.dumps([*warm_start.python, str(WANDERING), protocol, "misspelt"])
+    return f"""
+[subject]
+name = "wandering"
+version = "1"
+
+[adapter.{protocol}]
+command = {command}
+env = {{ PLANT = "{plant}", ADRESS = "{{host}}:{{port}}", {name}_TIMEOUT_S = "20", {name}_DEADLINE_S = "25" }}
+rw = {{ env = {{ {name}_WRITES_ENABLED = "true" }} }}
+ro = {{ env = {{ {name}_WRITES_ENABLED = "true" }} }}
+deadline_s = 30
+"""
+
+
+def test_init_writes_nothing_and_says_where_the_adapter_was(
+    otmcp: Otmcp, tmp_path: Path, warm_start: WarmStart, protocol: str, elsewhere: Elsewhere
+) -> None:
+    settings = {
+        "PLANT": elsewhere.address,
+        "ADRESS": "{host}:{port}",
+        f"{protocol.upper()}_WRITES_ENABLED": "true",
+    }
+    variables = (part for name, value in settings.items() for part in ("--env", f"{name}={value}"))
+    command = ("--", *warm_start.python, str(WANDERING), protocol, "misspelt")
+    done = otmcp("init", "--protocol", protocol, *variables, *command)
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert "no proposal: the adapter does not talk to the mock device at " in done.stderr
+    assert "Nothing was written." in done.stderr
+    assert not (tmp_path / "otmcp.toml").exists()
+    assert elsewhere.touched
+    assert elsewhere.changes == []
+
+
+def test_the_doctor_names_the_variable_to_look_at(
+    otmcp: Otmcp, tmp_path: Path, warm_start: WarmStart, protocol: str, elsewhere: Elsewhere
+) -> None:
+    (tmp_path / "otmcp.toml").write_text(subject(warm_start, protocol, elsewhere.address), encoding="utf-8")
+    done = otmcp("doctor")
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert "rw: the adapter does not talk to the mock device at " in done.stdout
+    assert f"it names {protocols()[protocol].scheme}://{elsewhere.address}" in done.stdout
+    assert f"Look at env.ADRESS below [adapter.{protocol}] of the subject file" in done.stdout
+    assert elsewhere.touched
+    assert elsewhere.changes == []
+
+
+def test_the_doctor_says_of_a_good_adapter_that_it_talks_to_the_mock(
+    otmcp: Otmcp, tmp_path: Path, warm_start: WarmStart, protocol: str, elsewhere: Elsewhere
+) -> None:
+    text = subject(warm_start, protocol, elsewhere.address).replace("ADRESS", "ADDRESS")
+    (tmp_path / "otmcp.toml").write_text(text, encoding="utf-8")
+    done = otmcp("doctor")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "a random value went between the mock device and the adapter" in done.stdout
+    assert not elsewhere.touched
+
+
+def test_fixtures_do_not_write_elsewhere(
+    empty_repository: Repository, warm_start: WarmStart, protocol: str, elsewhere: Elsewhere
+) -> None:
+    tests = TESTS.replace("{arguments}", repr((protocol, *WRITES[protocol])))
+    empty_repository.write(otmcp_toml=subject(warm_start, protocol, elsewhere.address), tests__test_it_py=tests)
+    outcome = empty_repository.pytest()
+    assert "3 passed" in outcome.output, outcome.output
+    assert elsewhere.touched
+    assert elsewhere.changes == []
+
+
+@pytest.mark.long
+def test_certify_does_not_write_elsewhere(
+    otmcp: Otmcp, tmp_path: Path, warm_start: WarmStart, protocol: str, elsewhere: Elsewhere
+) -> None:
+    (tmp_path / "otmcp.toml").write_text(subject(warm_start, protocol, elsewhere.address), encoding="utf-8")
+    done = otmcp("certify")
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert not (tmp_path / "certificate.json").exists()
+    assert elsewhere.touched
+    assert elsewhere.changes == []

@@ -1,0 +1,135 @@
+"""The declaration of an honest adapter, and what several of them need. Reaching into private members is fine here, as in ``defective``."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
+
+from tests.soundness.defective import Handler, wrap
+
+if TYPE_CHECKING:
+    from pytest_otmcp.subject import Adapter
+
+__all__ = ["Bend", "Choice", "backed_off", "choices", "every_tool", "in_background", "twice_where_missing"]
+
+Bend = Callable[[AdapterServer], None]
+Declare = Callable[[Bend], Bend]
+
+
+def _as_it_is(adapter: Adapter) -> Adapter:
+    return adapter
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Choice:
+    """A legal choice of an adapter's author.
+
+    Attributes:
+        protocol: the reference adapter that is bent.
+        sentence: what is different.
+        rule: why it is legal.
+        bend: makes the adapter so.
+        warnings: the SHOULD findings that are due: requirement and code.
+        described: what the subject file has to say of it, as a change of the adapter's description.
+    """
+
+    protocol: str
+    sentence: str
+    rule: str
+    bend: Bend
+    warnings: frozenset[tuple[str, str]]
+    described: Callable[[Adapter], Adapter]
+
+
+def choices(protocol: str) -> tuple[dict[str, Choice], Callable[..., Declare]]:
+    """Return an empty collection, and the decorator that declares an adapter of this protocol in it, called like its function."""
+    declared: dict[str, Choice] = {}
+
+    def choice(
+        sentence: str,
+        rule: str,
+        *,
+        warnings: tuple[tuple[str, str], ...] = (),
+        described: Callable[[Adapter], Adapter] = _as_it_is,
+    ) -> Declare:
+        def declare(bend: Bend) -> Bend:
+            declared[bend.__name__.replace("_", "-")] = Choice(
+                protocol=protocol,
+                sentence=sentence,
+                rule=rule,
+                bend=bend,
+                warnings=frozenset(warnings),
+                described=described,
+            )
+            return bend
+
+        return declare
+
+    return declared, choice
+
+
+def every_tool(server: AdapterServer, handler: Callable[[Handler], Handler]) -> None:
+    """Replace the handler of every tool by one that knows the original."""
+    for name in [*server._tools]:
+        wrap(server, name, handler)
+
+
+def in_background(server: AdapterServer, work: Callable[[], Awaitable[None]]) -> None:
+    """Do this again and again, from the first call to the end of the process; when it fails, only half a second later."""
+    begun: list[asyncio.Task[None]] = []
+
+    async def again_and_again() -> None:
+        while True:
+            try:
+                await work()
+            except AdapterError:
+                await asyncio.sleep(0.5)
+
+    def beginning(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Any:
+            if not begun:
+                begun.append(asyncio.create_task(again_and_again()))
+            return await genuine(call, arguments)
+
+        return handler
+
+    every_tool(server, beginning)
+
+
+def backed_off(connect: Callable[..., Awaitable[Any]], seconds: float) -> Callable[..., Awaitable[Any]]:
+    """Return a way to connect that is not tried again for some seconds after it has failed."""
+    until = 0.0
+
+    async def patiently(*arguments: Any) -> Any:
+        nonlocal until
+        now = asyncio.get_running_loop().time
+        if now() < until:
+            message = "no connection; the next attempt comes in a moment"
+            raise AdapterError(
+                "connect_failed", message, outcome="not_sent", retry_after_ms=int(1000 * (until - now()))
+            )
+        try:
+            return await connect(*arguments)
+        except AdapterError:
+            until = now() + seconds
+            raise
+
+    return patiently
+
+
+def twice_where_missing(genuine: Handler) -> Handler:
+    """Return a handler that asks again when the device says that there is no such thing."""
+
+    async def handler(call: Call, arguments: Any) -> Any:
+        try:
+            return await genuine(call, arguments)
+        except AdapterError as error:
+            if error.code != "illegal_address":
+                raise
+        return await genuine(call, arguments)
+
+    return handler

@@ -1,0 +1,256 @@
+"""Honest adapters whose answers or whose process are other ones than those of the reference: the side of MCP."""
+
+from __future__ import annotations
+
+import asyncio
+import dataclasses
+import json
+import math
+import sys
+import time
+from collections.abc import Callable
+from datetime import UTC, datetime
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+from mcp.types import Tool
+from pytest_otmcp.reference_adapters.core import AdapterServer, Call, stdio
+from pytest_otmcp.reference_adapters.core import call as core_call
+from pytest_otmcp.reference_adapters.core import server as core_server
+from pytest_otmcp.reference_adapters.modbus.shapes import Unit
+
+from tests.soundness.defective import Handler
+
+from .choice import choices, every_tool
+
+if TYPE_CHECKING:
+    from pytest_otmcp.subject import Adapter
+
+__all__ = ["CHOICES"]
+
+CHOICES, choice = choices("modbus")
+
+Envelope = dict[str, Any]
+Result = dict[str, Any]
+
+TEXT_IS_A_SHOULD = (
+    "MCP, server/tools, Structured Content: a tool SHOULD also return the serialised JSON in a text block"
+)
+NO_TEXT = ("MCP-006", "no_text")
+PROSE = ("MCP-006", "prose_text")
+TICK_S = 0.015625
+
+
+def other_envelopes(change: Callable[[Envelope], Envelope]) -> None:
+    genuine = core_server._result
+    core_server._result = lambda envelope: genuine(change(envelope))
+
+
+def other_results(change: Callable[[Result], Result]) -> None:
+    genuine = core_server._result
+    core_server._result = lambda envelope: change(genuine(envelope))
+
+
+def prose(result: Result) -> dict[str, str]:
+    said = "The device did as asked." if result["structuredContent"]["success"] else "That did not work."
+    return {"type": "text", "text": said}
+
+
+# -- renderings -------------------------------------------------------------------------------------------------------
+
+
+@choice("answers without a text block", TEXT_IS_A_SHOULD, warnings=(NO_TEXT,))
+def no_text_block(server: AdapterServer) -> None:
+    other_results(lambda result: {**result, "content": []})
+
+
+@choice("answers in prose and structuredContent, without JSON in the text", TEXT_IS_A_SHOULD, warnings=(PROSE,))
+def prose_instead_of_json(server: AdapterServer) -> None:
+    other_results(lambda result: {**result, "content": [prose(result)]})
+
+
+@choice("has a block of prose before the block of JSON", TEXT_IS_A_SHOULD, warnings=(PROSE,))
+def prose_before_json(server: AdapterServer) -> None:
+    other_results(lambda result: {**result, "content": [prose(result), *result["content"]]})
+
+
+@choice("has a block of prose after the block of JSON", TEXT_IS_A_SHOULD, warnings=(PROSE,))
+def prose_after_json(server: AdapterServer) -> None:
+    other_results(lambda result: {**result, "content": [*result["content"], prose(result)]})
+
+
+@choice("has an image and a link beside the text", "MCP, server/tools: content may have blocks of several types")
+def image_and_link(server: AdapterServer) -> None:
+    pixel = "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGAWjR9awAAAABJRU5ErkJggg=="
+    image = {"type": "image", "data": pixel, "mimeType": "image/png"}
+    link = {"type": "resource_link", "uri": "file:///trend", "name": "trend"}
+    other_results(lambda result: {**result, "content": [image, *result["content"], link]})
+
+
+@choice("writes its JSON in another order, with blanks, line breaks and escapes", "RFC 8259: the same value")
+def other_json_style(server: AdapterServer) -> None:
+    def styled(result: Result) -> Result:
+        text = json.dumps(result["structuredContent"], sort_keys=True, indent=2, ensure_ascii=True)
+        return {**result, "content": [{"type": "text", "text": text.replace("/", "\\/")}]}
+
+    other_results(styled)
+
+
+# -- envelopes --------------------------------------------------------------------------------------------------------
+
+
+@choice("rounds its latency up to whole milliseconds", "requirement ENV-004 says nothing of a clock's resolution")
+def latency_in_whole_milliseconds(server: AdapterServer) -> None:
+    def rounded(envelope: Envelope) -> Envelope:
+        meta = envelope["meta"]
+        return {**envelope, "meta": {**meta, "latency_ms": math.ceil(meta["latency_ms"])}}
+
+    other_envelopes(rounded)
+
+
+@choice("has a clock that ticks every 15.6 ms", "Windows before Python 3.13")
+def coarse_clock(server: AdapterServer) -> None:
+    def ticked(seconds: float) -> float:
+        return math.floor(seconds / TICK_S) * TICK_S
+
+    core_call.time = SimpleNamespace(monotonic=lambda: ticked(time.monotonic()))
+    core_call.datetime = SimpleNamespace(now=lambda zone: datetime.fromtimestamp(ticked(time.time()), UTC))
+
+
+@choice("has members of its own in data and meta", "the envelope leaves data, meta and error.details open")
+def further_members(server: AdapterServer) -> None:
+    def extended(envelope: Envelope) -> Envelope:
+        data = envelope["data"] and {**envelope["data"], "unit_of_measure": "V", "asset": None}
+        return {**envelope, "data": data, "meta": {**envelope["meta"], "site": "hall 3", "audit_id": "7"}}
+
+    other_envelopes(extended)
+
+
+def other_errors(change: Callable[[dict[str, Any]], dict[str, Any]]) -> None:
+    def changed(envelope: Envelope) -> Envelope:
+        return {**envelope, "error": envelope["error"] and change(envelope["error"])}
+
+    other_envelopes(changed)
+
+
+@choice("explains its errors in German", "codes are for programs, messages for people")
+def errors_in_german(server: AdapterServer) -> None:
+    other_errors(
+        lambda error: {**error, "message": "Das Gerät hat den Auftrag nicht ausgeführt; bitte prüfen Sie die Angaben."}
+    )
+
+
+@choice("explains its errors at length", "the envelope has room for field, allowed, details and retry_after_ms")
+def errors_at_length(server: AdapterServer) -> None:
+    more = {"details": {"vendor_code": "E-1047", "see": ["manual", 12]}, "retry_after_ms": 250}
+    other_errors(lambda error: {**error, "message": error["message"].ljust(400, "."), **more})
+
+
+# -- tools ------------------------------------------------------------------------------------------------------------
+
+
+@choice("declares no output schema", "MCP, server/tools: outputSchema is optional")
+def no_output_schema(server: AdapterServer) -> None:
+    for name, tool in [*server._tools.items()]:
+        listing = Tool(**{**tool.listing.model_dump(by_alias=True, exclude_none=True), "outputSchema": None})
+        server._tools[name] = dataclasses.replace(tool, listing=listing)
+
+
+@choice("has further tools", "nobody forbids tools that the kit does not know")
+def further_tools(server: AdapterServer) -> None:
+    ping = server._tools["ping"]
+
+    async def about(call: Call, arguments: Unit) -> dict[str, Any]:
+        return {"vendor": "Acme"}
+
+    listing = ping.listing.model_copy(update={"name": "about_this_adapter", "output_schema": None})
+    server._tools["about_this_adapter"] = dataclasses.replace(ping, listing=listing, handler=about)
+
+
+@choice("does not list its writing tools where writes are disabled", "what is not there cannot be used")
+def guard_by_hiding(server: AdapterServer) -> None:
+    if not server.writes_enabled:
+        server._tools = {name: tool for name, tool in server._tools.items() if not tool.writes}
+
+
+# -- process and transport --------------------------------------------------------------------------------------------
+
+
+@choice("takes a second to start", "start_timeout_s is 30 s")
+def slow_start(server: AdapterServer) -> None:
+    time.sleep(1.0)
+
+
+@choice("answers every call 60 ms later", "deadline_s is 5 s")
+def slow_answers(server: AdapterServer) -> None:
+    def later(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Any:
+            data = await genuine(call, arguments)
+            await asyncio.sleep(0.06)
+            return data
+
+        return handler
+
+    every_tool(server, later)
+
+
+@choice("writes 100 kB to stderr at the start and with every call", "MCP, stdio: stderr is the server's own")
+def talkative_on_stderr(server: AdapterServer) -> None:
+    def talking(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Any:
+            print("DEBUG " * 17_000, file=sys.stderr)
+            return await genuine(call, arguments)
+
+        return handler
+
+    print("DEBUG " * 17_000, file=sys.stderr)
+    every_tool(server, talking)
+
+
+def before_each_message(line: Callable[[], bytes]) -> None:
+    genuine = stdio._Output.send
+
+    async def send(output: Any, item: Any, /) -> None:
+        output._pipe.write(line() + b"\n")
+        await genuine(output, item)
+
+    stdio._Output.send = send
+
+
+def spoken_to_by_handshake(adapter: Adapter) -> Adapter:
+    return dataclasses.replace(adapter, era="legacy")
+
+
+@choice(
+    "speaks MCP of 2025-11-25 only to those who ask so",
+    'era = "legacy" in the subject file',
+    described=spoken_to_by_handshake,
+)
+def addressed_by_handshake(server: AdapterServer) -> None:
+    """Nothing is bent: the subject file decides."""
+
+
+@choice("sends a notification before every answer", "MCP, server/utilities/logging", described=spoken_to_by_handshake)
+def notifications(server: AdapterServer) -> None:
+    told = {"jsonrpc": "2.0", "method": "notifications/message", "params": {"level": "info", "data": "working"}}
+    before_each_message(lambda: json.dumps(told).encode())
+
+
+@choice("ends its lines with CR LF", "JSON allows white space after a value")
+def lines_of_windows(server: AdapterServer) -> None:
+    async def send(output: Any, item: Any, /) -> None:
+        output._pipe.write(item.message.model_dump_json(by_alias=True, exclude_unset=True).encode() + b"\r\n")
+        await output._writable.wait()
+
+    stdio._Output.send = send
+
+
+def reached_by_http(adapter: Adapter) -> Adapter:
+    over = {"MCP_TRANSPORT": "streamable-http", "MCP_HTTP_PORT": "{http_port}"}
+    variants = {name: dataclasses.replace(one, env={**one.env, **over}) for name, one in adapter.variants.items()}
+    return dataclasses.replace(adapter, transport="http", url="http://127.0.0.1:{http_port}/mcp", variants=variants)
+
+
+@choice("is spoken to over streamable HTTP", "MCP, basic/transports", described=reached_by_http)
+def streamable_http(server: AdapterServer) -> None:
+    """Nothing is bent: the subject file decides."""

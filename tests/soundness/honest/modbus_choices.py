@@ -1,0 +1,321 @@
+"""Honest Modbus adapters."""
+
+from __future__ import annotations
+
+import asyncio
+import dataclasses
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
+from pytest_otmcp.reference_adapters.modbus.link import Link
+from pytest_otmcp.reference_adapters.modbus.shapes import Unit
+from pytest_otmcp.reference_adapters.modbus.tools import Tools
+
+from tests.soundness.defective import Handler, wrap
+
+from .choice import Bend, backed_off, choices, every_tool, in_background, twice_where_missing
+
+__all__ = ["CHOICES"]
+
+CHOICES, choice = choices("modbus")
+
+Read = Callable[..., Awaitable[list[int]]]
+
+REGISTERS = 100
+"""What the adapter has been told of the device: so many registers in each table."""
+
+BLOCK = 20
+
+
+def tools_of(server: AdapterServer) -> Tools:
+    tools: Tools = server._tools["ping"].handler.__self__
+    return tools
+
+
+def other_reads(server: AdapterServer, read: Callable[[Read], Read]) -> None:
+    tools = tools_of(server)
+    tools._inputs = read(tools._inputs)
+    tools._holding = read(tools._holding)
+
+
+def in_parts(size: int) -> Callable[[Read], Read]:
+    def parted(genuine: Read) -> Read:
+        async def read(call: Call, arguments: Any, address: int, count: int) -> list[int]:
+            values: list[int] = []
+            while len(values) < count:
+                values += await genuine(call, arguments, address + len(values), min(size, count - len(values)))
+            if count > size:
+                call.extra["atomic"] = False
+            return values
+
+        return read
+
+    return parted
+
+
+# -- reading ----------------------------------------------------------------------------------------------------------
+
+
+@choice("reads four registers by two requests of two", "requirement RD-007: a split read, with meta.atomic = false")
+def split_reads(server: AdapterServer) -> None:
+    other_reads(server, in_parts(2))
+
+
+@choice("reads register by register", "requirement RD-007: a split read, with meta.atomic = false")
+def single_reads(server: AdapterServer) -> None:
+    other_reads(server, in_parts(1))
+
+
+@choice(
+    "reads the whole block of twenty registers and answers the part",
+    "the values are fresh; nobody forbids a larger quantity",
+)
+def block_reads(server: AdapterServer) -> None:
+    def whole(genuine: Read) -> Read:
+        async def read(call: Call, arguments: Any, address: int, count: int) -> list[int]:
+            if address + count > REGISTERS:
+                return await genuine(call, arguments, address, count)
+            first = address // BLOCK * BLOCK
+            last = -(-(address + count) // BLOCK) * BLOCK
+            values = await genuine(call, arguments, first, last - first)
+            return values[address - first :][:count]
+
+        return read
+
+    other_reads(server, whole)
+
+
+@choice(
+    "reads everything twice and answers the second result",
+    "a read changes nothing and may be repeated; meta.attempts says so",
+)
+def repeated_reads(server: AdapterServer) -> None:
+    def twice(genuine: Read) -> Read:
+        async def read(call: Call, arguments: Any, address: int, count: int) -> list[int]:
+            await genuine(call, arguments, address, count)
+            return await genuine(call, arguments, address, count)
+
+        return read
+
+    other_reads(server, twice)
+
+
+@choice("asks again when the device refuses a read", "a read may be repeated; meta.attempts says so")
+def asks_twice_for_a_missing_register(server: AdapterServer) -> None:
+    for name in ("read_register", "read_multiple_holding_registers", "read_input_registers"):
+        wrap(server, name, twice_where_missing)
+
+
+def polling(table: str, address: int, count: int) -> Bend:
+    def bend(server: AdapterServer) -> None:
+        read: Read = getattr(tools_of(server), table)
+
+        async def poll() -> None:
+            await asyncio.sleep(0.02)
+            await read(background_call(server), Unit(), address, count)
+
+        in_background(server, poll)
+
+    return bend
+
+
+def background_call(server: AdapterServer) -> Call:
+    return Call(protocol="modbus-tcp", operation="modbus.poll", endpoint=server.endpoint, writes=False)
+
+
+@choice(
+    "polls the registers that the tasks read, fifty times a second",
+    "meta.attempts counts what is sent for the call; nobody forbids polling",
+)
+def polls_the_same_registers(server: AdapterServer) -> None:
+    polling("_inputs", 0, 4)(server)
+
+
+@choice("polls other registers, fifty times a second", "nobody forbids polling")
+def polls_other_registers(server: AdapterServer) -> None:
+    polling("_holding", 40, 8)(server)
+
+
+# -- refusing ---------------------------------------------------------------------------------------------------------
+
+
+def with_register_map(code: str, outcome: str) -> Bend:
+    def known(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Any:
+            if arguments.address >= REGISTERS:
+                message = "the register map has no such address"
+                raise AdapterError(code, message, outcome=outcome, field="/address")
+            return await genuine(call, arguments)
+
+        return handler
+
+    def bend(server: AdapterServer) -> None:
+        for name in ("read_register", "read_multiple_holding_registers", "read_input_registers", "write_register"):
+            wrap(server, name, known)
+
+    return bend
+
+
+@choice(
+    "has a register map and refuses what is not in it by itself",
+    "a refusal that reaches no device is as good as the device's",
+)
+def register_map(server: AdapterServer) -> None:
+    with_register_map("illegal_address", "not_sent")(server)
+
+
+@choice(
+    "has a register map and calls what is not in it an invalid input",
+    "a refusal that reaches no device is as good as the device's",
+)
+def register_map_as_validation(server: AdapterServer) -> None:
+    with_register_map("invalid_input", "not_sent")(server)
+
+
+# -- writing ----------------------------------------------------------------------------------------------------------
+
+
+@choice("writes one register by function 16", "MODBUS Application Protocol, section 6.12: a quantity of one is legal")
+def writes_one_register_as_a_block(server: AdapterServer) -> None:
+    tools = tools_of(server)
+
+    async def write(call: Call, arguments: Any) -> dict[str, int]:
+        await tools._write_block(call, arguments, arguments.address, [arguments.value])
+        return {"address": arguments.address, "value": arguments.value}
+
+    wrap(server, "write_register", lambda genuine: write)
+
+
+@choice("reads every register back after it was written", "reading changes nothing; meta.attempts says so")
+def reads_back_after_writing(server: AdapterServer) -> None:
+    tools = tools_of(server)
+
+    def checked(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Any:
+            data = await genuine(call, arguments)
+            (held,) = await tools._holding(call, arguments, arguments.address, 1)
+            return {**data, "value": held}
+
+        return handler
+
+    wrap(server, "write_register", checked)
+
+
+@choice("reads every register before it is written", "reading changes nothing; meta.attempts says so")
+def reads_before_writing(server: AdapterServer) -> None:
+    tools = tools_of(server)
+
+    def looked(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Any:
+            # A question of a writing tool: what breaks here has not been written.
+            question = background_call(server)
+            await tools._holding(question, arguments, arguments.address, 1)
+            call.attempts += question.attempts
+            return await genuine(call, arguments)
+
+        return handler
+
+    wrap(server, "write_register", looked)
+
+
+# -- connections ------------------------------------------------------------------------------------------------------
+
+
+@choice("makes a connection for every request", "a connection is the adapter's own affair")
+def connection_per_request(server: AdapterServer) -> None:
+    link = tools_of(server)._link
+    genuine, alone = link.exchange, asyncio.Lock()
+
+    async def exchange(*arguments: Any) -> Any:
+        async with alone:
+            try:
+                return await genuine(*arguments)
+            finally:
+                link._drop()
+
+    link.exchange = exchange
+
+
+@choice("writes over a second connection", "a connection is the adapter's own affair")
+def connection_for_writing(server: AdapterServer) -> None:
+    reading = tools_of(server)._link
+    writing = Link(reading._host, reading._port, reading._timeout_s)
+    writer = Tools(writing, default_unit=1, tags={})
+    for name in ("write_register", "write_registers"):
+        server._tools[name] = dataclasses.replace(server._tools[name], handler=getattr(writer, name))
+    close = server._close
+
+    async def close_both() -> None:
+        await close()
+        await writing.close()
+
+    server._close = close_both
+
+
+def pause_after_failure(seconds: float) -> Bend:
+    def bend(server: AdapterServer) -> None:
+        link = tools_of(server)._link
+        link._connected = backed_off(link._connected, seconds)
+
+    return bend
+
+
+@choice(
+    "tries to connect again 1.5 s after it has failed", "requirement REC-001: back within recovery_s, by default 5 s"
+)
+def backs_off_for_1500_ms(server: AdapterServer) -> None:
+    pause_after_failure(1.5)(server)
+
+
+@choice("tries to connect again 4 s after it has failed", "requirement REC-001: back within recovery_s, by default 5 s")
+def backs_off_for_4_s(server: AdapterServer) -> None:
+    pause_after_failure(4.0)(server)
+
+
+@choice(
+    "declares that it is back within 3 s, and is",
+    "requirement REC-001",
+    described=lambda adapter: dataclasses.replace(adapter, recovery_s=3.0),
+)
+def backs_off_as_declared(server: AdapterServer) -> None:
+    pause_after_failure(2.0)(server)
+
+
+# -- status -----------------------------------------------------------------------------------------------------------
+
+
+@choice("asks the device for its identification as a ping", "any answer of the device is one; function 2B/0E")
+def ping_by_identification(server: AdapterServer) -> None:
+    tools = tools_of(server)
+
+    async def ping(call: Call, arguments: Any) -> dict[str, bool]:
+        await tools._identification(call, arguments, 0)
+        return {"reachable": True}
+
+    wrap(server, "ping", lambda genuine: ping)
+
+
+@choice("reads an input register as a ping", "any answer of the device is one")
+def ping_by_an_input_register(server: AdapterServer) -> None:
+    tools = tools_of(server)
+
+    async def ping(call: Call, arguments: Any) -> dict[str, bool]:
+        await tools._inputs(call, arguments, 8, 1)
+        return {"reachable": True}
+
+    wrap(server, "ping", lambda genuine: ping)
+
+
+@choice("performs one call after the other", "the order of calls made at the same time is the adapter's own affair")
+def one_call_at_a_time(server: AdapterServer) -> None:
+    alone = asyncio.Lock()
+
+    def in_turn(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Any:
+            async with alone:
+                return await genuine(call, arguments)
+
+        return handler
+
+    every_tool(server, in_turn)

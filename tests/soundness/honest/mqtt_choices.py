@@ -1,0 +1,453 @@
+"""Honest MQTT adapters."""
+
+from __future__ import annotations
+
+import asyncio
+import dataclasses
+import secrets
+import struct
+from collections.abc import Callable
+from contextlib import suppress
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import paho.mqtt.client as paho
+from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
+from pytest_otmcp.reference_adapters.mqtt import connection as connections
+from pytest_otmcp.reference_adapters.mqtt.connection import Connection, ConnectionLostError, Message
+from pytest_otmcp.reference_adapters.mqtt.edge_node import EdgeNode, Life
+from pytest_otmcp.reference_adapters.mqtt.link import Link
+from pytest_otmcp.reference_adapters.mqtt.payload import Metric
+from pytest_otmcp.reference_adapters.mqtt.tools import Tools
+
+from tests.soundness.defective import Handler, wrap
+
+from .choice import Bend, backed_off, choices, in_background
+
+if TYPE_CHECKING:
+    from pytest_otmcp.subject import Adapter
+
+__all__ = ["CHOICES"]
+
+CHOICES, choice = choices("mqtt")
+
+OWN_TOPIC = "acme/adapter-7/status"
+RETAINED = ("WR-004", "retained_own")
+MAX_AGE_S = 1.0
+
+
+def tools_of(server: AdapterServer) -> Tools:
+    tools: Tools = server._tools["get_broker_info"].handler.__self__
+    return tools
+
+
+def link_of(server: AdapterServer) -> Link:
+    return tools_of(server)._link
+
+
+def background_call(server: AdapterServer) -> Call:
+    return Call(protocol="mqtt", operation="mqtt.watch", endpoint=server.endpoint, writes=False)
+
+
+# -- what it publishes of itself --------------------------------------------------------------------------------------
+
+
+def telling(seconds: float) -> Bend:
+    def bend(server: AdapterServer) -> None:
+        link = link_of(server)
+
+        async def tell() -> None:
+            await asyncio.sleep(seconds)
+            if link.connected:
+                with suppress(ConnectionLostError):
+                    link._connection.send(Message(topic=OWN_TOPIC, payload=b'{"alive": true}'))
+
+        in_background(server, tell)
+
+    return bend
+
+
+@choice("tells of itself on a topic of its own ten times a second", "it commands nothing")
+def status_ten_times_a_second(server: AdapterServer) -> None:
+    telling(0.1)(server)
+
+
+@choice("tells of itself on a topic of its own a hundred times a second", "it commands nothing")
+def status_a_hundred_times_a_second(server: AdapterServer) -> None:
+    telling(0.01)(server)
+
+
+def after_connecting(link: Link, then: Callable[[Connection], None]) -> None:
+    genuine = link._connect
+
+    async def connect() -> Connection:
+        connection = await genuine()
+        then(connection)
+        return connection
+
+    link._connect = connect
+
+
+def say_online(connection: Connection) -> None:
+    with suppress(ConnectionLostError):
+        connection.send(Message(topic=OWN_TOPIC, payload=b"online", retain=True))
+
+
+@choice(
+    'publishes a retained "online" at every connection, also with writes disabled',
+    "it commands nothing; with writes disabled it is remarkable",
+    warnings=(RETAINED,),
+)
+def retained_online(server: AdapterServer) -> None:
+    after_connecting(link_of(server), say_online)
+
+
+@choice('publishes a retained "online" at every connection, but not with writes disabled', "it commands nothing")
+def retained_online_unless_guarded(server: AdapterServer) -> None:
+    if server.writes_enabled:
+        after_connecting(link_of(server), say_online)
+
+
+UPTIME = Metric(name="uptime", datatype="Int64", value=0)
+
+
+@choice(
+    "reports data of its edge node by itself, ten times a second",
+    "Sparkplug: an edge node publishes NDATA when it has any",
+)
+def node_data_of_its_own(server: AdapterServer) -> None:
+    link = link_of(server)
+    node = link.edge_node
+    birth = server._tools["publish_node_birth"]
+
+    def born_before(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Any:
+            if not node.alive:
+                await birth.handler(call, birth.model(metrics=[{"name": "uptime", "datatype": "Int64", "value": 0}]))
+            return await genuine(call, arguments)
+
+        return handler
+
+    async def report() -> None:
+        await asyncio.sleep(0.1)
+        async with link.publishing:
+            if link.connected and node.alive:
+                with suppress(ConnectionLostError):
+                    link._connection.send(node.numbered("NDATA", None, [UPTIME]))
+
+    wrap(server, "publish_device_birth", born_before)
+    in_background(server, report)
+
+
+@choice("is born again before it reports data", "Sparkplug: births may be repeated")
+def births_repeated(server: AdapterServer) -> None:
+    link = link_of(server)
+
+    def born_again(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Any:
+            await link._be_born_again()
+            return await genuine(call, arguments)
+
+        return handler
+
+    wrap(server, "publish_device_data", born_again)
+
+
+@choice("is born as an edge node as soon as it is connected", "Sparkplug: an edge node is born when it connects")
+def born_when_connected(server: AdapterServer) -> None:
+    if server.writes_enabled:
+        link_of(server).edge_node.life = Life()
+
+
+# -- connections ------------------------------------------------------------------------------------------------------
+
+
+@choice("has another client identifier at every connection", "the identifier is the client's own affair")
+def new_client_identifiers(server: AdapterServer) -> None:
+    link = link_of(server)
+    genuine = link._connect
+
+    async def connect() -> Connection:
+        link.endpoint = dataclasses.replace(link.endpoint, client_id=f"acme-{secrets.token_hex(4)}")
+        return await genuine()
+
+    link._connect = connect
+
+
+@choice("subscribes to # from the start", "reading changes nothing")
+def subscribed_to_everything(server: AdapterServer) -> None:
+    link_of(server).needed["#"] = 0
+
+
+@choice("subscribes to the broker's own topics", "reading changes nothing")
+def subscribed_to_the_broker(server: AdapterServer) -> None:
+    link_of(server).needed["$SYS/#"] = 0
+
+
+@choice(
+    "tries to connect again a second after it has failed", "requirement REC-001: back within recovery_s, by default 5 s"
+)
+def backs_off_for_1_s(server: AdapterServer) -> None:
+    link = link_of(server)
+    link._connected = backed_off(link._connected, 1.0)
+
+
+def second_link(link: Link) -> Link:
+    endpoint = dataclasses.replace(link.endpoint, client_id=f"{link.endpoint.client_id}-publisher")
+    return Link(endpoint, EdgeNode("factory", "publisher"), may_write=False)
+
+
+@choice("publishes over a second connection", "a connection is the adapter's own affair")
+def connection_for_publishing(server: AdapterServer) -> None:
+    publisher = second_link(link_of(server))
+    wrap(server, "publish_message", lambda genuine: Tools(publisher).publish_message)
+    close = server._close
+
+    async def close_both() -> None:
+        await close()
+        await publisher.close()
+
+    server._close = close_both
+
+
+@choice("makes a connection for every publication", "a connection is the adapter's own affair")
+def connection_per_publication(server: AdapterServer) -> None:
+    link, alone = link_of(server), asyncio.Lock()
+
+    async def publish(call: Call, arguments: Any) -> Any:
+        async with alone:
+            publisher = second_link(link)
+            try:
+                return await Tools(publisher).publish_message(call, arguments)
+            finally:
+                await publisher.close()
+
+    wrap(server, "publish_message", lambda genuine: publish)
+
+
+@choice("speaks MQTT 5", "the broker speaks both")
+def mqtt_5(server: AdapterServer) -> None:
+    connections.paho = SimpleNamespace(Client=paho.Client, MQTTv311=paho.MQTTv5)
+
+    def named(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Any:
+            return {**await genuine(call, arguments), "protocol_version": "5.0"}
+
+        return handler
+
+    wrap(server, "get_broker_info", named)
+
+
+# -- status -----------------------------------------------------------------------------------------------------------
+
+
+async def ping(connection: Connection) -> None:
+    """Send a PINGREQ and wait for the PINGRESP."""
+    answered: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+    genuine = connection._client._handle_pingresp
+
+    def handle() -> Any:
+        if not answered.done():
+            answered.set_result(None)
+        return genuine()
+
+    connection._client._handle_pingresp = handle
+    connection._client._send_pingreq()
+    connection._flush()
+    lost = asyncio.ensure_future(connection.lost.wait())
+    done, _ = await asyncio.wait({answered, lost}, timeout=2.0, return_when=asyncio.FIRST_COMPLETED)
+    lost.cancel()
+    if answered not in done:
+        connection.abort()
+        raise ConnectionLostError
+
+
+@choice("asks for the broker's state by PINGREQ", "any answer of the broker is one")
+def status_by_ping(server: AdapterServer) -> None:
+    link, alone = link_of(server), asyncio.Lock()
+
+    async def ask(call: Call) -> None:
+        async with alone:
+            await link.exchange(call, ping)
+
+    link.ask = ask
+
+
+@choice("asks twice for the broker's state", "asking changes nothing; meta.attempts says so")
+def status_asked_twice(server: AdapterServer) -> None:
+    link = link_of(server)
+    genuine = link.ask
+
+    async def ask(call: Call) -> None:
+        await genuine(call)
+        await genuine(call)
+
+    link.ask = ask
+
+
+@choice(
+    "asks for the broker's state over a connection of its own, too", "asking changes nothing; meta.attempts says so"
+)
+def status_by_connecting(server: AdapterServer) -> None:
+    link, alone = link_of(server), asyncio.Lock()
+
+    async def ask(call: Call) -> None:
+        async with alone:
+            asking = second_link(link)
+            try:
+                await asking.ask(call)
+            finally:
+                await asking.close()
+
+    def asked(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Any:
+            question = background_call(server)
+            await ask(question)
+            call.attempts += question.attempts
+            return await genuine(call, arguments)
+
+        return handler
+
+    wrap(server, "get_broker_info", asked)
+
+
+def declared_as_cached(adapter: Adapter) -> Adapter:
+    (info,) = adapter.operations["info"]
+    operations = {**adapter.operations, "info": (dataclasses.replace(info, max_age_s=MAX_AGE_S),)}
+    return dataclasses.replace(adapter, operations=operations)
+
+
+@choice(
+    "answers its status from what it learned by a ping at most a second ago, says so, and declares it",
+    'requirements REC-002 and RD-004: source = "cache" and max_age_s in the subject file, source and age_ms in meta',
+    described=declared_as_cached,
+)
+def status_from_a_declared_cache(server: AdapterServer) -> None:
+    link = link_of(server)
+    learned = [-MAX_AGE_S]
+
+    def now() -> float:
+        return asyncio.get_running_loop().time()
+
+    async def watch() -> None:
+        await asyncio.sleep(0.2)
+        if link.connected:
+            await link.ask(background_call(server))
+            learned[0] = now()
+        else:
+            learned[0] = -MAX_AGE_S
+
+    def remembered(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Any:
+            age_s = now() - learned[0]
+            if age_s < 0.9 * MAX_AGE_S and link.connected:
+                call.source, call.extra["age_ms"] = "cache", round(1000 * age_s, 3)
+                endpoint = link.endpoint
+                return {
+                    "connected": True,
+                    "endpoint": endpoint.uri,
+                    "client_id": endpoint.client_id,
+                    "protocol_version": "3.1.1",
+                    "subscriptions": len(link.subscriptions),
+                }
+            data = await genuine(call, arguments)
+            learned[0] = now()
+            return data
+
+        return handler
+
+    wrap(server, "get_broker_info", remembered)
+    in_background(server, watch)
+
+
+# -- publishing -------------------------------------------------------------------------------------------------------
+
+
+def takes_no_qos(adapter: Adapter) -> Adapter:
+    (publish,) = adapter.operations["publish"]
+    arguments = {name: value for name, value in publish.arguments.items() if name != "qos"}
+    operations = {**adapter.operations, "publish": (dataclasses.replace(publish, arguments=arguments),)}
+    unclaimed = {**adapter.unclaimed, "publish.qos": "always publishes with QoS 1"}
+    return dataclasses.replace(adapter, operations=operations, unclaimed=unclaimed)
+
+
+@choice("always publishes with QoS 1", "its tool takes no QoS, as its subject file says", described=takes_no_qos)
+def always_qos_1(server: AdapterServer) -> None:
+    def surely(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Any:
+            return await genuine(call, arguments.model_copy(update={"qos": 1}))
+
+        return handler
+
+    wrap(server, "publish_message", surely)
+
+
+class Publisher:
+    """A client of its own that keeps its session and delivers again what was not acknowledged (MQTT 3.1.1, section 4.4)."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self._host, self._port = host, port
+        self._packet_id = 0
+        self._alone = asyncio.Lock()
+
+    async def publish(self, call: Call, topic: str, payload: bytes) -> None:
+        async with self._alone:
+            self._packet_id = self._packet_id % 65535 + 1
+            reader, writer = await self._connect()
+            call.sending()
+            # The connection breaks before the acknowledgement is there.
+            writer.write(self._message(topic, payload, dup=False))
+            writer.close()
+            reader, writer = await self._connect()
+            call.sending()
+            writer.write(self._message(topic, payload, dup=True))
+            await reader.readexactly(4)
+            writer.write(b"\xe0\x00")
+            writer.close()
+            call.trace.update(topic=topic, qos=1, retain=False)
+            call.answered(packet_id=self._packet_id, delivery="acknowledged")
+
+    async def _connect(self) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+        name = b"acme-publisher"
+        body = b"\x00\x04MQTT\x04\x00\x00\x05" + struct.pack(">H", len(name)) + name
+        try:
+            reader, writer = await asyncio.open_connection(self._host, self._port)
+            writer.write(bytes((0x10, len(body))) + body)
+            await reader.readexactly(4)
+        except (OSError, asyncio.IncompleteReadError):
+            raise AdapterError("connect_failed", "no connection to the broker", outcome="not_sent") from None
+        return reader, writer
+
+    def _message(self, topic: str, payload: bytes, *, dup: bool) -> bytes:
+        name = topic.encode()
+        body = struct.pack(">H", len(name)) + name + struct.pack(">H", self._packet_id) + payload
+        assert len(body) < 128
+        return bytes((0x32 | (8 if dup else 0), len(body))) + body
+
+
+@choice(
+    "delivers with QoS 1 again, marked as DUP, what was not acknowledged when its connection broke",
+    "MQTT 3.1.1, sections 3.3.1.1 and 4.4",
+    described=takes_no_qos,
+)
+def delivers_again_with_dup(server: AdapterServer) -> None:
+    endpoint = link_of(server).endpoint
+    publisher = Publisher(endpoint.host, endpoint.port)
+
+    def outgoing(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Any:
+            if not arguments.topic:
+                return await genuine(call, arguments)
+            payload = arguments.payload.encode()
+            await publisher.publish(call, arguments.topic, payload)
+            return {
+                "topic": arguments.topic,
+                "qos": 1,
+                "retain": False,
+                "payload_bytes": len(payload),
+                "delivery": "acknowledged",
+            }
+
+        return handler
+
+    wrap(server, "publish_message", outgoing)

@@ -1,0 +1,21 @@
+"""All honest adapters, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from . import mcp_choices, modbus_choices, mqtt_choices, opcua_choices
+from .choice import Choice
+
+__all__ = ["ZOO"]
+
+ZOO: Mapping[str, Choice] = {
+    f"{group}/{name}": choice
+    for group, declared in (
+        ("mcp", mcp_choices.CHOICES),
+        ("modbus", modbus_choices.CHOICES),
+        ("mqtt", mqtt_choices.CHOICES),
+        ("opcua", opcua_choices.CHOICES),
+    )
+    for name, choice in declared.items()
+}

@@ -1,0 +1,1 @@
+"""The catalogue's defects, each as a reference adapter that has this defect and no other (issue numbers ``MU-nn``)."""

@@ -1,0 +1,163 @@
+"""Defects of an MQTT adapter."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
+from pytest_otmcp.reference_adapters.mqtt import connection
+from pytest_otmcp.reference_adapters.mqtt import link as mqtt_link
+from pytest_otmcp.reference_adapters.mqtt.connection import Message
+
+from tests.soundness.defective import Handler, wrap
+
+from .any_protocol import answers_twice_from_one_exchange
+from .mutant import Data, Mutant, also, each
+
+__all__ = ["MUTANTS", "link_of"]
+
+_PUBLISH = "publish_message"
+
+
+def link_of(server: AdapterServer) -> mqtt_link.Link:
+    """Return the adapter's connection to the broker."""
+    link: mqtt_link.Link = server._tools[_PUBLISH].handler.__self__._link
+    return link
+
+
+def publish_not_sent(genuine: Handler) -> Handler:
+    async def handler(call: Call, arguments: Any) -> Data:
+        if not arguments.topic:
+            refused: Data = await genuine(call, arguments)
+            return refused
+        return {"topic": arguments.topic, "qos": 0, "retain": False, "payload_bytes": 1, "delivery": "unacknowledged"}
+
+    return handler
+
+
+def made_up_for(server: AdapterServer) -> None:
+    """Keep what could not be published, and publish it with the next connection."""
+    kept: list[Message] = []
+    genuine_restore = mqtt_link.Link._restore
+
+    def keeping(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            try:
+                data: Data = await genuine(call, arguments)
+            except AdapterError as error:
+                if error.code in ("connect_failed", "connection_lost"):
+                    kept.append(Message(topic=arguments.topic, payload=arguments.payload.encode()))
+                raise
+            return data
+
+        return handler
+
+    async def restore(link: mqtt_link.Link, made: Any) -> None:
+        await genuine_restore(link, made)
+        while kept:
+            made.send(kept.pop(0))
+
+    mqtt_link.Link._restore = restore
+    each(_PUBLISH, change=keeping)(server)
+
+
+async def _heartbeat(server: AdapterServer, call: Call) -> None:
+    publish = server._tools[_PUBLISH]
+    await publish.handler(call, publish.model(topic="control/heartbeat", payload="1"))
+
+
+def retained(genuine: Handler) -> Handler:
+    async def handler(call: Call, arguments: Any) -> Data:
+        asked = arguments if "retain" in arguments.model_fields_set else arguments.model_copy(update={"retain": True})
+        data: Data = await genuine(call, asked)
+        return data
+
+    return handler
+
+
+def status_from_memory(server: AdapterServer) -> None:
+    # The answer to a PINGREQ at the right moment would be an exchange with the broker.
+    connection.KEEPALIVE_S = 60
+    answers_twice_from_one_exchange("get_broker_info")(server)
+
+
+def subscribed_topics_only(server: AdapterServer) -> None:
+    mqtt_link.matches = lambda text, topic: text == topic
+
+
+def clamped_qos(server: AdapterServer) -> None:
+    tool = server._tools["subscribe_topic"]
+    anything = type("Anything", (tool.model,), {"__annotations__": {"qos": int}, "__module__": __name__})
+
+    def clamping(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            data: Data = await genuine(call, tool.model(topic=arguments.topic, qos=min(arguments.qos, 2)))
+            return data
+
+        return handler
+
+    wrap(server, "subscribe_topic", clamping, model=anything)
+
+
+MUTANTS = (
+    Mutant(
+        id="MU-14q",
+        protocol="mqtt",
+        sentence="A publish succeeds, and nothing is sent.",
+        bend=each(_PUBLISH, change=publish_not_sent),
+        items="Q3 X2 X2p FQ1 FX1 S5 S11",
+        requirements="MQT-001",
+        waits=True,
+    ),
+    Mutant(
+        id="MU-29",
+        protocol="mqtt",
+        sentence="A publish that failed is made up for when the broker is back.",
+        bend=made_up_for,
+        items="S11",
+        requirements="WR-010",
+        recovers=True,
+        quick=True,
+    ),
+    Mutant(
+        id="MU-36q",
+        protocol="mqtt",
+        sentence="A status soon after another is told from memory, as if from the broker.",
+        bend=status_from_memory,
+        items="Q1 X1 X1p S8",
+        requirements="RD-004",
+    ),
+    Mutant(
+        id="MU-53q",
+        protocol="mqtt",
+        sentence="The tool that tells the broker's status publishes a heartbeat below control/.",
+        bend=also("get_broker_info", action=_heartbeat),
+        items="Q3 Q4 S5",
+        requirements="WR-003 WR-004",
+    ),
+    Mutant(
+        id="MU-66",
+        protocol="mqtt",
+        sentence="Messages are retained unless the call says otherwise.",
+        bend=each(_PUBLISH, change=retained),
+        items="Q3 X2 X2p FQ1 FX1 S5",
+        requirements="MQT-003",
+        quick=True,
+    ),
+    Mutant(
+        id="MU-67b",
+        protocol="mqtt",
+        sentence="A message is kept only if its topic is a subscription's text, so wildcards select nothing.",
+        bend=subscribed_topics_only,
+        items="Q2 S2",
+        requirements="MQT-004",
+    ),
+    Mutant(
+        id="MU-69",
+        protocol="mqtt",
+        sentence="QoS 5 is taken for QoS 2.",
+        bend=clamped_qos,
+        items="FQ2",
+        requirements="ADR-007",
+    ),
+)

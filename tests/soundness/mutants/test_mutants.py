@@ -1,0 +1,39 @@
+"""Each defect of the catalogue that is noticed fails exactly its items, for exactly its requirements; the others are listed."""
+
+from __future__ import annotations
+
+import pytest
+
+from pytest_otmcp.suite.catalogue import tasks_by_id
+from tests.soundness.conftest import IMPATIENT, Judge, failing, requirements, words
+
+from .mutant import catalogue_id
+from .not_yet import GROUPS, NOT_YET, TOTAL
+from .section import DOCUMENT, renewed
+from .table import MUTANTS
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(mutant.id, marks=() if mutant.quick else pytest.mark.long) for mutant in MUTANTS.values()]
+)
+def test_a_defect_fails_exactly_its_items_for_exactly_its_requirements(judge: Judge, name: str) -> None:
+    mutant = MUTANTS[name]
+    tasks = " ".join(task.id for task in tasks_by_id().values() if mutant.recovers or task.suite != "recovery")
+    time_scale = IMPATIENT if mutant.waits else 1.0
+    results = judge(mutant.protocol, "mutants/program.py", name, tasks=tasks, time_scale=time_scale)
+    assert failing(results) == set(mutant.items.split()), words(results)
+    assert requirements(results) == set(mutant.requirements.split()), words(results)
+    assert "KIT_ERROR" not in {result["status"] for result in results.values()}
+
+
+def test_every_defect_of_the_catalogue_is_noticed_or_listed_with_its_group() -> None:
+    unnoticed = [identifier for defects in NOT_YET.values() for identifier in defects]
+    known = [*MUTANTS, *unnoticed]
+    assert len(known) == len(set(known))
+    assert {catalogue_id(identifier) for identifier in known} == {f"MU-{number:02}" for number in range(1, TOTAL + 1)}
+    assert NOT_YET.keys() == GROUPS.keys()
+
+
+def test_the_table_in_the_documentation_is_the_one_of_the_declarations() -> None:
+    document = DOCUMENT.read_text(encoding="utf-8")
+    assert renewed(document) == document

@@ -1,0 +1,60 @@
+"""The suite accuses no honest adapter: each passes every item, with exactly the warnings that are due."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from .conftest import Judge, Results, failing, passing, words
+from .honest.table import DOCUMENT, written
+from .honest.zoo import ZOO
+
+QUICK = {
+    "modbus": "M1 M2 M3 M4 FM1",
+    "mqtt": "Q1 Q2 Q3 Q4",
+    "opcua": "O1 O3 FO1",
+}
+"""Items that most choices show in, by protocol."""
+
+CLOSEST = """
+    mcp/no-text-block mcp/prose-before-json mcp/coarse-clock
+    modbus/split-reads modbus/block-reads modbus/polls-the-same-registers modbus/register-map
+    modbus/asks-twice-for-a-missing-register
+    mqtt/status-ten-times-a-second mqtt/retained-online mqtt/node-data-of-its-own mqtt/status-from-a-declared-cache
+    mqtt/always-qos-1 mqtt/delivers-again-with-dup
+    opcua/reads-by-monitored-items opcua/browses-before-reading opcua/node-list opcua/writes-a-timestamp
+""".split()
+"""Those that are closest to what the suite forbids; earlier suites accused each of them."""
+
+
+def warnings(results: Results) -> Iterator[tuple[str | None, str]]:
+    for result in results.values():
+        for findings in (result["findings"], *(sample["findings"] for sample in result["samples"])):
+            for finding in findings:
+                if finding["strength"] == "SHOULD":
+                    yield finding["requirement"], finding["code"]
+
+
+def accused_of_nothing(judge: Judge, name: str, tasks: str | None) -> None:
+    choice = ZOO[name]
+    results = judge(choice.protocol, "honest/adapter.py", name, described=choice.described, tasks=tasks)
+    assert failing(results) == set(), words(results)
+    assert passing(results) == results.keys()
+    assert set(warnings(results)) == choice.warnings, words(results)
+
+
+@pytest.mark.parametrize("name", CLOSEST)
+def test_an_honest_adapter_is_accused_of_nothing_in_the_items_that_say_most(judge: Judge, name: str) -> None:
+    accused_of_nothing(judge, name, QUICK[ZOO[name].protocol])
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ZOO)
+def test_an_honest_adapter_is_accused_of_nothing_in_the_whole_suite(judge: Judge, name: str) -> None:
+    accused_of_nothing(judge, name, None)
+
+
+def test_the_documentation_has_every_honest_adapter() -> None:
+    document = DOCUMENT.read_text(encoding="utf-8")
+    assert document == written(document), "out of date: python -m tests.soundness.honest.table"

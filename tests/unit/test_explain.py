@@ -1,0 +1,98 @@
+"""``otmcp explain`` says what an id means, and names what is near an unknown one."""
+
+from __future__ import annotations
+
+import pytest
+
+from pytest_otmcp import cli
+from pytest_otmcp.suite.catalogue import all_tasks
+from pytest_otmcp.suite.explanations import explained
+from pytest_otmcp.suite.requirements import requirements
+from pytest_otmcp.trial.explanation import Explanation, explanation
+
+
+def told(capsys: pytest.CaptureFixture[str], *identifiers: str) -> str:
+    """Return what the command prints, on one line."""
+    assert cli.main(["explain", *identifiers]) == 0
+    return " ".join(capsys.readouterr().out.split())
+
+
+def test_an_item_is_told_from_its_declaration(capsys: pytest.CaptureFixture[str]) -> None:
+    task = all_tasks()["FM1"]
+    text = told(capsys, "FM1")
+    assert text.startswith(f"FM1 (item): {task.title}")
+    steps = explanation(task.steps)
+    assert all(part in text for part in (steps.asked, steps.said, steps.seen, steps.why))
+    for name in task.requirements:
+        assert f"{name}: {requirements()[name].statement} Source: {requirements()[name].source}." in text
+    assert "[adapter.modbus] probes.missing_address: Asked for instead of 9999." in text
+
+
+def test_an_item_tells_what_happens_once_around_its_repetitions(capsys: pytest.CaptureFixture[str]) -> None:
+    text = told(capsys, "Q4")
+    assert "Once before Announce the device." in text
+    assert "Once afterwards Announce a device through the adapter that was started with writes disabled." in text
+
+
+def test_a_requirement_is_told_with_its_source_and_whether_that_was_checked(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    text = told(capsys, "WR-003", "MCP-001")
+    unchecked, checked = text.split("MCP-001 (requirement): ")
+    assert "section 4.4.1.4 (the text was not at hand: check the section before you quote it)" in unchecked
+    assert "Items about it M3, Q3," in unchecked
+    assert "was not at hand" not in checked
+
+
+def test_an_error_code_is_told_with_what_the_protocols_call_it(capsys: pytest.CaptureFixture[str]) -> None:
+    text = told(capsys, "illegal_address")
+    assert "Modbus: ILLEGAL DATA ADDRESS" in text
+    assert "OPC UA: BadNodeIdUnknown" in text
+
+
+def test_the_code_of_a_finding_is_told_with_what_to_change(capsys: pytest.CaptureFixture[str]) -> None:
+    text = told(capsys, "deadline_missed")
+    assert "What to change Give the protocol library a timeout below the deadline." in text
+    assert "In the subject file deadline_s: Time within which every call must have answered." in text
+
+
+def test_an_id_with_two_meanings_is_told_twice() -> None:
+    assert [one.kind for one in explained("internal_error")] == ["error code", "finding code"]
+
+
+@pytest.mark.parametrize(
+    ("unknown", "hint"),
+    [
+        ("m3", "did you mean M3"),
+        ("WR-03", "did you mean WR-003"),
+        ("wrong value", "did you mean wrong_value"),
+        ("xyzzy", "docs/items.md, docs/requirements.md and docs/codes.md list them all"),
+    ],
+)
+def test_an_unknown_id_is_one_sentence(unknown: str, hint: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["explain", "M3", unknown]) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.count("\n") == 1
+    assert f"there is no item, requirement or code {unknown!r}; {hint}" in printed.err
+
+
+async def steps(run: object) -> None:
+    """Ask for something
+    and more.
+
+    Said: this,
+        and that.
+    Why: it matters.
+    """
+
+
+async def silent(run: object) -> None:
+    pass
+
+
+def test_a_docstring_is_read_by_its_labels() -> None:
+    assert explanation(steps) == Explanation(
+        asked="Ask for something and more.", said="This, and that.", why="It matters."
+    )
+    assert explanation(silent) == explanation(None) == Explanation()
