@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Any, cast
 
 from pytest_otmcp.core.matrix import CROSS_PROTOCOL
-from pytest_otmcp.record.causes import Cause, causes
 from pytest_otmcp.record.schema import Run
+from pytest_otmcp.report.causes import Cause, causes
+from pytest_otmcp.suite.requirements import requirements
 
 from .samples import item, run
 
@@ -42,7 +43,7 @@ def test_findings_that_differ_in_values_alone_are_one_cause() -> None:
         failing("M3", "Modbus", finding("should have seen one write of [40] to holding_registers 1, it saw 0")),
         failing("S4", "Modbus", finding("should have seen one write of [977] to holding_registers 20, it saw 0")),
     )
-    assert (cause.items, cause.where, cause.repetition, cause.times) == (("M3", "S4"), "M3", 1, 2)
+    assert (cause.items, cause.where["id"], cause.repetition, cause.times) == (("M3", "S4"), "M3", 1, 2)
     assert cause.first["message"].endswith("[40] to holding_registers 1, it saw 0")
     assert cause.further == ()
 
@@ -68,7 +69,7 @@ def test_two_rules_and_two_protocols_are_different_causes() -> None:
         failing("M3", "Modbus", finding("wrote twice", "WR-003"), finding("wrote elsewhere", "WR-002")),
         failing("O3", "OPC UA", finding("wrote twice", "WR-003")),
     )
-    assert [(cause.family, cause.requirement) for cause in found] == [
+    assert [(cause.family, cause.rule) for cause in found] == [
         ("Modbus", "WR-003"),
         ("Modbus", "WR-002"),
         ("OPC UA", "WR-003"),
@@ -77,7 +78,12 @@ def test_two_rules_and_two_protocols_are_different_causes() -> None:
 
 def test_a_finding_without_a_requirement_is_told_by_its_kind() -> None:
     (cause,) = causes_of(failing("M3", "Modbus", finding("expected success", None, code="not_successful")))
-    assert cause.requirement is None
+    assert (cause.rule, cause.statement) == ("not_successful", "")
+
+
+def test_a_cause_states_its_rule() -> None:
+    (cause,) = causes_of(failing("M3", "Modbus", finding("it wrote twice", "WR-003")))
+    assert cause.statement == requirements()["WR-003"].statement
 
 
 def test_a_finding_about_several_protocols_belongs_to_the_protocol_with_the_same_words() -> None:
@@ -98,9 +104,5 @@ def test_a_finding_about_several_protocols_that_two_may_have_caused_is_a_cause_o
     assert [(cause.family, cause.items) for cause in found][-1] == (CROSS_PROTOCOL, ("X2",))
 
 
-def test_what_must_be_is_told_before_what_should_be() -> None:
-    found = causes_of(
-        failing("M1", "Modbus", finding("no text block", "MCP-006", strength="SHOULD")),
-        failing("M3", "Modbus", finding("wrote twice", "WR-003")),
-    )
-    assert [cause.strength for cause in found] == ["MUST", "SHOULD"]
+def test_a_warning_is_no_cause() -> None:
+    assert causes_of(failing("M1", "Modbus", finding("no text block", "MCP-006", strength="SHOULD"))) == []

@@ -11,13 +11,16 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 from ..core.matrix import CROSS_PROTOCOL
-from .schema import Finding, Item, Run
+from ..record.schema import Finding
+from ..record.warnings import failing
+from ..suite.requirements import requirements
+from . import Item, Run
 
 __all__ = ["Cause", "causes"]
 
 _ROLE = re.compile(r"^(?:setup|warmup|control): ")
 _VARIABLE = re.compile(r"""'(?:[^'\\]|\\.)*'|"(?:[^"\\]|\\.)*"|\[[^\]]*\]|\d+(?:\.\d+)?""")
-"""What differs between two findings of one fault: values, addresses, texts, counts."""
+"""What differs between findings of one fault in two items: values, addresses, texts, counts."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,10 +29,10 @@ class Cause:
 
     Attributes:
         family: name of the adapter's protocol, or what items about several protocols are called.
-        requirement: id of the rule in the requirement catalogue; None where a finding names none.
-        strength: ``MUST`` when one finding at least is about a MUST.
+        rule: id of the requirement, or the code of the findings where they cite none.
+        statement: the rule in plain words; empty for one that is not in the catalogue.
         first: the first finding, in the order of the suite.
-        where: id of its item.
+        where: its item.
         repetition: number of its repetition, from 0; None when it was found outside of the repetitions.
         items: ids of the items that it touches, in the order of the suite.
         times: number of findings.
@@ -37,10 +40,10 @@ class Cause:
     """
 
     family: str
-    requirement: str | None
-    strength: str
+    rule: str
+    statement: str
     first: Finding
-    where: str
+    where: Item
     repetition: int | None
     items: tuple[str, ...]
     times: int
@@ -68,7 +71,7 @@ class _Found:
 
 
 def causes(run: Run) -> list[Cause]:
-    """Return the causes of all findings: those about a MUST first, then in the order of the suite.
+    """Return the causes of all findings about a MUST, in the order of the suite.
 
     A finding of an item about several protocols does not say whose fault it is. It belongs to the cause that has the same
     words in an item about one protocol, else to the only cause of the same rule, else to a cause of its own.
@@ -82,18 +85,19 @@ def causes(run: Run) -> list[Cause]:
     for one in found:
         if one.item["family"] == CROSS_PROTOCOL:
             groups.setdefault(_of_cross_protocol(one, kinds), []).append(one)
-    made = [
-        (_cause(family, sorted(group, key=lambda one: one.place)), min(one.place for one in group))
-        for (family, _), group in groups.items()
-    ]
-    return [cause for cause, _ in sorted(made, key=lambda pair: (pair[0].strength != "MUST", pair[1]))]
+    for group in groups.values():
+        group.sort(key=lambda one: one.place)
+    ordered = sorted(groups.items(), key=lambda entry: entry[1][0].place)
+    return [_cause(family, group) for (family, _), group in ordered]
 
 
 def _findings(items: Iterable[Item]) -> Iterator[_Found]:
     place = 0
     for item in items:
-        around = ((None, finding) for finding in item["findings"])
-        within = ((sample["repetition"], finding) for sample in item["samples"] for finding in sample["findings"])
+        around = ((None, finding) for finding in failing(item["findings"]))
+        within = (
+            (sample["repetition"], finding) for sample in item["samples"] for finding in failing(sample["findings"])
+        )
         for repetition, finding in (*within, *around):
             yield _Found(finding=finding, item=item, place=place, repetition=repetition)
             place += 1
@@ -112,10 +116,10 @@ def _cause(family: str, group: list[_Found]) -> Cause:
     further = sorted((one for kind, one in kinds.items() if kind != first.kind), key=lambda one: one.place)
     return Cause(
         family=family,
-        requirement=first.finding["requirement"],
-        strength="MUST" if any(one.finding["strength"] == "MUST" for one in group) else "SHOULD",
+        rule=first.rule,
+        statement=row.statement if (row := requirements().get(first.rule)) is not None else "",
         first=first.finding,
-        where=first.item["id"],
+        where=first.item,
         repetition=first.repetition,
         items=tuple(dict.fromkeys(one.item["id"] for one in group)),
         times=len(group),
