@@ -22,6 +22,9 @@ _ROLE = re.compile(r"^(?:setup|warmup|control): ")
 _VARIABLE = re.compile(r"""'(?:[^'\\]|\\.)*'|"(?:[^"\\]|\\.)*"|\[[^\]]*\]|\d+(?:\.\d+)?""")
 """What differs between findings of one fault in two items: values, addresses, texts, counts."""
 
+_COMPARED = 300
+"""Characters of a sentence that say what its kind is; an adapter's own words behind them may have no end."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cause:
@@ -67,7 +70,7 @@ class _Found:
     @property
     def kind(self) -> str:
         """The sentence without what differs from repetition to repetition."""
-        return _VARIABLE.sub("#", _ROLE.sub("", self.finding["message"]))
+        return _VARIABLE.sub("#", _ROLE.sub("", self.finding["message"])[:_COMPARED])
 
 
 def causes(run: Run) -> list[Cause]:
