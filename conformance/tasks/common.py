@@ -198,7 +198,8 @@ async def outage(run: Repetition, rig: Rig, operation: str, witness: Witness, **
 
 async def a_meaningless_switch_enables_nothing(run: Repetition, guarded: Rig, operation: str, **inputs: Any) -> None:
     """Start the adapter, whose session has been closed, with a write switch that means nothing, and let it write."""
-    if not await guarded.garble_switch():
+    # A guard that leaks has been found out, whatever the word in its switch.
+    if any(finding.requirement == "WR-004" for finding in run.ledger.findings) or not await guarded.garble_switch():
         return
     run.fails(await guarded.call(operation, **inputs), "writes_disabled", outcome="not_sent", requirement="WR-005")
     await guarded.close_session()
