@@ -7,11 +7,11 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 from ..protocols.registry import protocols
-from ..subject.answers import read_answer
-from .evidence import failure_rules, known_errors
+from ..subject.answers import interpret, read_answer
+from ..subject.model import Answering
+from .evidence import CONNECT_FAILED, failure_rules, known_errors
 from .experimenter import Proposal
 
 __all__ = ["Draft", "write_document"]
@@ -121,12 +121,13 @@ def _answer_rules(draft: Draft, form: str) -> list[str]:
             continue
         rules = failure_rules(proposal.bad, successes, form)
         outcome += [rule for rule in rules if rule not in outcome]
-        if not rules and not _is_error(proposal.bad):
+        if not rules and interpret(proposal.bad, Answering(form=form)).success:
             draft.left.append(
                 f"outcome: nothing tells a failure of {proposal.guess.tool!r} from a success; see its answer"
             )
         text = json.dumps(proposal.bad, ensure_ascii=False)
-        found = known_errors(draft.errors, proposal.bad_code or "", text)
+        patterns = {"connect_failed": CONNECT_FAILED, **draft.errors}
+        found = known_errors(patterns, proposal.bad_code or "", text)
         errors += [rule for rule in found if rule not in errors]
         if not found:
             lines.append(
@@ -137,10 +138,6 @@ def _answer_rules(draft: Draft, form: str) -> list[str]:
     if errors:
         lines += ["# Codes of failures, as tried; add those of your own:", *_rules("errors", errors)]
     return lines
-
-
-def _is_error(message: Mapping[str, Any]) -> bool:
-    return "error" in message or (message.get("result") or {}).get("isError") is True
 
 
 def _rules(name: str, rules: Sequence[Mapping[str, object]]) -> list[str]:

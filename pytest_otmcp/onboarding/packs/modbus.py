@@ -8,10 +8,11 @@ from typing import Any
 
 from ...protocols.journal import Entries
 from ...protocols.modbus.entries import ModbusEntry, as_modbus
-from ..experimenter import Experimenter, Proposal, Shown, reach
+from ..experimenter import Experimenter, Proposal, Shown
 from ..guess import Guess
 from ..known_causes import KnownCause
 from ..pack import Hints, Pack
+from ..status import reach
 
 __all__ = ["PACK"]
 
@@ -40,7 +41,9 @@ async def _read(
     await experimenter.device.poke(unit=1, table=table, address=10, values=values)
     shown, asked, offset = await _call_at(experimenter, guess, _requests(function), offsets, address=10, count=3)
     proven = asked is not None and asked["address"] == 10 and asked["quantity"] == 3
-    seen = "" if asked is None else f"function {function} for address {asked['address']}, quantity {asked['quantity']}"
+    seen = _others(shown.entries)
+    if asked is not None:
+        seen = f"function {function} for address {asked['address']}, quantity {asked['quantity']}"
     proposal = experimenter.propose(guess, shown, proven=proven, seen=seen, offset=offset)
     experimenter.locate(proposal, "values", values)
     if proven:
@@ -53,11 +56,9 @@ async def _write_holding(experimenter: Experimenter, guess: Guess) -> Proposal:
     find = _requests(_WRITE_SINGLE, _WRITE_MULTIPLE)
     shown, written, offset = await _call_at(experimenter, guess, find, (40001, 40000, 1), address=12, value=value)
     proven = written is not None and written["address"] == 12 and written["values"] == [value]
-    seen = (
-        ""
-        if written is None
-        else f"function {written['function']} for address {written['address']}, {written['values']}"
-    )
+    seen = _others(shown.entries)
+    if written is not None:
+        seen = f"function {written['function']} for address {written['address']}, {written['values']}"
     proposal = experimenter.propose(guess, shown, proven=proven, seen=seen, offset=offset)
     if proven:
         experimenter.locate_echo(proposal, "value", value)
@@ -90,6 +91,13 @@ async def _call_at(
             if found is not None and found["address"] == address:
                 return again, found, {"address": offset}
     return shown, request, {}
+
+
+def _others(entries: Entries) -> str:
+    """Say which requests came instead of the one that was looked for; nothing when there were none."""
+    asked = [as_modbus(entry) for entry in entries if entry["kind"] == "request"]
+    functions = dict.fromkeys(request["function"] for request in asked)
+    return "" if not functions else f"function {', '.join(map(str, functions))} instead"
 
 
 def _requests(*functions: int) -> Find:
@@ -142,7 +150,7 @@ PACK = Pack(
     names=("modbus", "modbus-tcp", "modbus_tcp", "tcp"),
     errors={
         "illegal_address": (
-            r"0x0?2\b|exception[ _]code\W{0,4}2\b|[Ii]llegal.?[Dd]ata.?[Aa]ddress|ILLEGAL_DATA_ADDRESS",
+            r"(?i)0x0?2\b|exception[ _]code\W{0,4}2\b|illegal.?data.?address",
         ),
         "range_overflow": (
             r"(?i)out of range|number <= 65535|less than or equal to 65535|overflow|must be between",

@@ -122,7 +122,7 @@ PACK = Pack(
         ),
     },
     arguments={
-        "node": "node_id nodeid node id node_ids nodes",
+        "node": "node_id nodeid node id node_ids nodes address",
         "nodes": "node_ids nodes nodeids ids",
     },
     lists=frozenset({"nodes"}),
