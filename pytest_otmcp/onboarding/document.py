@@ -12,10 +12,11 @@ from ..protocols.registry import protocols
 from ..subject.answers import interpret, read_answer
 from ..subject.model import Answering
 from .evidence import CONNECT_FAILED, failure_rules, known_errors
-from .experimenter import Proposal
+from .proposal import Proposal
 
 __all__ = ["Draft", "write_document"]
 
+_WAITS = "receives by a call that waits"
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -46,6 +47,20 @@ class Draft:
     tools: Sequence[str]
     errors: Mapping[str, Sequence[str]]
     left: list[str] = field(default_factory=list)
+
+    @property
+    def spared(self) -> list[str]:
+        """The operations that need not be bound, because a call that waits does their work as well."""
+        waiting = {name for name, proposal in self.proposals.items() if proposal.proven and proposal.blocking}
+        proven = {name for name, proposal in self.proposals.items() if proposal.proven}
+        return [
+            facet
+            for composite in protocols()[self.protocol].composites.values()
+            for operation, instead in composite.if_waiting.items()
+            if operation in waiting
+            for facet in composite.facets
+            if facet not in instead and facet not in proven
+        ]
 
 
 def write_document(draft: Draft, *, into: bool = False) -> str:
@@ -81,7 +96,7 @@ def write_document(draft: Draft, *, into: bool = False) -> str:
         '# ro = { args = ["--read-only"] }',
         '# rw = { env = { WRITES_ENABLED = "true" } }',
         "# Without that there can be a conformant run, but no certificate:",
-        '# unclaimed = { guard = "has no read-only mode" }',
+        *_unclaimed(draft),
     ]
     draft.left.append("how writes are disabled: 'ro' and 'rw', or the facet 'guard' as unclaimed")
     if draft.connect is not None:
@@ -97,6 +112,13 @@ def write_document(draft: Draft, *, into: bool = False) -> str:
     for operation in protocols()[draft.protocol].operations:
         lines += ["", *_binding(draft, operation, form)]
     return "\n".join(lines) + "\n"
+
+
+def _unclaimed(draft: Draft) -> list[str]:
+    guard = 'guard = "has no read-only mode"'
+    if not draft.spared:
+        return [f"# unclaimed = {{ {guard} }}"]
+    return [f"# ... {guard} here:", f"unclaimed = {_value(dict.fromkeys(draft.spared, _WAITS))}"]
 
 
 def _form(proposals: Iterable[Proposal]) -> str:
@@ -148,6 +170,8 @@ def _binding(draft: Draft, operation: str, form: str) -> list[str]:
     asked = protocols()[draft.protocol].operations[operation]
     head = f"[adapter.{draft.protocol}.bind.{operation}]"
     proposal = draft.proposals.get(operation)
+    if operation in draft.spared:
+        return [f"# {operation}: {asked.meaning}. It is unclaimed above: {_WAITS}."]
     if proposal is None:
         draft.left.append(f"{operation} ({asked.meaning}): no tool was found; bind one, or declare it as unclaimed")
         return [

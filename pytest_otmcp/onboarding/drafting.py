@@ -15,9 +15,10 @@ from ..subject.grammar import LONGEST_RECOVERY_S
 from ..subject.model import READ_WRITE, Adapter, Answering, Connect, Variant
 from ..trial.adapter_under_test import AdapterUnderTest, BenchOptions
 from .document import Draft
-from .experimenter import Experimenter, Proposal
+from .experimenter import Experimenter
 from .matching import guess_connect, guess_tools
 from .pack import Pack
+from .proposal import Proposal
 from .status import outlast
 
 __all__ = ["describe_launch", "draft"]
@@ -171,5 +172,5 @@ def _refuse_unreached(url: str, tried: Iterable[Proposal], entries: Entries) -> 
 def _line(operation: str, proposal: Proposal | None) -> str:
     if proposal is None:
         return f"  {operation:<15} no tool found"
-    mark, which = ("proven", 0) if proposal.proven else ("not proven", -1)
-    return f"  {operation:<15} {proposal.guess.tool} ({mark}: {proposal.evidence[which]})"
+    mark = "proven" if proposal.proven else "not proven"
+    return f"  {operation:<15} {proposal.guess.tool} ({mark}: {proposal.evidence[0]})"

@@ -165,6 +165,7 @@ _FAILING_PATHS = (
     "result.error",
     "result[?status && status != 'Good']",
     "[?status && status != 'Good']",
+    "[?error]",
     "status && !starts_with(status, 'Good') && status != 'ok' && status != 'success'",
 )
 
@@ -200,10 +201,11 @@ def turned_false(before: Mapping[str, object], after: Mapping[str, object]) -> F
     """Find the place in two answers that says yes in the first and no in the second, as a rule for a truth value."""
     for form in ("structured", "json"):
         document = read_answer(after, form)[0]
-        for place, value in _places(read_answer(before, form)[0], ""):
-            stated = isinstance(value, str) and _UP.fullmatch(value) is not None
-            path = f"{place} == '{value}'" if stated else place
-            if (stated or value is True) and extract({"is": OutputRule(path=path)}, document) == {"is": False}:
+        places = list(_places(read_answer(before, form)[0], ""))
+        flags = [place for place, value in places if value is True]
+        words = [f"{place} == '{value}'" for place, value in places if isinstance(value, str) and _UP.fullmatch(value)]
+        for path in (*flags, *words):
+            if extract({"is": OutputRule(path=path)}, document) == {"is": False}:
                 return Found(form=form, rule={"path": path})
     return None
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Awaitable, Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Awaitable, Callable, Mapping
 
 from ..core.strict_json import parse_strict
 from ..plant.mock_device import MockDevice
-from ..protocols.journal import JournalEntry, judged
+from ..protocols.journal import judged
 from ..protocols.oracle import state_changing
 from ..protocols.registry import protocols
 from ..subject.addressing import mentions_address
@@ -17,8 +16,9 @@ from ..subject.model import Answering, Binding
 from ..trial.adapter_under_test import AdapterUnderTest, NoBindingError
 from .evidence import find
 from .guess import Guess
+from .proposal import Proposal, Shown
 
-__all__ = ["Experiment", "Experimenter", "Proposal", "Shown", "words_of"]
+__all__ = ["Experiment", "Experimenter", "words_of"]
 
 _TRIES = 4
 """Number of tools that are tried for an operation, the likeliest first."""
@@ -29,50 +29,6 @@ _LATE_S = 0.2
 
 class _NotProvenError(Exception):
     """Nothing may be written: the session may talk to any device; the message says why."""
-
-
-@dataclass(slots=True, kw_only=True)
-class Proposal:
-    """A proposed binding and the evidence for it.
-
-    Attributes:
-        proven: True when the device has seen the expected request.
-        evidence: sentences for the file's comments.
-        offset: input to the number that has to be added to it.
-        form: where the answer's document is: ``structured``, ``json``, ``text`` or ``texts``.
-        outputs: output to its rule.
-        good, bad: answers to a call that succeeded and to one that had to fail.
-        bad_code: the error code that the latter should have.
-        blocking: the call waits for what it answers.
-        returned: a random value came from the mock device through the tool, or to it.
-    """
-
-    guess: Guess
-    proven: bool
-    evidence: list[str]
-    offset: dict[str, int] = field(default_factory=dict)
-    form: str | None = None
-    outputs: dict[str, Mapping[str, object]] = field(default_factory=dict)
-    good: Mapping[str, object] | None = None
-    bad: Mapping[str, object] | None = None
-    bad_code: str | None = None
-    blocking: bool = False
-    returned: bool = False
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Shown:
-    """The observations of one call.
-
-    Attributes:
-        message: the answer; None when there is none.
-        entries: journal entries that the device wrote during the call.
-        words: the answer, or why there is none, in a few words.
-    """
-
-    message: Mapping[str, object] | None
-    entries: Sequence[JournalEntry]
-    words: str
 
 
 class Experimenter:
@@ -98,7 +54,7 @@ class Experimenter:
         self._writing = False
 
     async def best(self, guesses: list[Guess], experiment: Experiment, *, writes: bool) -> Proposal | None:
-        """Return the proposal for the first guess that the device confirms, else for the likeliest guess.
+        """Return the proposal for the first guess that the device confirms and that lacks nothing, else the one that lacks least.
 
         Args:
             writes: the operation writes: nothing is tried before a read has proven that the adapter talks to the mock device.
@@ -109,10 +65,15 @@ class Experimenter:
             proposal = await self._try(variation, experiment)
             if not writes and not variation.missing:
                 self._read.append((proposal, experiment))
-            if proposal.proven:
-                return proposal
             tried.append(proposal)
-        return tried[0] if tried else None
+            if self._merits(proposal) == (True, True, True):
+                return proposal
+        return max(tried, key=self._merits, default=None)
+
+    def _merits(self, proposal: Proposal) -> tuple[bool, bool, bool]:
+        """Return what speaks for a proposal, most important first."""
+        needed = protocols()[self.adapter.adapter.protocol].operations[proposal.guess.operation].needed
+        return proposal.proven, proposal.proven and proposal.whole, proposal.proven and {*needed} <= {*proposal.outputs}
 
     async def _try(self, guess: Guess, experiment: Experiment) -> Proposal:
         if guess.missing:

@@ -36,7 +36,7 @@ _WRITES = frozenset("write writes set put publish send force toggle delete execu
 
 _FOREIGN = re.compile(
     r"(?<![a-z0-9])(ethercat|sdo|pdo|ethernet.?ip|enip|eip|cip|s7|s7comm|profinet|profibus|bacnet|dnp3|canopen|knx|iec104"
-    r"|mtconnect|melsec|slmp|fins|hart|twincat)"
+    r"|mtconnect|mc|melsec|slmp|fins|hart|twincat)"
     r"(?![a-z0-9])",
     re.IGNORECASE,
 )

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from .evidence import claims_success, failure_rules, turned_false
-from .experimenter import Experimenter, Proposal, words_of
+from .experimenter import Experimenter, words_of
 from .guess import Guess
+from .proposal import Proposal
 
 __all__ = ["outlast", "reach"]
 
@@ -43,7 +44,7 @@ async def outlast(experimenter: Experimenter, proposal: Proposal, tells: str | N
         proposal.form, proposal.outputs[tells] = place.form, place.rule
     elif claims_success(message) and not failure_rules(message, [good], "text"):
         proposal.proven = False
-        proposal.evidence.append(f"with the device gone it says nothing of that: {words_of(message)}")
+        proposal.evidence = [f"with the device gone it says nothing of that: {words_of(message)}"]
         return
     else:
         proposal.bad, proposal.bad_code = message, "connect_failed"

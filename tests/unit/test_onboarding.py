@@ -134,11 +134,12 @@ def test_a_value_that_is_not_there_is_not_found() -> None:
     [
         (answer("Error reading 9999"), answer("Wrote 5"), "text", [{"text": "(?i)^\\W*error", "then": "failure"}]),
         (
-            answer('{"success": false}'),
-            answer('{"success": true}'),
+            answer('{"errors": ["no such topic"]}'),
+            answer('{"errors": []}'),
             "json",
-            [{"path": "success == `false`", "then": "failure"}],
+            [{"path": "errors", "then": "failure"}],
         ),
+        (answer('{"success": false}'), answer('{"success": true}'), "json", []),
         (
             answer("x", {"result": [{"status": "BadNodeIdUnknown"}]}),
             answer("x", {"result": [{"status": "Good"}]}),
@@ -148,7 +149,7 @@ def test_a_value_that_is_not_there_is_not_found() -> None:
         (answer("nothing special"), answer("nothing special"), "text", []),
         ({"result": {"isError": True, "content": []}}, answer("ok"), "text", []),
     ],
-    ids=["prose", "success", "status", "not to be told", "isError tells"],
+    ids=["prose", "list of errors", "says so itself", "status", "not to be told", "isError tells"],
 )
 def test_a_rule_tells_the_failure_from_the_success(
     failure: Mapping[str, Any], success: Mapping[str, Any], form: str, expected: list[dict[str, Any]]

@@ -8,10 +8,11 @@ from typing import Any
 
 from ...protocols.journal import Entries
 from ...protocols.modbus.entries import ModbusEntry, as_modbus
-from ..experimenter import Experimenter, Proposal, Shown
+from ..experimenter import Experimenter
 from ..guess import Guess
 from ..known_causes import KnownCause
 from ..pack import Hints, Pack
+from ..proposal import Proposal, Shown
 from ..status import reach
 
 __all__ = ["PACK"]
@@ -114,6 +115,7 @@ PACK = Pack(
         "ping": Hints(
             likely="ping status health connection probe info",
             unlikely="read write mask scan list job template proxy listener frame log connect disconnect reconnect command",
+            needed="ping status health connection probe info check",
             experiment=reach,
         ),
         "read_input": Hints(

@@ -10,9 +10,10 @@ from typing import Any
 from ...subject.answers import extract, read_answer
 from ...subject.model import OutputRule, placeholders
 from ..evidence import claims_success, find
-from ..experimenter import Experimenter, Proposal, Shown
+from ..experimenter import Experimenter
 from ..guess import Guess
 from ..pack import Hints, Pack
+from ..proposal import Proposal, Shown
 from ..status import reach
 
 __all__ = ["PACK"]
@@ -90,7 +91,11 @@ async def _collected(experimenter: Experimenter, guess: Guess) -> Proposal:
             proposal.evidence = [problem if problem else f"the device saw a SUBSCRIBE; {shown.words}"]
         return proposal
     proposal.returned = proposal.blocking = True
-    return _placed(proposal, _COLLECTED, nonces[0])
+    _placed(proposal, _COLLECTED, nonces[0])
+    proposal.whole = nonces[1] in str(shown.message)
+    if not proposal.whole:
+        proposal.evidence.append("of two messages that came together, only the first was in the answer")
+    return proposal
 
 
 def _lacks(shown: Shown, nonces: list[str]) -> str | None:
@@ -178,6 +183,7 @@ PACK = Pack(
         "info": Hints(
             likely="info status health connection broker ping",
             unlikely="list publish subscribe unsubscribe spawn stop messages sparkplug brokers subscriptions connect disconnect",
+            needed="info status health connection ping check",
             experiment=reach,
         ),
         "subscribe": Hints(
