@@ -29,6 +29,12 @@ from .common import (
     status_is_known,
     survive_a_restart,
 )
+from .refusals import (
+    a_busy_device_is_no_success,
+    a_fraction_is_not_cut_off,
+    malformed_answers_are_survived,
+    no_register_follows_the_last,
+)
 
 __all__ = ["TASKS"]
 
@@ -188,7 +194,7 @@ async def the_guard_was_put_to_the_test(run: Repetition, modbus: Rig, modbus_ro:
     "Read invalid register address (9999) and expect a structured protocol error.",
     needs="modbus.read_holding",
     capability="refusing",
-    requirements="ERR-002 ENV-007",
+    requirements="ERR-002 ENV-007 RD-005 RD-007",
     keys="modbus.probes.missing_address",
 )
 async def read_missing_register(run: Repetition, modbus: Rig) -> None:
@@ -213,14 +219,20 @@ async def read_missing_register(run: Repetition, modbus: Rig) -> None:
 
 @read_missing_register.after
 async def a_register_that_is_there_can_be_read(run: Repetition, modbus: Rig) -> None:
-    """Read a register that is there: a refusal proves something only if the same call works elsewhere.
+    """Read a register that is there: a refusal proves something only if the same call works elsewhere. Then read two registers
+    of which only the first has an address, one while the device is busy, four of which the device sends two, and one while it
+    sends no frame at all.
 
-    Said: success, and the value.
+    Said: success, and the value; then failures: `illegal_address`, `invalid_input` or `limit_exceeded`; `device_busy`; and twice
+        `protocol_error`, `connection_lost` or `timeout`, or the value where the adapter asked again. Then a read works.
     Seen: the register holds it.
     """
     value = run.rng.randrange(0x10000)
     await modbus.poke(unit=1, table="holding_registers", address=40, values=[value])
     run.succeeds(await modbus.call("read_holding", address=40, count=1), values=[value])
+    await no_register_follows_the_last(run, modbus)
+    await a_busy_device_is_no_success(run, modbus)
+    await malformed_answers_are_survived(run, modbus)
 
 
 @TASKS.task(
@@ -229,7 +241,7 @@ async def a_register_that_is_there_can_be_read(run: Repetition, modbus: Rig) -> 
     "Write overflow value (70000 > uint16 max) and expect adapter rejection.",
     needs="modbus.write_holding",
     capability="refusing",
-    requirements="ADR-003 ERR-006",
+    requirements="ADR-003 ADR-004 ERR-006",
 )
 async def write_overflow(run: Repetition, modbus: Rig) -> None:
     """Write 70000 to a register of 16 bits.
@@ -254,9 +266,9 @@ async def write_overflow(run: Repetition, modbus: Rig) -> None:
 
 @write_overflow.after
 async def the_largest_value_is_accepted(run: Repetition, modbus: Rig) -> None:
-    """Write 65535, which fits.
+    """Write 65535, which fits; then 40.7, which a register cannot hold.
 
-    Said: success.
+    Said: success; for 40.7 a failure with `type_mismatch`, `invalid_input` or `range_overflow` and the outcome `not_sent`.
     Seen: one write, and the value in the register.
     """
     await modbus.stays_quiet(QUIET_S, partial(oracle.no_state_changing_request, requirement="ERR-006"))
@@ -265,6 +277,7 @@ async def the_largest_value_is_accepted(run: Repetition, modbus: Rig) -> None:
         oracle.exactly_one_write(await modbus.journal(), "holding_registers", address=1, values=[65535]),
         oracle.image_holds(await modbus.image(), "holding_registers", 1, [65535]),
     )
+    await a_fraction_is_not_cut_off(run, modbus)
 
 
 @TASKS.task(

@@ -29,6 +29,7 @@ from .common import (
     survive_a_restart,
 )
 from .messages import arrival, collect, publish_from_kit, receives, sync_point
+from .refusals import filters_are_no_topics
 
 __all__ = ["TASKS"]
 
@@ -249,12 +250,13 @@ async def publish_to_nowhere(run: Repetition, mqtt: Rig) -> None:
 
 @publish_to_nowhere.after
 async def a_proper_topic_is_accepted(run: Repetition, mqtt: Rig) -> None:
-    """Publish on a proper topic.
+    """Publish on a proper topic; before that, on one with a wildcard and on one with a null character.
 
-    Said: success.
-    Seen: the message, once.
+    Said: success; for the two others a failure with `invalid_input` and the outcome `not_sent`.
+    Seen: the message, once, and nothing of the two others; the connection stays up.
     """
     await mqtt.stays_quiet(QUIET_S, nothing_to_nowhere(mqtt))
+    await filters_are_no_topics(run, mqtt)
     run.succeeds(await mqtt.call("publish", topic="control/pump", payload="control", qos=0))
     await mqtt.wait_for(kind="PUBLISH", direction="in", topic="control/pump", timeout_s=1.0)
     qos = mqtt.expected_if_accepted("publish", "qos", 0)

@@ -27,6 +27,7 @@ from .common import (
     start_without_device,
     survive_a_restart,
 )
+from .refusals import a_bad_value_is_no_success, a_long_browse_is_complete, the_text_false_is_not_true
 
 __all__ = ["TASKS"]
 
@@ -102,6 +103,15 @@ async def browse_actuators(run: Repetition, opcua: Rig) -> None:
         oracle.names_and_ids_agree(reply.outputs.get("node_ids"), reply.outputs.get("browse_names"), actuators),
         fresh(await opcua.journal(), (reply, folder)),
     )
+
+
+@browse_actuators.after
+async def a_long_list_comes_in_parts(run: Repetition, opcua: Rig) -> None:
+    """Browse the folder while the server sends three references in one answer.
+
+    Said: every node in it, each with its own name.
+    """
+    await a_long_browse_is_complete(run, opcua)
 
 
 @TASKS.task(
@@ -188,7 +198,7 @@ async def enumerate_variables(run: Repetition, opcua: Rig) -> None:
     "Read non-existent node (ns=2;i=99999) and expect a structured read-failed error.",
     needs="opcua.read",
     capability="refusing",
-    requirements="ERR-003 ENV-007",
+    requirements="ERR-003 ENV-007 OUA-002",
     keys="opcua.probes.missing_node",
 )
 async def read_missing_node(run: Repetition, opcua: Rig) -> None:
@@ -213,14 +223,16 @@ async def read_missing_node(run: Repetition, opcua: Rig) -> None:
 
 @read_missing_node.after
 async def a_node_that_is_there_can_be_read(run: Repetition, opcua: Rig) -> None:
-    """Read a variable that is there: a refusal proves something only if the same call works elsewhere.
+    """Read a variable that is there: a refusal proves something only if the same call works elsewhere. Then read it while its
+    sensor has failed.
 
-    Said: success, and the value.
+    Said: success, and the value; then a failure with `bad_quality` or `device_failure`.
     Seen: the variable holds it.
     """
     value = round(run.rng.uniform(-50.0, 150.0), 6)
     await opcua.poke(node="Temperature", value=value)
     run.succeeds(await opcua.call("read", node=TEMPERATURE), value=value, status="Good")
+    await a_bad_value_is_no_success(run, opcua)
 
 
 @TASKS.task(
@@ -249,10 +261,10 @@ async def write_wrong_type(run: Repetition, opcua: Rig) -> None:
 
 @write_wrong_type.after
 async def a_number_is_accepted(run: Repetition, opcua: Rig) -> None:
-    """Write a number.
+    """Write a number; then the text "false" to a variable that is true or false.
 
-    Said: success.
-    Seen: one write that the server accepted, and the value in the variable.
+    Said: success; for the text a failure with `type_mismatch` or `invalid_input`, unless the variable is false then.
+    Seen: one write that the server accepted, and the value in the variable; the other variable is not true.
     """
     await opcua.stays_quiet(QUIET_S, lambda journal: oracle.accepted_writes(journal, 0, requirement="ADR-004"))
     run.succeeds(await opcua.call("write", node=VALVE, value=31.25), value=31.25)
@@ -260,6 +272,7 @@ async def a_number_is_accepted(run: Repetition, opcua: Rig) -> None:
         oracle.accepted_writes(await opcua.journal(), 1, requirement="OUA-001"),
         oracle.image_holds(await opcua.image(), VALVE, 31.25),
     )
+    await the_text_false_is_not_true(run, opcua)
 
 
 @TASKS.task(

@@ -128,6 +128,13 @@ class Device(Protocol):
     async def poke(self, **params: object) -> None:
         """Set a value out of band."""
 
+    async def fault(self, *rules: Mapping[str, object]) -> None:
+        """Replace the fault plan; no rules clears it.
+
+        Raises:
+            KitError: the device is none of the kit's own.
+        """
+
     async def delay(self, seconds: float) -> None:
         """Give every answer so many seconds late from now on; 0 ends that."""
 

@@ -312,7 +312,6 @@ class MockDevice:
         await self.ask("poke", params=params)
 
     async def fault(self, *rules: Mapping[str, object]) -> None:
-        """Replace the fault plan; no rules clears it."""
         await self.ask("fault", rules=[dict(rule) for rule in rules])
 
     async def delay(self, seconds: float) -> None:

@@ -91,7 +91,11 @@ class Sessions:
 
     def end(self, token: str) -> None:
         """End a session: its process is gone, and what comes of its connections from now on is of a session that is over."""
-        self._by_token[token].ended_ns = time.monotonic_ns()
+        session = self._by_token[token]
+        session.ended_ns = time.monotonic_ns()
+        number = session.pid()
+        # What knows the number may be the whole adapter; a run with fresh sessions would keep every one of them.
+        session.pid = lambda: number
 
     def attribute(self, entries: Iterable[JournalEntry], peers: Mapping[int, Peer]) -> list[JournalEntry]:
         """Say of each entry of a client's connection whose it is.

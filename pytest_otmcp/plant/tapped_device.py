@@ -160,6 +160,9 @@ class TappedDevice:
         """
         raise KitError(f"the {self.noun} cannot be changed past the tap")
 
+    async def fault(self, *rules: Mapping[str, object]) -> None:
+        raise KitError(f"the {self.noun} has no faults of its own")
+
     async def delay(self, seconds: float) -> None:
         """Let every frame of the device pass so many seconds late from now on; 0 ends that."""
         rule = FaultRule(action=Action.DELAY, direction="out", times=None, seconds=seconds)

@@ -313,6 +313,9 @@ class ReplayRig(Rig):
     async def poke(self, **params: object) -> None:
         pass
 
+    async def fault(self, *rules: Mapping[str, object]) -> None:
+        pass
+
     async def delay(self, seconds: float) -> None:
         pass
 

@@ -227,6 +227,10 @@ class LiveRig(Rig):
         with self._observing():
             await self.device.poke(**params)
 
+    async def fault(self, *rules: Mapping[str, object]) -> None:
+        with self._observing():
+            await self.device.fault(*rules)
+
     async def delay(self, seconds: float) -> None:
         with self._observing():
             await self.device.delay(seconds)

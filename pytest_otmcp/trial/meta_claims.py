@@ -54,7 +54,8 @@ def meta_faults(
         return
     if call.reachable and not any(entry["kind"] == "CONNECTED" for entry in seen):
         yield from _attempts(window, call, attempts, seen, protocol, declared)
-    if attempts and call.reachable:
+    # Of what the device could not read it cannot say what was in it.
+    if attempts and call.reachable and not any(entry["kind"] == "malformed" for entry in seen):
         yield from _trace(call, meta.get("trace"), seen, protocol)
         yield from _latency(window, call, meta.get("latency_ms"), attempts)
 

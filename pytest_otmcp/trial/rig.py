@@ -240,6 +240,10 @@ class Rig(WriteGate):
         """Return the values that the device really holds."""
 
     @abstractmethod
+    async def fault(self, *rules: Mapping[str, object]) -> None:
+        """Replace the faults of the mock device by these, in the words of its fault plan; without any rule they end."""
+
+    @abstractmethod
     async def delay(self, seconds: float) -> None:
         """Have the device answer so many seconds late; 0 ends that."""
 

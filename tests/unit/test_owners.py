@@ -7,6 +7,7 @@ import os
 import signal
 import socket
 import sys
+import weakref
 from asyncio.subprocess import PIPE, Process
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -17,7 +18,7 @@ import pytest_asyncio
 
 from pytest_otmcp.plant.device import Device
 from pytest_otmcp.plant.mock_device import MockDevice
-from pytest_otmcp.plant.owners import TOKEN_VARIABLE, new_token
+from pytest_otmcp.plant.owners import TOKEN_VARIABLE, Sessions, new_token
 from pytest_otmcp.plant.tapped_device import TappedDevice
 from pytest_otmcp.protocols.journal import judged
 from pytest_otmcp.protocols.registry import protocols
@@ -214,3 +215,16 @@ async def test_one_that_is_gone_before_it_was_accepted_counts_as_far_as_it_speak
     assert (entry["origin"], "process" in entry) == (origin, False)
     assert connected["origin"] == "unknown"
     assert (entry in judged([entry])) == (origin == "client")
+
+
+async def test_a_session_that_has_ended_is_not_kept() -> None:
+    class Process:
+        pid = 4711
+
+    process = Process()
+    ended = weakref.ref(process)
+    sessions = Sessions()
+    sessions.begin("token", lambda process=process: process.pid)
+    sessions.end("token")
+    del process
+    assert ended() is None

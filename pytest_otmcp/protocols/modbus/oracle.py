@@ -127,7 +127,9 @@ def _swapped(found: object, wanted: list[object]) -> bool:
     return found == [(word & 0xFF) << 8 | word >> 8 for word in words]
 
 
-def stored_otherwise(image: Image, table: str, address: int, asked: int, *, told: object) -> list[Finding]:
+def stored_otherwise(
+    image: Image, table: str, address: int, asked: float, *, told: object, requirement: str = "ADR-003"
+) -> list[Finding]:
     """Return the finding about a value that the register cannot hold, although its write was told as a success."""
     name = f"{table.removesuffix('s').replace('_', ' ')} {address}"
     claim = "success" if told is None else f"that it wrote {told}"
@@ -135,7 +137,7 @@ def stored_otherwise(image: Image, table: str, address: int, asked: int, *, told
         Finding(
             code="not_refused",
             message=f"asked to write {asked}; the adapter said {claim}; {name} holds {held(image, table, address)}",
-            requirement="ADR-003",
+            requirement=requirement,
         )
     ]
 
