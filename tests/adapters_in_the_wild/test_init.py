@@ -23,7 +23,7 @@ from pytest_otmcp.subject.model import Function
 from tests.soundness.document import DOCUMENT, with_section
 
 from .bindings_at_work import wrong_bindings
-from .conftest import EXAMPLES, Install
+from .conftest import Install
 from .init_launches import LAUNCHES, Launch
 from .init_section import section
 
@@ -168,7 +168,7 @@ def tools(adapter: Adapter) -> dict[str, str]:
 
 @pytest.mark.parametrize("launch", LAUNCHES, ids=NAMES)
 def test_what_init_proves_is_what_the_example_binds(launch: Launch) -> None:
-    by_hand = tools(load_subject(EXAMPLES / launch.example / "otmcp.toml").adapters[launch.protocol])
+    by_hand = tools(load_subject(DOCUMENT.parent / "examples" / launch.example / "otmcp.toml").adapters[launch.protocol])
     found = {**launch.proven, **launch.unfilled}
     assert {name: tool for name, tool in found.items() if name in by_hand} == {
         name: tool for name, tool in by_hand.items() if name in found
