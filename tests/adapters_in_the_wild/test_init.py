@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import re
 import socket
@@ -17,7 +18,6 @@ import pytest
 
 from pytest_otmcp.plant.mock_device import MockDevice
 from pytest_otmcp.protocols.registry import protocols
-from pytest_otmcp.session.loop import LoopThread
 from pytest_otmcp.subject import Adapter, load_subject
 from pytest_otmcp.subject.model import Function
 from tests.soundness.document import DOCUMENT, with_section
@@ -65,8 +65,17 @@ class AtUsualPort:
             self._process.stdin.close()
 
 
+async def at_a_mock(adapter: Adapter) -> list[str]:
+    device = MockDevice(protocols()[adapter.protocol].mock, adapter.protocol)
+    try:
+        await device.launch()
+        return await wrong_bindings(adapter, device)
+    finally:
+        await device.close()
+
+
 class Done:
-    """One call of ``otmcp init``: its words, the subject file, and what the adapter's processes connected to."""
+    """One call of ``otmcp init``, what the adapter's processes connected to meanwhile, and what is wrong with its bindings."""
 
     def __init__(self, launch: Launch, directory: Path, environment: Path) -> None:
         for venv in environment.glob(".venv*"):
@@ -82,9 +91,11 @@ class Done:
             timeout=TIMEOUT_S,
             check=False,
         )
-        self.file = directory / "otmcp.toml"
+        file = directory / "otmcp.toml"
         lines = log.read_text(encoding="utf-8").splitlines() if log.exists() else []
         self.connections = [tuple(line.split()) for line in lines]
+        self.adapter = load_subject(file).adapters[launch.protocol] if file.exists() else None
+        self.wrong = [] if self.adapter is None else asyncio.run(at_a_mock(self.adapter))
 
     def told(self, mark: str) -> dict[str, str]:
         """Operation to tool, of the lines with this mark."""
@@ -104,7 +115,7 @@ def plants() -> Iterator[list[AtUsualPort]]:
 def calls(
     installed: Install, plants: list[AtUsualPort], tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[dict[str, Future[Done]]]:
-    """Every launch's call, some at a time: adapters wait more than they work."""
+    """Every launch's call; several at a time, because adapters wait more than they work."""
     with ThreadPoolExecutor(AT_A_TIME) as pool:
         started = {}
         for launch in LAUNCHES:
@@ -125,38 +136,22 @@ def done(calls: dict[str, Future[Done]], launch: Launch) -> Done:
     return calls[launch.name].result()
 
 
-@pytest.fixture(scope="module")
-def loop() -> Iterator[LoopThread]:
-    thread = LoopThread()
-    yield thread
-    thread.close()
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("launch", LAUNCHES, ids=NAMES)
 def test_what_init_proves_is_right_and_nothing_but_the_mock_is_touched(
-    launch: Launch, done: Done, plants: list[AtUsualPort], loop: LoopThread
+    launch: Launch, done: Done, plants: list[AtUsualPort]
 ) -> None:
     assert done.process.returncode == 0, done.process.stdout + done.process.stderr
     assert done.told("proven") == {**launch.proven, **launch.unfilled}, done.process.stdout
     assert done.process.stdout.count("\n  - ") == launch.left, done.process.stdout
-    adapter = load_subject(done.file).adapters[launch.protocol]
-    assert tools(adapter) == launch.proven
+    assert done.adapter is not None
+    assert tools(done.adapter) == launch.proven
 
     assert done.connections, "nobody watched"
     assert [address for address, mock in done.connections if address != mock] == []
     assert [plant.seen() for plant in plants] == [[], [], []]
 
-    assert loop.run(at_a_mock(adapter)) == []
-
-
-async def at_a_mock(adapter: Adapter) -> list[str]:
-    device = MockDevice(protocols()[adapter.protocol].mock, adapter.protocol)
-    try:
-        await device.launch()
-        return await wrong_bindings(adapter, device)
-    finally:
-        await device.close()
+    assert done.wrong == []
 
 
 def tools(adapter: Adapter) -> dict[str, str]:
@@ -168,7 +163,9 @@ def tools(adapter: Adapter) -> dict[str, str]:
 
 @pytest.mark.parametrize("launch", LAUNCHES, ids=NAMES)
 def test_what_init_proves_is_what_the_example_binds(launch: Launch) -> None:
-    by_hand = tools(load_subject(DOCUMENT.parent / "examples" / launch.example / "otmcp.toml").adapters[launch.protocol])
+    by_hand = tools(
+        load_subject(DOCUMENT.parent / "examples" / launch.example / "otmcp.toml").adapters[launch.protocol]
+    )
     found = {**launch.proven, **launch.unfilled}
     assert {name: tool for name, tool in found.items() if name in by_hand} == {
         name: tool for name, tool in by_hand.items() if name in found
