@@ -178,11 +178,11 @@ def failure_rules(
     if not interpret(failure, Answering(form=form)).success:
         return []
     rules: list[dict[str, Any]] = []
+    if document is not None and not isinstance(document, str):
+        rules += [{"path": path, "then": "failure"} for path in _FAILING_PATHS]
     first = _FAILING_WORDS.match(text)
     if first is not None:
         rules.append({"text": f"(?i)^\\W*{first[1].lower()}", "then": "failure"})
-    if document is not None and not isinstance(document, str):
-        rules += [{"path": path, "then": "failure"} for path in _FAILING_PATHS]
     for rule in rules:
         answering = Answering(
             form=form, outcome=(OutcomeRule(success=False, text=rule.get("text"), path=rule.get("path")),)

@@ -8,11 +8,12 @@ import os
 import socket
 import stat
 import sys
+from typing import Any
 
 LOG, MOCK = os.environ["WATCH_LOG"], os.environ["WATCH_MOCK"]
 
 
-def _listens(address):
+def _listens(address: tuple[Any, ...]) -> bool:
     for name in os.listdir("/proc/self/fd"):
         try:
             if not stat.S_ISSOCK(os.stat(f"/proc/self/fd/{name}").st_mode):
@@ -26,7 +27,7 @@ def _listens(address):
     return False
 
 
-def _watch(event, arguments):
+def _watch(event: str, arguments: tuple[Any, ...]) -> None:
     if event in ("socket.connect", "socket.sendto") and isinstance(arguments[1], tuple):
         address = arguments[1][:2]
         if not _listens(address):
