@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -15,6 +16,9 @@ from .evidence import CONNECT_FAILED, failure_rules, known_errors
 from .proposal import Proposal
 
 __all__ = ["Draft", "write_document"]
+
+_LONG_S, _MOST_S = 3.0, 30.0
+"""Seconds: a call that took longer needs another deadline than the default of 5, and no certificate is given for a longer one."""
 
 _WAITS = "receives by a call that waits"
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
@@ -29,6 +33,7 @@ class Draft:
         proposals: operation to its proposal; an operation without a tool is missing.
         connect: tool and arguments of a connect step.
         tools: names of all its tools.
+        longest_s: how long the longest call took that was answered.
         errors: error code to patterns of the texts in which the protocol's libraries report it.
         left: sentences on the entries that the user has to fill in; :func:`write_document` adds to it.
     """
@@ -45,6 +50,7 @@ class Draft:
     proposals: Mapping[str, Proposal]
     connect: tuple[str, Mapping[str, object]] | None
     tools: Sequence[str]
+    longest_s: float
     errors: Mapping[str, Sequence[str]]
     left: list[str] = field(default_factory=list)
 
@@ -89,6 +95,11 @@ def write_document(draft: Draft, *, into: bool = False) -> str:
         lines.append(f"files = {_value(dict(draft.files))}")
     if draft.era is not None:
         lines.append(f"era = {_value(draft.era)}")
+    if draft.longest_s > _LONG_S:
+        lines += [
+            f"# The longest call took {draft.longest_s:.1f} s; the default is 5.",
+            f"deadline_s = {min(_MOST_S, 5.0 * math.ceil(draft.longest_s / 5.0 + 1.0)):.1f}",
+        ]
     if draft.transport_url is not None:
         lines += ['transport = "http"', f"url = {_value(draft.transport_url)}"]
     lines += [
@@ -138,23 +149,19 @@ def _answer_rules(draft: Draft, form: str) -> list[str]:
     successes = [proposal.good for proposal in proven if proposal.good is not None]
     outcome: list[dict[str, object]] = []
     errors: list[dict[str, str]] = []
-    for proposal in proven:
-        if proposal.bad is None:
-            continue
-        rules = failure_rules(proposal.bad, successes, form)
+    patterns = {"connect_failed": CONNECT_FAILED, **draft.errors}
+    for tried, (code, failure) in ((tried, failed) for tried in proven for failed in tried.failures):
+        rules = failure_rules(failure, successes, form)
         outcome += [rule for rule in rules if rule not in outcome]
-        if not rules and interpret(proposal.bad, Answering(form=form)).success:
+        if not rules and interpret(failure, Answering(form=form)).success:
             draft.left.append(
-                f"outcome: nothing tells a failure of {proposal.guess.tool!r} from a success; see its answer"
+                f"outcome: nothing tells a failure of {tried.guess.tool!r} from a success; see its answer"
             )
-        text = json.dumps(proposal.bad, ensure_ascii=False)
-        patterns = {"connect_failed": CONNECT_FAILED, **draft.errors}
-        found = known_errors(patterns, proposal.bad_code or "", text)
+        text = json.dumps(failure, ensure_ascii=False)
+        found = known_errors(patterns, code, text)
         errors += [rule for rule in found if rule not in errors]
         if not found:
-            lines.append(
-                f"# {proposal.guess.tool}: what had to fail as {proposal.bad_code} was answered with {_shortened(text)}"
-            )
+            lines.append(f"# {tried.guess.tool}: what had to fail as {code} was answered with {_shortened(text)}")
     if outcome:
         lines += ["# Failures that isError does not tell, as tried:", *_rules("outcome", outcome)]
     if errors:

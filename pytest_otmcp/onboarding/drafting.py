@@ -19,7 +19,7 @@ from .experimenter import Experimenter
 from .matching import guess_connect, guess_tools
 from .pack import Pack
 from .proposal import Proposal
-from .status import outlast
+from .status import look_without_device
 
 __all__ = ["describe_launch", "draft"]
 
@@ -107,6 +107,7 @@ async def draft(adapter: Adapter, pack: Pack, device: MockDevice, say: Callable[
         proposals=proposals,
         connect=None if step is None else (step.tool, step.arguments),
         tools=tuple(tools),
+        longest_s=experimenter.longest_s,
         errors=pack.errors,
     )
 
@@ -132,12 +133,10 @@ async def _try_operations(
                 proposals[operation] = proposal
             if not known.status:
                 say(_line(operation, proposal))
+    await look_without_device(experimenter, proposals)
     for operation, known in operations.items():
         if known.status:
-            proposal = proposals.get(operation)
-            if proposal is not None and proposal.proven:
-                await outlast(experimenter, proposal, known.tells)
-            say(_line(operation, proposal))
+            say(_line(operation, proposals.get(operation)))
     return proposals
 
 

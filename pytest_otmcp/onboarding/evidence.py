@@ -23,7 +23,8 @@ __all__ = [
 ]
 
 CONNECT_FAILED = (
-    r"(?i)refused|unreachable|offline|not connected|connection (failed|lost|closed)|(failed|unable|could not|cannot) to? ?(connect|reach)",
+    r"(?i)connection (refused|failed|lost|closed|reset)|connect call failed|broken pipe|unreachable|offline|not connected"
+    r"|(failed to|unable to|could not|cannot) (connect|reach)",
 )
 """Patterns of the texts in which adapters of any protocol say that their device cannot be reached."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import time
 from collections.abc import Awaitable, Callable, Mapping
 
 from ..core.strict_json import parse_strict
@@ -38,6 +39,7 @@ class Experimenter:
         adapter: the adapter; what writes is tried in a process of its own, to which only what was proven has been said.
         device: the mock device.
         random: source of values that no adapter can know.
+        longest_s: how long the longest call took that was answered.
     """
 
     def __init__(self, adapter: AdapterUnderTest, device: MockDevice, late: Mapping[str, object] | None = None) -> None:
@@ -48,6 +50,7 @@ class Experimenter:
         """
         self.device = device
         self.random: random.Random = random.SystemRandom()
+        self.longest_s = 0.0
         self.adapter = adapter
         self._late = late
         self._read: list[tuple[Proposal, Experiment]] = []
@@ -153,9 +156,11 @@ class Experimenter:
         )
         arguments = binding.fill(inputs, self.adapter.endpoint)
         timeout_s = 1.2 * self.adapter.deadline_s
+        began = time.monotonic()
         exchange = await self.adapter.call_tool(guess.tool, arguments, writes=writes, timeout_s=timeout_s)
         if exchange.response is None:
             return None, f"no answer ({exchange.failure})"
+        self.longest_s = max(self.longest_s, time.monotonic() - began)
         try:
             return parse_strict(exchange.response), ""
         except ValueError as error:
@@ -179,7 +184,8 @@ class Experimenter:
             code: the error code that this failure should have.
         """
         failing = await self.call(proposal.guess, proposal.offset, **inputs)
-        proposal.bad, proposal.bad_code = failing.message, code
+        if failing.message is not None:
+            proposal.failures.append((code, failing.message))
 
     def locate(self, proposal: Proposal, output: str, expected: object) -> None:
         """Look in the answer for a value that the device is known to have given."""

@@ -21,8 +21,8 @@ class Proposal:
         offset: input to the number that has to be added to it.
         form: where the answer's document is: ``structured``, ``json``, ``text`` or ``texts``.
         outputs: output to its rule.
-        good, bad: answers to a call that succeeded and to one that had to fail.
-        bad_code: the error code that the latter should have.
+        good: the answer to a call that succeeded.
+        failures: answers to calls that had to fail, each with the error code that it should have.
         blocking: the call waits for what it answers.
         returned: a random value came from the mock device through the tool, or to it.
         whole: False when it is only right as long as there is no tool that does more.
@@ -35,8 +35,7 @@ class Proposal:
     form: str | None = None
     outputs: dict[str, Mapping[str, object]] = field(default_factory=dict)
     good: Mapping[str, object] | None = None
-    bad: Mapping[str, object] | None = None
-    bad_code: str | None = None
+    failures: list[tuple[str, Mapping[str, object]]] = field(default_factory=list)
     blocking: bool = False
     returned: bool = False
     whole: bool = True

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
+from ..protocols.registry import protocols
 from .evidence import claims_success, failure_rules, turned_false
 from .experimenter import Experimenter, words_of
 from .guess import Guess
 from .proposal import Proposal
 
-__all__ = ["outlast", "reach"]
+__all__ = ["look_without_device", "reach"]
 
 
 async def reach(experimenter: Experimenter, guess: Guess) -> Proposal:
@@ -22,30 +25,49 @@ async def reach(experimenter: Experimenter, guess: Guess) -> Proposal:
     return Proposal(guess=guess, proven=proven, evidence=evidence, good=shown.message)
 
 
-async def outlast(experimenter: Experimenter, proposal: Proposal, tells: str | None) -> None:
-    """Ask for the device's state while the device is gone: only an answer that says so proves that it is the state.
+async def look_without_device(experimenter: Experimenter, proposals: Mapping[str, Proposal]) -> None:
+    """Call what is proven and cannot succeed while the device is gone: each status, and one other operation.
 
     It is the last experiment, because an adapter may not come back from it.
+    """
+    known = protocols()[experimenter.adapter.adapter.protocol]
+    proven = [
+        (known.operations[operation], proposals[operation], inputs)
+        for operation, inputs in known.proof.unreachable
+        if operation in proposals and proposals[operation].proven
+    ]
+    others = [tried for tried in proven if not tried[0].status]
+    for operation, proposal, inputs in [*(tried for tried in proven if tried[0].status), *others[:1]]:
+        await experimenter.adapter.open()
+        await experimenter.device.stop()
+        try:
+            message, failure = await experimenter.answer(proposal.guess, proposal.offset, inputs, writes=False)
+        finally:
+            await experimenter.device.start()
+        if operation.status:
+            _judge_status(proposal, operation.tells, message, failure)
+        elif message is not None:
+            proposal.failures.append(("connect_failed", message))
+
+
+def _judge_status(proposal: Proposal, tells: str | None, message: Mapping[str, object] | None, failure: str) -> None:
+    """Take back the proof of a status that does not say that the device is gone.
 
     Args:
         tells: the output that says whether the device can be reached.
+        message: the answer while the device was gone; None where there was none.
+        failure: why there was none.
     """
-    await experimenter.adapter.open()
-    await experimenter.device.stop()
-    try:
-        message, failure = await experimenter.answer(proposal.guess, {}, {}, writes=False)
-    finally:
-        await experimenter.device.start()
     good = proposal.good or {}
     if message is None:
         proposal.evidence.append(f"with the device gone: {failure}")
         return
-    if (place := turned_false(good, message)) is not None and tells is not None:
+    if tells is not None and (place := turned_false(good, message)) is not None:
         proposal.form, proposal.outputs[tells] = place.form, place.rule
     elif claims_success(message) and not failure_rules(message, [good], "text"):
         proposal.proven = False
         proposal.evidence = [f"with the device gone it says nothing of that: {words_of(message)}"]
         return
     else:
-        proposal.bad, proposal.bad_code = message, "connect_failed"
+        proposal.failures.append(("connect_failed", message))
     proposal.evidence.append("with the device gone it said so")
