@@ -150,7 +150,8 @@ def _answer_rules(draft: Draft, form: str) -> list[str]:
     outcome: list[dict[str, object]] = []
     errors: list[dict[str, str]] = []
     patterns = {"connect_failed": CONNECT_FAILED, **draft.errors}
-    for tried, (code, failure) in ((tried, failed) for tried in proven for failed in tried.failures):
+    failures = [(proposal, *failed) for proposal in proven for failed in proposal.failures]
+    for tried, code, failure in failures:
         rules = failure_rules(failure, successes, form)
         outcome += [rule for rule in rules if rule not in outcome]
         if not rules and interpret(failure, Answering(form=form)).success:
