@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from pytest_otmcp.core.finding import Finding
@@ -21,6 +22,8 @@ __all__ = [
     "UNCERTAIN",
     "Witness",
     "a_delay_shows",
+    "a_meaningless_switch_enables_nothing",
+    "ends_when_its_stdin_closes",
     "fresh",
     "outage",
     "start_without_device",
@@ -191,6 +194,21 @@ async def outage(run: Repetition, rig: Rig, operation: str, witness: Witness, **
     if first.success:
         phases["fresh_session"] = milliseconds(fresh.spawned_ns, first.exchange.received_ns)
         phases["fresh_session_ok"] = True
+
+
+async def a_meaningless_switch_enables_nothing(run: Repetition, guarded: Rig, operation: str, **inputs: Any) -> None:
+    """Start the adapter, whose session has been closed, with a write switch that means nothing, and let it write."""
+    if not await guarded.garble_switch():
+        return
+    run.fails(await guarded.call(operation, **inputs), "writes_disabled", outcome="not_sent", requirement="WR-005")
+    await guarded.close_session()
+    commanded = nothing_commanded(guarded.protocol, await guarded.journal(), guarded.declared)
+    run.witnessed([replace(finding, requirement="WR-005") for finding in commanded])
+
+
+async def ends_when_its_stdin_closes(rig: Rig) -> None:
+    """End the adapter's process by the end of its stdin, which is judged, and start it anew."""
+    await rig.fresh_session()
 
 
 async def start_without_device(run: Repetition, rig: Rig, operation: str, **inputs: Any) -> None:

@@ -23,6 +23,8 @@ from .common import (
     UNCERTAIN,
     Witness,
     a_delay_shows,
+    a_meaningless_switch_enables_nothing,
+    ends_when_its_stdin_closes,
     fresh,
     outage,
     start_without_device,
@@ -88,7 +90,7 @@ async def a_slow_device_is_reported_as_slow(run: Repetition, modbus: Rig) -> Non
     "Read a four-register sensor block from the Modbus mock.",
     needs="modbus.read_input",
     capability="reading",
-    requirements="RD-001 RD-002 RD-004",
+    requirements="RD-001 RD-002 RD-004 MCP-009",
 )
 async def read_sensor_block(run: Repetition, modbus: Rig) -> None:
     """Read four input registers whose values were set at random just before.
@@ -107,6 +109,15 @@ async def read_sensor_block(run: Repetition, modbus: Rig) -> None:
         oracle.no_state_changing_request(journal, requirement="MCP-008"),
         oracle.image_holds(await modbus.image(), "input_registers", 0, values),
     )
+
+
+@read_sensor_block.after
+async def the_process_ends_with_its_stdin(run: Repetition, modbus: Rig) -> None:
+    """End the session.
+
+    Seen: the process ends by itself.
+    """
+    await ends_when_its_stdin_closes(modbus)
 
 
 @TASKS.task(
@@ -149,7 +160,7 @@ async def write_and_read_back(run: Repetition, modbus: Rig) -> None:
     "Attempt a write with writes disabled and expect a guarded rejection.",
     needs="modbus.write_holding modbus.read_holding modbus.guard",
     capability="write_protection",
-    requirements="WR-004 ERR-006",
+    requirements="WR-004 WR-005 ERR-006",
 )
 async def guarded_write(run: Repetition, modbus_ro: Rig) -> None:
     """Write a register through the adapter that was started with writes disabled.
@@ -170,9 +181,10 @@ async def guarded_write(run: Repetition, modbus_ro: Rig) -> None:
 @guarded_write.after
 async def the_guard_was_put_to_the_test(run: Repetition, modbus: Rig, modbus_ro: Rig) -> None:
     """Read with writes disabled, and write the same value with writes enabled: both must work, or the refusal proves
-    nothing.
+    nothing. Then write through the adapter that was started with a write switch that means nothing.
 
-    Seen: over the whole life of the read-only session, its end included, nothing that changes the plant.
+    Said: a refusal with `writes_disabled` and the outcome `not_sent`, unless the adapter refuses to start so.
+    Seen: over the whole life of the read-only sessions, their end included, nothing that changes the plant.
     """
     # The refusal only proves the guard if the read-only session reaches its device and the same call works without the guard.
     read = await modbus_ro.call("read_holding", address=1, count=1)
@@ -186,6 +198,7 @@ async def the_guard_was_put_to_the_test(run: Repetition, modbus: Rig, modbus_ro:
     # This device's journal holds the whole life of the read-only session, its closing included, and nothing else.
     await modbus_ro.close_session()
     run.witnessed(oracle.nothing_changed_by(await modbus_ro.follow(StateChanges)))
+    await a_meaningless_switch_enables_nothing(run, modbus_ro, "write_holding", address=1, value=999)
 
 
 @TASKS.task(

@@ -23,6 +23,8 @@ from .common import (
     UNCERTAIN,
     Witness,
     a_delay_shows,
+    a_meaningless_switch_enables_nothing,
+    ends_when_its_stdin_closes,
     outage,
     start_without_device,
     status_is_known,
@@ -121,7 +123,7 @@ async def a_received_message_can_be_read(run: Repetition, mqtt: Rig) -> None:
     needs="mqtt.publish",
     capability="writing",
     guards="mqtt",
-    requirements="MQT-001 MQT-003 WR-003 WR-004",
+    requirements="MQT-001 MQT-003 WR-003 WR-004 WR-005",
 )
 async def publish_control(run: Repetition, mqtt: Rig) -> None:
     """Publish a command.
@@ -145,13 +147,17 @@ async def publish_control(run: Repetition, mqtt: Rig) -> None:
 
 @publish_control.after
 async def nothing_is_published_with_writes_disabled(run: Repetition, mqtt_ro: Rig | None) -> None:
-    """Publish the same through the adapter that was started with writes disabled.
+    """Publish the same through the adapter that was started with writes disabled, and through one that was started with a write
+    switch that means nothing.
 
-    Said: a refusal with `writes_disabled` and the outcome `not_sent`.
-    Seen: no command over the whole life of that session.
+    Said: a refusal with `writes_disabled` and the outcome `not_sent`; the second may refuse to start instead.
+    Seen: no command over the whole life of these sessions.
     """
     witness = partial(oracle.not_published, payload=b"guarded", requirement="WR-004")
-    await guarded_publish(run, mqtt_ro, witness, "publish", topic="control/pump", payload="guarded", qos=0)
+    command = {"topic": "control/pump", "payload": "guarded", "qos": 0}
+    await guarded_publish(run, mqtt_ro, witness, "publish", **command)
+    if mqtt_ro is not None:
+        await a_meaningless_switch_enables_nothing(run, mqtt_ro, "publish", **command)
 
 
 async def guarded_publish(
@@ -233,7 +239,7 @@ def nothing_to_nowhere(mqtt: Rig) -> Witness:
     "Publish to empty topic string and expect a structured invalid-input error.",
     needs="mqtt.publish",
     capability="refusing",
-    requirements="ADR-006 ERR-006",
+    requirements="ADR-006 ERR-006 MCP-009",
 )
 async def publish_to_nowhere(run: Repetition, mqtt: Rig) -> None:
     """Publish on an empty topic.
@@ -250,10 +256,10 @@ async def publish_to_nowhere(run: Repetition, mqtt: Rig) -> None:
 
 @publish_to_nowhere.after
 async def a_proper_topic_is_accepted(run: Repetition, mqtt: Rig) -> None:
-    """Publish on a proper topic; before that, on one with a wildcard and on one with a null character.
+    """Publish on a proper topic; before that, on one with a wildcard and on one with a null character. Then end the session.
 
     Said: success; for the two others a failure with `invalid_input` and the outcome `not_sent`.
-    Seen: the message, once, and nothing of the two others; the connection stays up.
+    Seen: the message, once, and nothing of the two others; the connection stays up. The process ends by itself.
     """
     await mqtt.stays_quiet(QUIET_S, nothing_to_nowhere(mqtt))
     await filters_are_no_topics(run, mqtt)
@@ -264,6 +270,7 @@ async def a_proper_topic_is_accepted(run: Repetition, mqtt: Rig) -> None:
     run.witnessed(
         oracle.published_once(journal, topic="control/pump", payload=b"control", qos=qos, declared=mqtt.declared)
     )
+    await ends_when_its_stdin_closes(mqtt)
 
 
 @TASKS.task(

@@ -22,6 +22,8 @@ from .common import (
     UNCERTAIN,
     Witness,
     a_delay_shows,
+    a_meaningless_switch_enables_nothing,
+    ends_when_its_stdin_closes,
     fresh,
     outage,
     start_without_device,
@@ -49,7 +51,7 @@ def reading(node: str) -> Witness:
     "Read the temperature sensor variable from the OPC UA mock plant.",
     needs="opcua.read",
     capability="reading",
-    requirements="RD-001 RD-004 OUA-002",
+    requirements="RD-001 RD-004 OUA-002 MCP-009",
 )
 async def read_temperature(run: Repetition, opcua: Rig) -> None:
     """Read a variable whose value was set at random just before.
@@ -72,11 +74,13 @@ async def read_temperature(run: Repetition, opcua: Rig) -> None:
 
 @read_temperature.after
 async def a_slow_device_is_reported_as_slow(run: Repetition, opcua: Rig) -> None:
-    """Read while the server answers a tenth of a second late.
+    """Read while the server answers a tenth of a second late; then end the session.
 
     Said: success, and a latency that is no shorter than that.
+    Seen: the process ends by itself.
     """
     await a_delay_shows(run, opcua, "read", node=TEMPERATURE)
+    await ends_when_its_stdin_closes(opcua)
 
 
 @TASKS.task(
@@ -121,7 +125,7 @@ async def a_long_list_comes_in_parts(run: Repetition, opcua: Rig) -> None:
     needs="opcua.write opcua.read",
     capability="writing",
     guards="opcua",
-    requirements="WR-004 WR-001 WR-002 WR-003",
+    requirements="WR-004 WR-005 WR-001 WR-002 WR-003",
 )
 async def write_valve_position(run: Repetition, opcua: Rig) -> None:
     """Write a variable, and read it.
@@ -150,9 +154,11 @@ async def write_valve_position(run: Repetition, opcua: Rig) -> None:
 
 @write_valve_position.after
 async def nothing_is_written_with_writes_disabled(run: Repetition, opcua_ro: Rig | None) -> None:
-    """Write, and read, through the adapter that was started with writes disabled.
+    """Write, and read, through the adapter that was started with writes disabled; write through one that was started with a write
+    switch that means nothing.
 
-    Said: a refusal with `writes_disabled` and the outcome `not_sent`; success for the read.
+    Said: a refusal with `writes_disabled` and the outcome `not_sent`; success for the read; the refusal again, unless the adapter
+        refuses to start so.
     Seen: the read, and over the whole life of that session nothing that changes the plant.
     """
     if opcua_ro is None:
@@ -167,6 +173,7 @@ async def nothing_is_written_with_writes_disabled(run: Repetition, opcua_ro: Rig
         oracle.nothing_changed_by(await opcua_ro.follow(StateChanges)),
         oracle.only_changed(before, await opcua_ro.image(), {}, otherwise="WR-004"),
     )
+    await a_meaningless_switch_enables_nothing(run, opcua_ro, "write", node="ns=2;s=ValvePosition", value=99.5)
 
 
 @TASKS.task(

@@ -360,6 +360,7 @@ class Observation(TypedDict):
     oracles have seen everything before this number. ``wait``: so many entries had matched when the waiting was over. ``image``:
     a device image; ``changes``: what differs in one from the last whole image of the device. ``stop``: the device was stopped,
     milliseconds; ``start``: it was started, its journal counts from 0 again. ``fresh_session``: the session was replaced.
+    ``garbled``: number of the entry at which a session with a write switch that means nothing began; None where there was none.
     ``end``: the slice ends before this number, the next one begins there.
     """
 
@@ -376,6 +377,7 @@ class Observation(TypedDict):
     stop: NotRequired[float]
     start: NotRequired[Started]
     fresh_session: NotRequired[FreshSession]
+    garbled: NotRequired[Count | None]
     end: NotRequired[Count]
 
 

@@ -254,6 +254,8 @@ class ReplayRig(Rig):
                     cursor.restart()
                 elif "fresh_session" in seen:
                     cursor.open_session(seen["fresh_session"]["opened"])
+                elif (opened := seen.get("garbled")) is not None:
+                    cursor.open_session(opened)
                 elif "end" in seen:
                     cursor.next = cursor.fed = seen["end"]
         self._state.running = True
@@ -327,6 +329,13 @@ class ReplayRig(Rig):
 
     async def _reconnecting(self) -> None:
         pass
+
+    async def garble_switch(self) -> bool:
+        opened = self._seen("garbled")["garbled"]
+        if opened is None:
+            return False
+        self._cursor.open_session(opened)
+        return True
 
     async def close_session(self) -> None:
         self._cursor.close_session()

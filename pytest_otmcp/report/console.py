@@ -27,7 +27,8 @@ from . import (
     tally,
     timing_valid,
 )
-from .findings import cited, faults, subject_keys
+from .causes import Cause, causes
+from .findings import subject_keys
 from .strangers import strangers
 from .text import count, interval, number, printable, shortened
 
@@ -39,7 +40,8 @@ _NONE = "---"
 _BENCHMARK = ("tool calls", "MCP client", "endpoint restarts", "fresh sessions")
 """Activities that are the benchmark itself, the client's share of a tool call included."""
 
-_SHOWN_FINDINGS = 3
+_SHOWN_CAUSES = 10
+_SHOWN_FINDINGS = 2
 _WIDE = 120
 """Columns from which on there is room for mean and interval; a narrower terminal shows the task's title instead."""
 
@@ -64,7 +66,7 @@ def summary(run: Run, width: int = 100) -> list[Line]:
     return [
         *lines,
         ("", "plain"),
-        *_findings(run, width),
+        *_causes(run, width),
         *_warnings(run, width),
         *_counts(run, width),
         *_narrowed(run, width),
@@ -124,28 +126,39 @@ def _wrapped(text: str, width: int, indent: str) -> Iterator[str]:
         yield from textwrap.wrap(printable(line), width, initial_indent=first, subsequent_indent=indent) or [""]
 
 
-def _findings(run: Run, width: int) -> Iterator[Line]:
+def _causes(run: Run, width: int) -> Iterator[Line]:
     failed = [item for item in run["items"] if item["status"] not in ("PASS", "NOT_APPLICABLE")]
     if not failed:
         return
-    yield "findings", "head"
-    for item in failed:
-        yield shortened(f"  {item['id']} {item['status']}: {item['title']}", width), "bad"
-        shown = faults(item)
-        texts = [
-            f"{fault.where(item['planned'])}{fault.finding['message']} [{cited(fault.finding)}]" for fault in shown
-        ]
-        texts = texts[:_SHOWN_FINDINGS]
-        if len(shown) > _SHOWN_FINDINGS:
-            texts.append(f"and {len(shown) - _SHOWN_FINDINGS} more in run.json")
-        if item["reason"] and (item["status"] == "KIT_ERROR" or not shown):
-            texts.insert(0, item["reason"])
-        texts += [f"in the subject file: {key}" for key in subject_keys(item)]
-        for text in texts:
+    found = causes(run)
+    yield "causes", "head"
+    for cause in found[:_SHOWN_CAUSES]:
+        for line in _wrapped(f"  {cause.rule} {cause.family}: {' '.join(cause.items)}", width, "    "):
+            yield line, "bad"
+        for text in _told(cause):
             for line in _wrapped(f"      {text}", width, "        "):
                 yield line, "plain"
-    yield "  otmcp explain says what an item, or an id in brackets, means", "plain"
+    if len(found) > _SHOWN_CAUSES:
+        yield f"  and {len(found) - _SHOWN_CAUSES} more in report.html", "plain"
+    explained = {name for cause in found for name in cause.items}
+    for item in failed:
+        if item["id"] not in explained or item["status"] == "KIT_ERROR":
+            for line in _wrapped(f"  {item['id']} {item['status']}: {item['reason'] or item['title']}", width, "    "):
+                yield line, "bad"
+    yield "  otmcp explain says what an item, a rule or a code in brackets means", "plain"
     yield "", "plain"
+
+
+def _told(cause: Cause) -> Iterator[str]:
+    if cause.statement:
+        yield cause.statement
+    place = "" if cause.repetition is None else f" rep {cause.repetition + 1}/{cause.where['planned']}"
+    more = f", {cause.times} times in all" if cause.times > 1 else ""
+    yield f"{cause.where['id']}{place}{more}: {cause.first['message']} [{cause.first['code']}]"
+    for message in cause.further[:_SHOWN_FINDINGS]:
+        yield f"also: {message}"
+    for key in subject_keys(cause.where):
+        yield f"in the subject file: {key}"
 
 
 def _warnings(run: Run, width: int) -> Iterator[Line]:

@@ -23,6 +23,7 @@ from ..record.warnings import warnings
 from ..suite.requirements import requirements
 from . import Item, Run, applied, command, deadlines, overview, tally, timing_valid
 from .capabilities import earned
+from .causes import causes
 from .drawings import latencies, recovery, strip
 from .evidence import failures
 from .families import families, style_sheet
@@ -88,6 +89,7 @@ def page(run: Run) -> str:
         deviations=overview.deviations(run),
         families=families(run),
         capabilities=earned(run),
+        causes=causes(run),
         failures=failing,
         anchors=anchors,
         # The id of a failed item links to its evidence.

@@ -14,6 +14,7 @@ from ..core.matrix import SUITES
 from ..record.warnings import said, warnings
 from . import Item, Run, applied, command, deadlines, tally
 from .capabilities import earned
+from .causes import causes
 from .evidence import failures
 from .families import families
 from .findings import cited, faults, subject_keys
@@ -83,6 +84,7 @@ def summary(run: Run) -> str:
         ),
         "",
         *_earned(run),
+        *_causes(run),
         *_findings(run),
     ]
     for suite in SUITES:
@@ -108,6 +110,20 @@ def _earned(run: Run) -> list[str]:
         cells = [f"{_SIGNS.get(one.grade, '❌')} {one.grade}" for one in grades]
         rows.append([heading.name, *cells])
     return _table(["What may be connected, and what for", *map(escape, columns)], rows)
+
+
+def _causes(run: Run) -> Iterator[str]:
+    found = causes(run)
+    if not found:
+        return
+    yield "### Causes"
+    yield ""
+    for one in found[:_ITEMS]:
+        told = escape(one.statement) or code(one.first["message"])
+        yield f"- **{escape(one.rule)}** {escape(one.family)}, in {escape(' '.join(one.items))}: {told}"
+    if len(found) > _ITEMS:
+        yield f"- {len(found) - _ITEMS} more causes; see report.html"
+    yield ""
 
 
 def _findings(run: Run) -> Iterator[str]:

@@ -8,7 +8,7 @@ import json
 import os
 import re
 from collections.abc import Awaitable, Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -350,6 +350,16 @@ class Adapter:
             named |= {name: os.environ.get(name, "") for name in set().union(*map(environment_names, texts))}
             found |= {value for name, value in named.items() if name in self.secrets or _SECRET_NAME.search(name)}
         return found
+
+    @property
+    def write_switch(self) -> str | None:
+        """The environment variable whose value is all that tells the variants apart; None where there is no such one."""
+        enabled, disabled = self.variants[READ_WRITE], self.variants[READ_ONLY]
+        if replace(enabled, env=disabled.env) != disabled:
+            return None
+        names = enabled.env.keys() | disabled.env.keys()
+        differing = [name for name in names if enabled.env.get(name) != disabled.env.get(name)]
+        return differing[0] if len(differing) == 1 else None
 
     @property
     def blocking(self) -> tuple[str, ...]:

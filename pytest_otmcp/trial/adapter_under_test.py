@@ -26,6 +26,7 @@ from ..protocols.registry import protocols
 from ..record.schema import AdapterFacts, StoredBinding, ToolListing
 from ..record.schema import Device as DeviceFacts
 from ..session.exchange import Exchange, joined
+from ..session.process import StopReport
 from ..session.session import McpSession, SessionOptions
 from ..subject.addressing import addressed_by, carries_address
 from ..subject.answers import interpret, read_answer
@@ -43,9 +44,12 @@ from ..subject.model import (
 from .cursor import JournalCursor
 from .reply import Expectation, Reply, observe, replace_outputs
 
-__all__ = ["MAIN", "AdapterUnderTest", "BenchOptions", "NoBindingError", "endpoint_values"]
+__all__ = ["MAIN", "AdapterUnderTest", "BenchOptions", "EndedSession", "NoBindingError", "endpoint_values"]
 
 _EXIT_GRACE_S = 5.0
+
+_MEANINGLESS = "otmcp-neither-on-nor-off"
+"""No adapter can take this for "on" or "off"."""
 """Time that an adapter has from the end of its stdin to its exit (requirement MCP-009)."""
 
 
@@ -107,6 +111,20 @@ class ServerFacts(TypedDict, total=False):
     tools: int
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EndedSession:
+    """The facts of a session that is over. The session itself, a quarter of a megabyte, is not kept: an item may have a thousand.
+
+    Attributes:
+        stray_lines, first_stray: number of lines on stdout that are no MCP message, and the first of them.
+        report: the end of the process; None when there was none.
+    """
+
+    stray_lines: int
+    first_stray: str
+    report: StopReport | None
+
+
 class AdapterUnderTest:
     """One adapter variant, its session, and the device it talks to.
 
@@ -136,9 +154,10 @@ class AdapterUnderTest:
         self._server: ServerFacts = {}
         self.used: dict[str, None] = {}
         self._called: set[str] = set()
-        self._ended: list[McpSession] = []
+        self._ended: list[EndedSession] = []
         self._addressed = False
         self.legacy = False
+        self._garbled: Mapping[str, str] = {}
         self.first = first
         self.cursor = JournalCursor(adapter.protocol, first)
 
@@ -227,7 +246,9 @@ class AdapterUnderTest:
             url=None if self.adapter.url is None else str(replace_placeholders(self.adapter.url, values)),
         )
         self._token = new_token()
-        session = McpSession(launch.command, {**launch.env, TOKEN_VARIABLE: self._token}, launch.cwd, options)
+        session = McpSession(
+            launch.command, {**launch.env, **self._garbled, TOKEN_VARIABLE: self._token}, launch.cwd, options
+        )
         self.device.sessions.begin(self._token, lambda: session.pid)
         return session
 
@@ -260,6 +281,25 @@ class AdapterUnderTest:
             self._start_failure = failure if self.device.running else None
             await self.close()
             raise
+
+    async def open_garbled(self) -> bool:
+        """Start the adapter with a write switch whose value means nothing, and return whether it started.
+
+        There is no session yet. An adapter without such a switch is not started.
+        """
+        switch = self.adapter.write_switch
+        if switch is None:
+            return False
+        self._garbled = {switch: _MEANINGLESS}
+        try:
+            await self.open()
+        except SubjectError:
+            # To refuse to start is as good as to refuse to write.
+            self._start_failure = None
+            return False
+        finally:
+            self._garbled = {}
+        return True
 
     async def _opened(self) -> McpSession:
         """Start the adapter; one that ends at the first request of today's handshake is started with the one of 2025.
@@ -310,7 +350,10 @@ class AdapterUnderTest:
         self.cursor.close_session()
         if session is not None:
             await session.close()
-            self._ended.append(session)
+            stray, first = session.stray_output()
+            self._ended.append(
+                EndedSession(stray_lines=stray, first_stray=first[0] if stray else "", report=session.stop_report)
+            )
         token, self._token = self._token, None
         if token is not None:
             if self.device.running:
@@ -322,7 +365,7 @@ class AdapterUnderTest:
         if work is not None:
             work.cleanup()
 
-    def take_ended(self) -> list[McpSession]:
+    def take_ended(self) -> list[EndedSession]:
         """Return the sessions that have ended since the last question."""
         ended, self._ended = self._ended, []
         return ended

@@ -119,8 +119,7 @@ class LiveDriver:
         found = await self._inspect(ending=False)
         for state in self._states:
             for session in state.under_test.take_ended():
-                lines, first = session.stray_output()
-                report = session.stop_report
+                report = session.report
                 late = (
                     report is not None
                     and report.how in ("terminated", "killed")
@@ -128,8 +127,8 @@ class LiveDriver:
                 )
                 facts = SessionFacts(
                     protocol=state.under_test.adapter.protocol,
-                    stray_lines=lines,
-                    first_stray=first[0] if lines else "",
+                    stray_lines=session.stray_lines,
+                    first_stray=session.first_stray,
                     overstayed=_overstayed(report) if report is not None and late else None,
                 )
                 if facts.remarkable:

@@ -291,6 +291,14 @@ class LiveRig(Rig):
         self._noted({"fresh_session": asdict(fresh)}, begun)
         return fresh
 
+    async def garble_switch(self) -> bool:
+        begun = time.monotonic_ns()
+        with self._bench.spent.on("adapter starts"):
+            started = await self.under_test.open_garbled()
+        self._state.told_session = self._cursor.session
+        self._noted({"garbled": self._cursor.began if started else None}, begun)
+        return started
+
     async def close_session(self) -> None:
         with self._bench.spent.on("adapter starts"):
             await self.under_test.close()

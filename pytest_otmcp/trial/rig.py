@@ -256,6 +256,11 @@ class Rig(WriteGate):
         """Start a new device process on the same port; return the milliseconds until it accepted connections."""
 
     @abstractmethod
+    async def garble_switch(self) -> bool:
+        """After the session was closed, start the adapter with a write switch whose value means nothing; return whether there is a
+        session then."""
+
+    @abstractmethod
     async def close_session(self) -> None:
         """End the adapter's session and its process."""
 

@@ -61,7 +61,7 @@ async def read_holding(tools, *, address, count):
     await tools.call("ping")
     answer = await tools.call("read_multiple_holding_registers", address=address, count=count)
     if answer.is_error:
-        raise Refused("illegal_address", answer.text)
+        raise Refused(answer.structured["error"]["code"], answer.text)
     return {"values": answer.structured["data"]["values"]}
 """
 

@@ -6,6 +6,7 @@ import copy
 import re
 
 from pytest_otmcp.report.console import summary
+from pytest_otmcp.suite.requirements import requirements
 
 from .samples import finding, item, run
 from .test_latex import ALL
@@ -28,7 +29,7 @@ def test_warnings_stand_beside_the_verdict_and_are_told_once_for_each_kind() -> 
     shown = text(record)
     assert "warnings\n  MCP-006, 60 times in M1 M2: there is no text block\n" in shown
     assert shown.endswith("VERDICT: CONFORMANT (6 of 38 items applied, 150/150 runs passed, 1 warning)")
-    assert "findings" not in shown
+    assert "causes" not in shown
 
 
 def test_thirty_passes_are_printed_with_their_bound() -> None:
@@ -37,7 +38,7 @@ def test_thirty_passes_are_printed_with_their_bound() -> None:
 
 def test_a_failing_item_shows_its_findings() -> None:
     shown = text(run([item("M2", "normal", "Modbus", "Read.", [1.0] * 7, failing=2)]))
-    assert "rep 6/7 and 1 more: values differ [RD-001, wrong_value]" in shown
+    assert "M2 rep 6/7, 2 times in all: values differ [wrong_value]" in shown
 
 
 def test_an_incomplete_run_says_why() -> None:
@@ -62,7 +63,7 @@ def test_an_adapters_words_can_neither_colour_the_terminal_nor_forge_a_line() ->
     lines = text(run([broken])).splitlines()
     assert all(line.isprintable() for line in lines)
     assert [line for line in lines if line.startswith("VERDICT")] == [lines[-1]]
-    assert r"        VERDICT: CONFORMANT\x1b[32m \u202e \x9b [RD-001, wrong_value]" in lines
+    assert r"        VERDICT: CONFORMANT\x1b[32m \u202e \x9b [wrong_value]" in lines
 
 
 def test_a_narrow_terminal_gets_no_column_of_means() -> None:
@@ -74,7 +75,7 @@ def test_what_is_not_claimed_is_neither_passed_nor_failed() -> None:
     unclaimed = {**item("Q2", "normal", "MQTT", "Inspect.", []), "status": "NOT_APPLICABLE", "planned": 30}
     shown = text(run([*ALL, unclaimed]))
     assert "VERDICT: CONFORMANT (6 of 38 items applied, 150/150 runs passed)" in shown
-    assert "findings" not in shown
+    assert "causes" not in shown
 
 
 def test_what_cannot_be_tested_says_why() -> None:
@@ -89,7 +90,7 @@ def test_one_fault_is_printed_once_however_many_repetitions_show_it() -> None:
         sample["findings"][0]["message"] = f"values should be [{index}, 7], the reply says [{index + 1}.5]"
     shown = text(run([broken]))
     assert shown.count("values should be") == 1
-    assert "rep 5/7 and 2 more: values should be [0, 7], the reply says [1.5] [RD-001, wrong_value]" in shown
+    assert "M2 rep 5/7, 3 times in all: values should be [0, 7], the reply says [1.5] [wrong_value]" in shown
 
 
 def test_the_keys_of_the_subject_file_that_may_be_why_are_named() -> None:
@@ -105,3 +106,11 @@ def test_the_keys_of_the_subject_file_that_may_be_why_are_named() -> None:
     dead |= {"status": "FAIL", "findings": [finding("cannot_start", "the adapter exited with code 1", "MCP-002")]}
     assert "in the subject file: era: 'legacy' for a server that must be" in text(run([dead]))
     assert "in the subject file" not in text(run([item("M2", "normal", "Modbus", "Read.", [1.0], failing=1)]))
+
+
+def test_a_fault_that_turns_many_items_red_is_told_once_with_its_rule() -> None:
+    broken = [item(name, "normal", "Modbus", "Read.", [1.0], failing=1) for name in ("M2", "M3")]
+    shown = text(run([*broken, item("M1", "normal", "Modbus", "Ping.", [1.0])]))
+    assert "  RD-001 Modbus: M2 M3" in shown.splitlines()
+    assert shown.count("values differ") == 1
+    assert requirements()["RD-001"].statement.split(".")[0][:50] in shown

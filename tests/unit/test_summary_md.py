@@ -93,3 +93,10 @@ def test_text_is_printed_as_it_is(text: str, escaped: str) -> None:
 )
 def test_a_code_span_cannot_be_left(text: str, span: str) -> None:
     assert code(text) == span
+
+
+def test_the_causes_come_before_the_items_with_the_rule_in_plain_words() -> None:
+    text = summary(run([written_twice()]))
+    cause = "- **WR-003** Modbus, in M3: A write that was asked for once is sent once."
+    assert text.index("### Causes") < text.index(cause) < text.index("### Findings")
+    assert "### Causes" not in summary(run(ALL))

@@ -26,6 +26,7 @@ __all__ = [
     "refused_nothing_else",
     "some_exchange",
     "stored_otherwise",
+    "values_sent",
 ]
 
 _WITNESS = Witness(noun="the device", describe=describe)
@@ -146,6 +147,11 @@ def held(image: Image, table: str, address: int, unit: int = 1) -> object:
     """Return the value that a cell of the device holds."""
     (point,) = points(table, address, [None], unit=unit)
     return image["points"].get(point)
+
+
+def values_sent(entries: Entries) -> list[int]:
+    """Return the registers or bits that the device sent, in the order of its answers."""
+    return [value for entry in entries if entry["kind"] == "response" for value in as_modbus(entry).get("values", [])]
 
 
 def exception_sent(entries: Entries, code: int) -> list[Finding]:

@@ -92,7 +92,11 @@ def in_background(server: AdapterServer, work: Callable[[], Awaitable[None]]) ->
     begun: list[asyncio.Task[None]] = []
 
     async def again_and_again() -> None:
-        while True:
+        task = asyncio.current_task()
+        assert task is not None
+        # An exchange that is over at the very moment of the cancellation returns instead of being cancelled (asyncio.wait_for of
+        # Python 3.11, which the Modbus library uses).
+        while not task.cancelling():
             try:
                 await work()
             except AdapterError:

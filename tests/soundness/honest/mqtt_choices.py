@@ -19,6 +19,7 @@ from pytest_otmcp.reference_adapters.mqtt.edge_node import EdgeNode, Life
 from pytest_otmcp.reference_adapters.mqtt.link import Link
 from pytest_otmcp.reference_adapters.mqtt.payload import Metric
 from pytest_otmcp.reference_adapters.mqtt.tools import Tools
+from pytest_otmcp.reference_adapters.mqtt.topics import check_name
 
 from tests.soundness.defective import Handler, wrap
 
@@ -436,8 +437,7 @@ def delivers_again_with_dup(server: AdapterServer) -> None:
 
     def outgoing(genuine: Handler) -> Handler:
         async def handler(call: Call, arguments: Any) -> Any:
-            if not arguments.topic:
-                return await genuine(call, arguments)
+            check_name(arguments.topic)
             payload = arguments.payload.encode()
             await publisher.publish(call, arguments.topic, payload)
             return {

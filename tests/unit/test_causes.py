@@ -1,0 +1,108 @@
+"""The causes of a run's findings: one for each rule that an adapter does not keep."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+from pytest_otmcp.core.matrix import CROSS_PROTOCOL
+from pytest_otmcp.record.schema import Run
+from pytest_otmcp.report.causes import Cause, causes
+from pytest_otmcp.suite.requirements import requirements
+
+from .samples import item, run
+
+
+def finding(message: str, requirement: str | None = "WR-001", **more: str) -> dict[str, Any]:
+    return {
+        "code": "not_written_once",
+        "message": message,
+        "requirement": requirement,
+        "evidence": None,
+        "strength": "MUST",
+        **more,
+    }
+
+
+def failing(name: str, family: str, *found: dict[str, Any], around: tuple[dict[str, Any], ...] = ()) -> dict[str, Any]:
+    made = item(name, "normal", family, f"title of {name}", [1.0, 2.0])
+    made |= {"status": "FAIL", "findings": list(around)}
+    made["samples"][1] |= {"ok": False, "findings": list(found)}
+    return made
+
+
+def causes_of(*items: dict[str, Any]) -> list[Cause]:
+    return causes(cast(Run, run(list(items))))
+
+
+def test_a_run_without_findings_has_no_cause() -> None:
+    assert causes_of(item("M1", "normal", "Modbus", "a title", [1.0])) == []
+
+
+def test_findings_that_differ_in_values_alone_are_one_cause() -> None:
+    (cause,) = causes_of(
+        failing("M3", "Modbus", finding("should have seen one write of [40] to holding_registers 1, it saw 0")),
+        failing("S4", "Modbus", finding("should have seen one write of [977] to holding_registers 20, it saw 0")),
+    )
+    assert (cause.items, cause.where["id"], cause.repetition, cause.times) == (("M3", "S4"), "M3", 1, 2)
+    assert cause.first["message"].endswith("[40] to holding_registers 1, it saw 0")
+    assert cause.further == ()
+
+
+def test_other_words_about_the_same_rule_are_told_once() -> None:
+    (cause,) = causes_of(
+        failing("M3", "Modbus", finding("one write of [40], it saw 0"), finding("point 1 should hold 40, it holds 3")),
+        failing("S4", "Modbus", finding("one write of [41], it saw 0"), finding("point 2 should hold 41, it holds 0")),
+    )
+    assert cause.further == ("point 1 should hold 40, it holds 3",)
+
+
+def test_a_closing_check_that_finds_the_same_is_no_other_kind_of_finding() -> None:
+    (cause,) = causes_of(
+        failing("M3", "Modbus", finding("one write of [40], it saw 0")),
+        failing("M4", "Modbus", around=(finding("control: one write of [999], it saw 0"),)),
+    )
+    assert (cause.items, cause.further) == (("M3", "M4"), ())
+
+
+def test_two_rules_and_two_protocols_are_different_causes() -> None:
+    found = causes_of(
+        failing("M3", "Modbus", finding("wrote twice", "WR-003"), finding("wrote elsewhere", "WR-002")),
+        failing("O3", "OPC UA", finding("wrote twice", "WR-003")),
+    )
+    assert [(cause.family, cause.rule) for cause in found] == [
+        ("Modbus", "WR-003"),
+        ("Modbus", "WR-002"),
+        ("OPC UA", "WR-003"),
+    ]
+
+
+def test_a_finding_without_a_requirement_is_told_by_its_kind() -> None:
+    (cause,) = causes_of(failing("M3", "Modbus", finding("expected success", None, code="not_successful")))
+    assert (cause.rule, cause.statement) == ("not_successful", "")
+
+
+def test_a_cause_states_its_rule() -> None:
+    (cause,) = causes_of(failing("M3", "Modbus", finding("it wrote twice", "WR-003")))
+    assert cause.statement == requirements()["WR-003"].statement
+
+
+def test_a_finding_about_several_protocols_belongs_to_the_protocol_with_the_same_words() -> None:
+    found = causes_of(
+        failing("M3", "Modbus", finding("the device saw 0 writes of [40]")),
+        failing("O3", "OPC UA", finding("the server saw 0 writes of 'a'")),
+        failing("X2", CROSS_PROTOCOL, finding("the server saw 0 writes of 'b'")),
+    )
+    assert [(cause.family, cause.items) for cause in found] == [("Modbus", ("M3",)), ("OPC UA", ("O3", "X2"))]
+
+
+def test_a_finding_about_several_protocols_that_two_may_have_caused_is_a_cause_of_its_own() -> None:
+    found = causes_of(
+        failing("M3", "Modbus", finding("the device saw 0 writes")),
+        failing("O3", "OPC UA", finding("the server saw 0 writes")),
+        failing("X2", CROSS_PROTOCOL, finding("nothing was written")),
+    )
+    assert [(cause.family, cause.items) for cause in found][-1] == (CROSS_PROTOCOL, ("X2",))
+
+
+def test_a_warning_is_no_cause() -> None:
+    assert causes_of(failing("M1", "Modbus", finding("no text block", "MCP-006", strength="SHOULD"))) == []
