@@ -75,10 +75,10 @@ Results = dict[str, dict[str, Any]]
 Judge = Callable[..., Results]
 
 
-async def perform(bench: Bench, tasks: list[Task]) -> Results:
-    """Run every task once, in this order. Fail unless the results can be recorded and follow from the record again."""
+async def perform(bench: Bench, tasks: list[Task], repetitions: int = 1) -> Results:
+    """Run every task so many times, in this order. Fail unless the results can be recorded and follow from the record again."""
     try:
-        results = {task.id: await measured(bench, task) for task in tasks}
+        results = {task.id: await measured(bench, task, repetitions) for task in tasks}
         record = recorded(bench, results.values())
     finally:
         await bench.close()
@@ -88,7 +88,7 @@ async def perform(bench: Bench, tasks: list[Task]) -> Results:
 
 @pytest.fixture
 def judge(loop: LoopThread, plant: Plant, warm_start: WarmStart) -> Judge:
-    """``judge(protocol, program, mode, …)`` runs every task that needs the protocol, once, with that adapter replaced.
+    """``judge(protocol, program, mode, …)`` runs every task that needs the protocol with that adapter replaced.
 
     A ``command`` is started as it is, a program is started warm. With a number for ``shuffled`` the tasks run in another order.
     ``described`` changes what the subject file says of it.
@@ -101,6 +101,7 @@ def judge(loop: LoopThread, plant: Plant, warm_start: WarmStart) -> Judge:
         tasks: str | None = None,
         time_scale: float = 1.0,
         shuffled: int | None = None,
+        repetitions: int = 1,
         described: Callable[[Adapter], Adapter] | None = None,
     ) -> Results:
         reference = warm_start.subject(reference_subject())
@@ -116,7 +117,7 @@ def judge(loop: LoopThread, plant: Plant, warm_start: WarmStart) -> Judge:
         chosen = [task for task in tasks_by_id().values() if protocol in task.adapters and _wanted(task, tasks)]
         if shuffled is not None:
             random.Random(shuffled).shuffle(chosen)
-        return loop.run(perform(AmongGenuine(subject, plant, protocol, time_scale), chosen))
+        return loop.run(perform(AmongGenuine(subject, plant, protocol, time_scale), chosen, repetitions))
 
     return run
 

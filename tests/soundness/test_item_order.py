@@ -1,4 +1,4 @@
-"""The verdict of an item is its own: neither the items before it nor their order change it."""
+"""The verdict of an item is its own: neither the items before it, nor their order, nor the number of repetitions change it."""
 
 from __future__ import annotations
 
@@ -28,11 +28,18 @@ def test_items_in_another_order_have_the_same_verdicts(judge: Judge, name: str) 
     assert verdicts(judge(protocol, PROGRAM, name, shuffled=1)) == verdicts(usual)
 
 
+ADAPTERS = [("modbus", "defective.py", "none"), *((MUTANTS[name].protocol, PROGRAM, name) for name in BAD)]
+
+
 @pytest.mark.long
-@pytest.mark.parametrize(
-    ("protocol", "program", "name"),
-    [("modbus", "defective.py", "none"), *((MUTANTS[name].protocol, PROGRAM, name) for name in BAD)],
-)
+@pytest.mark.parametrize(("protocol", "program", "name"), ADAPTERS)
+def test_more_repetitions_have_the_same_verdicts(judge: Judge, protocol: str, program: str, name: str) -> None:
+    once = judge(protocol, program, name)
+    assert verdicts(judge(protocol, program, name, repetitions=3)) == verdicts(once)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("protocol", "program", "name"), ADAPTERS)
 def test_an_item_alone_has_the_same_verdict(judge: Judge, protocol: str, program: str, name: str) -> None:
     usual = judge(protocol, program, name)
     assert verdicts(judge(protocol, program, name, shuffled=2)) == verdicts(usual)

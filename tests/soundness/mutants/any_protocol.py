@@ -139,6 +139,11 @@ def enabled_by_default(switch: str) -> Bend:
     return bend
 
 
+def enabled_by_any_word(server: AdapterServer) -> None:
+    word = os.environ.get("MODBUS_WRITES_ENABLED", "").lower()
+    server.writes_enabled = word not in ("", "false", "no", "off", "0")
+
+
 # -- memory and outages -------------------------------------------------------------------------------------
 
 
@@ -251,6 +256,15 @@ MUTANTS = (
         quick=True,
     ),
     Mutant(
+        id="MU-21b",
+        protocol="modbus",
+        sentence="A write switch with a value that means nothing enables writes.",
+        bend=enabled_by_any_word,
+        items="M4",
+        requirements="WR-005",
+        quick=True,
+    ),
+    Mutant(
         id="MU-21q",
         protocol="mqtt",
         sentence="Messages and births are published where nobody has allowed it.",
@@ -349,7 +363,7 @@ MUTANTS = (
         protocol="modbus",
         sentence="The process does not exit when its stdin ends.",
         bend=stays,
-        items="M4 R-modbus",
+        items="M2 M4 R-modbus",
         requirements="MCP-009",
         recovers=True,
         waits=True,

@@ -92,7 +92,6 @@ NOT_YET: Mapping[str, Mapping[str, str]] = {
         "MU-123": "Messages that are no text are lost.",
     },
     "G": {
-        "MU-21b": "A write switch with a value that means nothing enables writes.",
         "MU-54": "Tool descriptions hold names from the device.",
         "MU-62": "While the device is off, invalid input is a failed connection.",
         "MU-86": "After a restart of the server a namespace has its old index.",
