@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 from ..protocols.registry import protocols
-from ..subject.answers import read_answer
-from .evidence import failure_rules, known_errors
-from .experimenter import Proposal
+from ..subject.answers import interpret, read_answer
+from ..subject.model import Answering
+from .evidence import CONNECT_FAILED, failure_rules, known_errors
+from .proposal import Proposal
 
 __all__ = ["Draft", "write_document"]
 
+_LONG_S, _MOST_S = 3.0, 30.0
+"""Seconds: a call that took longer needs another deadline than the default of 5, and no certificate is given for a longer one."""
+
+_WAITS = "receives by a call that waits"
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -28,6 +33,7 @@ class Draft:
         proposals: operation to its proposal; an operation without a tool is missing.
         connect: tool and arguments of a connect step.
         tools: names of all its tools.
+        longest_s: how long the longest call took that was answered.
         errors: error code to patterns of the texts in which the protocol's libraries report it.
         left: sentences on the entries that the user has to fill in; :func:`write_document` adds to it.
     """
@@ -44,8 +50,23 @@ class Draft:
     proposals: Mapping[str, Proposal]
     connect: tuple[str, Mapping[str, object]] | None
     tools: Sequence[str]
+    longest_s: float
     errors: Mapping[str, Sequence[str]]
     left: list[str] = field(default_factory=list)
+
+    @property
+    def spared(self) -> list[str]:
+        """The operations that need not be bound, because a call that waits does their work as well."""
+        waiting = {name for name, proposal in self.proposals.items() if proposal.proven and proposal.blocking}
+        proven = {name for name, proposal in self.proposals.items() if proposal.proven}
+        return [
+            facet
+            for composite in protocols()[self.protocol].composites.values()
+            for operation, instead in composite.if_waiting.items()
+            if operation in waiting
+            for facet in composite.facets
+            if facet not in instead and facet not in proven
+        ]
 
 
 def write_document(draft: Draft, *, into: bool = False) -> str:
@@ -74,6 +95,11 @@ def write_document(draft: Draft, *, into: bool = False) -> str:
         lines.append(f"files = {_value(dict(draft.files))}")
     if draft.era is not None:
         lines.append(f"era = {_value(draft.era)}")
+    if draft.longest_s > _LONG_S:
+        lines += [
+            f"# The longest call took {draft.longest_s:.1f} s; the default is 5.",
+            f"deadline_s = {min(_MOST_S, 5.0 * math.ceil(draft.longest_s / 5.0 + 1.0)):.1f}",
+        ]
     if draft.transport_url is not None:
         lines += ['transport = "http"', f"url = {_value(draft.transport_url)}"]
     lines += [
@@ -81,7 +107,7 @@ def write_document(draft: Draft, *, into: bool = False) -> str:
         '# ro = { args = ["--read-only"] }',
         '# rw = { env = { WRITES_ENABLED = "true" } }',
         "# Without that there can be a conformant run, but no certificate:",
-        '# unclaimed = { guard = "has no read-only mode" }',
+        *_unclaimed(draft),
     ]
     draft.left.append("how writes are disabled: 'ro' and 'rw', or the facet 'guard' as unclaimed")
     if draft.connect is not None:
@@ -97,6 +123,13 @@ def write_document(draft: Draft, *, into: bool = False) -> str:
     for operation in protocols()[draft.protocol].operations:
         lines += ["", *_binding(draft, operation, form)]
     return "\n".join(lines) + "\n"
+
+
+def _unclaimed(draft: Draft) -> list[str]:
+    guard = 'guard = "has no read-only mode"'
+    if not draft.spared:
+        return [f"# unclaimed = {{ {guard} }}"]
+    return [f"# ... {guard} here:", f"unclaimed = {_value(dict.fromkeys(draft.spared, _WAITS))}"]
 
 
 def _form(proposals: Iterable[Proposal]) -> str:
@@ -116,31 +149,26 @@ def _answer_rules(draft: Draft, form: str) -> list[str]:
     successes = [proposal.good for proposal in proven if proposal.good is not None]
     outcome: list[dict[str, object]] = []
     errors: list[dict[str, str]] = []
-    for proposal in proven:
-        if proposal.bad is None:
-            continue
-        rules = failure_rules(proposal.bad, successes, form)
+    patterns = {"connect_failed": CONNECT_FAILED, **draft.errors}
+    failures = [(proposal, *failed) for proposal in proven for failed in proposal.failures]
+    for tried, code, failure in failures:
+        rules = failure_rules(failure, successes, form)
         outcome += [rule for rule in rules if rule not in outcome]
-        if not rules and not _is_error(proposal.bad):
+        # An adapter may not have noticed yet that the device is gone.
+        if not rules and code != "connect_failed" and interpret(failure, Answering(form=form)).success:
             draft.left.append(
-                f"outcome: nothing tells a failure of {proposal.guess.tool!r} from a success; see its answer"
+                f"outcome: nothing tells a failure of {tried.guess.tool!r} from a success; see its answer"
             )
-        text = json.dumps(proposal.bad, ensure_ascii=False)
-        found = known_errors(draft.errors, proposal.bad_code or "", text)
+        text = json.dumps(failure, ensure_ascii=False)
+        found = known_errors(patterns, code, text)
         errors += [rule for rule in found if rule not in errors]
         if not found:
-            lines.append(
-                f"# {proposal.guess.tool}: what had to fail as {proposal.bad_code} was answered with {_shortened(text)}"
-            )
+            lines.append(f"# {tried.guess.tool}: what had to fail as {code} was answered with {_shortened(text)}")
     if outcome:
         lines += ["# Failures that isError does not tell, as tried:", *_rules("outcome", outcome)]
     if errors:
         lines += ["# Codes of failures, as tried; add those of your own:", *_rules("errors", errors)]
     return lines
-
-
-def _is_error(message: Mapping[str, Any]) -> bool:
-    return "error" in message or (message.get("result") or {}).get("isError") is True
 
 
 def _rules(name: str, rules: Sequence[Mapping[str, object]]) -> list[str]:
@@ -151,6 +179,8 @@ def _binding(draft: Draft, operation: str, form: str) -> list[str]:
     asked = protocols()[draft.protocol].operations[operation]
     head = f"[adapter.{draft.protocol}.bind.{operation}]"
     proposal = draft.proposals.get(operation)
+    if operation in draft.spared:
+        return [f"# {operation}: {asked.meaning}. It is unclaimed above: {_WAITS}."]
     if proposal is None:
         draft.left.append(f"{operation} ({asked.meaning}): no tool was found; bind one, or declare it as unclaimed")
         return [

@@ -15,9 +15,11 @@ from ..subject.grammar import LONGEST_RECOVERY_S
 from ..subject.model import READ_WRITE, Adapter, Answering, Connect, Variant
 from ..trial.adapter_under_test import AdapterUnderTest, BenchOptions
 from .document import Draft
-from .experimenter import Experimenter, Proposal
+from .experimenter import Experimenter
 from .matching import guess_connect, guess_tools
 from .pack import Pack
+from .proposal import Proposal
+from .status import look_without_device
 
 __all__ = ["describe_launch", "draft"]
 
@@ -77,26 +79,17 @@ async def draft(adapter: Adapter, pack: Pack, device: MockDevice, say: Callable[
         name, version = under_test.session.server_name, under_test.session.server_version
         say(f"{name or 'the adapter'} {version}: {len(tools)} tools: {', '.join(tools)}")
         step = guess_connect(tools)
+        connect = None if step is None else Connect(tool=step.tool, arguments=step.arguments, again=False)
+        adapter = replace(adapter, connect=connect, era="legacy" if under_test.legacy else adapter.era)
         if step is not None:
             await under_test.close()
-            connect = Connect(tool=step.tool, arguments=step.arguments, again=False)
-            under_test = AdapterUnderTest(replace(adapter, connect=connect), READ_WRITE, device, BenchOptions())
+            under_test = AdapterUnderTest(adapter, READ_WRITE, device, BenchOptions())
         experimenter = Experimenter(under_test, device, pack.late)
-        proposals: dict[str, Proposal] = {}
-        # What writes comes last: what was read has to prove first where the adapter leads.
-        for operation, known in sorted(
-            protocols()[adapter.protocol].operations.items(), key=lambda item: item[1].writes
-        ):
-            if known.writes:
-                _refuse_unreached(under_test.endpoint["url"], proposals.values(), (await device.journal(0)).entries)
-            guesses = guess_tools(pack, operation, tools)
-            experiment = pack.operations[operation].experiment
-            proposal = await experimenter.best(guesses, experiment, writes=known.writes)
-            if proposal is not None:
-                proposals[operation] = proposal
-            say(_line(operation, proposal))
+        try:
+            proposals = await _try_operations(experimenter, pack, tools, say)
+        finally:
+            await experimenter.adapter.close()
     finally:
-        legacy = under_test.legacy
         await under_test.close()
     goods = [proposal.good for proposal in proposals.values() if proposal.proven and proposal.good is not None]
     results = [result for good in goods if isinstance(result := good.get("result"), dict)]
@@ -108,14 +101,55 @@ async def draft(adapter: Adapter, pack: Pack, device: MockDevice, say: Callable[
         command=adapter.variants["rw"].command,
         env=adapter.variants["rw"].env,
         files=adapter.variants["rw"].files,
-        era="legacy" if legacy else adapter.era,
+        era=adapter.era,
         transport_url=adapter.url,
         native=native,
         proposals=proposals,
         connect=None if step is None else (step.tool, step.arguments),
         tools=tuple(tools),
+        longest_s=experimenter.longest_s,
         errors=pack.errors,
     )
+
+
+async def _try_operations(
+    experimenter: Experimenter, pack: Pack, tools: Mapping[str, Mapping[str, object]], say: Callable[[str], None]
+) -> dict[str, Proposal]:
+    """Try every operation: first those that read, then those that write, at last what is said while the device is gone.
+
+    What was read has to prove where the adapter leads before anything is written.
+    """
+    operations = protocols()[pack.protocol].operations
+    proposals: dict[str, Proposal] = {}
+    for writes in (False, True):
+        if writes:
+            await _begin_writing(experimenter, proposals.values())
+        for operation, known in operations.items():
+            if known.writes != writes:
+                continue
+            guesses = guess_tools(pack, operation, tools)
+            proposal = await experimenter.best(guesses, pack.operations[operation].experiment, writes=writes)
+            if proposal is not None:
+                proposals[operation] = proposal
+            if not known.status:
+                say(_line(operation, proposal))
+    await look_without_device(experimenter, proposals)
+    for operation, known in operations.items():
+        if known.status:
+            say(_line(operation, proposals.get(operation)))
+    return proposals
+
+
+async def _begin_writing(experimenter: Experimenter, read: Iterable[Proposal]) -> None:
+    """Give what writes a process of its own, to which nothing was said but what was proven.
+
+    Raises:
+        SubjectError: the adapter talks to another device, or to none.
+    """
+    adapter, device = experimenter.adapter, experimenter.device
+    _refuse_unreached(adapter.endpoint["url"], read, (await device.journal(0)).entries)
+    await adapter.close()
+    experimenter.adapter = AdapterUnderTest(adapter.adapter, READ_WRITE, device, BenchOptions())
 
 
 def _refuse_unreached(url: str, tried: Iterable[Proposal], entries: Entries) -> None:

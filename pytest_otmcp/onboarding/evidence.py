@@ -11,7 +11,25 @@ from typing import Any
 from ..subject.answers import extract, interpret, read_answer
 from ..subject.model import Answering, OutcomeRule, OutputRule
 
-__all__ = ["Found", "failure_rules", "find", "known_errors", "lists_in"]
+__all__ = [
+    "CONNECT_FAILED",
+    "Found",
+    "claims_success",
+    "failure_rules",
+    "find",
+    "known_errors",
+    "lists_in",
+    "turned_false",
+]
+
+CONNECT_FAILED = (
+    r"(?i)connection (refused|failed|lost|closed|reset)|connect call failed|broken pipe|unreachable|offline|not connected"
+    r"|(failed to|unable to|could not|cannot) (connect|reach)",
+)
+"""Patterns of the texts in which adapters of any protocol say that their device cannot be reached."""
+
+_FORMS = ("structured", "json", "text", "texts")
+
 
 _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
@@ -21,7 +39,7 @@ class Found:
     """The place of a value in an answer.
 
     Attributes:
-        form: ``structured``, ``json`` or ``text``.
+        form: ``structured``, ``json``, ``text`` or ``texts``.
         rule: table as a subject file has it below ``result``.
     """
 
@@ -29,9 +47,7 @@ class Found:
     rule: Mapping[str, object]
 
 
-def find(
-    message: Mapping[str, object], expected: object, forms: Sequence[str] = ("structured", "json", "text")
-) -> Found | None:
+def find(message: Mapping[str, object], expected: object, forms: Sequence[str] = _FORMS) -> Found | None:
     """Find the place of ``expected`` (a value or a list of values); the rule has been tried on the answer."""
     for form in forms:
         document = read_answer(message, form)[0]
@@ -121,19 +137,23 @@ def _kind(value: object) -> str:
 
 
 def lists_in(message: Mapping[str, object], prefix: str) -> Iterator[tuple[str, dict[str, Any], list[Any]]]:
-    """Yield every list of texts in an answer with its form and its rule, as it is and without ``prefix``."""
-    for form in ("structured", "json"):
+    """Yield every list of texts in an answer with its form and its rule: as it is, without ``prefix``, without the first."""
+    for form in ("structured", "json", "texts"):
         document = read_answer(message, form)[0]
         if document is None:
             continue
         for path, _ in _places(document, ""):
-            for rule in ({"path": path}, {"path": path, "strip": prefix}):
-                output = OutputRule(path=path, strip=rule.get("strip"))
+            whole = {"path": path}, {"path": path, "strip": prefix}
+            # A list of nodes may begin with the node that was asked for.
+            rest = [{**rule, "path": path.replace("[]", "[1:]", 1)} for rule in whole if "[]" in path]
+            for rule in (*whole, *rest):
+                output = OutputRule(path=rule["path"], strip=rule.get("strip"))
                 value = extract({"x": output}, document)["x"]
                 if isinstance(value, list) and value and all(isinstance(entry, str) for entry in value):
                     yield form, rule, value
 
 
+_UP = re.compile(r"(connected|reachable|online|up|ok|healthy)", re.IGNORECASE)
 _FAILING_WORDS = re.compile(
     r"^\W*(error|failed|failure|cannot|could not|unable|exception|invalid|not connected)\b", re.IGNORECASE
 )
@@ -146,6 +166,7 @@ _FAILING_PATHS = (
     "result.error",
     "result[?status && status != 'Good']",
     "[?status && status != 'Good']",
+    "[?error]",
     "status && !starts_with(status, 'Good') && status != 'ok' && status != 'success'",
 )
 
@@ -153,16 +174,16 @@ _FAILING_PATHS = (
 def failure_rules(
     failure: Mapping[str, object], successes: Sequence[Mapping[str, object]], form: str
 ) -> list[dict[str, object]]:
-    """Return outcome rules that tell this failed answer from the successful ones; none when ``isError`` already does."""
-    document, text, is_error = read_answer(failure, form)
-    if is_error:
+    """Return outcome rules that tell this failed answer from the successful ones; none where it says so without rules."""
+    document, text, _ = read_answer(failure, form)
+    if not interpret(failure, Answering(form=form)).success:
         return []
     rules: list[dict[str, Any]] = []
+    if document is not None and not isinstance(document, str):
+        rules += [{"path": path, "then": "failure"} for path in _FAILING_PATHS]
     first = _FAILING_WORDS.match(text)
     if first is not None:
         rules.append({"text": f"(?i)^\\W*{first[1].lower()}", "then": "failure"})
-    if document is not None and not isinstance(document, str):
-        rules += [{"path": path, "then": "failure"} for path in _FAILING_PATHS]
     for rule in rules:
         answering = Answering(
             form=form, outcome=(OutcomeRule(success=False, text=rule.get("text"), path=rule.get("path")),)
@@ -170,6 +191,24 @@ def failure_rules(
         if not interpret(failure, answering).success and all(interpret(good, answering).success for good in successes):
             return [rule]
     return []
+
+
+def claims_success(message: Mapping[str, object]) -> bool:
+    """Tell whether an answer says of itself, without any rules, that it is a success."""
+    return all(interpret(message, Answering(form=form)).success for form in _FORMS)
+
+
+def turned_false(before: Mapping[str, object], after: Mapping[str, object]) -> Found | None:
+    """Find the place in two answers that says yes in the first and no in the second, as a rule for a truth value."""
+    for form in ("structured", "json"):
+        document = read_answer(after, form)[0]
+        places = list(_places(read_answer(before, form)[0], ""))
+        flags = [place for place, value in places if value is True]
+        words = [f"{place} == '{value}'" for place, value in places if isinstance(value, str) and _UP.fullmatch(value)]
+        for path in (*flags, *words):
+            if extract({"is": OutputRule(path=path)}, document) == {"is": False}:
+                return Found(form=form, rule={"path": path})
+    return None
 
 
 def known_errors(patterns: Mapping[str, Sequence[str]], code: str, text: str) -> list[dict[str, str]]:

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Awaitable, Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+import time
+from collections.abc import Awaitable, Callable, Mapping
 
 from ..core.strict_json import parse_strict
 from ..plant.mock_device import MockDevice
-from ..protocols.journal import JournalEntry, judged
+from ..protocols.journal import judged
 from ..protocols.oracle import state_changing
+from ..protocols.registry import protocols
 from ..subject.addressing import mentions_address
 from ..subject.answers import read_answer
 from ..subject.model import Answering, Binding
-from ..trial.adapter_under_test import AdapterUnderTest
+from ..trial.adapter_under_test import AdapterUnderTest, NoBindingError
 from .evidence import find
 from .guess import Guess
+from .proposal import Proposal, Shown
 
-__all__ = ["Experiment", "Experimenter", "Proposal", "Shown", "reach"]
+__all__ = ["Experiment", "Experimenter", "words_of"]
 
 _TRIES = 4
 """Number of tools that are tried for an operation, the likeliest first."""
@@ -30,56 +32,14 @@ class _NotProvenError(Exception):
     """Nothing may be written: the session may talk to any device; the message says why."""
 
 
-@dataclass(slots=True, kw_only=True)
-class Proposal:
-    """A proposed binding and the evidence for it.
-
-    Attributes:
-        proven: True when the device has seen the expected request.
-        evidence: sentences for the file's comments.
-        offset: input to the number that has to be added to it.
-        form: where the answer's document is: ``structured``, ``json`` or ``text``.
-        outputs: output to its rule.
-        good, bad: answers to a call that succeeded and to one that had to fail.
-        bad_code: the error code that the latter should have.
-        blocking: the call waits for what it answers.
-        returned: a random value came from the mock device through the tool, or to it.
-    """
-
-    guess: Guess
-    proven: bool
-    evidence: list[str]
-    offset: dict[str, int] = field(default_factory=dict)
-    form: str | None = None
-    outputs: dict[str, Mapping[str, object]] = field(default_factory=dict)
-    good: Mapping[str, object] | None = None
-    bad: Mapping[str, object] | None = None
-    bad_code: str | None = None
-    blocking: bool = False
-    returned: bool = False
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Shown:
-    """The observations of one call.
-
-    Attributes:
-        message: the answer; None when there is none.
-        entries: journal entries that the device wrote during the call.
-        words: the answer, or why there is none, in a few words.
-    """
-
-    message: Mapping[str, object] | None
-    entries: Sequence[JournalEntry]
-    words: str
-
-
 class Experimenter:
     """An experimenter that calls tools of one adapter at one mock device, and makes proposals from the results.
 
     Attributes:
+        adapter: the adapter; what writes is tried in a process of its own, to which only what was proven has been said.
         device: the mock device.
         random: source of values that no adapter can know.
+        longest_s: how long the longest call took that was answered.
     """
 
     def __init__(self, adapter: AdapterUnderTest, device: MockDevice, late: Mapping[str, object] | None = None) -> None:
@@ -90,13 +50,14 @@ class Experimenter:
         """
         self.device = device
         self.random: random.Random = random.SystemRandom()
-        self._adapter = adapter
+        self.longest_s = 0.0
+        self.adapter = adapter
         self._late = late
         self._read: list[tuple[Proposal, Experiment]] = []
         self._writing = False
 
     async def best(self, guesses: list[Guess], experiment: Experiment, *, writes: bool) -> Proposal | None:
-        """Return the proposal for the first guess that the device confirms, else for the likeliest guess.
+        """Return the proposal for the first guess that the device confirms and that lacks nothing, else the one that lacks least.
 
         Args:
             writes: the operation writes: nothing is tried before a read has proven that the adapter talks to the mock device.
@@ -107,10 +68,15 @@ class Experimenter:
             proposal = await self._try(variation, experiment)
             if not writes and not variation.missing:
                 self._read.append((proposal, experiment))
-            if proposal.proven:
-                return proposal
             tried.append(proposal)
-        return tried[0] if tried else None
+            if self._merits(proposal) == (True, True, True):
+                return proposal
+        return max(tried, key=self._merits, default=None)
+
+    def _merits(self, proposal: Proposal) -> tuple[bool, bool, bool]:
+        """Return what speaks for a proposal, most important first."""
+        needed = protocols()[self.adapter.adapter.protocol].operations[proposal.guess.operation].needed
+        return proposal.proven, proposal.proven and proposal.whole, proposal.proven and {*needed} <= {*proposal.outputs}
 
     async def _try(self, guess: Guess, experiment: Experiment) -> Proposal:
         if guess.missing:
@@ -120,7 +86,7 @@ class Experimenter:
             if self._writing:
                 await self._prove_session(guess)
             return await experiment(self, guess)
-        except _NotProvenError as problem:
+        except (_NotProvenError, NoBindingError) as problem:
             return Proposal(guess=guess, proven=False, evidence=[f"not tried, nothing was written: {problem}"])
 
     async def _prove_session(self, guess: Guess) -> None:
@@ -130,19 +96,19 @@ class Experimenter:
             _NotProvenError: it may talk to any device.
         """
         addressed = [proposal for proposal, _ in self._proofs() if mentions_address(proposal.guess.arguments)]
-        if addressed and not mentions_address(guess.arguments) and self._adapter.adapter.connect is None:
+        if addressed and not mentions_address(guess.arguments) and self.adapter.adapter.connect is None:
             raise _NotProvenError(
                 f"{addressed[0].guess.tool} is told with each call where the device is, this tool is not"
             )
-        await self._adapter.open()
-        if self._adapter.cursor.proven is not None:
+        await self.adapter.open()
+        if self.adapter.cursor.proven is not None:
             return
         self._writing = False
         try:
             for proposal, experiment in self._proofs():
                 again = await experiment(self, proposal.guess)
                 if again.returned or (again.proven and not proposal.returned):
-                    self._adapter.cursor.proven = proposal.guess.operation
+                    self.adapter.cursor.proven = proposal.guess.operation
                     return
         finally:
             self._writing = True
@@ -154,12 +120,30 @@ class Experimenter:
         Where no tool gives values at all, it has to do that the device saw a call.
         """
         returned = [tried for tried in self._read if tried[0].returned]
-        giving = [tried for tried in self._read if tried[1] is not reach]
+        operations = protocols()[self.adapter.adapter.protocol].operations
+        giving = [tried for tried in self._read if not operations[tried[0].guess.operation].status]
         return returned or ([] if giving else [tried for tried in self._read if tried[0].proven])
 
     async def call(self, guess: Guess, offset: Mapping[str, int], **inputs: object) -> Shown:
         """Call the guessed tool and read what reached the device."""
-        adapter = self._adapter
+        adapter = self.adapter
+        await adapter.open()
+        if self._writing and adapter.cursor.proven is None:
+            await self._prove_session(guess)
+        since = await self.device.mark()
+        message, failure = await self.answer(guess, offset, inputs, writes=self._writing)
+        if self._late is not None:
+            await self.device.wait(since, dict(self._late), timeout_s=_LATE_S)
+        entries = judged((await self.device.journal(since)).entries)
+        if self._writing and not state_changing(entries):
+            # Where did it go?
+            adapter.cursor.withdraw_proof()
+        return Shown(message=message, entries=entries, words=failure if message is None else words_of(message))
+
+    async def answer(
+        self, guess: Guess, offset: Mapping[str, int], inputs: Mapping[str, object], *, writes: bool
+    ) -> tuple[Mapping[str, object] | None, str]:
+        """Call the guessed tool; return its answer, or None and why there is none."""
         binding = Binding(
             tool=guess.tool,
             arguments=guess.arguments,
@@ -170,26 +154,17 @@ class Experimenter:
             names={},
             convert=guess.convert,
         )
-        await adapter.open()
-        if self._writing and adapter.cursor.proven is None:
-            await self._prove_session(guess)
-        since = await self.device.mark()
-        arguments = binding.fill(inputs, adapter.endpoint)
-        timeout_s = 1.2 * adapter.deadline_s
-        exchange = await adapter.call_tool(guess.tool, arguments, writes=self._writing, timeout_s=timeout_s)
-        if self._late is not None:
-            await self.device.wait(since, dict(self._late), timeout_s=_LATE_S)
-        entries = judged((await self.device.journal(since)).entries)
-        if self._writing and not state_changing(entries):
-            # Where did it go?
-            adapter.cursor.withdraw_proof()
+        arguments = binding.fill(inputs, self.adapter.endpoint)
+        timeout_s = 1.2 * self.adapter.deadline_s
+        began = time.monotonic()
+        exchange = await self.adapter.call_tool(guess.tool, arguments, writes=writes, timeout_s=timeout_s)
         if exchange.response is None:
-            return Shown(message=None, entries=entries, words=f"no answer ({exchange.failure})")
+            return None, f"no answer ({exchange.failure})"
+        self.longest_s = max(self.longest_s, time.monotonic() - began)
         try:
-            message = parse_strict(exchange.response)
+            return parse_strict(exchange.response), ""
         except ValueError as error:
-            return Shown(message=None, entries=entries, words=f"an answer that is no strict JSON ({error})")
-        return Shown(message=message, entries=entries, words=_words(message))
+            return None, f"an answer that is no strict JSON ({error})"
 
     def propose(
         self, guess: Guess, shown: Shown, *, proven: bool, seen: str, offset: Mapping[str, int] | None = None
@@ -209,7 +184,8 @@ class Experimenter:
             code: the error code that this failure should have.
         """
         failing = await self.call(proposal.guess, proposal.offset, **inputs)
-        proposal.bad, proposal.bad_code = failing.message, code
+        if failing.message is not None:
+            proposal.failures.append((code, failing.message))
 
     def locate(self, proposal: Proposal, output: str, expected: object) -> None:
         """Look in the answer for a value that the device is known to have given."""
@@ -234,14 +210,7 @@ Experiment = Callable[[Experimenter, Guess], Awaitable[Proposal]]
 """A function that tries a guess for one operation."""
 
 
-async def reach(experimenter: Experimenter, guess: Guess) -> Proposal:
-    """Try a tool that only has to reach the device."""
-    shown = await experimenter.call(guess, {})
-    exchanged = any(entry["direction"] == "in" for entry in shown.entries)
-    evidence = ["the device saw an exchange" if exchanged else f"the device saw nothing; the answer: {shown.words}"]
-    return Proposal(guess=guess, proven=exchanged, evidence=evidence, good=shown.message)
-
-
-def _words(message: Mapping[str, object]) -> str:
+def words_of(message: Mapping[str, object]) -> str:
+    """Return how an answer began, and whether it is an error, in a few words."""
     _, text, is_error = read_answer(message, "text")
     return f"it {'failed' if is_error else 'answered'}: {' '.join(text.split())[:160]!r}"

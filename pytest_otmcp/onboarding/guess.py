@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import islice, product
 
+from ..subject.addressing import mentions_address
+
 __all__ = ["Guess"]
 
 _MOST_TRIALS = 24
@@ -36,8 +38,11 @@ class Guess:
     def variations(self) -> list[Guess]:
         """Return one guess for each combination of the values to try; only this guess when there are none to try.
 
-        Arguments that the tool does not require come last: what is not asked for need not be invented.
+        Arguments that the tool does not require come last, because what is not asked for need not be invented; among them
+        those for the device's address, which may be the name of an entry of a configuration file as well.
         """
+        addressless = {name: value for name, value in self.optional.items() if not mentions_address(value)}
+        added = [{}, *(more for more in (addressless, self.optional) if more)]
         names = list(self.trials)
         combinations = list(islice(product(*self.trials.values()), _MOST_TRIALS))
         return [
@@ -47,6 +52,7 @@ class Guess:
                 trials={},
                 optional={},
             )
-            for more in ([{}, self.optional] if self.optional else [{}])
+            for number, more in enumerate(added)
+            if more not in added[:number]
             for values in combinations
         ]

@@ -9,12 +9,16 @@ from typing import Any
 from ..protocols.registry import protocols
 from ..subject.model import placeholders
 from .guess import Guess
+from .input_schema import choice, kinds, properties, required, resolved
 from .pack import Hints, Pack
 
 __all__ = ["guess_connect", "guess_tools"]
 
 _ARGUMENTS: Mapping[str, str] = {"value": "value data val new_value values data_value"}
 """Inputs that operations of any protocol have, to the names that tools have for them; packs add their own inputs."""
+
+_CONSTANTS: Mapping[str, object] = {r"^(dry_?run|simulate)$": False}
+"""Arguments that tools of any protocol have, to the value that makes the call do something; packs add their own."""
 
 _ENDPOINT: tuple[tuple[str, str], ...] = (
     (r"^(host|ip|hostname|broker_host|server_host|address_host)$", "{host}"),
@@ -31,7 +35,8 @@ _WRITES = frozenset("write writes set put publish send force toggle delete execu
 """Words in the names of tools that write."""
 
 _FOREIGN = re.compile(
-    r"(?<![a-z0-9])(ethercat|sdo|pdo|ethernet.?ip|enip|eip|cip|s7|s7comm|profinet|profibus|bacnet|dnp3|canopen|knx|iec104)"
+    r"(?<![a-z0-9])(ethercat|sdo|pdo|ethernet.?ip|enip|eip|cip|s7|s7comm|profinet|profibus|bacnet|dnp3|canopen|knx|iec104"
+    r"|mtconnect|mc|melsec|slmp|fins|hart|twincat)"
     r"(?![a-z0-9])",
     re.IGNORECASE,
 )
@@ -49,8 +54,8 @@ def guess_connect(tools: Mapping[str, Mapping[str, object]]) -> Guess | None:
     for name, tool in tools.items():
         words = _words(name)
         if "connect" in words and not words & {"disconnect", "status", "info", "list"}:
-            properties = _properties(tool)
-            arguments = {key: value for key in properties if (value := _endpoint(key, properties[key])) is not None}
+            known = properties(resolved(tool, None))
+            arguments = {key: value for key in known if (value := _endpoint(key, known[key])) is not None}
             if arguments:
                 return Guess(
                     operation="connect", tool=name, score=1.0, arguments=arguments, convert={}, missing=(), trials={}
@@ -63,33 +68,19 @@ def _words(name: str) -> set[str]:
     return set(re.split(r"[^a-z0-9]+", parts))
 
 
-def _properties(tool: Mapping[str, Any]) -> Mapping[str, Any]:
-    schema = tool.get("inputSchema") or {}
-    properties = _resolved(schema.get("properties") or {}, schema.get("$defs") or {}, 0)
-    return properties if isinstance(properties, dict) else {}
-
-
-def _resolved(value: object, definitions: Mapping[str, object], depth: int) -> object:
-    """Replace the local references of a schema, down to the depth to which tools nest arguments."""
-    if depth > 8:
-        return value
-    if isinstance(value, Mapping):
-        reference = value.get("$ref")
-        if isinstance(reference, str) and reference.startswith("#/$defs/"):
-            return _resolved(definitions.get(reference.removeprefix("#/$defs/"), {}), definitions, depth + 1)
-        return {name: _resolved(member, definitions, depth + 1) for name, member in value.items()}
-    if isinstance(value, list):
-        return [_resolved(element, definitions, depth + 1) for element in value]
-    return value
-
-
 def _is_foreign(protocol: str, name: str, tool: Mapping[str, Any]) -> bool:
-    """Tell whether a tool speaks another protocol: it may reach another device, and is never called."""
-    own, text = protocols()[protocol].recognise, f"{name} {tool.get('description') or ''}"[:400]
-    if own.search(text):
-        return False
-    others = (known.recognise for key, known in protocols().items() if key != protocol)
-    return any(other.search(text) for other in (*others, _FOREIGN))
+    """Tell whether a tool speaks another protocol: it may reach another device, and is never called.
+
+    Its name decides, and where that names no protocol, its description.
+    """
+    own = protocols()[protocol].recognise
+    others = (*(known.recognise for key, known in protocols().items() if key != protocol), _FOREIGN)
+    for text in (name, str(tool.get("description") or "")[:400]):
+        if own.search(text):
+            return False
+        if any(other.search(text) for other in others):
+            return True
+    return False
 
 
 def _may_write(words: set[str], tool: Mapping[str, Any]) -> bool:
@@ -104,25 +95,27 @@ def _guess(pack: Pack, operation: str, name: str, tool: Mapping[str, Any]) -> Gu
         return None
     if _is_foreign(pack.protocol, name, tool) or (not asked.writes and _may_write(words, tool)):
         return None
-    score = 2.0 * len(words & likely) - 3.0 * len(words & set(hints.unlikely.split()))
-    score += 0.25 * len(_words(str(tool.get("description") or "")[:400]) & likely)
+    schema = resolved(tool, hints.choice)
     names = {**_ARGUMENTS, **pack.arguments}
     inputs = {name: tuple(names[name].split()) for name in asked.inputs if name in names}
-    arguments, optional, convert = _arguments(pack, hints, inputs, tool)
+    arguments, optional, convert = _arguments(pack, hints, inputs, schema)
     placed = placeholders(arguments)
+    trials = {
+        argument: values
+        for argument in required(schema)
+        if argument not in arguments and (values := _trials(pack, hints, argument))
+    }
+    missing = tuple(name for name in required(schema) if name not in arguments and name not in trials)
+    score = 2.0 * len(words & likely) + 0.25 * len(_words(str(tool.get("description") or "")[:400]) & likely)
+    if asked.waits not in placed:
+        # A tool that waits for what it answers may be called after the other half of its work.
+        score -= 3.0 * len(words & set(hints.unlikely.split()))
     # Whether a call waits speaks neither for a tool nor against it.
     telling = set(inputs) - {asked.waits}
     score += 2.0 * len(placed & telling) - 2.0 * len(telling - placed - set(asked.optional))
-    required = (tool.get("inputSchema") or {}).get("required") or []
-    trials = {
-        str(argument): values
-        for argument in required
-        if argument not in arguments and (values := _trials(pack, hints, str(argument)))
-    }
-    missing = tuple(str(argument) for argument in required if argument not in arguments and argument not in trials)
     score -= 2.0 * len(missing) + 0.5 * len(trials)
     if not inputs:
-        score -= 1.0 * len(required)
+        score -= 1.0 * len(missing)
     if score <= 0:
         return None
     return Guess(
@@ -147,41 +140,42 @@ Inputs = Mapping[str, tuple[str, ...]]
 
 
 def _arguments(
-    pack: Pack, hints: Hints, inputs: Inputs, tool: Mapping[str, Any]
+    pack: Pack, hints: Hints, inputs: Inputs, schema: Mapping[str, Any]
 ) -> tuple[dict[str, Any], dict[str, Any], dict[str, str]]:
-    properties = _properties(tool)
+    known = properties(schema)
     arguments: dict[str, Any] = {}
     optional: dict[str, Any] = {}
     convert: dict[str, str] = {}
     for name in inputs:
-        actual = _named(inputs[name], properties, arguments)
+        actual = _named(inputs[name], known, arguments)
         if actual is not None:
-            arguments[actual] = _template(pack, name, inputs, properties[actual], convert)
+            arguments[actual] = _template(pack, name, inputs, known[actual], convert)
     if not arguments:
-        arguments |= _batch(pack, inputs, properties, convert)
-    required = (tool.get("inputSchema") or {}).get("required") or []
-    for key, schema in properties.items():
+        arguments |= _batch(pack, inputs, known, convert)
+    for key, described in known.items():
         if key in arguments:
             continue
-        choice, constant, endpoint = _choice(hints, schema), _constant(pack, key), _endpoint(key, schema)
-        if choice is not None:
+        chosen, constant, endpoint = choice(described, hints.choice), _constant(pack, key), _endpoint(key, described)
+        if chosen is not None:
             # What an enumeration is about, such as a table, has to be said in any case.
-            arguments[key] = choice
+            arguments[key] = chosen
         elif (value := endpoint if constant is None else constant) is not None:
-            (arguments if key in required else optional)[key] = value
+            # So has what the tool takes for the opposite when it is not said, such as whether this is a dry run.
+            said = key in required(schema) or (isinstance(value, bool) and described.get("default") is (not value))
+            (arguments if said else optional)[key] = value
     return arguments, optional, convert
 
 
-def _named(names: tuple[str, ...], properties: Mapping[str, object], taken: Mapping[str, object]) -> str | None:
+def _named(names: tuple[str, ...], known: Mapping[str, object], taken: Mapping[str, object]) -> str | None:
     """Find the property for these names; earlier names take precedence."""
-    free = [key for key in properties if key not in taken]
+    free = [key for key in known if key not in taken]
     return next((key for name in names for key in free if key.lower() == name), None)
 
 
-def _batch(pack: Pack, inputs: Inputs, properties: Mapping[str, Any], convert: dict[str, str]) -> dict[str, Any]:
+def _batch(pack: Pack, inputs: Inputs, known: Mapping[str, Any], convert: dict[str, str]) -> dict[str, Any]:
     """Find an argument that takes a list of objects, each with places for the inputs."""
-    for key, schema in properties.items():
-        if "array" in _kinds(schema):
+    for key, schema in known.items():
+        if "array" in kinds(schema):
             template = _template(pack, next(iter(inputs), ""), inputs, schema, convert)
             if isinstance(template, list) and isinstance(template[0], dict) and len(template[0]) > 1:
                 return {key: template}
@@ -189,8 +183,8 @@ def _batch(pack: Pack, inputs: Inputs, properties: Mapping[str, Any], convert: d
 
 
 def _template(pack: Pack, name: str, inputs: Inputs, schema: Mapping[str, object], convert: dict[str, str]) -> object:
-    kinds = _kinds(schema)
-    if "array" in kinds and name not in pack.lists and not kinds & {"string", "integer", "number"}:
+    possible = kinds(schema)
+    if "array" in possible and name not in pack.lists and not possible & {"string", "integer", "number"}:
         items = schema.get("items") or {}
         members = items.get("properties") if isinstance(items, dict) else None
         if isinstance(members, dict) and members:
@@ -201,41 +195,18 @@ def _template(pack: Pack, name: str, inputs: Inputs, schema: Mapping[str, object
                     element[key] = f"${other}"
             return [element or f"${name}"]
         return [f"${name}"]
-    if kinds == {"string"} and name == "value":
+    if possible == {"string"} and name == "value":
         convert[name] = "string"
     return f"${name}"
 
 
-def _kinds(schema: Mapping[str, Any]) -> set[str]:
-    kind = schema.get("type")
-    if isinstance(kind, str):
-        return {kind}
-    if isinstance(kind, list):
-        return {entry for entry in kind if entry != "null"}
-    kinds: set[str] = set()
-    for alternative in schema.get("anyOf") or schema.get("oneOf") or []:
-        if isinstance(alternative, dict):
-            kinds |= _kinds(alternative) - {"null"}
-    return kinds
-
-
-def _choice(hints: Hints, schema: Mapping[str, Any]) -> str | None:
-    """Find the value of an enumerated argument that names the operation's subject, such as a table."""
-    values: list[Any] = schema.get("enum") or next(
-        (entry["enum"] for entry in schema.get("anyOf") or [] if isinstance(entry, dict) and "enum" in entry), []
-    )
-    return next(
-        (value for value in values if isinstance(value, str) and hints.choice and hints.choice.search(value)), None
-    )
-
-
 def _constant(pack: Pack, key: str) -> object:
-    return next((value for pattern, value in pack.constants.items() if re.match(pattern, key, re.IGNORECASE)), None)
+    known = {**_CONSTANTS, **pack.constants}
+    return next((value for pattern, value in known.items() if re.match(pattern, key, re.IGNORECASE)), None)
 
 
 def _endpoint(key: str, schema: Mapping[str, object]) -> str | None:
-    kinds = _kinds(schema)
     for pattern, placeholder in _ENDPOINT:
         if re.match(pattern, key, re.IGNORECASE):
-            return "{port}" if placeholder == "{port:int}" and kinds == {"string"} else placeholder
+            return "{port}" if placeholder == "{port:int}" and kinds(schema) == {"string"} else placeholder
     return None

@@ -48,7 +48,8 @@ def set_register(register: int, value: int) -> str:
 server.run()
 '''
 
-# A server on an old SDK: it ends at a request that it does not know before "initialize". Its address comes from a file.
+# A server on an old SDK: it ends at a request that it does not know before "initialize", or with an argument more it waits
+# for that for ever. Its address comes from a file, beside which it says how each of its processes was first addressed.
 OLD = """
 import json
 import sys
@@ -56,16 +57,23 @@ from pathlib import Path
 from pymodbus.client import ModbusTcpClient
 
 host, port = Path(sys.argv[1]).read_text().split()
+addressed = False
 client = ModbusTcpClient(host, port=int(port), retries=0)
 schema = {"type": "object", "properties": {"address": {"type": "integer"}, "count": {"type": "integer"}}}
 schema["required"] = list(schema["properties"])
 greeted = False
 for line in sys.stdin:
     message = json.loads(line)
+    if not addressed:
+        addressed = True
+        with open("addressed", "a") as log:
+            log.write(message["method"] + " ")
     if message["method"] == "initialize":
         greeted = True
         info = {"name": "old", "version": "1.9.4"}
         result = {"protocolVersion": "2024-11-05", "capabilities": {"tools": {}}, "serverInfo": info}
+    elif not greeted and sys.argv[2:]:
+        continue
     elif not greeted:
         sys.exit("received a request before initialization was complete")
     elif message["method"] == "tools/list":
@@ -185,6 +193,54 @@ def test_an_old_server_is_described_beside_another_adapter(otmcp: Otmcp, tmp_pat
     again = otmcp("init", *launch)
     assert again.returncode == 2
     assert "otmcp.toml: exists already" in again.stderr
+
+
+def test_a_server_that_waits_for_the_older_handshake_is_told_by_an_option(otmcp: Otmcp, tmp_path: Path) -> None:
+    (tmp_path / "old.py").write_text(OLD, encoding="utf-8")
+    address = ("--protocol", "modbus", "--file", "address={host} {port}")
+    done = otmcp("init", *address, "--era", "legacy", "--", sys.executable, "old.py", "{work}/address", "waits")
+    assert done.returncode == 0, done.stderr
+    assert "read_holding    read_holding_registers (proven" in done.stdout
+    assert load_subject(tmp_path / "otmcp.toml").adapters["modbus"].era == "legacy"
+    assert set((tmp_path / "addressed").read_text(encoding="utf-8").split()) == {"initialize"}
+
+
+def test_an_era_that_does_not_exist_is_refused(otmcp: Otmcp) -> None:
+    done = otmcp("init", "--protocol", "modbus", "--era", "2024", "--", "adapter")
+    assert done.returncode == 2
+    assert "--era: invalid choice: '2024' (choose from 'auto', 'legacy')" in done.stderr
+
+
+@pytest.mark.parametrize("era", ["auto", "legacy"])
+def test_the_doctor_says_by_which_handshake_a_server_must_be_addressed(otmcp: Otmcp, tmp_path: Path, era: str) -> None:
+    (tmp_path / "old.py").write_text(OLD, encoding="utf-8")
+    text = f'''
+[subject]
+name = "x"
+version = "1"
+[adapter.modbus]
+command = ["{sys.executable}", "old.py", "{{work}}/address"]
+files = {{ address = "{{host}} {{port}}" }}
+era = "{era}"
+answer = "json"
+[adapter.modbus.bind.read_holding]
+tool = "read_holding_registers"
+arguments = {{ address = "$address", count = "$count" }}
+result = {{ values = "registers" }}
+'''
+    (tmp_path / "otmcp.toml").write_text(text, encoding="utf-8")
+    done = otmcp("doctor")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "old 1.9.4, MCP 2024-11-05, 1 tools" in done.stdout
+    assert "a random value went between the mock device and the adapter: it talks to the mock" in done.stdout
+    addressed = (tmp_path / "addressed").read_text(encoding="utf-8").split()
+    advice = "ends at the first request of today's handshake, so it was given that of 2025: say era = 'legacy'"
+    if era == "auto":
+        assert advice in done.stdout
+        assert addressed == ["server/discover", "initialize"]
+    else:
+        assert advice not in done.stdout
+        assert addressed == ["initialize"]
 
 
 def test_a_file_that_is_there_is_not_replaced(otmcp: Otmcp, tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from pytest_otmcp.core.errors import UsageError
-from pytest_otmcp.onboarding.evidence import failure_rules, find
+from pytest_otmcp.onboarding.evidence import failure_rules, find, lists_in, turned_false
 from pytest_otmcp.onboarding.guess import Guess
 from pytest_otmcp.onboarding.known_causes import find_advice
 from pytest_otmcp.onboarding.matching import guess_connect, guess_tools
@@ -81,6 +81,39 @@ def test_what_an_argument_wants_to_be_told_is_tried() -> None:
     assert len(variations) <= 24
 
 
+def test_a_place_in_a_configuration_file_is_not_taken_for_an_address_before_the_call_without_it() -> None:
+    listing = tool("address count", endpoint={"type": "string"}, unit_id={"type": "integer"})
+    (guess,) = guesses("modbus", "read_holding", {"read_registers": listing})
+    added = [{*variation.arguments} - {"address", "count"} for variation in guess.variations()]
+    assert added == [set(), {"unit_id"}, {"unit_id", "endpoint"}]
+
+
+def test_a_dry_run_is_said_to_be_none() -> None:
+    default = {"type": "boolean", "default": True}
+    (guess,) = guesses("mqtt", "publish", {"mqtt_publish": tool("topic payload", dry_run=default)})
+    assert guess.arguments["dry_run"] is False
+    (guess,) = guesses("mqtt", "publish", {"mqtt_publish": tool("topic payload", dry_run={"type": "boolean"})})
+    assert "dry_run" not in guess.arguments
+
+
+def test_of_alternatives_the_one_for_the_table_is_taken() -> None:
+    def alternative(table: str, *names: str) -> dict[str, Any]:
+        properties = {name: {"type": "array", "items": {"type": "integer"}} for name in names}
+        return {"properties": {"target": {"const": table}, "address": {}, **properties}, "required": ["target", *names]}
+
+    listing = tool("target", target={"anyOf": [{"const": "coils"}, {"const": "holding"}]}, value={}, values={})
+    listing["inputSchema"]["oneOf"] = [alternative("coils", "value"), alternative("holding", "values")]
+    (guess,) = guesses("modbus", "write_holding", {"write_values": listing})
+    assert guess.arguments == {"target": "holding", "address": "$address", "values": ["$value"]}
+    assert guess.missing == ()
+
+
+def test_a_tool_that_subscribes_and_waits_may_give_messages() -> None:
+    assert guesses("mqtt", "messages", {"mqtt_subscribe": tool("topic", "qos")}) == []
+    (guess,) = guesses("mqtt", "messages", {"mqtt_subscribe": tool("topic", "timeout")})
+    assert guess.arguments == {"topic": "$filter", "timeout": "$seconds"}
+
+
 def test_what_nothing_is_known_about_is_named() -> None:
     listing = tool("address count licence")
     (guess,) = guesses("modbus", "read_holding", {"read_registers": listing})
@@ -104,6 +137,10 @@ def answer(text: str, structured: Any = None) -> dict[str, Any]:
     return {"result": result}
 
 
+def blocks(*texts: str) -> dict[str, Any]:
+    return {"result": {"content": [{"type": "text", "text": text} for text in texts]}}
+
+
 @pytest.mark.parametrize(
     ("message", "expected"),
     [
@@ -115,8 +152,9 @@ def answer(text: str, structured: Any = None) -> dict[str, Any]:
         (answer("Node ns=2;s=T has the value: 41.25 °C"), 41.25),
         (answer("x", {"data": {"value": 41.25, "source_timestamp": "2026"}}), 41.25),
         (answer("The pump is True now"), True),
+        (blocks('{"node": "a", "value": 1.5}', '{"node": "b", "value": 2.5}'), [1.5, 2.5]),
     ],
-    ids=["brackets", "bare", "json in text", "json in json", "objects", "sentence", "structured", "boolean"],
+    ids=["brackets", "bare", "json in text", "json in json", "objects", "sentence", "structured", "boolean", "blocks"],
 )
 def test_a_known_value_is_found_and_its_rule_finds_it_again(message: Mapping[str, Any], expected: Any) -> None:
     found = find(message, expected)
@@ -129,26 +167,56 @@ def test_a_value_that_is_not_there_is_not_found() -> None:
     assert find(answer("Registers: [0, 0, 0]", {"values": [0, 0, 0]}), [250, 150, 60]) is None
 
 
+def test_a_list_of_nodes_may_begin_with_the_node_that_was_asked_for() -> None:
+    message = blocks('{"node_id": "ns=2;i=1"}', '{"node_id": "ns=2;i=2"}', '{"node_id": "ns=2;i=3"}')
+    found = {rule["path"]: nodes for form, rule, nodes in lists_in(message, "2:")}
+    assert found["[1:].node_id"] == ["ns=2;i=2", "ns=2;i=3"]
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "expected"),
+    [
+        ({"connected": True}, {"connected": False}, "connected"),
+        ({"state": "connected"}, {"state": "closed"}, "state == 'connected'"),
+        ({"verdict": "ok", "hops": [{"up": True}]}, {"verdict": "bad", "hops": [{"up": False}]}, "hops[0].up"),
+        ({"connected": True}, {"connected": True}, None),
+        ({"connected": True}, {}, None),
+    ],
+)
+def test_the_place_that_says_no_without_the_device_is_found(
+    before: dict[str, Any], after: dict[str, Any], expected: str | None
+) -> None:
+    found = turned_false(answer("x", before), answer("x", after))
+    assert (None if found is None else found.rule["path"]) == expected
+
+
 @pytest.mark.parametrize(
     ("failure", "success", "form", "expected"),
     [
         (answer("Error reading 9999"), answer("Wrote 5"), "text", [{"text": "(?i)^\\W*error", "then": "failure"}]),
         (
-            answer('{"success": false}'),
-            answer('{"success": true}'),
+            answer('{"errors": ["no such topic"]}'),
+            answer('{"errors": []}'),
             "json",
-            [{"path": "success == `false`", "then": "failure"}],
+            [{"path": "errors", "then": "failure"}],
         ),
+        (answer('{"success": false}'), answer('{"success": true}'), "json", []),
         (
             answer("x", {"result": [{"status": "BadNodeIdUnknown"}]}),
             answer("x", {"result": [{"status": "Good"}]}),
             "structured",
             [{"path": "result[?status && status != 'Good']", "then": "failure"}],
         ),
+        (
+            blocks('{"error": "no such node"}'),
+            blocks('{"value": 1}'),
+            "texts",
+            [{"path": "[?error]", "then": "failure"}],
+        ),
         (answer("nothing special"), answer("nothing special"), "text", []),
         ({"result": {"isError": True, "content": []}}, answer("ok"), "text", []),
     ],
-    ids=["prose", "success", "status", "not to be told", "isError tells"],
+    ids=["prose", "list of errors", "says so itself", "status", "block", "not to be told", "isError tells"],
 )
 def test_a_rule_tells_the_failure_from_the_success(
     failure: Mapping[str, Any], success: Mapping[str, Any], form: str, expected: list[dict[str, Any]]
@@ -207,6 +275,8 @@ def test_a_tool_of_another_protocol_is_never_guessed() -> None:
         "opcua_write": tool("address value"),
     }
     assert guesses("modbus", "write_holding", described) == []
+    named = tool("address value") | {"description": "Write a value; Modbus has another tool for that."}
+    assert guesses("modbus", "write_holding", {"eip_write_register": named}) == []
     both = tool("address value") | {"description": "Write a register over Modbus or EtherCAT."}
     assert [guess.tool for guess in guesses("modbus", "write_holding", {"write_register": both})] == ["write_register"]
 

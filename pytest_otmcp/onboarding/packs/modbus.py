@@ -8,10 +8,12 @@ from typing import Any
 
 from ...protocols.journal import Entries
 from ...protocols.modbus.entries import ModbusEntry, as_modbus
-from ..experimenter import Experimenter, Proposal, Shown, reach
+from ..experimenter import Experimenter
 from ..guess import Guess
 from ..known_causes import KnownCause
 from ..pack import Hints, Pack
+from ..proposal import Proposal, Shown
+from ..status import reach
 
 __all__ = ["PACK"]
 
@@ -40,7 +42,9 @@ async def _read(
     await experimenter.device.poke(unit=1, table=table, address=10, values=values)
     shown, asked, offset = await _call_at(experimenter, guess, _requests(function), offsets, address=10, count=3)
     proven = asked is not None and asked["address"] == 10 and asked["quantity"] == 3
-    seen = "" if asked is None else f"function {function} for address {asked['address']}, quantity {asked['quantity']}"
+    seen = _others(shown.entries)
+    if asked is not None:
+        seen = f"function {function} for address {asked['address']}, quantity {asked['quantity']}"
     proposal = experimenter.propose(guess, shown, proven=proven, seen=seen, offset=offset)
     experimenter.locate(proposal, "values", values)
     if proven:
@@ -53,11 +57,9 @@ async def _write_holding(experimenter: Experimenter, guess: Guess) -> Proposal:
     find = _requests(_WRITE_SINGLE, _WRITE_MULTIPLE)
     shown, written, offset = await _call_at(experimenter, guess, find, (40001, 40000, 1), address=12, value=value)
     proven = written is not None and written["address"] == 12 and written["values"] == [value]
-    seen = (
-        ""
-        if written is None
-        else f"function {written['function']} for address {written['address']}, {written['values']}"
-    )
+    seen = _others(shown.entries)
+    if written is not None:
+        seen = f"function {written['function']} for address {written['address']}, {written['values']}"
     proposal = experimenter.propose(guess, shown, proven=proven, seen=seen, offset=offset)
     if proven:
         experimenter.locate_echo(proposal, "value", value)
@@ -92,6 +94,13 @@ async def _call_at(
     return shown, request, {}
 
 
+def _others(entries: Entries) -> str:
+    """Say which requests came instead of the one that was looked for; nothing when there were none."""
+    asked = [as_modbus(entry) for entry in entries if entry["kind"] == "request"]
+    functions = dict.fromkeys(request["function"] for request in asked)
+    return "" if not functions else f"function {', '.join(map(str, functions))} instead"
+
+
 def _requests(*functions: int) -> Find:
     def find(entries: Entries) -> ModbusEntry | None:
         asked = (as_modbus(entry) for entry in entries if entry["kind"] == "request")
@@ -106,6 +115,7 @@ PACK = Pack(
         "ping": Hints(
             likely="ping status health connection probe info",
             unlikely="read write mask scan list job template proxy listener frame log connect disconnect reconnect command",
+            needed="ping status health connection probe info check",
             experiment=reach,
         ),
         "read_input": Hints(
@@ -142,7 +152,7 @@ PACK = Pack(
     names=("modbus", "modbus-tcp", "modbus_tcp", "tcp"),
     errors={
         "illegal_address": (
-            r"0x0?2\b|exception[ _]code\W{0,4}2\b|[Ii]llegal.?[Dd]ata.?[Aa]ddress|ILLEGAL_DATA_ADDRESS",
+            r"(?i)0x0?2\b|exception[ _]code\W{0,4}2\b|illegal.?data.?address",
         ),
         "range_overflow": (
             r"(?i)out of range|number <= 65535|less than or equal to 65535|overflow|must be between",

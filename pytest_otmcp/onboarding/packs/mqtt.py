@@ -5,17 +5,24 @@ from __future__ import annotations
 import asyncio
 import base64
 from dataclasses import replace
+from typing import Any
 
-from ...subject.model import placeholders
-from ..evidence import find
-from ..experimenter import Experimenter, Proposal, reach
+from ...subject.answers import extract, read_answer
+from ...subject.model import OutputRule, placeholders
+from ..evidence import claims_success, find
+from ..experimenter import Experimenter
 from ..guess import Guess
 from ..pack import Hints, Pack
+from ..proposal import Proposal, Shown
+from ..status import reach
 
 __all__ = ["PACK"]
 
 _ENDINGS = ("UNSUBSCRIBE", "DISCONNECT", "DISCONNECTED")
-_COLLECTED = "otmcp/init/z"
+_COLLECTED, _KEPT = "otmcp/init/z", "otmcp/init/x"
+"""Topics of the messages that a call waits for, and of those that are asked for later."""
+
+_LOSES = "it does not give all messages"
 _WAITING_S, _SUBSCRIBING_S = 2, 4.0
 """How long a call that waits is told to wait, and how long it may take to subscribe."""
 
@@ -25,25 +32,43 @@ def _nonce(experimenter: Experimenter) -> str:
 
 
 async def _subscribe(experimenter: Experimenter, guess: Guess) -> Proposal:
-    wanted = f"otmcp/{_nonce(experimenter)}/#"
-    shown = await experimenter.call(guess, {}, filter=wanted, qos=0)
-    asked = [entry["connection"] for entry in shown.entries if entry["kind"] == "SUBSCRIBE" and wanted in str(entry)]
+    nonce = _nonce(experimenter)
+    shown = await _call_and_publish(experimenter, guess, [nonce], filter=f"otmcp/{nonce}", qos=0)
+    asked = [entry["connection"] for entry in shown.entries if entry["kind"] == "SUBSCRIBE" and nonce in str(entry)]
     ended = {entry["connection"] for entry in shown.entries if entry["kind"] in _ENDINGS}
-    # A call that subscribes, waits and leaves again receives by itself: it is no subscription for later.
-    kept = bool(set(asked) - ended)
+    # A call that subscribes, waits and leaves again, or answers with what came, receives by itself: it is no subscription for
+    # later.
+    waited = nonce in str(shown.message).replace(f"otmcp/{nonce}", "")
+    kept = bool(set(asked) - ended) and not waited and shown.message is not None and claims_success(shown.message)
     proposal = experimenter.propose(guess, shown, proven=kept, seen="a SUBSCRIBE for the filter" if asked else "")
     proposal.returned = bool(asked)
+    if waited:
+        proposal.evidence = ["no subscription for later: the call waits, and answers with the messages"]
     if kept:
         # For the messages that the next experiment publishes.
         await experimenter.call(guess, {}, filter="otmcp/init/#", qos=0)
     return proposal
 
 
+async def _call_and_publish(experimenter: Experimenter, guess: Guess, nonces: list[str], **inputs: Any) -> Shown:
+    """Call a tool, and publish these messages on its topic as soon as the broker has granted it."""
+    device = experimenter.device
+    since = await device.mark()
+    call = asyncio.create_task(experimenter.call(guess, {}, **inputs))
+    granted = asyncio.create_task(device.wait(since, {"kind": "SUBACK", "direction": "out"}, timeout_s=_SUBSCRIBING_S))
+    await asyncio.wait((call, granted), return_when=asyncio.FIRST_COMPLETED)
+    if granted.done() and granted.result():
+        for nonce in nonces:
+            await device.poke(publish=_message(inputs["filter"], nonce))
+    granted.cancel()
+    return await call
+
+
 async def _messages(experimenter: Experimenter, guess: Guess) -> Proposal:
     if "seconds" not in placeholders(guess.arguments):
         return await _inbox(experimenter, guess)
     proposal = await _collected(experimenter, guess)
-    if proposal.proven:
+    if proposal.proven or any(entry.startswith(_LOSES) for entry in proposal.evidence):
         return proposal
     kept = {name: value for name, value in guess.arguments.items() if "seconds" not in placeholders(value)}
     return await _inbox(experimenter, replace(guess, arguments=kept))
@@ -51,18 +76,34 @@ async def _messages(experimenter: Experimenter, guess: Guess) -> Proposal:
 
 async def _collected(experimenter: Experimenter, guess: Guess) -> Proposal:
     """Try a tool that subscribes, waits, and answers with what came meanwhile."""
-    nonce, device = _nonce(experimenter), experimenter.device
-    since = await device.mark()
-    waiting = asyncio.create_task(experimenter.call(guess, {}, filter=_COLLECTED, seconds=_WAITING_S))
-    subscribed = await device.wait(since, {"kind": "SUBACK", "direction": "out"}, timeout_s=_SUBSCRIBING_S)
-    if subscribed:
-        await device.poke(publish=_message(_COLLECTED, nonce))
-    shown = await waiting
-    proven = bool(subscribed) and nonce in str(shown.message)
+    nonces = [_nonce(experimenter), _nonce(experimenter)]
+    shown = await _call_and_publish(experimenter, guess, nonces, filter=_COLLECTED, seconds=_WAITING_S)
+    asked = any(entry["kind"] == "SUBSCRIBE" for entry in shown.entries)
+    problem = _lacks(shown, nonces)
+    if problem is None:
+        later = [_nonce(experimenter)]
+        again = await _call_and_publish(experimenter, guess, later, filter=_COLLECTED, seconds=_WAITING_S)
+        problem = None if _lacks(again, later) is None else f"{_LOSES}: asked again, it answers from memory"
     seen = "a SUBSCRIBE, and its message is in the answer"
-    proposal = experimenter.propose(guess, shown, proven=proven, seen=seen if proven else "")
-    proposal.returned = proposal.blocking = proven
-    return _placed(proposal, nonce) if proven else proposal
+    proposal = experimenter.propose(guess, shown, proven=problem is None, seen=seen if problem is None else "")
+    if problem is not None:
+        if asked:
+            proposal.evidence = [problem if problem else f"the device saw a SUBSCRIBE; {shown.words}"]
+        return proposal
+    proposal.returned = proposal.blocking = True
+    _placed(proposal, _COLLECTED, nonces[0])
+    proposal.whole = nonces[1] in str(shown.message)
+    if not proposal.whole:
+        proposal.evidence.append("of two messages that came together, only the first was in the answer")
+    return proposal
+
+
+def _lacks(shown: Shown, nonces: list[str]) -> str | None:
+    """Say what is wrong with an answer that should have these messages, or the first of them; None when nothing is."""
+    held = [nonce in str(shown.message) for nonce in nonces]
+    if held[0]:
+        return None
+    return f"{_LOSES}: of two messages on a topic only the last was in the answer" if any(held) else ""
 
 
 def _message(topic: str, text: str) -> dict[str, object]:
@@ -70,30 +111,39 @@ def _message(topic: str, text: str) -> dict[str, object]:
 
 
 async def _inbox(experimenter: Experimenter, guess: Guess) -> Proposal:
-    nonce = _nonce(experimenter)
-    since = await experimenter.device.mark()
-    await experimenter.device.poke(publish=_message("otmcp/init/x", nonce))
-    await experimenter.device.wait(since, {"kind": "PUBLISH", "direction": "out"}, timeout_s=1.0)
-    shown = await experimenter.call(guess, {}, filter="otmcp/init/x")
-    proven = nonce in str(shown.message)
-    proposal = experimenter.propose(
-        guess, shown, proven=proven, seen="to it that the message it published is in the answer"
-    )
-    proposal.returned = proven
-    if not proven:
-        proposal.evidence = [f"a message that was published was not in the answer: {shown.words}"]
+    nonces, device = [_nonce(experimenter), _nonce(experimenter)], experimenter.device
+    since = await device.mark()
+    for nonce in nonces:
+        await device.poke(publish=_message(_KEPT, nonce))
+    await device.wait(since, {"kind": "PUBLISH", "direction": "out", "topic": _KEPT}, count=2, timeout_s=1.0)
+    shown = await experimenter.call(guess, {}, filter=_KEPT)
+    if nonces[0] not in str(shown.message):
+        # What the broker has sent may not have been read yet.
+        shown = await experimenter.call(guess, {}, filter=_KEPT)
+    problem = _lacks(shown, nonces)
+    proposal = experimenter.propose(guess, shown, proven=problem is None, seen="")
+    if problem is not None:
+        proposal.evidence = [problem or f"a message that was published was not in the answer: {shown.words}"]
         return proposal
-    return _placed(proposal, nonce)
+    proposal.returned = True
+    proposal.evidence = ["a message that the device published is in the answer"]
+    return _placed(proposal, _KEPT, nonces[0])
 
 
-def _placed(proposal: Proposal, nonce: str) -> Proposal:
-    """Say where messages are in an answer that holds one with this payload."""
+def _placed(proposal: Proposal, topic: str, nonce: str) -> Proposal:
+    """Say where messages are in an answer that holds one with this topic and payload."""
     for form in ("structured", "json", "texts"):
         place = find(proposal.good or {}, nonce, (form,))
-        if place is not None and "[0]." in str(place.rule.get("path")):
-            listed, payload = str(place.rule["path"]).split("[0].", 1)
+        if place is None or "[0]." not in str(place.rule.get("path")):
+            continue
+        listed, payload = str(place.rule["path"]).split("[0].", 1)
+        path = f"{listed}[].{{topic: topic, payload: {payload}}}"
+        document = read_answer(proposal.good or {}, form)[0]
+        if {"topic": topic, "payload": nonce} in (
+            extract({"messages": OutputRule(path=path)}, document)["messages"] or []
+        ):
             proposal.form = form
-            proposal.outputs["messages"] = {"path": f"{listed}[].{{topic: topic, payload: {payload}}}"}
+            proposal.outputs["messages"] = {"path": path}
             return proposal
     proposal.evidence.append("where topic and payload are in the answer was not recognised: fill in 'result'")
     return proposal
@@ -133,6 +183,7 @@ PACK = Pack(
         "info": Hints(
             likely="info status health connection broker ping",
             unlikely="list publish subscribe unsubscribe spawn stop messages sparkplug brokers subscriptions connect disconnect",
+            needed="info status health connection ping check",
             experiment=reach,
         ),
         "subscribe": Hints(
@@ -166,7 +217,7 @@ PACK = Pack(
         ),
     },
     arguments={
-        "filter": "topic topic_filter filter pattern topics topic_pattern",
+        "filter": "topic topic_filter filter pattern topics topic_pattern response_topic",
         "seconds": "seconds timeout duration wait wait_seconds timeout_seconds duration_seconds timeout_s max_wait",
         "qos": "qos quality_of_service",
         "topic": "topic topic_name",
@@ -178,5 +229,7 @@ PACK = Pack(
     names=("mqtt",),
     # A message without acknowledgement can still be on its way when the answer has come.
     late={"kind": "PUBLISH", "direction": "in"},
-    errors={"invalid_input": (r"(?i)invalid|validation error|must not be empty|empty topic",)},
+    errors={
+        "invalid_input": (r"(?i)invalid|validation error|must not be empty|empty topic|non-empty|(is|are) required",)
+    },
 )

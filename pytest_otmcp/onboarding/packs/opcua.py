@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from ...protocols.opcua.oracle import children_of, folder_id, some_service
 from ..evidence import lists_in
-from ..experimenter import Experimenter, Proposal
+from ..experimenter import Experimenter
 from ..guess import Guess
 from ..pack import Hints, Pack
+from ..proposal import Proposal
 
 __all__ = ["PACK"]
 
@@ -122,7 +123,7 @@ PACK = Pack(
         ),
     },
     arguments={
-        "node": "node_id nodeid node id node_ids nodes",
+        "node": "node_id nodeid node id node_ids nodes address",
         "nodes": "node_ids nodes nodeids ids",
     },
     lists=frozenset({"nodes"}),

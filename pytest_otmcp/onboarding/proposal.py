@@ -1,0 +1,56 @@
+"""What was found out about a guess: what one call showed, and the proposal that came of it. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from ..protocols.journal import JournalEntry
+from .guess import Guess
+
+__all__ = ["Proposal", "Shown"]
+
+
+@dataclass(slots=True, kw_only=True)
+class Proposal:
+    """A proposed binding and the evidence for it.
+
+    Attributes:
+        proven: True when the device has seen the expected request.
+        evidence: sentences for the file's comments.
+        offset: input to the number that has to be added to it.
+        form: where the answer's document is: ``structured``, ``json``, ``text`` or ``texts``.
+        outputs: output to its rule.
+        good: the answer to a call that succeeded.
+        failures: answers to calls that had to fail, each with the error code that it should have.
+        blocking: the call waits for what it answers.
+        returned: a random value came from the mock device through the tool, or to it.
+        whole: False when it is only right as long as there is no tool that does more.
+    """
+
+    guess: Guess
+    proven: bool
+    evidence: list[str]
+    offset: dict[str, int] = field(default_factory=dict)
+    form: str | None = None
+    outputs: dict[str, Mapping[str, object]] = field(default_factory=dict)
+    good: Mapping[str, object] | None = None
+    failures: list[tuple[str, Mapping[str, object]]] = field(default_factory=list)
+    blocking: bool = False
+    returned: bool = False
+    whole: bool = True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shown:
+    """The observations of one call.
+
+    Attributes:
+        message: the answer; None when there is none.
+        entries: journal entries that the device wrote during the call.
+        words: the answer, or why there is none, in a few words.
+    """
+
+    message: Mapping[str, object] | None
+    entries: Sequence[JournalEntry]
+    words: str

@@ -1,0 +1,73 @@
+"""The trial of tools that tell whether the device can be reached: with the device, and at last without it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from ..protocols.registry import protocols
+from .evidence import claims_success, failure_rules, turned_false
+from .experimenter import Experimenter, words_of
+from .guess import Guess
+from .proposal import Proposal
+
+__all__ = ["look_without_device", "reach"]
+
+
+async def reach(experimenter: Experimenter, guess: Guess) -> Proposal:
+    """Try a tool that only has to reach the device: it is called twice, because the first call may have to connect."""
+    await experimenter.call(guess, {})
+    shown = await experimenter.call(guess, {})
+    asked = {entry["seq"] for entry in shown.entries if entry["request"]}
+    answered = any(entry["answers"] in asked for entry in shown.entries)
+    proven = answered and shown.message is not None and claims_success(shown.message)
+    seen = "an exchange" if answered else "nothing"
+    evidence = [f"the device saw {seen}" if proven else f"the device saw {seen}; the answer: {shown.words}"]
+    return Proposal(guess=guess, proven=proven, evidence=evidence, good=shown.message)
+
+
+async def look_without_device(experimenter: Experimenter, proposals: Mapping[str, Proposal]) -> None:
+    """Call what is proven and cannot succeed while the device is gone: each status, and one other operation.
+
+    It is the last experiment, because an adapter may not come back from it.
+    """
+    known = protocols()[experimenter.adapter.adapter.protocol]
+    proven = [
+        (known.operations[operation], proposals[operation], inputs)
+        for operation, inputs in known.proof.unreachable
+        if operation in proposals and proposals[operation].proven
+    ]
+    others = [tried for tried in proven if not tried[0].status]
+    for operation, proposal, inputs in [*(tried for tried in proven if tried[0].status), *others[:1]]:
+        await experimenter.adapter.open()
+        await experimenter.device.stop()
+        try:
+            message, failure = await experimenter.answer(proposal.guess, proposal.offset, inputs, writes=False)
+        finally:
+            await experimenter.device.start()
+        if operation.status:
+            _judge_status(proposal, operation.tells, message, failure)
+        elif message is not None:
+            proposal.failures.append(("connect_failed", message))
+
+
+def _judge_status(proposal: Proposal, tells: str | None, message: Mapping[str, object] | None, failure: str) -> None:
+    """Take back the proof of a status that does not say that the device is gone.
+
+    Args:
+        tells: the output that says whether the device can be reached.
+        message: the answer while the device was gone; None where there was none.
+        failure: why there was none.
+    """
+    good = proposal.good or {}
+    if message is None:
+        proposal.evidence.append(f"with the device gone: {failure}")
+        return
+    if tells is not None and (place := turned_false(good, message)) is not None:
+        proposal.form, proposal.outputs[tells] = place.form, place.rule
+    elif claims_success(message) and not failure_rules(message, [good], "text"):
+        proposal.proven = False
+        proposal.evidence = [f"with the device gone it says nothing of that: {words_of(message)}"]
+        return
+    else:
+        proposal.failures.append(("connect_failed", message))
+    proposal.evidence.append("with the device gone it said so")

@@ -1,0 +1,166 @@
+"""Bindings of a subject file at work: each operation is performed with inputs that ``otmcp init`` did not use, and the device
+and the answer are looked at without any of its code.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import random
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+from pytest_otmcp.plant.mock_device import MockDevice
+from pytest_otmcp.protocols.oracle import state_changing
+from pytest_otmcp.protocols.registry import protocols
+from pytest_otmcp.subject.model import READ_WRITE, Adapter
+from pytest_otmcp.trial.adapter_under_test import AdapterUnderTest, BenchOptions
+from pytest_otmcp.trial.reply import Reply
+from pytest_otmcp.trial.session_proof import prove_session
+
+__all__ = ["wrong_bindings"]
+
+
+class Work:
+    """An adapter with the bindings of its subject file, at a device of its own."""
+
+    def __init__(self, adapter: Adapter, device: MockDevice) -> None:
+        self.under_test = AdapterUnderTest(adapter, READ_WRITE, device, BenchOptions())
+        self.device = device
+        self.entries: list[Any] = []
+
+    async def call(self, operation: str, **inputs: object) -> Reply:
+        """Perform the operation; ``entries`` is then what the device saw."""
+        since = await self.device.mark()
+        reply = await self.under_test.call(operation, **inputs)
+        await self.device.wait(since, {"direction": "in"}, timeout_s=1.0)
+        self.entries = [*(await self.device.journal(since)).entries]
+        return reply
+
+    @property
+    def changes(self) -> list[Any]:
+        """What may have changed the device, during the last call."""
+        return state_changing(self.entries)
+
+
+async def reads_registers(work: Work, operation: str) -> bool:
+    table, function = {"read_input": ("input_registers", 4), "read_holding": ("holding_registers", 3)}[operation]
+    for count in (4, 1):
+        values = [random.randrange(0x10000) for _ in range(count)]
+        await work.device.poke(unit=1, table=table, address=3, values=values)
+        reply = await work.call(operation, address=3, count=count)
+        if reply.outputs != {"values": values} or {entry.get("function") for entry in work.entries} - {None} != {
+            function
+        }:
+            return False
+    return True
+
+
+async def writes_a_register(work: Work, operation: str) -> bool:
+    await work.call(operation, address=7, value=40123)
+    held = (await work.device.image())["points"]["1/holding_registers/7"]
+    return bool(held == 40123 and len(work.changes) == 1)
+
+
+async def tells_the_state(work: Work, operation: str) -> bool:
+    await work.call(operation)
+    with_device = await work.call(operation)
+    exchanged = any(entry["answers"] for entry in work.entries)
+    await work.device.stop()
+    without = await work.under_test.call(operation)
+    await work.device.start()
+    return exchanged and not _says_no(with_device) and _says_no(without)
+
+
+def _says_no(reply: Reply) -> bool:
+    return not reply.answered or not (reply.envelope or {}).get("success")
+
+
+async def publishes(work: Work, operation: str) -> bool:
+    await work.call(operation, topic="wild/target", payload="23.5", qos=1)
+    sent = [(entry["topic"], base64.b64decode(entry["payload"])) for entry in work.changes]
+    return sent == [("wild/target", b"23.5")]
+
+
+async def subscribes(work: Work, operation: str) -> bool:
+    await work.call(operation, filter="wild/+/level", qos=1)
+    return any("wild/+/level" in str(client) for client in (await work.device.image())["clients"])
+
+
+async def receives(work: Work, operation: str) -> bool:
+    topic, text, blocks = "wild/tank", f"{random.getrandbits(40):x}", operation in work.under_test.adapter.blocking
+    since = await work.device.mark()
+    if not blocks:
+        await work.under_test.call("subscribe", filter="wild/#", qos=0)
+    inputs: dict[str, object] = {"filter": topic, **({"seconds": 2} if blocks else {})}
+    call = asyncio.create_task(work.under_test.call(operation, **inputs)) if blocks else None
+    await work.device.wait(since, {"kind": "SUBACK", "direction": "out"}, timeout_s=10.0)
+    payload = base64.b64encode(text.encode()).decode()
+    await work.device.poke(publish={"topic": topic, "payload": payload, "qos": 0, "retain": False})
+    await work.device.wait(since, {"kind": "PUBLISH", "direction": "out", "topic": topic}, timeout_s=1.0)
+    if call is None:
+        # What the broker has sent has been read when another exchange is over.
+        await work.under_test.call("subscribe", filter="wild/other", qos=0)
+    reply = await (call or work.under_test.call(operation, **inputs))
+    return {"topic": topic, "payload": text} in reply.outputs["messages"]  # type: ignore[operator]
+
+
+async def reads_nodes(work: Work, operation: str) -> bool:
+    values = {"Pressure": 3.25, "Temperature": -7.5}
+    for name, value in values.items():
+        await work.device.poke(node=name, value=value)
+    nodes = [f"ns=2;s={name}" for name in values]
+    if operation == "read_many":
+        return (await work.call(operation, nodes=nodes)).outputs["values"] == list(values.values())
+    return [(await work.call(operation, node=node)).outputs["value"] for node in nodes] == list(values.values())
+
+
+async def writes_a_node(work: Work, operation: str) -> bool:
+    node = "ns=2;s=ValvePosition"
+    await work.call(operation, node=node, value=61.5)
+    return bool((await work.device.image())["points"][node] == 61.5 and len(work.changes) == 1)
+
+
+async def browses(work: Work, operation: str) -> bool:
+    image = await work.device.image()
+    folder = image["folders"]["Sensors"]
+    inside = {node for node, variable in image["variables"].items() if variable["parent"] == folder}
+    reply = await work.call(operation, node=folder)
+    found: Any = reply.outputs["node_ids"]
+    return set(found) == inside and len(found) == len(inside)
+
+
+Check = Callable[[Work, str], Awaitable[bool]]
+
+CHECKS: dict[str, Check] = {
+    "read_input": reads_registers,
+    "read_holding": reads_registers,
+    "subscribe": subscribes,
+    "messages": receives,
+    "read": reads_nodes,
+    "read_many": reads_nodes,
+    "browse": browses,
+    "write_holding": writes_a_register,
+    "publish": publishes,
+    "write": writes_a_node,
+    # At last: an adapter may not come back from an outage.
+    "ping": tells_the_state,
+    "info": tells_the_state,
+}
+
+
+async def wrong_bindings(adapter: Adapter, device: MockDevice) -> list[str]:
+    """Perform every bound operation; return those that did something else, or whose result is somewhere else."""
+    work, known = Work(adapter, device), protocols()[adapter.protocol].operations
+    try:
+        await work.under_test.open()
+        if all(known[name].writes for name in adapter.operations):
+            # Nothing that is bound can prove the session; where the adapter connects to is looked at elsewhere.
+            work.under_test.cursor.proven = "nothing"
+        problem = await prove_session(work.under_test)
+        if problem is not None:
+            return [problem]
+        wrong = [name for name, check in CHECKS.items() if name in adapter.operations and not await check(work, name)]
+        return wrong + [name for name in adapter.operations if name not in CHECKS]
+    finally:
+        await work.under_test.close()
