@@ -101,7 +101,6 @@ def _of_a_short_answer(reply: Reply, sent: list[int]) -> list[Finding]:
 
 async def a_fraction_is_not_cut_off(run: Repetition, modbus: Rig) -> None:
     """Write 40.7 to a register."""
-    # A proof sets values of its own; it must not fall between the two looks.
     await modbus.prove()
     before = await modbus.image()
     reply = await modbus.call("write_holding", address=1, value=40.7)

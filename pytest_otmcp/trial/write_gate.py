@@ -47,11 +47,14 @@ class WriteGate(ABC):
     # -- for tasks and drivers ----------------------------------------------------------------------------
 
     async def prove(self) -> None:
-        """Prove the session, unless it is proven already; for steps that write after the device was stopped.
+        """Prove the session, unless it is proven already; for steps that write after the device was stopped, or that compare what it
+        holds before a write with what it holds then: a proof sets values of its own.
 
         Raises:
             EndedError: it cannot be proven. The ledger has the reason, and the item ends.
         """
+        if self._claimed:
+            self._compare(await self.journal())
         cursor = self._cursor
         if cursor.proven is not None:
             return
@@ -78,8 +81,6 @@ class WriteGate(ABC):
         if known is None or not known.writes:
             return False
         if self.running:
-            if self._claimed:
-                self._compare(await self.journal())
             await self.prove()
         elif self._cursor.proven is None:
             raise KitError(f"the steps write while {self.protocol} is stopped, and did not prove the session before")

@@ -159,7 +159,7 @@ MUTANTS = (
         sentence="A publish succeeds, and nothing is sent.",
         bend=each(_PUBLISH, change=publish_not_sent),
         items="Q3 X2 X2p FQ1 FX1 S5 S11",
-        requirements="MQT-001",
+        requirements="ADR-006 MQT-001",
         waits=True,
     ),
     Mutant(
