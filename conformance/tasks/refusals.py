@@ -30,7 +30,7 @@ _LAST_ADDRESS = 65535
 _BUSY = 6
 _ASKED = 4
 
-_EMERGENCY_STOP = "ns=2;s=EmergencyStop"
+_PUMP_ENABLED = "ns=2;s=PumpEnabled"
 _REFERENCES = 3
 """References in one answer: fewer than any folder of the plant has."""
 
@@ -135,16 +135,16 @@ async def filters_are_no_topics(run: Repetition, mqtt: Rig) -> None:
 
 async def the_text_false_is_not_true(run: Repetition, opcua: Rig) -> None:
     """Write the text "false" to a variable that is true or false."""
-    await opcua.poke(node="EmergencyStop", value=False)
-    reply = await opcua.call("write", node=_EMERGENCY_STOP, value="false")
-    holds = opcua_oracle.held(await opcua.image(), _EMERGENCY_STOP)
-    await opcua.poke(node="EmergencyStop", value=False)
+    await opcua.poke(node="PumpEnabled", value=False)
+    reply = await opcua.call("write", node=_PUMP_ENABLED, value="false")
+    holds = opcua_oracle.held(await opcua.image(), _PUMP_ENABLED)
+    await opcua.poke(node="PumpEnabled", value=True)
     if not reply.success:
         run.fails(reply, "type_mismatch", "invalid_input", outcome=("not_sent", "rejected"), requirement="ADR-004")
     if holds is not False:
         finding = Finding(
             code="device_differs",
-            message=f"{reply.label}: {_EMERGENCY_STOP} was false, it holds {holds!r} after the text 'false' was written",
+            message=f"{reply.label}: {_PUMP_ENABLED} was false, it holds {holds!r} after the text 'false' was written",
             requirement="ADR-004",
         )
         run.judge(reply, [finding])

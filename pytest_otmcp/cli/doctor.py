@@ -99,7 +99,7 @@ async def _examine(adapter: Adapter, variant: str) -> bool:
         )
         if under_test.legacy:
             print(
-                f"  {variant}: ends at the first request of today's handshake, so it was given that of 2025: say era = 'legacy'"
+                f"  {variant}: ends at the first request of today's handshake, or never answers it, so it was given that of 2025: say era = 'legacy'"
             )
         count, first = session.stray_output()
         if count:

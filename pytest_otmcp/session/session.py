@@ -274,10 +274,10 @@ class McpSession:
     # -- descriptions -------------------------------------------------------------------------------------
 
     def _command_line(self) -> str:
-        return " ".join(self._command)
+        return _without_home(" ".join(self._command))
 
     def _stderr_excerpt(self) -> str:
-        tail = self.stderr_tail()
+        tail = [_without_home(line) for line in self.stderr_tail()]
         return "; last stderr lines:\n    " + "\n    ".join(tail) if tail else "; it wrote nothing to stderr"
 
     def _explain_failed_start(self, error: BaseException) -> str:
@@ -296,6 +296,12 @@ class McpSession:
             return f"the command cannot be executed ({error.strerror or error}): {self._command_line()}"
         reason = str(error).splitlines()[0][:300] if str(error) else type(error).__name__
         return f"the adapter's handshake failed: {reason} ({self._command_line()}){self._stderr_excerpt()}"
+
+
+def _without_home(text: str) -> str:
+    """Write ``~`` for the home directory: a record goes to others, whom it does not tell who ran the kit."""
+    home = str(Path.home())
+    return text.replace(home, "~") if home != "/" else text
 
 
 def _describe_exit(code: int | None) -> str:

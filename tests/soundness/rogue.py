@@ -81,6 +81,8 @@ def serve(mode: str) -> None:
             result(identifier, {"tools": tools})
         elif method == "tools/call":
             call(mode, identifier)
+        elif mode == "stops-at-discover" and method == "server/discover":
+            time.sleep(3600)
         elif identifier is not None:
             write({"jsonrpc": "2.0", "id": identifier, "error": {"code": -32601, "message": "no such method"}})
 

@@ -56,6 +56,21 @@ def test_an_adapter_that_hangs_in_its_handshake_is_waited_for_once(judge: Judge)
     assert "did not finish its handshake within" in words(results)
 
 
+def test_an_adapter_that_stops_at_todays_handshake_gets_the_older_one(judge: Judge) -> None:
+    results = judge("modbus", command=rogue("stops-at-discover"), tasks="M1", time_scale=0.15)
+    assert "M1: the device should have answered at least 1 request(s) during the call(s), it saw none" in words(results)
+    assert "handshake" not in words(results)
+
+
+def test_what_is_said_of_a_failed_start_does_not_name_the_home_directory(
+    judge: Judge, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(HERE))
+    said = words(judge("modbus", command=rogue("dies-in-initialize"), tasks="M1", time_scale=IMPATIENT))
+    assert "~/rogue.py dies-in-initialize" in said
+    assert str(HERE) not in said
+
+
 def test_a_missing_command_is_named(judge: Judge) -> None:
     results = judge("modbus", command=("adapter-of-nobody", "--stdio"), tasks="M1")
     assert "the command 'adapter-of-nobody' was not found" in words(results)

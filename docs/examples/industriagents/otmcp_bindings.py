@@ -2,23 +2,22 @@
 
 from pytest_otmcp.subject import Refused
 
-_types = {}
-
 
 async def device_birth(tools, *, device, metrics):
     await _publish(tools, message_type="NBIRTH")
-    _types.update({metric["name"]: metric["datatype"].lower() for metric in metrics})
-    await _publish(tools, message_type="DBIRTH", device_id=device, metrics=_typed(metrics))
+    tools.state["types"] = {metric["name"]: metric["datatype"].lower() for metric in metrics}
+    await _publish(tools, message_type="DBIRTH", device_id=device, metrics=_typed(tools, metrics))
     return {}
 
 
 async def device_data(tools, *, device, metrics):
-    answer = await _publish(tools, message_type="DDATA", device_id=device, metrics=_typed(metrics))
+    answer = await _publish(tools, message_type="DDATA", device_id=device, metrics=_typed(tools, metrics))
     return {"metric_count": answer["data"]["metrics"]}
 
 
-def _typed(metrics):
-    return [{"name": metric["name"], "value": metric["value"], "type": _types[metric["name"]]} for metric in metrics]
+def _typed(tools, metrics):
+    types = tools.state["types"]
+    return [{"name": metric["name"], "value": metric["value"], "type": types[metric["name"]]} for metric in metrics]
 
 
 async def _publish(tools, **arguments):

@@ -2,25 +2,23 @@
 
 from pytest_otmcp.subject import Refused
 
-_handles = {}
-_received = []
-
 
 async def subscribe(tools, *, filter, qos):
     answer = await tools.call("start_subscription", topic_filter=filter, qos=qos)
     if answer.is_error:
         raise Refused("invalid_input" if "less than or equal to 2" in answer.text else "unclassified", answer.text)
-    _handles[filter] = answer.structured["session_id"]
+    tools.state.setdefault("handles", {})[filter] = answer.structured["session_id"]
     return {}
 
 
 async def messages(tools, *, filter):
-    for handle in _handles.values():
+    received = tools.state.setdefault("received", [])
+    for handle in tools.state.get("handles", {}).values():
         answer = await tools.call("get_messages", session_id=handle)
         if answer.is_error:
             raise Refused("unclassified", answer.text)
-        _received.extend(answer.structured["messages"])
-    return {"messages": [{"topic": m["topic"], "payload": m["payload"]} for m in _received if _matches(filter, m)]}
+        received.extend(answer.structured["messages"])
+    return {"messages": [{"topic": m["topic"], "payload": m["payload"]} for m in received if _matches(filter, m)]}
 
 
 def _matches(filter, message):

@@ -282,6 +282,34 @@ def backs_off_as_declared(server: AdapterServer) -> None:
     pause_after_failure(2.0)(server)
 
 
+def noticed_late(genuine: Handler) -> Handler:
+    """Return a handler that waits in vain in the first call of an outage, and finds the connection broken in the second."""
+    failures = 0
+
+    async def handler(call: Call, arguments: Any) -> Any:
+        nonlocal failures
+        try:
+            answer = await genuine(call, arguments)
+        except AdapterError as error:
+            failures += 1
+            if failures == 1:
+                raise AdapterError("timeout", "the device did not reply in time") from None
+            if failures == 2:
+                raise AdapterError("connection_lost", "the connection is broken") from None
+            raise error
+        failures = 0
+        return answer
+
+    return handler
+
+
+@choice(
+    "times out before it notices that the connection is lost", "requirement ERR-005: each code says what the call met"
+)
+def notices_a_loss_late(server: AdapterServer) -> None:
+    wrap(server, "read_input_registers", noticed_late)
+
+
 # -- status -----------------------------------------------------------------------------------------------------------
 
 

@@ -89,11 +89,10 @@ def null_in_topics(server: AdapterServer) -> None:
 def texts_are_true(server: AdapterServer) -> None:
     def guessing(genuine: Handler) -> Handler:
         async def handler(call: Call, arguments: Any) -> Data:
-            if arguments.value != "false":
-                data: Data = await genuine(call, arguments)
-                return data
-            await genuine(call, arguments.model_copy(update={"value": bool(arguments.value)}))
-            return {"node_id": arguments.node_id, "value": arguments.value}
+            if arguments.value == "false":
+                arguments = arguments.model_copy(update={"value": bool(arguments.value)})
+            data: Data = await genuine(call, arguments)
+            return data
 
         return handler
 

@@ -1,0 +1,72 @@
+"""``docs/field-report.md`` says what the run records say, and every example has a record of its own subject file."""
+
+from __future__ import annotations
+
+import pytest
+
+from pytest_otmcp.record.schema import Run
+from pytest_otmcp.report.causes import causes
+from pytest_otmcp.subject import load_subject
+
+from .examples import EXAMPLES, NAMES
+from .field_report import DOCUMENT, page
+from .page import side_by_side
+from .records import REPS, recorded, stored
+from .wire import wire
+
+
+def test_every_example_has_a_record() -> None:
+    assert recorded() == NAMES
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_record_is_of_the_whole_suite_and_of_the_subject_file_as_it_is(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("INDUSTRICONNECT", "anywhere")
+    run = stored(name)
+    assert run["subject"]["digest"] == load_subject(EXAMPLES / name / "otmcp.toml").digest
+    assert run["settings"]["reps"] == REPS
+    assert run["settings"]["narrowed"] == []
+
+
+def test_the_page_says_what_the_records_say() -> None:
+    current = DOCUMENT.read_text(encoding="utf-8")
+    assert page() == current, "out of date: python -m tests.adapters_in_the_wild.field_report"
+
+
+@pytest.mark.parametrize(
+    ("name", "item", "code", "shown"),
+    [
+        ("mcmqtt", "Q1", "no_exchange", ["host → adapter  mqtt_status", "the device saw nothing of it"]),
+        (
+            "mcmqtt",
+            "Q3",
+            "published_otherwise",
+            ['"qos": 0', "adapter → device  PUBLISH", "qos=1", "adapter ← device  PUBACK"],
+        ),
+        ("mcmqtt", "Q2", "wrong_value", ["adapter ← device  PUBLISH", "mqtt_get_messages", '"messages": []']),
+        ("mqtt5-mcp-server", "S11", "made_up_for", ["publish_message", "connect_failed", "adapter → device  PUBLISH"]),
+        ("kukapay-modbus-mcp", "R-modbus", "not_from_the_device", ["read_input_registers", "Demo Mode", "saw nothing"]),
+    ],
+)
+def test_beside_a_cause_stands_what_was_said_and_what_the_device_saw(
+    name: str, item: str, code: str, shown: list[str]
+) -> None:
+    (cause,) = (cause for cause in causes(stored(name)) if (cause.where["id"], cause.first["code"]) == (item, code))
+    text = "\n".join(wire(cause))
+    places = [text.index(words) for words in shown]
+    assert places == sorted(places), text
+
+
+def test_the_papers_measure_sees_less_than_the_device() -> None:
+    runs: dict[str, Run] = {name: stored(name) for name in NAMES}
+    row = next(line for line in side_by_side(runs).splitlines() if line.startswith("| normal suite |"))
+    _, _, paper, replies, device, later_replies, later_device, _ = (cell.strip() for cell in row.split("|"))
+    assert paper == "480/480"
+    for claimed, seen in ((replies, device), (later_replies, later_device)):
+        assert passed(claimed) > passed(seen)
+
+
+def passed(cell: str) -> int:
+    return int(cell.partition("/")[0])
