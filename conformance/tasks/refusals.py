@@ -38,7 +38,9 @@ _REFERENCES = 3
 async def no_register_follows_the_last(run: Repetition, modbus: Rig) -> None:
     """Read two registers of which only the first has an address."""
     reply = await modbus.call("read_holding", address=_LAST_ADDRESS, count=2)
-    run.fails(reply, "illegal_address", "invalid_input", "limit_exceeded", requirement="RD-007")
+    run.fails(
+        reply, "illegal_address", "invalid_input", "limit_exceeded", requirement="RD-007", code_requirement="ERR-002"
+    )
 
 
 async def a_busy_device_is_no_success(run: Repetition, modbus: Rig) -> None:
@@ -63,7 +65,9 @@ async def malformed_answers_are_survived(run: Repetition, modbus: Rig) -> None:
     await modbus.fault()
     # An adapter that asks a second time has an answer.
     if not reply.success:
-        run.fails(reply, "protocol_error", "connection_lost", "timeout", requirement="RD-005")
+        run.fails(
+            reply, "protocol_error", "connection_lost", "timeout", requirement="RD-005", code_requirement="ERR-002"
+        )
     await _one_works_again(run, modbus)
 
 
@@ -78,7 +82,9 @@ async def _short_answer(run: Repetition, modbus: Rig) -> None:
     reply = await modbus.call("read_holding", address=40, count=_ASKED)
     await modbus.fault()
     if not reply.success:
-        run.fails(reply, "protocol_error", "connection_lost", "timeout", requirement="RD-005")
+        run.fails(
+            reply, "protocol_error", "connection_lost", "timeout", requirement="RD-005", code_requirement="ERR-002"
+        )
     else:
         run.judge(reply, _of_a_short_answer(reply, modbus_oracle.values_sent(reply.during(await modbus.journal()))))
 
@@ -156,7 +162,7 @@ async def a_bad_value_is_no_success(run: Repetition, opcua: Rig) -> None:
     await opcua.poke(node="Temperature", value=0.0, status="BadSensorFailure")
     reply = await opcua.call("read", node="ns=2;s=Temperature")
     await opcua.poke(node="Temperature", value=0.0)
-    run.fails(reply, "bad_quality", "device_failure", requirement="OUA-002")
+    run.fails(reply, "bad_quality", "device_failure", requirement="OUA-002", code_requirement="ERR-003")
 
 
 async def a_long_browse_is_complete(run: Repetition, opcua: Rig) -> None:

