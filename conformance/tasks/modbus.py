@@ -237,7 +237,7 @@ async def a_register_that_is_there_can_be_read(run: Repetition, modbus: Rig) -> 
     sends no frame at all.
 
     Said: success, and the value; then failures: `illegal_address`, `invalid_input` or `limit_exceeded`; `device_busy`; and twice
-        `protocol_error`, `connection_lost` or `timeout`, or the value where the adapter asked again. Then a read works.
+        `protocol_error`, `connect_failed`, `connection_lost` or `timeout`, or the value where the adapter asked again. Then a read works.
     Seen: the register holds it.
     """
     value = run.rng.randrange(0x10000)

@@ -198,7 +198,7 @@ CHANGES: dict[Callable[[Record], None], tuple[str, str]] = {
     swap_concurrent_replies: ("S1", "S1 repetition 1: the stored history shows 'read_input_registers"),
     write_in_the_read_only_session: (
         "M4",
-        "'control: the device should have seen no state-changing request, it saw 1' (wrote)",
+        "M4 control: the steps ask for end of modbus, the history has garbled of modbus@ro",
     ),
 }
 

@@ -20,6 +20,9 @@ from foreign import Failure, Result, Shape, prose, structured
 
 ANSWER_S = 3.0
 
+NO_NAME = {"+", "#", "\0"}
+"""Characters that a topic to publish on must not have."""
+
 
 class Link:
     """A connection to a broker; the broker's answers can be waited for."""
@@ -145,8 +148,8 @@ def mqtt_connect(lie: str | None, read_only: bool) -> Shape:
     async def send(topic: str, text: str) -> Result:
         if lie == "acknowledges-nonsense" and not topic:
             return structured({"success": True, "topic": topic})
-        if not topic:
-            return bad(Failure("invalid", "the topic must not be empty"))
+        if not topic or NO_NAME.intersection(topic):
+            return bad(Failure("invalid", "the topic must not be empty, or hold a wildcard or a null character"))
         try:
             await asyncio.to_thread(link().publish, topic, text, 0)
         except Failure as failure:
@@ -238,6 +241,8 @@ def mqtt_handle(lie: str | None, read_only: bool) -> Shape:
                 # This blocks the event loop and not only this call, as any synchronous tool does.
                 threading.Event().wait()
             return bad(Failure("invalid", "the topic must not be empty"))
+        if NO_NAME.intersection(topic):
+            return bad(Failure("invalid", "the topic must not hold a wildcard or a null character"))
         try:
             await asyncio.to_thread((await link()).publish, topic, message, qos)
         except Failure as failure:
