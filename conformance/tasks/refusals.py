@@ -5,6 +5,8 @@ The mock device makes the faults. Each control leaves the device as it was.
 
 from __future__ import annotations
 
+from typing import Any
+
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.modbus import oracle as modbus_oracle
 from pytest_otmcp.protocols.mqtt import oracle as mqtt_oracle
@@ -37,7 +39,7 @@ _REFERENCES = 3
 
 async def no_register_follows_the_last(run: Repetition, modbus: Rig) -> None:
     """Read two registers of which only the first has an address."""
-    beyond = {"address": _LAST_ADDRESS, "count": 2}
+    beyond: dict[str, Any] = {"address": _LAST_ADDRESS, "count": 2}
     if not modbus.can_ask("read_holding", beyond):
         return
     reply = await modbus.call("read_holding", **beyond)
@@ -78,7 +80,7 @@ async def _one_works_again(run: Repetition, modbus: Rig) -> None:
 
 
 async def _short_answer(run: Repetition, modbus: Rig) -> None:
-    block = {"address": 40, "count": _ASKED}
+    block: dict[str, Any] = {"address": 40, "count": _ASKED}
     if not modbus.can_ask("read_holding", block):
         return
     short = [run.rng.randrange(1, 0x10000) for _ in range(2)]
@@ -109,7 +111,7 @@ def _of_a_short_answer(reply: Reply, sent: list[int]) -> list[Finding]:
 
 async def a_fraction_is_not_cut_off(run: Repetition, modbus: Rig) -> None:
     """Write 40.7 to a register."""
-    fraction = {"address": 1, "value": 40.7}
+    fraction: dict[str, Any] = {"address": 1, "value": 40.7}
     if not modbus.can_ask("write_holding", fraction):
         return
     await modbus.prove()

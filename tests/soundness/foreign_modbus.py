@@ -53,7 +53,7 @@ async def read(host: str, port: int, table: str, address: int, count: int) -> li
 
 
 async def write(host: str, port: int, address: int, value: int) -> None:
-    if not 0 <= value <= 65535:
+    if type(value) is not int or not 0 <= value <= 65535:
         raise Failure("range", f"{value} is not in 0..65535")
     await transact(host, port, lambda client: client.write_register(address, value))
 
