@@ -123,7 +123,6 @@ MUTANTS = (
         bend=cuts_fractions_off,
         items="FM2",
         requirements="ADR-004",
-        quick=True,
     ),
     Mutant(
         id="MU-11",
@@ -132,7 +131,6 @@ MUTANTS = (
         bend=texts_are_true,
         items="FO2",
         requirements="ADR-004",
-        quick=True,
     ),
     Mutant(
         id="MU-40",
@@ -141,7 +139,6 @@ MUTANTS = (
         bend=instead_of("protocol_error", lambda arguments: [0] * arguments.count),
         items="FM1",
         requirements="RD-005",
-        quick=True,
     ),
     Mutant(
         id="MU-44",
@@ -167,7 +164,6 @@ MUTANTS = (
         bend=null_in_topics,
         items="FQ1",
         requirements="ADR-006",
-        quick=True,
     ),
     Mutant(
         id="MU-81",
@@ -184,7 +180,6 @@ MUTANTS = (
         bend=first_page,
         items="O2",
         requirements="OUA-006",
-        quick=True,
     ),
     Mutant(
         id="MU-93",
