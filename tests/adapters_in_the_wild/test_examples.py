@@ -21,7 +21,7 @@ from tests.trials import measured
 
 from .conftest import Install
 from .examples import EXAMPLES, NAMES, requirement_files
-from .records import stored
+from .records import recorded, stored
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -59,7 +59,7 @@ def plant(loop: LoopThread) -> Iterator[Plant]:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", recorded())
 def test_an_adapter_of_the_wild_still_gives_its_row(
     name: str, installed: Install, loop: LoopThread, plant: Plant
 ) -> None:
