@@ -1,6 +1,6 @@
 """Controls of several items: what an adapter has to refuse, and answers of a device that are no success.
 
-The mock device makes the faults. Each control leaves the device as it was.
+The mock device makes the faults. Each control takes its fault back; where an adapter never answered, the reset before the next item does.
 """
 
 from __future__ import annotations

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
@@ -37,10 +38,8 @@ def publish_not_sent(genuine: Handler) -> Handler:
     return handler
 
 
-def made_up_for(server: AdapterServer) -> None:
-    """Keep what could not be published, and publish it with the next connection."""
-    kept: list[Message] = []
-    genuine_restore = mqtt_link.Link._restore
+def keeps_what_failed(kept: list[Message], topic: str | None = None) -> Callable[[Handler], Handler]:
+    """Return the change that what could not be published is kept, to be published on this topic or on its own one."""
 
     def keeping(genuine: Handler) -> Handler:
         async def handler(call: Call, arguments: Any) -> Data:
@@ -48,11 +47,19 @@ def made_up_for(server: AdapterServer) -> None:
                 data: Data = await genuine(call, arguments)
             except AdapterError as error:
                 if error.code in _GONE:
-                    kept.append(Message(topic=arguments.topic, payload=arguments.payload.encode()))
+                    kept.append(Message(topic=topic or arguments.topic, payload=arguments.payload.encode()))
                 raise
             return data
 
         return handler
+
+    return keeping
+
+
+def made_up_for(server: AdapterServer) -> None:
+    """Keep what could not be published, and publish it with the next connection."""
+    kept: list[Message] = []
+    genuine_restore = mqtt_link.Link._restore
 
     async def restore(link: mqtt_link.Link, made: Any) -> None:
         await genuine_restore(link, made)
@@ -60,25 +67,13 @@ def made_up_for(server: AdapterServer) -> None:
             made.send(kept.pop(0))
 
     mqtt_link.Link._restore = restore
-    each(_PUBLISH, change=keeping)(server)
+    each(_PUBLISH, change=keeps_what_failed(kept))(server)
 
 
 def delivered_later(server: AdapterServer) -> None:
     """Keep what could not be published, and publish it on another topic when the broker has answered some questions."""
     link, kept = link_of(server), list[Message]()
     answered = 0
-
-    def keeping(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            try:
-                data: Data = await genuine(call, arguments)
-            except AdapterError as error:
-                if error.code in _GONE:
-                    kept.append(Message(topic="line/late", payload=arguments.payload.encode()))
-                raise
-            return data
-
-        return handler
 
     def delivering(genuine: Handler) -> Handler:
         async def handler(call: Call, arguments: Any) -> Data:
@@ -93,7 +88,7 @@ def delivered_later(server: AdapterServer) -> None:
 
         return handler
 
-    each(_PUBLISH, change=keeping)(server)
+    each(_PUBLISH, change=keeps_what_failed(kept, "line/late"))(server)
     each("get_broker_info", change=delivering)(server)
 
 
