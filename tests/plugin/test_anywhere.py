@@ -77,6 +77,7 @@ def test_broken_tests_of_the_vendor_are_not_in_the_way(repository: Repository, s
     assert repository.collected("--otmcp-suite=normal,fault,stress,recovery") == suite
 
 
+@pytest.mark.long
 def test_the_whole_suite_runs_in_a_hostile_repository_on_two_workers(repository: Repository, suite: list[str]) -> None:
     repository.write(pytest_ini=HOSTILE_INI)
     repository.reference_subject()
@@ -116,7 +117,7 @@ def test_the_time_of_a_run_counts_from_the_beginning_of_the_session(repository: 
         conftest_py="import time\n\nBEGUN = time.monotonic\n\n"
         "def pytest_sessionstart():\n    time.monotonic = lambda: BEGUN() + 1000.0\n"
     )
-    outcome = repository.pytest("--otmcp-reps=1", "-k", "M1")
+    outcome = repository.pytest("--otmcp-reps=1", "-k", "[M1]")
     assert outcome.record["footer"]["elapsed_s"] > 1000
 
 

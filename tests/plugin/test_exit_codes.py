@@ -30,6 +30,7 @@ def deviations(items: list[str], expires: str) -> str:
     return "".join(f'\n[[deviation]]\nitem = "{item}"\nreason = "known"\nexpires = {expires}\n' for item in items)
 
 
+@pytest.mark.long
 def test_known_deviations_make_the_exit_code_green_and_not_the_verdict(repository: Repository) -> None:
     repository.subject("wrong-value")
     first = repository.pytest("--otmcp-reps=1")
@@ -49,6 +50,7 @@ def test_known_deviations_make_the_exit_code_green_and_not_the_verdict(repositor
     assert stale.record["footer"]["deviations"]["stale"] == ["M1"]
 
 
+@pytest.mark.long
 def test_a_conformant_run_beside_a_failure_of_the_vendors_own_is_no_success(repository: Repository) -> None:
     repository.subject()
     repository.write(tests__test_own_py="def test_own():\n    assert False\n")

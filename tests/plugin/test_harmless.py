@@ -73,7 +73,7 @@ class Elsewhere:
         self._loop.run(self._device.close())
 
 
-@pytest.fixture(params=OWN)
+@pytest.fixture(params=[pytest.param(name, marks=() if name == "mqtt" else pytest.mark.long) for name in OWN])
 def protocol(request: pytest.FixtureRequest) -> str:
     found: str = request.param
     return found

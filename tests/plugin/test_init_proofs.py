@@ -140,6 +140,7 @@ def test_a_status_that_says_the_same_while_the_device_is_gone_is_not_proven(init
     assert "ping" not in adapter.operations
 
 
+@pytest.mark.long
 def test_a_tool_that_gives_the_last_message_only_is_no_inbox(init: Init) -> None:
     told, adapter = init("mqtt", WAITING, BROKER="{host}", BROKER_PORT="{port}")
     assert "subscribe       mqtt_subscribe (not proven: no subscription for later" in told

@@ -32,7 +32,7 @@ version = "1.0"
 
 [adapter.modbus]
 command = {command}
-env = {{ MODBUS_HOST = "{{host}}", MODBUS_PORT = "{{port}}", MODBUS_TIMEOUT_S = "20", MODBUS_DEADLINE_S = "25" }}
+env = {{ MODBUS_HOST = "{{host}}", MODBUS_PORT = "{{port}}", MODBUS_TIMEOUT_S = "4", MODBUS_DEADLINE_S = "25" }}
 rw = {{ env = {{ MODBUS_WRITES_ENABLED = "true" }} }}
 deadline_s = 30
 """

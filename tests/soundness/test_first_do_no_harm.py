@@ -85,7 +85,9 @@ MANNERS: dict[str, dict[str, str]] = {
 
 
 @pytest.mark.parametrize("protocol", OWN)
-@pytest.mark.parametrize("manner", MANNERS)
+@pytest.mark.parametrize(
+    "manner", [pytest.param(name, marks=() if name == "misspelt" else pytest.mark.long) for name in MANNERS]
+)
 def test_an_adapter_that_talks_to_the_plant_is_never_told_to_write(
     loop: LoopThread,
     plant: Plant,

@@ -41,7 +41,19 @@ HONEST = {
 }
 
 
-@pytest.mark.parametrize("name", HONEST)
+QUICK = {
+    "modbus-json": "silent-cache clamps-value".split(),
+    "modbus-prose": ["partial-write"],
+    "modbus-http": [],
+    "mqtt-connect": "publishes-into-the-void acknowledges-nonsense false-failure".split(),
+    "mqtt-handle": "clamps-qos guard-by-hiding empty-poll farewell-for-hello".split(),
+    "mqtt-collect": [],
+    "opcua-items": "empty-success guard-in-words echoes-write applied-late".split(),
+}
+"""Lies that are told in every test run, by adapter; the others are told in the long tests."""
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=() if QUICK[name] else pytest.mark.long) for name in HONEST])
 def test_an_honest_adapter_passes_what_it_claims(judge_foreign: Judge, name: str) -> None:
     tasks, reasons = HONEST[name]
     results = judge_foreign(name)
@@ -104,7 +116,10 @@ LIES = {
 }
 
 
-@pytest.mark.parametrize(("name", "lie"), LIES)
+@pytest.mark.parametrize(
+    ("name", "lie"),
+    [pytest.param(name, lie, marks=() if lie in QUICK[name] else pytest.mark.long) for name, lie in LIES],
+)
 def test_a_lie_fails_exactly_its_tasks(judge_foreign: Judge, name: str, lie: str) -> None:
     tasks, reason = LIES[name, lie]
     results = judge_foreign(name, lie=lie, time_scale=IMPATIENT if lie.startswith("hangs") else 1.0)

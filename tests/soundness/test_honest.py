@@ -12,7 +12,7 @@ from .honest.table import section
 from .honest.zoo import ZOO
 
 QUICK = {
-    "modbus": "M1 M2 M3 M4 FM1",
+    "modbus": "M1 M2 M3 M4",
     "mqtt": "Q1 Q2 Q3 Q4",
     "opcua": "O1 O3 FO1",
 }
@@ -21,7 +21,6 @@ QUICK = {
 CLOSEST = """
     mcp/no-text-block mcp/prose-before-json mcp/coarse-clock
     modbus/split-reads modbus/block-reads modbus/polls-the-same-registers modbus/register-map
-    modbus/asks-twice-for-a-missing-register
     mqtt/status-ten-times-a-second mqtt/retained-online mqtt/node-data-of-its-own mqtt/status-from-a-declared-cache
     mqtt/always-qos-1 mqtt/delivers-again-with-dup
     opcua/reads-by-monitored-items opcua/browses-before-reading opcua/node-list opcua/writes-a-timestamp

@@ -7,6 +7,8 @@ import pytest
 from .conftest import Judge, Results, failing
 from .mutants.table import MUTANTS
 
+pytestmark = pytest.mark.long
+
 PROGRAM = "mutants/program.py"
 
 BAD = ("MU-126", "MU-126q", "MU-14")
@@ -31,14 +33,12 @@ def test_items_in_another_order_have_the_same_verdicts(judge: Judge, name: str) 
 ADAPTERS = [("modbus", "defective.py", "none"), *((MUTANTS[name].protocol, PROGRAM, name) for name in BAD)]
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("protocol", "program", "name"), ADAPTERS)
 def test_more_repetitions_have_the_same_verdicts(judge: Judge, protocol: str, program: str, name: str) -> None:
     once = judge(protocol, program, name)
     assert verdicts(judge(protocol, program, name, repetitions=3)) == verdicts(once)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("protocol", "program", "name"), ADAPTERS)
 def test_an_item_alone_has_the_same_verdict(judge: Judge, protocol: str, program: str, name: str) -> None:
     usual = judge(protocol, program, name)

@@ -84,6 +84,9 @@ async def client(device: Device, *between: str, token: str | None = None) -> Asy
         assert process.stdin is not None
         process.stdin.close()
         await process.wait()
+        # An orphan holds its parent's output until it has ended, too.
+        assert process.stdout is not None
+        await process.stdout.read()
 
 
 async def told(process: Process, word: str, data: bytes = b"") -> str:

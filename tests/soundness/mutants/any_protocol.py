@@ -218,7 +218,6 @@ MUTANTS = (
         bend=guard_after_sending("write_register"),
         items="M4",
         requirements="WR-004",
-        quick=True,
     ),
     Mutant(
         id="MU-20q",
@@ -253,7 +252,6 @@ MUTANTS = (
         bend=enabled_by_default("MODBUS_WRITES_ENABLED"),
         items="M4",
         requirements="WR-004",
-        quick=True,
     ),
     Mutant(
         id="MU-21b",
@@ -262,7 +260,6 @@ MUTANTS = (
         bend=enabled_by_any_word,
         items="M4",
         requirements="WR-005",
-        quick=True,
     ),
     Mutant(
         id="MU-21q",
@@ -288,7 +285,6 @@ MUTANTS = (
         items="S10 R-modbus",
         requirements="REC-002 not_proven",
         recovers=True,
-        quick=True,
     ),
     Mutant(
         id="MU-35q",
@@ -315,7 +311,6 @@ MUTANTS = (
         bend=answers_twice_from_one_exchange("read_input_registers"),
         items="M2 X1 X1p FX1 S7 S10",
         requirements="ENV-008 RD-001 RD-004",
-        quick=True,
     ),
     Mutant(
         id="MU-36o",
@@ -340,7 +335,6 @@ MUTANTS = (
         bend=result(text_says_otherwise),
         items="M1 M2 M3 M4 X1 X2 X1p X2p FM1 FM2 FX1 S1 S4 S7 S10",
         requirements="MCP-006",
-        quick=True,
     ),
     Mutant(
         id="MU-49",
@@ -440,7 +434,6 @@ MUTANTS = (
         items="S10 R-modbus",
         requirements="REC-001 not_proven",
         recovers=True,
-        quick=True,
     ),
     Mutant(
         id="MU-126q",

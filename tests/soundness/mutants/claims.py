@@ -84,7 +84,6 @@ MUTANTS = (
         bend=meta(one_attempt),
         items="M4 FM2",
         requirements="ENV-005",
-        quick=True,
     ),
     Mutant(
         id="MU-53h",
@@ -101,7 +100,6 @@ MUTANTS = (
         bend=meta(latency_in_seconds),
         items="M1",
         requirements="ENV-004",
-        quick=True,
     ),
     Mutant(
         id="MU-59b",
@@ -134,7 +132,6 @@ MUTANTS = (
         bend=meta(invented_trace),
         items=_EVERY_ITEM,
         requirements="ENV-007",
-        quick=True,
     ),
     Mutant(
         id="MU-124",

@@ -66,7 +66,6 @@ MUTANTS = (
         items="R-modbus",
         requirements="MCP-002",
         recovers=True,
-        quick=True,
     ),
     Mutant(
         id="MU-52r",

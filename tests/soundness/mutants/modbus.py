@@ -126,7 +126,6 @@ MUTANTS = (
         bend=next_register(_READ_INPUT, _READ_HOLDING),
         items="M2 M3 X1 X1p FM1 FX1 S1 S4 S7 S10",
         requirements="ADR-001 CON-004 RD-001",
-        quick=True,
     ),
     Mutant(
         id="MU-02",
@@ -151,7 +150,6 @@ MUTANTS = (
         bend=input_registers_for_holding,
         items="M3 FM1 S4",
         requirements="CON-004 RD-001 RD-002",
-        quick=True,
     ),
     Mutant(
         id="MU-08",
@@ -202,7 +200,6 @@ MUTANTS = (
         bend=also("ping", action=_heartbeat),
         items="M1",
         requirements="MCP-008",
-        quick=True,
     ),
     Mutant(
         id="MU-53b",
@@ -219,7 +216,6 @@ MUTANTS = (
         bend=also(_READ_HOLDING, action=_heartbeat),
         items="M3 M4 FM1 S4",
         requirements="MCP-008 WR-003 WR-004",
-        quick=True,
     ),
     Mutant(
         id="MU-116",

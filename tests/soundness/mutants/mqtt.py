@@ -199,7 +199,6 @@ MUTANTS = (
         bend=forgets_subscriptions,
         items="S11",
         requirements="REC-004",
-        quick=True,
     ),
     Mutant(
         id="MU-66",

@@ -75,7 +75,6 @@ MUTANTS = (
         bend=told("read_opcua_node", "read_multiple_opcua_nodes", change=_rounded),
         items="O1 X1 X1p FO1 S3 S6 S9",
         requirements="CON-004 ENC-003",
-        quick=True,
     ),
     Mutant(
         id="MU-80b",
@@ -84,7 +83,6 @@ MUTANTS = (
         bend=always_int64,
         items="O3 X2 X2p FO2 S6",
         requirements="OUA-001 WR-001",
-        quick=True,
     ),
     Mutant(
         id="MU-118",

@@ -147,7 +147,6 @@ MUTANTS = (
         bend=begins_at_0_again,
         items="FM1",
         requirements="RD-007",
-        quick=True,
     ),
     Mutant(
         id="MU-46",
