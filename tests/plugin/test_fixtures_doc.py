@@ -51,16 +51,18 @@ def test_there_are_examples_of_both_kinds() -> None:
         assert fixture in text
 
 
-@pytest.mark.parametrize("options", [(), ("-n", "2")])
+@pytest.mark.parametrize("options", [pytest.param((), marks=pytest.mark.long), ("-n", "2")])
 def test_the_examples_run_under_pytest_asyncio_in_strict_mode(repository: Repository, options: tuple[str, ...]) -> None:
     loops = ("-o", "asyncio_mode=strict", "-o", "asyncio_default_fixture_loop_scope=function")
     all_passed(run(repository, *loops, *options, plugins="pytest_asyncio.plugin xdist"))
 
 
+@pytest.mark.long
 def test_the_examples_run_under_pytest_asyncio_in_auto_mode_with_loops_of_other_scopes(repository: Repository) -> None:
     scopes = ("-o", "asyncio_default_fixture_loop_scope=session", "-o", "asyncio_default_test_loop_scope=module")
     all_passed(run(repository, "-o", "asyncio_mode=auto", *scopes, plugins="pytest_asyncio.plugin", mark=""))
 
 
+@pytest.mark.long
 def test_the_examples_run_under_the_plugin_of_anyio(repository: Repository) -> None:
     all_passed(run(repository, plugins="anyio", mark="pytest.mark.anyio", more=ANYIO))

@@ -94,6 +94,7 @@ def test_a_toy_that_says_written_and_wrote_nothing_is_found_out_by_its_device(ru
         assert codes == {"not_written_once", "device_differs"}, item["id"]
 
 
+@pytest.mark.long
 def test_a_write_when_the_session_begins_is_found_at_its_end(run: Run, tmp_path: Path) -> None:
     subject(tmp_path, manner="greets")
     done = run("pytest", "--otmcp-reps=2", "-p", "no:cacheprovider", "-k", "T1 or T2 or U2")
