@@ -82,7 +82,6 @@ MUTANTS = (
         bend=connection_per_call,
         items="S7",
         requirements="CON-006",
-        quick=True,
     ),
     Mutant(
         id="MU-120",

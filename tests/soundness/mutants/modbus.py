@@ -158,7 +158,6 @@ MUTANTS = (
         bend=lambda server: fitted(server, lambda value: value & 0xFFFF),
         items="FM2",
         requirements="ADR-003",
-        quick=True,
     ),
     Mutant(
         id="MU-09",
@@ -175,7 +174,6 @@ MUTANTS = (
         bend=write_not_sent,
         items="M3 M4 X2 X2p FM2 S4 S10",
         requirements="WR-001",
-        quick=True,
     ),
     Mutant(
         id="MU-15",

@@ -207,7 +207,6 @@ MUTANTS = (
         bend=each(_PUBLISH, change=retained),
         items="Q3 X2 X2p FQ1 FX1 S5",
         requirements="MQT-003",
-        quick=True,
     ),
     Mutant(
         id="MU-67a",
