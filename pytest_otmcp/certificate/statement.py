@@ -137,6 +137,7 @@ def _adapter(protocol: str, facts: AdapterFacts, run: Run, tasks: Tasks) -> dict
         "outputs_not_judged": facts["unjudged"],
         "recovery": facts["recovery"],
         "recovery_s": facts["recovery_s"],
+        "call_limit": facts.get("call_limit"),
         "cached_s": facts["cached"],
         "facets": {"earned": earned, "claimed_not_exercised": not_exercised, "not_claimed": not_claimed},
     }

@@ -48,6 +48,7 @@ def describe_launch(
         connect=connect,
         recovery="same_session",
         recovery_s=LONGEST_RECOVERY_S,
+        call_limit=None,
         lists={},
         probes={},
         secrets=(),

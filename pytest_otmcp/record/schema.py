@@ -171,11 +171,19 @@ class ToolListing(TypedDict):
     annotations: Any
 
 
+class CallLimit(TypedDict):
+    """The most tool calls that the adapter takes in ``per_s`` seconds, as its subject file declares."""
+
+    calls: Count
+    per_s: Deadline
+
+
 class AdapterFacts(TypedDict):
     """One adapter under test: what its subject file says, and how its server introduced itself.
 
     ``unclaimed``: facet to the reason why it is not claimed. ``blocking``: operations whose call waits for what it answers.
-    ``recovery_s``: the time within which work goes on after an outage. ``lists``: the lists of the protocol's own keys.
+    ``recovery_s``: the time within which work goes on after an outage. ``call_limit``: the most calls that the adapter takes.
+    ``lists``: the lists of the protocol's own keys.
     ``cached``: operations whose answers may come from a cache, and how old they may be, in seconds.
     ``lacks``: optional inputs that no tool takes. ``probes``: what is asked for where something must be refused.
     ``bindings``: every operation that was used; None for one that a Python function performs. ``unmet``: requirements of the
@@ -188,6 +196,7 @@ class AdapterFacts(TypedDict):
     envelope: Literal["native", "synthesised"]
     recovery: str
     recovery_s: NotRequired[Deadline]
+    call_limit: NotRequired[CallLimit | None]
     lists: NotRequired[dict[str, list[str]]]
     cached: NotRequired[dict[str, float]]
     deadline_s: Deadline

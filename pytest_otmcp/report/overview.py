@@ -221,6 +221,8 @@ def _adapter(protocol: str, facts: Mapping[str, Any]) -> Adapter:
     notes += [f"Does not claim {facet}: {reason}." for facet, reason in facts.get("unclaimed", {}).items()]
     if "recovery_s" in facts:
         notes.append(f"Has {facts['recovery_s']:g} s to work again after an outage.")
+    if limit := facts.get("call_limit"):
+        notes.append(f"Declares that it takes {limit['calls']} calls in {limit['per_s']:g} s; the kit kept to it.")
     for operation, seconds in facts.get("cached", {}).items():
         notes.append(f"Declares that {operation} may be known from up to {seconds:g} s ago.")
     return Adapter(

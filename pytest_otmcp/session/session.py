@@ -12,6 +12,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Awaitable, Callable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
@@ -25,6 +26,7 @@ from ..core.exhaustion import exhausted
 from .exchange import Exchange
 from .frames import MAX_STRAY_LINES, META_KEY, FrameRecorder, Measurement
 from .http import HttpTransport
+from .pace import Pace
 from .process import MAX_FRAME_BYTES, StopReport, subject_environment
 from .stdio import StdioTransport
 
@@ -40,12 +42,14 @@ class SessionOptions:
         start_timeout_s: limit for start and handshake.
         exit_grace_s: time that the process gets to end after each step before SIGKILL.
         url: URL of the subject's streamable HTTP endpoint; None for stdio.
+        pace: the adapter's limit of calls; None without one.
     """
 
     era: str = "auto"
     start_timeout_s: float = 30.0
     exit_grace_s: float = 3.0
     url: str | None = None
+    pace: Pace | None = None
 
 
 class McpSession:
@@ -193,6 +197,15 @@ class McpSession:
         return await self._exchange(uri, {}, read)
 
     async def _exchange(
+        self,
+        tool: str,
+        arguments: Mapping[str, object],
+        request: Callable[[Client, RequestParamsMeta], Awaitable[object]],
+    ) -> Exchange:
+        async with nullcontext() if self._options.pace is None else self._options.pace.call():
+            return await self._recorded(tool, arguments, request)
+
+    async def _recorded(
         self,
         tool: str,
         arguments: Mapping[str, object],

@@ -14,6 +14,7 @@ from ..protocols.protocol import Operation, OtProtocol
 from .answers import UNCLASSIFIED
 from .kinds import (
     ANYTHING,
+    COUNT,
     DATE,
     FLAG,
     NUMBER,
@@ -47,6 +48,15 @@ _VARIANT = Named(
             "args": Key(strings("further arguments"), "Further arguments.", default=[]),
             "env": Key(MapOf(STRING), "Further environment.", default={}),
             "files": Key(MapOf(STRING), "Further files.", default={}),
+        }
+    ),
+)
+_CALL_LIMIT = Named(
+    "call_limit",
+    Table(
+        {
+            "calls": Key(COUNT, "Number of calls.", required=True),
+            "per_s": Key(SECONDS, "In so many seconds.", required=True),
         }
     ),
 )
@@ -184,6 +194,7 @@ def adapter_table(protocol: OtProtocol) -> Table:
                 "Time within which work goes on after an outage.",
                 default=LONGEST_RECOVERY_S,
             ),
+            "call_limit": Key(_CALL_LIMIT, "The most tool calls that the adapter takes within a time."),
             **{name: Key(strings(f"the {name}"), meaning, default=[]) for name, meaning in protocol.lists.items()},
             **_answering("; without it the adapter answers in the kit's own envelope"),
             "probes": Key(probes, "What to ask for where something must be refused.", default={}),

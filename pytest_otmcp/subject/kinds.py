@@ -159,6 +159,12 @@ REASON = Scalar(
     described={"type": "string", "pattern": r"\S"},
     shown=lambda value: "a blank string" if isinstance(value, str) else toml_type(value),
 )
+COUNT = Scalar(
+    expected="a whole number above 0",
+    accepts=lambda value: isinstance(value, int) and not isinstance(value, bool) and value > 0,
+    described={"type": "integer", "minimum": 1},
+    shown=repr,
+)
 NUMBER = Scalar(expected="a number", accepts=_is_number, described={"type": "number"})
 
 

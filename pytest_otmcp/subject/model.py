@@ -287,6 +287,19 @@ class Variant:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class CallLimit:
+    """The most tool calls that an adapter takes within a time; it refuses what is more.
+
+    Attributes:
+        calls: number of calls.
+        per_s: in so many seconds.
+    """
+
+    calls: int
+    per_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Adapter:
     """One adapter under test.
 
@@ -301,6 +314,7 @@ class Adapter:
         connect: the tool call before all others, or None.
         recovery: after an outage work goes on in the ``same_session``, after the ``connect_step``, or in a ``new_session``.
         recovery_s: the time within which work goes on after an outage.
+        call_limit: the most tool calls that the adapter takes in a time, or None.
         lists: the lists of the protocol's own keys, such as ``command_topics``, by key.
         probes: name to the input that tasks use where the adapter must refuse.
         secrets: names of environment variables whose values must not be shown.
@@ -320,6 +334,7 @@ class Adapter:
     connect: Connect | None
     recovery: str
     recovery_s: float
+    call_limit: CallLimit | None
     lists: Mapping[str, tuple[str, ...]]
     probes: Mapping[str, Any]
     secrets: tuple[str, ...]
@@ -388,6 +403,7 @@ class Adapter:
             "envelope": "native" if self.answering.native else "synthesised",
             "recovery": self.recovery,
             "recovery_s": self.recovery_s,
+            "call_limit": None if (limit := self.call_limit) is None else {"calls": limit.calls, "per_s": limit.per_s},
             "lists": {key: list(values) for key, values in self.lists.items()},
             "cached": self.cached,
             "deadline_s": self.deadline_s,

@@ -26,6 +26,7 @@ from ..protocols.registry import protocols
 from ..record.schema import AdapterFacts, StoredBinding, ToolListing
 from ..record.schema import Device as DeviceFacts
 from ..session.exchange import Exchange, joined
+from ..session.pace import Pace
 from ..session.process import StopReport
 from ..session.session import McpSession, SessionOptions
 from ..subject.addressing import addressed_by, carries_address
@@ -158,6 +159,9 @@ class AdapterUnderTest:
         self._addressed = False
         self.legacy = False
         self._garbled: Mapping[str, str] = {}
+        # One for all sessions: the kit cannot know whether the adapter forgets with its process.
+        limit = adapter.call_limit
+        self._pace = None if limit is None else Pace(limit.calls, limit.per_s)
         self.first = first
         self.cursor = JournalCursor(adapter.protocol, first)
 
@@ -243,6 +247,7 @@ class AdapterUnderTest:
             era="legacy" if self.legacy else self.adapter.era or self._options.era,
             start_timeout_s=self.adapter.start_timeout_s * self._options.time_scale,
             exit_grace_s=_EXIT_GRACE_S * self._options.time_scale,
+            pace=self._pace,
             url=None if self.adapter.url is None else str(replace_placeholders(self.adapter.url, values)),
         )
         self._token = new_token()

@@ -188,6 +188,12 @@ def test_the_time_to_come_back_is_five_seconds_unless_it_is_declared_to_be_less(
     assert load(tmp_path, LAUNCH + "recovery_s = 2\n").adapters["modbus"].facts()["recovery_s"] == 2.0
 
 
+def test_a_limit_of_calls_may_be_declared(tmp_path: Path) -> None:
+    limited = load(tmp_path, LAUNCH + "call_limit = { calls = 25, per_s = 120 }\n").adapters["modbus"]
+    assert limited.facts()["call_limit"] == {"calls": 25, "per_s": 120.0}
+    assert load(tmp_path, LAUNCH).adapters["modbus"].facts()["call_limit"] is None
+
+
 def test_further_topics_of_commands_may_be_declared(tmp_path: Path) -> None:
     text = LAUNCH.replace("modbus", "mqtt") + 'command_topics = ["line/+/set"]\n'
     assert load(tmp_path, text).adapters["mqtt"].lists == {"command_topics": ("line/+/set",)}
@@ -223,6 +229,14 @@ REFUSED = {
     "recovery too slow": (
         LAUNCH + "recovery_s = 6\n",
         "adapter.modbus.recovery_s: expected seconds above 0 and up to 5",
+    ),
+    "limit of no calls": (
+        LAUNCH + "call_limit = { calls = 0, per_s = 1 }\n",
+        "adapter.modbus.call_limit.calls: expected a whole number above 0, found 0",
+    ),
+    "limit without a time": (
+        LAUNCH + "call_limit = { calls = 1 }\n",
+        "adapter.modbus.call_limit.per_s: expected seconds above 0 and up to 300, found None",
     ),
     "cache too old": (
         STATUS.replace("1.5", "30"),

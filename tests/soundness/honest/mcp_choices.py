@@ -14,7 +14,7 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from mcp.types import Tool
-from pytest_otmcp.reference_adapters.core import AdapterServer, Call, stdio
+from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call, stdio
 from pytest_otmcp.reference_adapters.core import call as core_call
 from pytest_otmcp.reference_adapters.core import server as core_server
 from pytest_otmcp.reference_adapters.modbus.shapes import Unit
@@ -192,6 +192,31 @@ def slow_answers(server: AdapterServer) -> None:
         return handler
 
     every_tool(server, later)
+
+
+def limited(adapter: Adapter) -> Adapter:
+    # At run time only: the adapter's own process bends the server and has no need of the kit.
+    from pytest_otmcp.subject.model import CallLimit
+
+    return dataclasses.replace(adapter, call_limit=CallLimit(calls=30, per_s=0.5))
+
+
+@choice("refuses more than 30 calls in half a second", "call_limit in the subject file says so", described=limited)
+def limits_its_calls(server: AdapterServer) -> None:
+    received: list[float] = []
+
+    def limited(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Any:
+            now = time.monotonic()
+            received[:] = [before for before in received if now - before < 0.5]
+            if len(received) == 30:
+                raise AdapterError("device_busy", "more than 30 calls in half a second", outcome="not_sent")
+            received.append(now)
+            return await genuine(call, arguments)
+
+        return handler
+
+    every_tool(server, limited)
 
 
 @choice("writes 100 kB to stderr at the start and with every call", "MCP, stdio: stderr is the server's own")
