@@ -91,6 +91,7 @@ def test_the_whole_suite_runs_in_a_hostile_repository_on_two_workers(repository:
     assert set(outcome.record["subject"]["adapters"]) == {"modbus", "mqtt", "opcua"}
 
 
+@pytest.mark.long
 def test_own_tests_that_are_called_like_a_task_are_no_conformance_run_on_two_workers(repository: Repository) -> None:
     repository.write(tests__test_normal_py=NAMESAKE)
     outcome = repository.pytest("-n", "2", plugins="xdist")
@@ -99,6 +100,7 @@ def test_own_tests_that_are_called_like_a_task_are_no_conformance_run_on_two_wor
     assert "VERDICT" not in outcome.output
 
 
+@pytest.mark.long
 def test_a_file_of_the_suite_can_be_named_by_its_path_on_two_workers(repository: Repository) -> None:
     repository.subject()
     path = suite_root() / "test_normal.py"

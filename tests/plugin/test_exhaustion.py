@@ -38,6 +38,7 @@ def accuses_nobody(outcome: Outcome) -> None:
     assert "`ulimit -n 1024`" in words
 
 
+@pytest.mark.long
 def test_few_file_descriptors_accuse_no_adapter(empty_repository: Repository) -> None:
     accuses_nobody(run(empty_repository, resource.RLIMIT_NOFILE, 44, "--otmcp-reps=1", "--otmcp-suite=normal"))
 
@@ -98,6 +99,7 @@ def tap(monkeypatch):
 """
 
 
+@pytest.mark.long
 def test_a_connection_that_the_kit_could_not_accept_makes_its_item_a_fault_of_the_kit(
     empty_repository: Repository,
 ) -> None:
@@ -117,6 +119,7 @@ def test_a_record_that_does_not_fit_on_the_disk_ends_the_run_in_one_sentence(emp
     assert "VERDICT" not in outcome.output
 
 
+@pytest.mark.long
 def test_samples_that_do_not_fit_into_a_file_are_no_finding(empty_repository: Repository) -> None:
     # The samples of fifty calls are larger than the limit; the rest of the record is not.
     outcome = run(empty_repository, resource.RLIMIT_FSIZE, 20_000, "--otmcp-reps=1", "-k", "[S7]")

@@ -190,7 +190,10 @@ def test_of_several_attempts_the_first_counts(repository: Repository) -> None:
 
 @pytest.mark.parametrize(
     ("conftest", "replaced"),
-    [(FORGING, "trial.expectations.succeeded"), (BRIBING, "plant.mock_device.MockDevice.image")],
+    [
+        (FORGING, "trial.expectations.succeeded"),
+        pytest.param(BRIBING, "plant.mock_device.MockDevice.image", marks=pytest.mark.long),
+    ],
 )
 def test_a_replaced_function_of_the_kit_is_on_record(repository: Repository, conftest: str, replaced: str) -> None:
     repository.write(conftest_py=conftest)
@@ -216,7 +219,11 @@ def test_a_replaced_function_of_the_kit_is_on_record(repository: Repository, con
             ("--pyargs", "pytest_otmcp.conformance.test_normal", "-k", "[M1]"),
             "22 of 38 items were not collected: pytest was asked for",
         ),
-        (("-x", "--otmcp-suite=normal"), "the run ended at failure number 1 (-x or --maxfail)"),
+        pytest.param(
+            ("-x", "--otmcp-suite=normal"),
+            "the run ended at failure number 1 (-x or --maxfail)",
+            marks=pytest.mark.long,
+        ),
     ],
 )
 def test_what_was_asked_for_is_on_record_as_well(

@@ -222,9 +222,9 @@ WAITED_FOR = ("hang", "wrong-id")
     ("command", "tasks", "code"),
     [
         ((DEFECTIVE, "wrong-value"), "M2 S1", "wrong_value"),
-        ((DEFECTIVE, "hang"), "S10", "no_reply"),
+        pytest.param((DEFECTIVE, "hang"), "S10", "no_reply", marks=pytest.mark.long),
         ((MUTANT, "MU-49"), "M1", "stdout_noise"),
-        ((MUTANT, "MU-126"), "S10", "not_successful"),
+        pytest.param((MUTANT, "MU-126"), "S10", "not_successful", marks=pytest.mark.long),
         ((MUTANT, "MU-20"), "M4", "wrote"),
         ((ROGUE, "not-json"), "M1", "not_strict_json"),
         ((ROGUE, "huge-reply"), "M1", "frame_too_long"),
