@@ -73,6 +73,9 @@ class Provable(Protocol):
         ...
 
 
+_AFTER_AN_OUTAGE = "It was proven to talk to it before: it has lost its device and did not find it again."
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Attempt:
     """What came of one way: the last reply, whether the mock saw a request meanwhile, how many random bits came through."""
@@ -110,7 +113,7 @@ async def prove(
         strong = strong or not way.weak
     if not failed and proof.arrival is not None and await at.arrived():
         return ARRIVAL, ""
-    return None, _explained(at, failed)
+    return None, _explained(at, failed, known=preferred is not None)
 
 
 async def _try(at: Provable, way: Way, rng: random.Random, total: int, window_ns: int) -> _Attempt | None:
@@ -169,7 +172,7 @@ def _is_cut_off(reply: Reply) -> bool:
     return not reply.success or any(value is False for value in reply.outputs.values())
 
 
-def _explained(at: Provable, failed: Sequence[_Attempt]) -> str:
+def _explained(at: Provable, failed: Sequence[_Attempt], *, known: bool) -> str:
     told = next((attempt for attempt in failed if attempt.reply.success and not attempt.reached), None)
     where = f"the mock device at {at.device_url}"
     if told is not None:
@@ -195,7 +198,8 @@ def _explained(at: Provable, failed: Sequence[_Attempt]) -> str:
             f"nothing shows that the adapter talks to {where}: no operation is bound that reads and writes nothing; "
             "nothing was written"
         )
-    return f"{problem}; nothing was written. {_advice(at)}"
+    # Whoever has reached the mock before has the right address.
+    return f"{problem}; nothing was written. {_AFTER_AN_OUTAGE if known else _advice(at)}"
 
 
 def _outcome(reply: Reply) -> str:
