@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.journal import Entries
+from pytest_otmcp.protocols.mqtt import oracle
 from pytest_otmcp.trial.expectations import succeeded
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
@@ -36,7 +37,9 @@ async def publish_from_kit(mqtt: Rig, topic: str, payload: bytes) -> None:
 
 
 async def collect(run: Repetition, mqtt: Rig, messages: Messages) -> list[Reply]:
-    """Ask for the messages on several topic filters at once, and publish one for each when all filters are granted.
+    """Ask for the messages on several topic filters at once, and publish one for each as soon as its filter is granted.
+
+    An adapter that performs one call after the other has the next filter granted when the first call is over.
 
     Args:
         messages: topic filter to topic and payload.
@@ -45,11 +48,19 @@ async def collect(run: Repetition, mqtt: Rig, messages: Messages) -> list[Reply]
     seconds = math.ceil(COLLECT_S * max(1.0, run.time_scale))
 
     async def publish() -> None:
-        wanted = len(messages)
-        granted = await mqtt.wait_for(kind="SUBACK", direction="out", count=wanted, timeout_s=SUBSCRIBING_S)
-        if len(granted) >= wanted:
-            for topic, payload in messages.values():
+        waiting = dict(messages)
+        for count in range(1, MOST_AWAITED + 1):
+            soon = SUBSCRIBING_S + (seconds if count > 1 else 0)
+            granted = await mqtt.wait_for(kind="SUBACK", direction="out", count=count, timeout_s=soon)
+            if len(granted) < count:
+                return
+            journal = await mqtt.journal()
+            # Filters that are not the ones asked for are told apart by their number alone.
+            ready = [text for text in waiting if count >= len(messages) or not oracle.not_granted(journal, filter=text)]
+            for topic, payload in map(waiting.pop, ready):
                 await publish_from_kit(mqtt, topic, payload.encode())
+            if not waiting:
+                return
 
     calls = (mqtt.call("messages", filter=text, seconds=seconds) for text in messages)
     publishing = asyncio.create_task(publish())

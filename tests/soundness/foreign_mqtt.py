@@ -13,6 +13,7 @@ import atexit
 import json
 import os
 import threading
+from contextlib import nullcontext
 from typing import Any
 
 import paho.mqtt.client as paho
@@ -263,7 +264,13 @@ def mqtt_handle(lie: str | None, read_only: bool) -> Shape:
 
 
 def mqtt_collect(lie: str | None, read_only: bool) -> Shape:
+    alone = asyncio.Lock() if lie == "one-at-a-time" else None
+
     async def collect(topic: str, timeout: float) -> Result:
+        async with alone or nullcontext():
+            return await collect_now(topic, timeout)
+
+    async def collect_now(topic: str, timeout: float) -> Result:
         link = Link(os.environ["BROKER_HOST"], int(os.environ["BROKER_PORT"]))
         try:
             await asyncio.to_thread(link.open)

@@ -64,6 +64,12 @@ def test_an_honest_adapter_passes_what_it_claims(judge_foreign: Judge, name: str
     } == reasons
 
 
+def test_an_adapter_that_waits_for_one_message_after_the_other_is_honest(judge_foreign: Judge) -> None:
+    # What is bent is no lie: it is told like one.
+    results = judge_foreign("mqtt-collect", lie="one-at-a-time", tasks="Q2 S2")
+    assert passing(results) == {"Q2", "S2"}, words(results)
+
+
 def test_adapters_of_three_shapes_work_together(judge_foreign: Judge) -> None:
     results = judge_foreign("modbus-prose", "mqtt-connect", "opcua-items", tasks="X1 X2 X1p X2p FX1")
     assert passing(results) == {"X1", "X2", "X1p", "X2p", "FX1"}, words(results)
