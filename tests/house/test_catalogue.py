@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 
@@ -39,6 +40,7 @@ def sources() -> list[Path]:
     return sorted([*kit, *SUITE_FOLDER.rglob("*.py")])
 
 
+@cache
 def trees() -> list[tuple[Path, ast.Module]]:
     """Return the modules that judge, parsed."""
     return [(path, ast.parse(path.read_text(encoding="utf-8"))) for path in sources()]

@@ -13,6 +13,8 @@ from typing import Any
 import pytest
 
 SITE = Path(__file__).parent / "site"
+UNDRAWN = Path(__file__).parents[1] / "plugin" / "undrawn"
+"""A plugin for runs whose figures no test looks at."""
 ADAPTER = """
 [adapter.{key}]
 command = ["{{python}}", "-m", "otmcp_toy.adapter", "{transport}", "{{host}}", "{{port}}", "{manner}"]
@@ -43,7 +45,7 @@ Run = Callable[..., subprocess.CompletedProcess[str]]
 @pytest.fixture
 def run(tmp_path: Path) -> Run:
     """A function that runs a program of the kit where the toy is installed."""
-    environment = {**os.environ, "PYTHONPATH": str(SITE)}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join((str(SITE), str(UNDRAWN)))}
 
     def start(*command: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
@@ -87,7 +89,7 @@ def test_toys_are_collected_run_witnessed_recorded_reported_and_judged_again(run
 
 def test_a_toy_that_says_written_and_wrote_nothing_is_found_out_by_its_device(run: Run, tmp_path: Path) -> None:
     subject(tmp_path, manner="lies")
-    done = run("pytest", "--otmcp-reps=1", "-p", "no:cacheprovider", "-k", "T2 or U2")
+    done = run("pytest", "--otmcp-reps=1", "-p", "no:cacheprovider", "-p", "undrawn", "-k", "T2 or U2")
     assert done.returncode == 1, done.stdout + done.stderr
     for item in record(tmp_path)["items"]:
         codes = {finding["code"] for sample in item["samples"] for finding in sample["findings"]}
