@@ -6,6 +6,7 @@ from ..core.matrix import SUITES
 from ..core.statistics import lower_bound
 from ..protocols.external import external_devices
 from . import Run, applies, timing_valid
+from .text import at_least
 
 __all__ = ["narrowed"]
 
@@ -28,7 +29,7 @@ def narrowed(run: Run) -> list[str]:
     if reps < _FULL and (bound := lower_bound(reps, reps)) is not None:
         reasons.append(
             f"With N = {reps} instead of {_FULL}, an item that passes every time is shown to pass at least "
-            f"{100 * bound:.0f} % of the time, not more."
+            f"{at_least(bound, '')} of the time, not more."
         )
     if unclaimed := [item["id"] for item in run["items"] if not applies(item)]:
         reasons.append(f"About things that the subject does not claim, so not tested: {', '.join(unclaimed)}.")

@@ -204,7 +204,7 @@ def test_a_replaced_function_of_the_kit_is_on_record(repository: Repository, con
     [
         (("-k", "M1 or Q1"), "34 of 38 items were taken out by -k M1 or Q1: M2, M3, M4, Q2, Q3, Q4 and 28 more"),
         (("-m", "otmcp_stress and not otmcp_modbus"), "by -m otmcp_stress and not otmcp_modbus: "),
-        (("--otmcp-suite=normal",), "only the suites normal were asked for (--otmcp-suite)"),
+        (("--otmcp-suite=normal",), "only the suite normal was asked for (--otmcp-suite)"),
         (("--otmcp-time-scale=2", "-k", "not recovery"), "multiplied by 2 (--otmcp-time-scale)"),
         (
             ("--pyargs", "pytest_otmcp.conformance.test_fault"),
