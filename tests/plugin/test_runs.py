@@ -93,7 +93,7 @@ def test_a_warning_fails_nothing_and_stands_beside_the_verdict(repository: Repos
 def test_a_defective_adapter_makes_the_run_fail_with_a_finding(wrong_value: Outcome) -> None:
     assert wrong_value.code == 1
     assert "VERDICT: NOT CONFORMANT" in wrong_value.output
-    assert "read_input_registers(address=0, count=4): values should be" in wrong_value.output
+    assert "read_input_registers(address=0, count=4): values should be" in " ".join(wrong_value.output.split())
     assert "Traceback" not in wrong_value.output
 
 
@@ -228,22 +228,22 @@ def test_a_narrow_terminal_without_colours_shows_progress_and_no_line_breaks_at_
 ) -> None:
     columns = 60
     repository.subject("write-sent-twice")
-    told = on_terminal(repository, columns, "--otmcp-reps=2", "-k", "M1 or M4 or FM1 or Q")
+    told = on_terminal(repository, columns, "--otmcp-reps=2", "-k", "[M1] or [M4] or [Q1] or [Q2] or [FQ1] or [FM1]")
     assert "\x1b" not in told
     assert "\r  starting 2 devices and 2 adapters (0 of 4)" in told
     assert "(4 of 4)" in told
     assert re.search(r"\r  M1 +0/2   item 1 of \d+, about", told), told
     parts = [part for line in told.split("\n") for part in line.rstrip("\r").split("\r")]
-    # What pytest writes before the collection has a width of its own.
-    shown = screen(told[told.index("collected") :])
+    # What pytest writes before and behind has a width of its own.
+    shown = screen(told[told.index("collected") : told.index("= short test summary")])
     assert max(map(len, shown)) <= columns
     assert max(len(part) for part in parts if part.startswith(("  M1", "  FM1", "  starting"))) <= columns
     rows = [line for line in shown if re.match(r"  (?:\S+ +\d/\d|starting|n/a)", line)]
-    assert [row.split()[0] for row in rows] == ["M1", "M4", "n/a", "FM1", "n/a", "n/a"]
+    assert [row.split()[0] for row in rows] == ["M1", "M4", "n/a", "FM1", "n/a"]
     assert re.match(r"  M4 +2/2 FAIL +[\d.]+ ms  control failed", rows[1])
-    assert rows[2].split()[1:5] == ["Q1", "Q2", "Q3", "Q4"]
+    assert rows[2].split()[1:3] == ["Q1", "Q2"]
     assert rows[2].endswith("%]")
-    assert not [line for line in shown if line.strip().startswith("[")]
+    assert not [line for line in shown if re.match(r"\s*\[? *\d+%\]", line)]
     verdict = next(
         index for index, line in enumerate(shown) if line.startswith("VERDICT: NOT CONFORMANT (3 of 38 items")
     )
