@@ -20,13 +20,16 @@ from markupsafe import Markup
 
 from ..core.matrix import SUITES
 from ..record.warnings import warnings
+from ..suite.catalogue import all_tasks
+from ..suite.explanations import item as explained_item
 from ..suite.requirements import requirements
-from . import Item, Run, applied, command, deadlines, overview, tally, timing_valid
+from . import Item, Run, applied, applies, command, deadlines, overview, tally, timing_valid
 from .capabilities import earned
 from .causes import causes
-from .drawings import latencies, recovery, strip
+from .drawings import latencies, recovery, strip, suite_strip
 from .evidence import failures
-from .families import families, style_sheet
+from .families import applying_families, style_sheet
+from .identity import identity
 from .limits import narrowed
 from .strangers import strangers
 from .text import clipped, printable
@@ -70,6 +73,7 @@ def page(run: Run) -> str:
     good, planned = tally(run["items"])
     anchors = _anchors(run["items"])
     failing = failures(run)
+    rules = overview.requirements(run)
     html: str = _template().render(
         run=run,
         style=Markup(style),  # noqa: S704  (our own file, and the colours of the protocols)
@@ -79,7 +83,7 @@ def page(run: Run) -> str:
         sentence=_SENTENCES.get(verdict, ""),
         applied=applied(run),
         deadlines=deadlines(run),
-        rules=_rules(overview.requirements(run)),
+        rules=_rules(rules),
         catalogue=requirements(),
         good=good,
         planned=planned,
@@ -87,7 +91,8 @@ def page(run: Run) -> str:
         narrowed=narrowed(run),
         strangers=strangers(run),
         deviations=overview.deviations(run),
-        families=families(run),
+        families=applying_families(run),
+        identity=identity(run),
         capabilities=earned(run),
         causes=causes(run),
         failures=failing,
@@ -95,8 +100,10 @@ def page(run: Run) -> str:
         # The id of a failed item links to its evidence.
         targets={**anchors, **{one.item["id"]: f"failed-{anchors[one.item['id']]}" for one in failing}},
         statuses=_STATUSES,
-        suites=[(suite, _QUESTIONS.get(suite, ""), rows) for suite in SUITES if (rows := overview.tasks(run, suite))],
-        requirements=overview.requirements(run),
+        suites=[_suite(suite, rows) for suite in SUITES if (rows := overview.tasks(run, suite))],
+        explained={item["id"]: _explained(item["id"]) for item in run["items"]},
+        requirements=[row for row in rules if not _kept(row)],
+        kept_requirements=[row for row in rules if _kept(row)],
         latencies=latencies(run),
         recovery=recovery(run),
         strip=strip,
@@ -108,6 +115,35 @@ def page(run: Run) -> str:
         rerun=command(run),
     )
     return html
+
+
+_OF_A_ROW = ("Asked", "Must be said", "Must be seen at the device", "Once before", "Once afterwards", "Why")
+
+
+def _suite(name: str, rows: list[overview.Row]) -> dict[str, Any]:
+    """Return a suite as the page shows it: one line, and its rows behind it."""
+    items = [row.item for row in rows]
+    applying = [item for item in items if applies(item)]
+    passed = sum(item["status"] == "PASS" for item in applying)
+    good, planned = tally(items)
+    return {
+        "name": name,
+        "question": _QUESTIONS.get(name, ""),
+        "rows": rows,
+        "red": passed < len(applying),
+        "said": f"{passed}/{len(applying)} items, {good}/{planned} repetitions" if applying else "does not apply",
+        "strip": suite_strip(items),
+    }
+
+
+def _explained(identifier: str) -> list[tuple[str, tuple[str, ...]]]:
+    """Return what is asked and judged in an item; nothing for one that is not in the suite that is installed here."""
+    task = all_tasks().get(identifier)
+    return [] if task is None else [part for part in explained_item(task).parts if part[0] in _OF_A_ROW]
+
+
+def _kept(row: tuple[str, dict[str, overview.Cell]]) -> bool:
+    return all(cell.state in ("passed", "not claimed") for cell in row[1].values())
 
 
 def _template() -> Any:
