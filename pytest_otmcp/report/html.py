@@ -73,7 +73,9 @@ def page(run: Run) -> str:
     good, planned = tally(run["items"])
     anchors = _anchors(run["items"])
     failing = failures(run)
-    rules = overview.requirements(run)
+    families = applying_families(run)
+    # A rule of which no column says anything is of a protocol without an adapter.
+    rules = [row for row in overview.requirements(run) if not set(families).isdisjoint(row[1])]
     html: str = _template().render(
         run=run,
         style=Markup(style),  # noqa: S704  (our own file, and the colours of the protocols)
@@ -91,7 +93,7 @@ def page(run: Run) -> str:
         narrowed=narrowed(run),
         strangers=strangers(run),
         deviations=overview.deviations(run),
-        families=applying_families(run),
+        families=families,
         identity=identity(run),
         capabilities=earned(run),
         causes=causes(run),
