@@ -1,22 +1,11 @@
-"""The HTML report of a run: one file that needs only a browser, and no network. Pure but for the writing.
-
-Texts of an adapter are shown, never interpreted: jinja2 escapes every value, letters that do not print are replaced by
-their escapes, and the page's Content-Security-Policy allows one style sheet, known by its hash, and nothing else: no
-script, no request. ``report.html.jinja`` is the page.
-"""
+"""The HTML report of a run: ``report.html.jinja``, filled. Pure but for the writing."""
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import re
 from collections.abc import Iterable
-from importlib import resources
 from pathlib import Path
 from typing import Any
-
-from jinja2 import Environment, StrictUndefined
-from markupsafe import Markup
 
 from ..core.matrix import SUITES
 from ..record.warnings import warnings
@@ -28,11 +17,11 @@ from .capabilities import earned
 from .causes import causes
 from .drawings import latencies, recovery, strip, suite_strip
 from .evidence import failures
-from .families import applying_families, style_sheet
+from .families import applying_families
 from .identity import identity
 from .limits import narrowed
+from .page import filled
 from .strangers import strangers
-from .text import clipped, printable
 
 __all__ = ["page", "write_html"]
 
@@ -56,8 +45,6 @@ _SENTENCES = {
     "INDETERMINATE": "This run says nothing about the adapter: the kit itself failed, or nothing applied.",
     "INCOMPLETE": "Not everything ran, so this run proves nothing yet.",
 }
-_LONGEST = 4_000
-"""Letters of one value on the page at most."""
 _TONES = {"CONFORMANT": "good", "NOT CONFORMANT": "bad"}
 
 
@@ -68,7 +55,6 @@ def write_html(run: Run, path: Path) -> None:
 
 def page(run: Run) -> str:
     """Return the report of a run as HTML."""
-    style = _resource("report.css") + style_sheet()
     verdict = run["footer"].get("verdict", "INCOMPLETE")
     good, planned = tally(run["items"])
     anchors = _anchors(run["items"])
@@ -76,10 +62,9 @@ def page(run: Run) -> str:
     families = applying_families(run)
     # A rule of which no column says anything is of a protocol without an adapter.
     rules = [row for row in overview.requirements(run) if not set(families).isdisjoint(row[1])]
-    html: str = _template().render(
+    return filled(
+        "report.html.jinja",
         run=run,
-        style=Markup(style),  # noqa: S704  (our own file, and the colours of the protocols)
-        style_hash=base64.b64encode(hashlib.sha256(style.encode()).digest()).decode(),
         verdict=verdict,
         tone=_TONES.get(verdict, "open"),
         sentence=_SENTENCES.get(verdict, ""),
@@ -116,7 +101,6 @@ def page(run: Run) -> str:
         facts=overview.facts(run),
         rerun=command(run),
     )
-    return html
 
 
 _OF_A_ROW = ("Asked", "Must be said", "Must be seen at the device", "Once before", "Once afterwards", "Why")
@@ -146,24 +130,6 @@ def _explained(identifier: str) -> list[tuple[str, tuple[str, ...]]]:
 
 def _kept(row: tuple[str, dict[str, overview.Cell]]) -> bool:
     return all(cell.state in ("passed", "not claimed") for cell in row[1].values())
-
-
-def _template() -> Any:
-    # The template is the kit's, the values come from outside: every value is escaped.
-    environment = Environment(
-        autoescape=True, undefined=StrictUndefined, finalize=_shown, trim_blocks=True, lstrip_blocks=True
-    )
-    return environment.from_string(_resource("report.html.jinja"))
-
-
-def _resource(name: str) -> str:
-    return (resources.files(__package__) / name).read_text(encoding="utf-8")
-
-
-def _shown(value: object) -> Any:
-    if not isinstance(value, str) or isinstance(value, Markup):
-        return value
-    return printable(clipped(value, _LONGEST), keep="\n\t")
 
 
 def _rules(rows: Iterable[tuple[str, object]]) -> dict[str, str]:
