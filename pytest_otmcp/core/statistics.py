@@ -103,7 +103,7 @@ def proportion_interval(good: int, total: int, confidence: float = 0.95) -> tupl
 
 
 def lower_bound(good: int, total: int, confidence: float = 0.95) -> float | None:
-    """Return the one-sided Clopper-Pearson lower bound: 30 of 30 is at least 0.905 with 95 % confidence; None for a total
+    """Return the one-sided Clopper-Pearson lower bound: 30 of 30 is more than 0.904 with 95 % confidence; None for a total
     of 0."""
     return None if total == 0 else _clopper_pearson_low(good, total, 1 - confidence)
 

@@ -1,8 +1,13 @@
-"""Escaping of text from outside, which makes it harmless to show. Pure."""
+"""Escaping of text from outside, which makes it harmless to show, and the grammar of counts. Pure."""
 
 from __future__ import annotations
 
-__all__ = ["printable"]
+__all__ = ["counted", "printable"]
+
+
+def counted(number: int, noun: str) -> str:
+    """Write a number with its noun: ``1 run``, ``3 runs``."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def printable(text: str, keep: str = "") -> str:

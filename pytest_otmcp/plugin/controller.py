@@ -19,7 +19,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from .. import __version__
-from ..core.text import printable
+from ..core.errors import UsageError
+from ..core.text import counted, printable
 from ..core.verdict import DeviationReport, ExitCode, Status, Verdict, decide, exit_code, judge_deviations
 from ..protocols.external import external_devices
 from ..protocols.registry import protocols
@@ -52,7 +53,8 @@ class RunRecorder:
         begun: monotonic time at which the session began.
 
     Raises:
-        UsageError: the subject knows a deviation of an item that the suite does not have.
+        UsageError: the subject knows a deviation of an item that the suite does not have, or the report directory cannot be
+            made.
     """
 
     def __init__(
@@ -79,6 +81,11 @@ class RunRecorder:
         self._begun = begun
         self._started = datetime.now(UTC)
         self._writer: RunWriter | None = None
+        try:
+            settings.report_dir.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            reason = error.strerror or type(error).__name__
+            raise UsageError(f"--otmcp-report-dir: {settings.report_dir} cannot be made: {reason}") from None
         # Samples that a killed run has left.
         shutil.rmtree(settings.report_dir / SPOOLS, ignore_errors=True)
         # A deviation that no item can have is reported now, not after the run.
@@ -113,7 +120,6 @@ class RunRecorder:
             spool.unlink(missing_ok=True)
             return False
         if self._writer is None:
-            self.settings.report_dir.mkdir(parents=True, exist_ok=True)
             self._writer = RunWriter(self.path, self._header())
         self._facts[worker] = facts
         head: ItemHead = {**item, "run_id": self._run_id, "order": self.required.index(item["id"])}
@@ -137,7 +143,7 @@ class RunRecorder:
         if interrupted:
             reason = "interrupted by the user"
         elif missing:
-            reason = f"{len(missing)} of {len(self.required)} items did not run: {', '.join(missing)}"
+            reason = self._describe_missing()
         spent: dict[str, float] = {}
         for facts in self._facts.values():
             for what, seconds in facts["spent"].items():
@@ -162,6 +168,17 @@ class RunRecorder:
             "timing_valid": not self._workers,
         }
         self._writer.finish(self._header(datetime.now(UTC)), footer)
+
+    def _describe_missing(self) -> str:
+        """Say which items have no result; those of suites that were not asked for are counted."""
+        from ..suite.catalogue import all_tasks
+
+        known, chosen = all_tasks(), self.settings.suites
+        others = [name for name in self.missing if name in known and known[name].suite not in chosen]
+        parts = [f"{counted(len(others), 'item')} of other suites did not run"] if others else []
+        if wanted := [name for name in self.missing if name not in others]:
+            parts.append(f"{len(wanted)} of {counted(len(self.required), 'item')} did not run: {', '.join(wanted)}")
+        return "; ".join(parts)
 
     @property
     def exit_code(self) -> ExitCode:

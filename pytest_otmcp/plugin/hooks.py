@@ -255,7 +255,7 @@ def pytest_collection_finish(session: pytest.Session) -> None:
             _begin_recording(config, run.subject, tasks, workers=0)
     progress = config.stash.get(PROGRESS, None)
     if progress is not None:
-        run.progress = progress.show_repetition
+        run.progress, run.starting = progress.show_repetition, progress.show_start
 
 
 def _begin_recording(config: pytest.Config, subject: Any, tasks: list[Task], *, workers: int) -> None:
@@ -277,7 +277,7 @@ def _begin_recording(config: pytest.Config, subject: Any, tasks: list[Task], *, 
         )
     except UsageError as error:
         _refuse(error)
-    config.stash[PROGRESS] = Progress(config, tasks, settings.repetitions)
+    config.stash[PROGRESS] = Progress(config, tasks, settings.repetitions, workers=workers)
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -328,13 +328,14 @@ def _writable(recorder: RunRecorder) -> Iterator[None]:
 
 
 class _ResultReceiver:
-    """Plugin of the controller that takes the results from the reports of items.
+    """Plugin of the controller that takes the results from the reports of items, and keeps pytest from telling them twice.
 
     It is an object with the config, because pytest does not hand the config to ``pytest_runtest_logreport``.
     """
 
     def __init__(self, config: pytest.Config) -> None:
         self._config = config
+        self._failed: list[Any] = []
 
     @pytest.hookimpl(trylast=True)
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
@@ -354,13 +355,34 @@ class _ResultReceiver:
         else:
             interference.add_repeated(item["id"])
 
+    @pytest.hookimpl(wrapper=True, tryfirst=True)
+    def pytest_terminal_summary(self, terminalreporter: Any) -> Generator[None]:
+        """Leave the kit's items out of the section FAILURES, unless it is asked for more: the causes say the same in short."""
+        stats = terminalreporter.stats
+        self._failed = stats.get("failed", [])
+        if self._failed and self._config.option.verbose <= 0 and RECORDER in self._config.stash:
+            stats["failed"] = [report for report in self._failed if getattr(report, _RESULT, None) is None]
+        return (yield)
+
+    # This runs after pytest's own section FAILURES, and before its short summary.
+    @pytest.hookimpl(tryfirst=True, specname="pytest_terminal_summary")
+    def pytest_terminal_summary_begun(self, terminalreporter: Any) -> None:
+        """Give pytest its failures back, for its short summary."""
+        if self._failed:
+            terminalreporter.stats["failed"] = self._failed
+
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_report_teststatus(report: pytest.TestReport, config: pytest.Config) -> tuple[str, str, str] | None:
-    if getattr(report, _RESULT, None) is not None:
-        # Progress writes a line for the item, so pytest writes no letter; without the word it would not count the item.
-        return report.outcome, "", report.outcome.upper()
-    return None
+    content = getattr(report, _RESULT, None)
+    if content is None or config.option.verbose < 0:
+        return None
+    if config.option.verbose > 0:
+        from .progress import verbose_word
+
+        return report.outcome, "", verbose_word(json.loads(content))
+    # Progress writes a row for the item, so pytest writes no letter; without the word it would not count the item.
+    return report.outcome, "", report.outcome.upper()
 
 
 # -- the end ------------------------------------------------------------------------------------------------------
@@ -416,12 +438,19 @@ def pytest_testnodedown(node: Any, error: object) -> None:
 
 def pytest_terminal_summary(terminalreporter: Any, exitstatus: int, config: pytest.Config) -> None:
     recorder = config.stash.get(RECORDER, None)
-    if recorder is None or (exitstatus == pytest.ExitCode.INTERRUPTED and not recorder.statuses):
+    if recorder is None:
         return
     if not recorder.statuses:
         for sentence in config.stash[INTERFERENCE].sentences:
             terminalreporter.write_line(f"narrowed: {sentence}")
-        terminalreporter.write_line(f"VERDICT: {recorder.verdict} (no item of the suite ran)", red=True, bold=True)
+        reason = (
+            "interrupted before the first item"
+            if exitstatus == pytest.ExitCode.INTERRUPTED
+            else "no item of the suite ran"
+        )
+        terminalreporter.write_line(f"VERDICT: {recorder.verdict} ({reason})", red=True, bold=True)
+        if recorder.path.exists():
+            terminalreporter.write_line(f"{recorder.path} and the reports beside it are of an earlier run")
         return
     from ..report.render import render
 

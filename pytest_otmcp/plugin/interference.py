@@ -218,7 +218,12 @@ class Interference:
 
 def _describe_settings(settings: RunSettings) -> Iterator[str]:
     if settings.suites != SUITES:
-        yield f"only the suites {', '.join(settings.suites)} were asked for (--otmcp-suite)"
+        asked = (
+            f"suites {', '.join(settings.suites)} were"
+            if len(settings.suites) > 1
+            else f"suite {settings.suites[0]} was"
+        )
+        yield f"only the {asked} asked for (--otmcp-suite)"
     if settings.time_scale != 1:
         yield f"deadlines and windows were multiplied by {settings.time_scale:g} (--otmcp-time-scale)"
     for protocol, url in settings.external.items():

@@ -1,11 +1,17 @@
-"""Progress of a run on the terminal: one line for each finished item, and a moving line for the item that runs."""
+"""Progress of a run on the terminal: a row for each finished item, and a moving line for what is under way.
+
+pytest's own verbosity decides: with ``-v`` the rows are pytest's, with ``-q`` there are its letters alone.
+"""
 
 from __future__ import annotations
 
+import os
 import time
 from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING, Any
 
+from ..core.text import counted
+from ..report import control_failed
 from ..report.text import shortened
 
 if TYPE_CHECKING:
@@ -13,13 +19,16 @@ if TYPE_CHECKING:
 
     from ..record.schema import ItemBody
     from ..trial.task import Task
-    from .results import Measured
+    from .results import ItemResult, Measured
 
-__all__ = ["Progress"]
+__all__ = ["Progress", "verbose_word"]
 
 # Rough seconds per repetition, to guess the remaining time; nothing better is known of items that have not run.
 _GUESS_S = {"normal": 0.02, "fault": 0.02, "stress": 0.12, "recovery": 1.3}
 _REDRAW_S = 0.1
+_MOVING_WIDTH = 70
+_EDGE = len(" [100%]") + 2
+"""Columns to leave free: text nearer to the edge would make pytest print its percentage there and begin another line."""
 
 
 class Progress:
@@ -28,31 +37,57 @@ class Progress:
     Args:
         tasks: tasks of all items to run.
         repetitions: suite name to number of repetitions.
+        workers: number of pytest-xdist workers, 0 for none; latencies of a parallel run are not shown.
     """
 
-    def __init__(self, config: pytest.Config, tasks: list[Task], repetitions: dict[str, int]) -> None:
+    def __init__(
+        self, config: pytest.Config, tasks: list[Task], repetitions: dict[str, int], *, workers: int = 0
+    ) -> None:
         self._writer = config.get_terminal_writer()
         self._capture: Any = config.pluginmanager.getplugin("capturemanager")
-        self._quiet = config.option.verbose < -1
-        self._moving = bool(self._writer.hasmarkup)
+        self._shown = config.option.verbose == 0
+        # Without colours, as with NO_COLOR, a terminal is still a terminal.
+        terminal: Any = config.pluginmanager.getplugin("terminalreporter")
+        self._moving = self._shown and bool(terminal.isatty) and os.environ.get("TERM") != "dumb"
         self._guess = {task.id: _GUESS_S[task.suite] * repetitions[task.suite] for task in tasks}
         self._total = len(tasks)
+        self._id_width = max((len(task.id) for task in tasks), default=0)
+        self._digits = len(str(max(repetitions.values())))
+        self._timed = not workers
         self._done = 0
-        self._begun = time.monotonic()
         self._drawn = 0.0
         self._line_open = False
+        self._row_of_inapplicable = 0
+        self._suite = ""
+        if workers and self._shown:
+            self._write(f"each of {counted(workers, 'worker')} starts devices and adapters of its own\n")
+
+    def show_start(self, done: int, devices: int, adapters: int) -> None:
+        """Show how many of the devices and adapters are running; where no line can move, only that they start."""
+        if not self._shown or (done and not self._moving):
+            return
+        text = f"  starting {counted(devices, 'device')} and {counted(adapters, 'adapter')}"
+        if self._moving:
+            self._draw(f"{text} ({done} of {devices + adapters})")
+        else:
+            self._write(f"\n{text}")
 
     def show_repetition(self, task: Task, done: int, planned: int) -> None:
         """Show that a repetition of a task begins."""
         now = time.monotonic()
-        if not self._moving or self._quiet or now - self._drawn < _REDRAW_S:
+        if not self._moving or now - self._drawn < _REDRAW_S:
             return
         self._drawn = now
         rest = self._estimate_rest(task, done, planned)
-        text = f"  {task.id:<9} {done}/{planned}   item {self._done + 1} of {self._total}, {rest}"
+        self._draw(f"  {task.id:<{self._id_width}} {done}/{planned}   item {self._done + 1} of {self._total}, {rest}")
+
+    def _draw(self, text: str) -> None:
         if not self._line_open:
             self._write("\n")
-        self._overwrite(text[: self._writer.fullwidth - 1].ljust(70))
+        with self._uncaptured():
+            # The terminal cannot be asked for its width through a stream that is captured.
+            edge = self._writer.fullwidth - 1
+        self._overwrite(text[:edge].ljust(min(_MOVING_WIDTH, edge)))
         self._line_open = True
 
     def _estimate_rest(self, task: Task, done: int, planned: int) -> str:
@@ -61,23 +96,44 @@ class Progress:
         return f"about {minutes} min {seconds} s to go" if minutes else f"about {seconds} s to go"
 
     def show_finished(self, item: ItemBody, measured: Measured) -> None:
-        """Show the result of a finished item."""
+        """Show the result of a finished item; those that do not apply share rows."""
         self._guess.pop(item["id"], None)
         self._done += 1
-        if self._quiet:
+        if not self._shown:
             return
-        good, median_ms = measured["passed"], measured["median_ms"]
-        median = " " * 11 if median_ms is None else f"{median_ms:8.2f} ms"
-        colour = {"PASS": "green", "NOT_APPLICABLE": "yellow"}.get(item["status"], "red")
+        if item["status"] == "NOT_APPLICABLE":
+            if item["suite"] != self._suite:
+                # pytest has written the name of another file.
+                self._row_of_inapplicable = 0
+            self._suite = item["suite"]
+            self._show_inapplicable(item["id"])
+            return
+        self._begin_row()
+        colour = "green" if item["status"] == "PASS" else "red"
+        begin = f"  {item['id']:<{self._id_width}} "
+        passed = f"{measured['passed']:>{self._digits}}/{item['planned']}"
+        result = f"{passed:<{2 * self._digits + 1}} {item['status']:<4}"
+        rest = f" {_title(item, measured)}" if not self._timed else f" {_median(measured)}  {_title(item, measured)}"
+        self._write(begin)
+        self._write(result, **{colour: True})
+        self._write(shortened(rest, self._writer.fullwidth - _EDGE - len(begin) - len(result)))
+
+    def _show_inapplicable(self, identifier: str) -> None:
+        room = self._writer.fullwidth - _EDGE - self._row_of_inapplicable
+        if not self._row_of_inapplicable or self._line_open or room < len(identifier) + 1:
+            self._begin_row()
+            self._write(begin := f"  {'n/a':<{self._id_width}}", yellow=True)
+            self._row_of_inapplicable = len(begin)
+        self._write(f" {identifier}", yellow=True)
+        self._row_of_inapplicable += len(identifier) + 1
+
+    def _begin_row(self) -> None:
+        self._row_of_inapplicable = 0
         if self._line_open:
             self._overwrite("")
         else:
             self._write("\n")
         self._line_open = False
-        self._write(f"  {item['id']:<9} ")
-        self._write(f"{good:>3}/{item['planned']:<3} {item['status']:<5}", **{colour: True})
-        # Text near the edge would make pytest print its percentage there and begin another line.
-        self._write(shortened(f" {median}  {item['title']}", max(20, self._writer.fullwidth - 36)))
 
     def _write(self, text: str, **markup: bool) -> None:
         with self._uncaptured():
@@ -92,3 +148,22 @@ class Progress:
     def _uncaptured(self) -> AbstractContextManager[None]:
         # pytest captures standard output for the running test; progress is written past the capture.
         return nullcontext() if self._capture is None else self._capture.global_and_fixture_disabled()
+
+
+def _title(item: ItemBody, measured: Measured) -> str:
+    failed = "control failed: " if control_failed(item, measured["passed"]) else ""
+    return f"{failed}{item['title']}"
+
+
+def _median(measured: Measured) -> str:
+    median_ms = measured["median_ms"]
+    return " " * 11 if median_ms is None else f"{median_ms:8.2f} ms"
+
+
+def verbose_word(result: ItemResult) -> str:
+    """Return what pytest writes behind the name of an item with ``-v``."""
+    item, measured = result["item"], result["measured"]
+    if item["status"] == "NOT_APPLICABLE":
+        return "n/a"
+    failed = ", control failed" if control_failed(item, measured["passed"]) else ""
+    return f"{item['status']} {measured['passed']}/{item['planned']}{failed}"

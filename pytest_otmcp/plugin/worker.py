@@ -38,6 +38,9 @@ class Run:
             advance); None where there are no other processes.
 
     Attributes:
+        progress: called with task, number and planned number of a repetition that begins, or None.
+        starting: called with the numbers of running devices and adapters, of all devices, and of all adapters, while they
+            start; or None.
         unfinished: the item that was interrupted, or None.
     """
 
@@ -47,6 +50,7 @@ class Run:
         self.tasks = tasks
         self._worker = worker
         self.progress: Callable[[Task, int, int], None] | None = None
+        self.starting: Callable[[int, int, int], None] | None = None
         self.unfinished: ItemResult | None = None
         self._facts: WorkerFacts = {"adapters": {}, "devices": {}, "spent": {}}
         self._loop: LoopThread | None = None
@@ -61,6 +65,8 @@ class Run:
             from ..trial.gc_pause import settled
 
             wanted = self._adapters_needed()
+            if self.starting is not None:
+                self.starting(0, len(wanted), len(wanted))
             self._loop, self._plant = LoopThread(), Plant(self.settings.external)
             with settled():
                 self._loop.run(self._plant.launch(wanted))
@@ -76,7 +82,7 @@ class Run:
                 self._bench = Bench(self.subject, options, self._plant)
                 # A mock that cannot be started is reported by every task that needs it.
                 with suppress(KitError):
-                    self._loop.run(self._bench.prepare(wanted))
+                    self._loop.run(self._bench.prepare(wanted, started=self.starting))
                     self._loop.check()
             if drift := self._bench.drift():
                 raise UsageError(f"{self.subject.source}: " + "; ".join(drift))

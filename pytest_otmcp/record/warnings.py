@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TypedDict
 
+from ..core.text import counted
 from .schema import Finding, Item
 
 __all__ = ["Warned", "WarningTally", "failing", "findings_of", "said", "warnings"]
@@ -72,4 +73,4 @@ def warnings(items: Iterable[Item]) -> list[Warned]:
 def said(warning: Warned) -> str:
     """Write a warning in one line: its requirement, its items and its first message."""
     rule = f"{warning['requirement']}, " if warning["requirement"] else ""
-    return f"{rule}{warning['times']} times in {' '.join(warning['items'])}: {warning['message']}"
+    return f"{rule}{counted(warning['times'], 'time')} in {' '.join(warning['items'])}: {warning['message']}"

@@ -13,7 +13,8 @@ from typing import cast
 from ..core.matrix import SUITES, repetitions
 from ..core.statistics import lower_bound
 from ..protocols.external import external_devices
-from ..record.schema import AdapterFacts, Call, Item, Run
+from ..record.schema import AdapterFacts, Call, Item, ItemBody, Run
+from ..record.warnings import failing
 from ..suite.catalogue import tasks_by_id
 
 __all__ = [
@@ -23,6 +24,7 @@ __all__ = [
     "applied",
     "applies",
     "command",
+    "control_failed",
     "deadlines",
     "durations",
     "least",
@@ -32,6 +34,7 @@ __all__ = [
     "tally",
     "task_calls",
     "timing_valid",
+    "whole",
 ]
 
 
@@ -45,6 +48,11 @@ def applied(run: Run) -> str:
     ran = {item["id"]: applies(item) for item in run["items"]}
     total = len({*tasks_by_id(run["subject"]["adapters"]), *ran})
     return f"{sum(ran.values())} of {total} items applied"
+
+
+def whole(run: Run) -> bool:
+    """Tell whether every item of the suite that there is for the subject has a result."""
+    return tasks_by_id(run["subject"]["adapters"]).keys() <= {item["id"] for item in run["items"]}
 
 
 def deadlines(run: Run) -> str:
@@ -61,8 +69,14 @@ def tally(items: Iterable[Item]) -> tuple[int, int]:
 
 
 def least(item: Item) -> float | None:
-    """Return the rate at which the item passes at least, with 95 % confidence; None when it says nothing about the subject."""
-    return lower_bound(*tally([item])) if item["samples"] else None
+    """Return the rate at which the item passes at least, with 95 % confidence; None when it says nothing about the subject,
+    or when something around the repetitions failed: then the repetitions are not what the item is about."""
+    return lower_bound(*tally([item])) if item["samples"] and not failing(item["findings"]) else None
+
+
+def control_failed(item: ItemBody, passed: int) -> bool:
+    """Tell whether every planned repetition passed and the item failed all the same, by something around the repetitions."""
+    return item["status"] == "FAIL" and passed == item["planned"]
 
 
 def timing_valid(run: Run) -> bool:

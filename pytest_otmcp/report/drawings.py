@@ -16,7 +16,7 @@ from . import Item, Run, durations, phases
 from .families import css_class
 from .text import printable
 
-__all__ = ["latencies", "recovery", "strip"]
+__all__ = ["latencies", "recovery", "strip", "suite_strip"]
 
 _WIDTH, _RIGHT = 720, 70
 _ROW, _AXIS = 22, 34
@@ -46,6 +46,18 @@ def strip(item: Item) -> Markup:
     return Markup('<svg class="strip" role="img" width="{0}" height="13" viewBox="0 0 {0} 13">{1}{2}</svg>').format(
         4 * marks, Markup("<title>{} of {} repetitions passed</title>").format(good, item["planned"]), shapes
     )
+
+
+def suite_strip(items: Sequence[Item]) -> Markup:
+    """Draw the items of a suite from left to right as marks: low for one that failed, hollow for one that does not apply."""
+    paths = {"good": "", "bad": "", "open": ""}
+    for index, item in enumerate(items):
+        kind = {"PASS": "good", "NOT_APPLICABLE": "open"}.get(item["status"], "bad")
+        paths[kind] += f"M{index * 7 + 1} {'6h5v6' if kind == 'bad' else '1h5v8'}h-5z"
+    shapes = Markup().join(Markup('<path class="{}" d="{}"/>').format(*path) for path in paths.items() if path[1])
+    return Markup(
+        '<svg class="strip" aria-hidden="true" width="{0}" height="13" viewBox="0 0 {0} 13">{1}</svg>'
+    ).format(7 * len(items), shapes)
 
 
 class _Scale:
@@ -118,7 +130,7 @@ def _box(scale: _Scale, y: int, item: Item, times: Sequence[float]) -> Markup:
 
 
 def recovery(run: Run) -> Markup | None:
-    """Draw the median of each phase of the recovery items as bars."""
+    """Draw the median of each phase of the recovery items as a dot: a logarithmic axis has no origin for a bar to begin at."""
     items = [item for item in run["items"] if item["suite"] == "recovery"]
     medians = {(item["id"], name): percentile(phases(run, item, name), 50) for item in items for name in _PHASES}
     known = [median for median in medians.values() if median is not None]
@@ -130,17 +142,18 @@ def recovery(run: Run) -> Markup | None:
         bars += Markup('<g class="head">{}</g>').format(_text(4, y + 16, item["family"], "start"))
         y += _ROW
         for name, label in _PHASES.items():
-            bars += _text(scale.left - 8, y + 12, label, "end") + _bar(scale, y, name, medians[item["id"], name])
+            bars += _text(scale.left - 8, y + 12, label, "end") + _dot(
+                scale, y, item["family"], medians[item["id"], name]
+            )
             y += 17
     bottom = y + 8
     return _picture("Recovery from an outage: median of each phase", bottom + _AXIS, scale.axis(bottom) + bars)
 
 
-def _bar(scale: _Scale, y: int, name: str, median: float | None) -> Markup:
+def _dot(scale: _Scale, y: int, family: str, median: float | None) -> Markup:
     if median is None:
         return _text(scale.left + 6, y + 12, "did not happen", "start")
-    width = round(scale.x(median) - scale.left, 1)
-    bar = Markup('<rect class="{}" x="{}" y="{}" width="{}" height="12"/>').format(
-        name.replace("_", "-"), scale.left, y + 2, width
-    )
-    return bar + _text(_WIDTH - 4, y + 12, f"{median:.1f}", "end")
+    dot = Markup(
+        '<line class="grid" x1="{0}" y1="{1}" x2="{2}" y2="{1}"/><circle class="{3}" cx="{2}" cy="{1}" r="4.5"/>'
+    ).format(scale.left, y + 8, scale.x(median), css_class(family))
+    return dot + _text(_WIDTH - 4, y + 12, f"{median:.1f}", "end")

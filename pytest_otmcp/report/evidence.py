@@ -16,6 +16,7 @@ from ..record.warnings import failing
 from . import Item, Run, command
 from .exchange import Event, conversation
 from .findings import subject_keys
+from .plainly import InWords, in_words
 from .text import clipped
 
 __all__ = ["Evidence", "Failure", "failures"]
@@ -48,6 +49,7 @@ class Evidence:
         command: shell command that runs this part again.
         findings: with ``message``, ``requirement``, ``code`` and ``evidence``.
         more_findings: number of findings that are not shown.
+        words: the call in which the fault shows, in plain words; None without calls.
         events: the conversation; see :func:`pytest_otmcp.report.exchange.conversation`.
     """
 
@@ -55,6 +57,7 @@ class Evidence:
     command: str
     findings: list[dict[str, object]]
     more_findings: int
+    words: InWords | None
     events: list[Event | int]
 
     @property
@@ -105,7 +108,7 @@ def _failure(run: Run, item: Item, limits: _Limits) -> Failure:
     if own := failing(item["findings"]):
         calls = [call for part in item["around"] for call in part["calls"] if call.get("frames")]
         device = [entry for part in item["around"] for entry in part["device"]]
-        title = "Before, between and after the repetitions"
+        title = "Around the repetitions: warm-up, set-up and controls"
         evidence.append(_evidence(title, command(run, item), own, calls, device, limits))
     notes = []
     if len(kinds) > _REPETITIONS:
@@ -148,5 +151,6 @@ def _evidence(
         command=again,
         findings=shown,
         more_findings=len(findings) - len(shown),
+        words=in_words(calls, device),
         events=conversation(calls, device) if limits.conversation else [],
     )

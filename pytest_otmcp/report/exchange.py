@@ -33,7 +33,7 @@ _NEVER = 2**63
 
 _ROLES = {
     "task": "",
-    "control": "closing check",
+    "control": "control",
     "setup": "set-up",
     "warmup": "warm-up",
     "recovery": "while recovering",

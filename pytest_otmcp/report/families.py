@@ -9,9 +9,9 @@ from __future__ import annotations
 from ..core.matrix import CROSS_PROTOCOL
 from ..protocols.protocol import Colour
 from ..protocols.registry import protocols
-from . import Run
+from . import Run, applies
 
-__all__ = ["css_class", "families", "family_colour", "style_sheet"]
+__all__ = ["applying_families", "css_class", "families", "family_colour", "style_sheet"]
 
 _CROSS_COLOUR = Colour(light="#cc79a7", dark="#d98fb8")
 _CROSS_CLASS = "cross"
@@ -22,6 +22,12 @@ def families(run: Run) -> list[str]:
     known = [*(protocol.name for protocol in protocols().values()), CROSS_PROTOCOL]
     found = dict.fromkeys(item["family"] for item in run["items"])
     return [name for name in known if name in found] + [name for name in found if name not in known]
+
+
+def applying_families(run: Run) -> list[str]:
+    """Return the families of which an item applies to the subject; all of them when none does."""
+    applying = {item["family"] for item in run["items"] if applies(item)}
+    return [name for name in families(run) if name in applying] or families(run)
 
 
 def family_colour(family: str) -> Colour | None:

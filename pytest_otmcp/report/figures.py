@@ -1,36 +1,27 @@
 """The figures of a run, each as PDF and PNG, sized for one column of a two-column paper.
 
-matplotlib is used without pyplot: no global state, no display. Metadata hold no dates, so the same record gives the same
-files. A figure for which a run has no data is not drawn, and its file from an earlier run is removed.
+A colour is a protocol's and means nothing else; what is no protocol is grey. matplotlib is used without pyplot: no global
+state, no display. Metadata hold no dates, so the same record gives the same files. A figure for which a run has no data is not
+drawn, and its file from an earlier run is removed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..core.statistics import percentile, proportion_interval
+from ..core.statistics import percentile
 from ..protocols.registry import protocols
-from . import Item, Run, adapters, durations, phases, recovered, timing_valid
+from . import Item, Run, adapters, durations, phases, timing_valid
 from .families import family_colour
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["write_figures"]
+__all__ = ["contrast", "ink_on", "write_figures"]
 
 _WIDTH_IN = 3.5
-# Okabe and Ito's palette: distinguishable with every common kind of colour blindness.
-_BLUE, _ORANGE, _GREEN, _RED, _PURPLE, _SKY, _YELLOW = (
-    "#0072B2",
-    "#E69F00",
-    "#009E73",
-    "#D55E00",
-    "#CC79A7",
-    "#56B4E9",
-    "#F0E442",
-)
 _STYLE: dict[Any, Any] = {
     "font.size": 7,
     "font.family": "DejaVu Sans",
@@ -40,6 +31,7 @@ _STYLE: dict[Any, Any] = {
     "pdf.fonttype": 42,
     "savefig.dpi": 300,
 }
+_PALE, _DARK = "#ededed", "#4d4d4d"
 
 # Tool counts of the protocol modules that the paper lists beside the three that it evaluates.
 _OTHER_PROTOCOLS = {
@@ -52,9 +44,34 @@ _OTHER_PROTOCOLS = {
     "S7comm": 20,
 }
 
-_SHOWN_CODES = 6
+_SHOWN_CODES = 8
+_PHASES = {
+    "detect": "detect",
+    "restart": "endpoint restart",
+    "same_session": "same session",
+    "fresh_session": "fresh session",
+}
 
 Draw = Callable[[Run, "Axes"], bool]
+
+
+def contrast(one: str, other: str) -> float:
+    """Return the contrast ratio of two colours, from 1 to 21 (WCAG 2.2, section 1.4.3)."""
+    from matplotlib.colors import to_rgb
+
+    def luminance(colour: str) -> float:
+        red, green, blue = (
+            part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in to_rgb(colour)
+        )
+        return 0.2126 * red + 0.7152 * green + 0.0722 * blue
+
+    low, high = sorted((luminance(one), luminance(other)))
+    return (high + 0.05) / (low + 0.05)
+
+
+def ink_on(ground: str) -> str:
+    """Return black or white, whichever can be read better on a ground; that is always a contrast of 4.5 at least."""
+    return max(("black", "white"), key=lambda ink: contrast(ink, ground))
 
 
 def write_figures(run: Run, directory: Path) -> None:
@@ -64,10 +81,9 @@ def write_figures(run: Run, directory: Path) -> None:
     from matplotlib.figure import Figure
 
     figures: dict[str, tuple[Draw, float]] = {
-        "latency_boxplot": (_latency_boxplot, 2.6),
-        "error_classes": (_error_classes, 2.1),
-        "recovery_modes": (_recovery_modes, 1.9),
-        "recovery_phases": (_recovery_phases, 1.8),
+        "latency_boxplot": (_latency_boxplot, 2.9),
+        "error_classes": (_error_classes, 2.0),
+        "recovery_phases": (_recovery_phases, 2.0),
         "protocol_map": (_protocol_map, 2.2),
     }
     directory.mkdir(parents=True, exist_ok=True)
@@ -92,9 +108,9 @@ def _latency_boxplot(run: Run, axes: Axes) -> bool:
     items = _items(run, "normal")
     if not items or not timing_valid(run):
         return False
-    times = [durations(run, [item]) for item in items]
     boxes = axes.boxplot(
-        times,
+        [durations(run, [item]) for item in items],
+        orientation="horizontal",
         patch_artist=True,
         widths=0.6,
         medianprops={"color": "black", "linewidth": 0.9},
@@ -105,17 +121,26 @@ def _latency_boxplot(run: Run, axes: Axes) -> bool:
     )
     for box, item in zip(boxes["boxes"], items, strict=True):
         box.set_facecolor(_colour(item["family"]))
-    axes.set_yscale("log")
-    axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    axes.yaxis.set_minor_formatter(lambda value, _: f"{value:g}" if value in (2, 5, 20, 50) else "")
-    axes.set_xticks(range(1, len(items) + 1), [item["id"] for item in items])
-    axes.tick_params(axis="x", length=0, labelsize=6)
-    axes.set_ylabel("tool-call latency (ms)")
-    axes.grid(axis="y", which="both", linewidth=0.3, color="0.88")
+    axes.set_xscale("log")
+    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    axes.xaxis.set_minor_formatter(lambda value, _: f"{value:g}" if value in (2, 5, 20, 50) else "")
+    axes.set_yticks(range(1, len(items) + 1), [item["id"] for item in items])
+    axes.tick_params(axis="y", length=0, labelsize=6)
+    axes.set_xlabel("tool-call latency (ms), logarithmic")
+    axes.grid(axis="x", which="both", linewidth=0.3, color="0.88")
     axes.set_axisbelow(True)
+    axes.invert_yaxis()
+    _separate(axes, [item["family"] for item in items], first=1)
     families = dict.fromkeys(item["family"] for item in items)
     _legend(axes, [(family, _colour(family)) for family in families])
     return True
+
+
+def _separate(axes: Axes, families: Sequence[str], first: int = 0) -> None:
+    """Draw a line between the rows of two families."""
+    for index in range(1, len(families)):
+        if families[index] != families[index - 1]:
+            axes.axhline(first + index - 0.5, linewidth=0.5, color="0.6")
 
 
 def _legend(axes: Axes, entries: list[tuple[str, str]]) -> None:
@@ -145,6 +170,7 @@ def _label(text: str) -> str:
 
 
 def _error_classes(run: Run, axes: Axes) -> bool:
+    """Draw how many runs of each item had an error code, as a heat map: code by item."""
     items = _items(run, "fault")
     counts: dict[str, list[int]] = {}
     for index, item in enumerate(items):
@@ -155,77 +181,66 @@ def _error_classes(run: Run, axes: Axes) -> bool:
                 counts.setdefault(code, [0] * len(items))[index] += 1
     if not counts:
         return False
-    colours = [_BLUE, _ORANGE, _GREEN, _RED, _PURPLE, _SKY, _YELLOW]
-    bottom = [0] * len(items)
-    entries = []
-    frequent = sorted(counts, key=lambda code: (-sum(counts[code]), code))[:_SHOWN_CODES]
-    shown = {code: counts.pop(code) for code in sorted(frequent)}
+    # In the order of the items that have them, so that the usual run is a diagonal.
+    codes = sorted(counts, key=lambda code: (-sum(counts[code]), code))[:_SHOWN_CODES]
+    codes.sort(key=lambda code: next(index for index, count in enumerate(counts[code]) if count))
+    rows = {_label(code): counts.pop(code) for code in codes}
     if counts:
-        shown["other codes"] = [sum(column) for column in zip(*counts.values(), strict=True)]
-    for index, (code, values) in enumerate(shown.items()):
-        colour = colours[index % len(colours)]
-        axes.bar(range(len(items)), values, 0.65, bottom=bottom, color=colour)
-        bottom = [low + value for low, value in zip(bottom, values, strict=True)]
-        entries.append((_label(code), colour))
+        rows["other codes"] = [sum(column) for column in zip(*counts.values(), strict=True)]
+    for row, values in enumerate(rows.values()):
+        for column, value in enumerate(values):
+            share = value / len(items[column]["samples"])
+            # Grey, because a colour is a protocol's; never so dark that the grid of cells cannot be seen.
+            ground = str(round(1 - 0.75 * min(1.0, share), 3))
+            axes.add_patch(_cell(column, row, ground))
+            if value:
+                axes.text(column, row, str(value), ha="center", va="center", fontsize=6, color=ink_on(ground))
+    axes.set_xlim(-0.5, len(items) - 0.5)
+    axes.set_ylim(len(rows) - 0.5, -0.5)
     axes.set_xticks(range(len(items)), [item["id"] for item in items])
-    axes.tick_params(axis="x", length=0)
-    axes.set_ylabel("runs with this error code")
-    _legend(axes, entries)
+    axes.set_yticks(range(len(rows)), list(rows))
+    axes.tick_params(length=0, labelsize=6)
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+    axes.set_xlabel("runs with this error code; grey by their share of the item's runs", fontsize=6)
     return True
 
 
-def _recovery_modes(run: Run, axes: Axes) -> bool:
-    items = _items(run, "recovery")
-    if not items:
-        return False
-    for offset, (way, colour) in zip((-0.18, 0.18), (("same_session", _BLUE), ("fresh_session", _ORANGE)), strict=True):
-        for index, item in enumerate(items):
-            good, total = recovered([item], way)
-            low, high = proportion_interval(good, total) or (0.0, 1.0)
-            rate = 100 * good / total
-            error = [[rate - 100 * low], [100 * high - rate]]
-            axes.bar(index + offset, rate, 0.32, color=colour)
-            axes.errorbar(index + offset, rate, yerr=error, color="black", linewidth=0.7, capsize=2)
-            axes.text(index + offset, 4, f"{good}/{total}", ha="center", fontsize=6, color="white")
-    axes.set_xticks(range(len(items)), [item["family"] for item in items])
-    axes.tick_params(axis="x", length=0)
-    axes.set_ylim(0, 105)
-    axes.set_ylabel("recovered (%),\n95 % Clopper-Pearson")
-    _legend(axes, [("same session", _BLUE), ("fresh session", _ORANGE)])
-    return True
+def _cell(column: int, row: int, ground: str) -> Any:
+    from matplotlib.patches import Rectangle
+
+    return Rectangle((column - 0.5, row - 0.5), 1, 1, facecolor=ground, edgecolor="0.8", linewidth=0.5)
 
 
 def _recovery_phases(run: Run, axes: Axes) -> bool:
+    """Draw the median of each phase as a dot: a logarithmic axis has no origin for a bar to begin at."""
     items = _items(run, "recovery")
     if not items or not timing_valid(run):
         return False
-    names = {
-        "detect": ("detect", _RED),
-        "restart": ("endpoint restart", "0.75"),
-        "same_session": ("same session", _BLUE),
-        "fresh_session": ("fresh session", _ORANGE),
-    }
-    height = 0.8 / len(names)
-    for row, (phase, (_, colour)) in enumerate(names.items()):
-        for index, item in enumerate(items):
-            median = percentile(phases(run, item, phase), 50)
-            if median is None:
-                continue
-            at = index + (row - 1.5) * height
-            axes.barh(at, median, height * 0.9, color=colour)
-            axes.text(median * 1.12, at, f"{median:.1f}", va="center", fontsize=5.5)
+    rows = [(item, phase) for item in items for phase in _PHASES]
+    medians = [percentile(phases(run, item, phase), 50) for item, phase in rows]
+    for row, ((item, _), median) in enumerate(zip(rows, medians, strict=True)):
+        if median is not None:
+            axes.plot([median], [row], "o", markersize=4, color=_colour(item["family"]))
+            axes.annotate(f"{median:.1f}", (median, row), (4, 0), textcoords="offset points", va="center", fontsize=5.5)
     axes.set_xscale("log")
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.set_xlim(right=axes.get_xlim()[1] * 2)
-    axes.set_yticks(range(len(items)), [item["family"] for item in items])
-    axes.invert_yaxis()
-    axes.tick_params(axis="y", length=0)
+    axes.set_yticks(range(len(rows)), [_PHASES[phase] for _, phase in rows])
+    axes.set_ylim(len(rows) - 0.5, -0.5)
+    axes.tick_params(axis="y", length=0, labelsize=6)
+    axes.grid(axis="both", linewidth=0.3, color="0.88")
+    axes.set_axisbelow(True)
+    _separate(axes, [item["family"] for item, _ in rows])
     axes.set_xlabel("median (ms), logarithmic")
-    _legend(axes, list(names.values()))
+    _legend(axes, [(item["family"], _colour(item["family"])) for item in items])
     return True
 
 
 def _protocol_map(run: Run, axes: Axes) -> bool:
+    if run["settings"].get("subject"):
+        # The map is the paper's: seven of its protocols have nothing to do with a vendor's run.
+        return False
     sessions = adapters(run)
     evaluated = {protocols()[key].name: facts.get("tools") for key, facts in sessions.items() if key in protocols()}
     if not evaluated:
@@ -235,9 +250,9 @@ def _protocol_map(run: Run, axes: Axes) -> bool:
     columns = 3
     for index, (name, tools, tested) in enumerate(boxes):
         row, column = divmod(index, columns)
-        colour = _colour(name, unknown="0.93")
+        colour = _colour(name, unknown=_PALE) if tested else _PALE
         axes.add_patch(_box(column, -row, colour, "black" if tested else "0.6", "solid" if tested else "dashed"))
-        ink = "white" if tested else "0.35"
+        ink = ink_on(colour) if tested else _DARK
         axes.text(column + 0.46, -row + 0.5, name, ha="center", va="center", fontweight="bold", color=ink)
         note = f"{tools} tools, evaluated" if tested else f"{tools} tools in the paper"
         axes.text(column + 0.46, -row + 0.22, note, ha="center", va="center", fontsize=5.5, color=ink)

@@ -1,35 +1,27 @@
-"""The HTML report of a run: one file that needs only a browser, and no network. Pure but for the writing.
-
-Texts of an adapter are shown, never interpreted: jinja2 escapes every value, letters that do not print are replaced by
-their escapes, and the page's Content-Security-Policy allows one style sheet, known by its hash, and nothing else: no
-script, no request. ``report.html.jinja`` is the page.
-"""
+"""The HTML report of a run: ``report.html.jinja``, filled. Pure but for the writing."""
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import re
 from collections.abc import Iterable
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, StrictUndefined
-from markupsafe import Markup
-
 from ..core.matrix import SUITES
 from ..record.warnings import warnings
+from ..suite.catalogue import all_tasks
+from ..suite.explanations import item as explained_item
 from ..suite.requirements import requirements
-from . import Item, Run, applied, command, deadlines, overview, tally, timing_valid
+from . import Item, Run, applied, applies, command, deadlines, overview, tally, timing_valid
 from .capabilities import earned
 from .causes import causes
-from .drawings import latencies, recovery, strip
+from .drawings import latencies, recovery, strip, suite_strip
 from .evidence import failures
-from .families import families, style_sheet
+from .families import applying_families
+from .identity import identity
 from .limits import narrowed
+from .page import filled
 from .strangers import strangers
-from .text import clipped, printable
 
 __all__ = ["page", "write_html"]
 
@@ -53,8 +45,6 @@ _SENTENCES = {
     "INDETERMINATE": "This run says nothing about the adapter: the kit itself failed, or nothing applied.",
     "INCOMPLETE": "Not everything ran, so this run proves nothing yet.",
 }
-_LONGEST = 4_000
-"""Letters of one value on the page at most."""
 _TONES = {"CONFORMANT": "good", "NOT CONFORMANT": "bad"}
 
 
@@ -65,21 +55,22 @@ def write_html(run: Run, path: Path) -> None:
 
 def page(run: Run) -> str:
     """Return the report of a run as HTML."""
-    style = _resource("report.css") + style_sheet()
     verdict = run["footer"].get("verdict", "INCOMPLETE")
     good, planned = tally(run["items"])
     anchors = _anchors(run["items"])
     failing = failures(run)
-    html: str = _template().render(
+    families = applying_families(run)
+    # A rule of which no column says anything is of a protocol without an adapter.
+    rules = [row for row in overview.requirements(run) if not set(families).isdisjoint(row[1])]
+    return filled(
+        "report.html.jinja",
         run=run,
-        style=Markup(style),  # noqa: S704  (our own file, and the colours of the protocols)
-        style_hash=base64.b64encode(hashlib.sha256(style.encode()).digest()).decode(),
         verdict=verdict,
         tone=_TONES.get(verdict, "open"),
         sentence=_SENTENCES.get(verdict, ""),
         applied=applied(run),
         deadlines=deadlines(run),
-        rules=_rules(overview.requirements(run)),
+        rules=_rules(rules),
         catalogue=requirements(),
         good=good,
         planned=planned,
@@ -87,7 +78,8 @@ def page(run: Run) -> str:
         narrowed=narrowed(run),
         strangers=strangers(run),
         deviations=overview.deviations(run),
-        families=families(run),
+        families=families,
+        identity=identity(run),
         capabilities=earned(run),
         causes=causes(run),
         failures=failing,
@@ -95,8 +87,10 @@ def page(run: Run) -> str:
         # The id of a failed item links to its evidence.
         targets={**anchors, **{one.item["id"]: f"failed-{anchors[one.item['id']]}" for one in failing}},
         statuses=_STATUSES,
-        suites=[(suite, _QUESTIONS.get(suite, ""), rows) for suite in SUITES if (rows := overview.tasks(run, suite))],
-        requirements=overview.requirements(run),
+        suites=[_suite(suite, rows) for suite in SUITES if (rows := overview.tasks(run, suite))],
+        explained={item["id"]: _explained(item["id"]) for item in run["items"]},
+        requirements=[row for row in rules if not _kept(row)],
+        kept_requirements=[row for row in rules if _kept(row)],
         latencies=latencies(run),
         recovery=recovery(run),
         strip=strip,
@@ -107,25 +101,35 @@ def page(run: Run) -> str:
         facts=overview.facts(run),
         rerun=command(run),
     )
-    return html
 
 
-def _template() -> Any:
-    # The template is the kit's, the values come from outside: every value is escaped.
-    environment = Environment(
-        autoescape=True, undefined=StrictUndefined, finalize=_shown, trim_blocks=True, lstrip_blocks=True
-    )
-    return environment.from_string(_resource("report.html.jinja"))
+_OF_A_ROW = ("Asked", "Must be said", "Must be seen at the device", "Once before", "Once afterwards", "Why")
 
 
-def _resource(name: str) -> str:
-    return (resources.files(__package__) / name).read_text(encoding="utf-8")
+def _suite(name: str, rows: list[overview.Row]) -> dict[str, Any]:
+    """Return a suite as the page shows it: one line, and its rows behind it."""
+    items = [row.item for row in rows]
+    applying = [item for item in items if applies(item)]
+    passed = sum(item["status"] == "PASS" for item in applying)
+    good, planned = tally(items)
+    return {
+        "name": name,
+        "question": _QUESTIONS.get(name, ""),
+        "rows": rows,
+        "red": passed < len(applying),
+        "said": f"{passed}/{len(applying)} items, {good}/{planned} repetitions" if applying else "does not apply",
+        "strip": suite_strip(items),
+    }
 
 
-def _shown(value: object) -> Any:
-    if not isinstance(value, str) or isinstance(value, Markup):
-        return value
-    return printable(clipped(value, _LONGEST), keep="\n\t")
+def _explained(identifier: str) -> list[tuple[str, tuple[str, ...]]]:
+    """Return what is asked and judged in an item; nothing for one that is not in the suite that is installed here."""
+    task = all_tasks().get(identifier)
+    return [] if task is None else [part for part in explained_item(task).parts if part[0] in _OF_A_ROW]
+
+
+def _kept(row: tuple[str, dict[str, overview.Cell]]) -> bool:
+    return all(cell.state in ("passed", "not claimed") for cell in row[1].values())
 
 
 def _rules(rows: Iterable[tuple[str, object]]) -> dict[str, str]:

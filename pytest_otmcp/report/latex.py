@@ -15,7 +15,7 @@ from ..protocols.registry import protocols
 from ..record.consistency import count_calls
 from . import Item, Run, adapters, applies, command, durations, least, phases, recovered, tally, task_calls
 from .families import families
-from .text import count, interval, number
+from .text import count, interval, number, percent_down
 
 __all__ = ["escape", "write_tables"]
 
@@ -30,6 +30,11 @@ _SPECIAL = {
     "}": r"\}",
     "~": r"\textasciitilde{}",
     "^": r"\textasciicircum{}",
+    # In the paper's encoding, OT1, these are inverted marks, a dash and a closing quote.
+    "<": "$<$",
+    ">": "$>$",
+    "|": r"\textbar{}",
+    '"': "''",
 }
 _NONE = "---"
 _DIGITS = "Zero One Two Three Four Five Six Seven Eight Nine".split()
@@ -38,8 +43,8 @@ _DIGITS = "Zero One Two Three Four Five Six Seven Eight Nine".split()
 def escape(text: str) -> str:
     """Escape a text so that LaTeX prints it as it is.
 
-    ``<`` and ``>`` stay, as in the paper's own tables. A character that pdfLaTeX cannot print, such as a control character in
-    an error code that an adapter made up, is shown by its code point.
+    A character that pdfLaTeX cannot print, such as a control character in an error code that an adapter made up, is shown by
+    its code point.
     """
     return "".join(_SPECIAL.get(letter, letter if " " <= letter <= "~" else f"U+{ord(letter):04X}") for letter in text)
 
@@ -155,7 +160,7 @@ def _results(run: Run) -> list[str]:
         _row("Family", "Tasks", "Task", "Tool", "Med.", "p95", "Rec."),
         r"& & (\%) & (\%) & (ms) & (ms) & (\%) \\",
     ]
-    return _tabular("@{}lcccccc@{}", head, rows)
+    return _tabular("@{}lrrrrrr@{}", head, rows)
 
 
 def _task_breakdown(run: Run) -> list[str]:
@@ -165,8 +170,8 @@ def _task_breakdown(run: Run) -> list[str]:
         if rows and items:
             rows.append("\\midrule")
         rows += [_row(item["id"], escape(family), escape(item["title"]), *_median_p95(run, [item])) for item in items]
-    head = [_row("ID", "Family", "Operation", "Median (ms)", "p95 (ms)")]
-    return _tabular("@{}llYcc@{}", head, rows, r"\textwidth")
+    head = [_row("ID", "Family", "Operation", "Med. (ms)", "p95 (ms)")]
+    return _tabular("@{}llYrr@{}", head, rows, r"\textwidth")
 
 
 def _fault_results(run: Run) -> list[str]:
@@ -178,8 +183,8 @@ def _fault_results(run: Run) -> list[str]:
         rows.append(
             _row(item["id"], escape(item["family"]), escape(item["title"]), _rate(*tally([item])), median, label)
         )
-    head = [_row("ID", "Family", "Fault scenario", r"EH\%", "Med. (ms)", "Error class")]
-    return _tabular("@{}llYccc@{}", head, rows, r"\columnwidth")
+    head = [_row("ID", "Family", "Fault scenario", r"EH (\%)", "Med. (ms)", "Error class")]
+    return _tabular("@{}llYrrl@{}", head, rows, r"\columnwidth")
 
 
 # -- the kit's own ----------------------------------------------------------------------------------------
@@ -191,7 +196,7 @@ def _stress(run: Run) -> list[str]:
         passed = _count(*tally([item]))
         rows.append(_row(item["id"], escape(item["family"]), escape(item["title"]), passed, *_median_p95(run, [item])))
     head = [_row("ID", "Family", "Stress scenario", "Passed", "Med. (ms)", "p95 (ms)")]
-    return _tabular("@{}llYccc@{}", head, rows, r"\columnwidth")
+    return _tabular("@{}llYrrr@{}", head, rows, r"\columnwidth")
 
 
 def _recovery(run: Run) -> list[str]:
@@ -208,7 +213,7 @@ def _recovery(run: Run) -> list[str]:
         r"& Detect & Restart & \multicolumn{2}{c}{Same session} & \multicolumn{2}{c}{Fresh session} \\",
         _row("Family", "(ms)", "(ms)", "ok", "Med. (ms)", "ok", "Med. (ms)"),
     ]
-    return _tabular("@{}lcccccc@{}", head, rows)
+    return _tabular("@{}lrrrrrr@{}", head, rows)
 
 
 def _statistics(run: Run) -> list[str]:
@@ -223,7 +228,7 @@ def _statistics(run: Run) -> list[str]:
         r"& & At least & \multicolumn{3}{c}{Mean (ms)} & \multicolumn{2}{c}{Median (ms)} & p95 & Out- \\",
         _row("ID", "Passed", r"(\%)", "", "SD", interval, "", interval, "(ms)", "liers"),
     ]
-    return _tabular("@{}lccccccccc@{}", head, rows)
+    return _tabular("@{}lrrrrrrrrr@{}", head, rows)
 
 
 def _statistics_row(run: Run, item: Item) -> str:
@@ -233,7 +238,7 @@ def _statistics_row(run: Run, item: Item) -> str:
     return _row(
         item["id"],
         _count(*tally([item])),
-        _ms(None if rate is None else 100 * rate),
+        _ms(None if rate is None else percent_down(rate)),
         _figure(mean(times)),
         _figure(standard_deviation(times)),
         _interval(mean_interval(times)),

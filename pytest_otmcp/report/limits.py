@@ -5,7 +5,9 @@ from __future__ import annotations
 from ..core.matrix import SUITES
 from ..core.statistics import lower_bound
 from ..protocols.external import external_devices
-from . import Run, applies, timing_valid
+from . import Run, timing_valid
+from .applying import not_applying
+from .text import at_least
 
 __all__ = ["narrowed"]
 
@@ -28,10 +30,10 @@ def narrowed(run: Run) -> list[str]:
     if reps < _FULL and (bound := lower_bound(reps, reps)) is not None:
         reasons.append(
             f"With N = {reps} instead of {_FULL}, an item that passes every time is shown to pass at least "
-            f"{100 * bound:.0f} % of the time, not more."
+            f"{at_least(bound, '')} of the time, not more."
         )
-    if unclaimed := [item["id"] for item in run["items"] if not applies(item)]:
-        reasons.append(f"About things that the subject does not claim, so not tested: {', '.join(unclaimed)}.")
+    if told := not_applying(run):
+        reasons.append(f"{told}.")
     if settings.get("time_scale", 1.0) != 1.0:
         reasons.append(f"Deadlines and windows were multiplied by {settings['time_scale']}.")
     if settings.get("era", "auto") != "auto":

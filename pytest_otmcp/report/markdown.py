@@ -12,11 +12,11 @@ from pathlib import Path
 
 from ..core.matrix import SUITES
 from ..record.warnings import said, warnings
-from . import Item, Run, applied, command, deadlines, tally
+from . import Item, Run, applied, applies, command, deadlines, tally
 from .capabilities import earned
 from .causes import causes
 from .evidence import failures
-from .families import families
+from .families import applying_families
 from .findings import cited, faults, subject_keys
 from .limits import narrowed
 from .overview import deviations, tasks
@@ -103,7 +103,7 @@ def _table(head: list[str], rows: list[list[str]]) -> list[str]:
 
 
 def _earned(run: Run) -> list[str]:
-    columns = families(run)
+    columns = applying_families(run)
     rows = []
     for heading, by_family in earned(run):
         grades = [by_family[family] for family in columns]
@@ -154,7 +154,7 @@ def _finding(run: Run, item: Item) -> Iterator[str]:
 
 
 def _suite(run: Run, suite: str) -> list[str]:
-    rows = tasks(run, suite)
+    rows = [row for row in tasks(run, suite) if applies(row.item)]
     if not rows:
         return []
     cells = [

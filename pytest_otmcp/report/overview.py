@@ -19,9 +19,9 @@ from ..core.statistics import (
     standard_deviation,
 )
 from ..record.warnings import failing, findings_of
-from . import Item, Run, durations, least, phases, recovered, tally
+from . import Item, Run, control_failed, durations, least, phases, recovered, tally
 from . import adapters as having_sessions
-from .text import count, interval, number
+from .text import at_least, count, interval, number
 
 __all__ = [
     "NONE",
@@ -97,8 +97,8 @@ def tasks(run: Run, suite: str) -> list[Row]:
                 Row(
                     item=item,
                     reason=item.get("reason") or "",
-                    passed=_count(*tally([item])),
-                    least=NONE if rate is None else f"{100 * rate:.1f} %",
+                    passed=_passed(item),
+                    least=at_least(rate, NONE),
                     median=_number(percentile(times, 50)),
                     p95=_number(percentile(times, 95)),
                 )
@@ -157,8 +157,8 @@ def recovery_rows(run: Run) -> list[tuple[str, ...]]:
 
 def _rate(item: Item, way: str) -> str:
     good, total = recovered([item], way)
-    bound = lower_bound(good, total)
-    return _count(good, total) + (f", at least {100 * bound:.1f} %" if bound is not None else "")
+    bound = None if failing(item["findings"]) else lower_bound(good, total)
+    return _count(good, total) + (f", at least {at_least(bound, NONE)}" if bound is not None else "")
 
 
 def statistics(run: Run) -> list[tuple[str, ...]]:
@@ -261,6 +261,11 @@ def _flat(value: object) -> str:
     if isinstance(value, Mapping):
         return " ".join(f"{name} {inner}" for name, inner in value.items())
     return " ".join(map(str, value)) if isinstance(value, list) else str(value)
+
+
+def _passed(item: Item) -> str:
+    good, planned = tally([item])
+    return _count(good, planned) + (", control failed" if control_failed(item, good) else "")
 
 
 def _count(good: int, total: int) -> str:

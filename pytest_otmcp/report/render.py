@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import shutil
-import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from ..record.condensed import condensed
 from ..record.reader import RecordError, open_record
-from . import Run
+from . import Run, whole
 
 __all__ = ["NAMES", "render", "write_all"]
 
@@ -32,8 +31,11 @@ it.
 NAMES = tuple(_WRITERS)
 """Files and folders that :func:`write_all` writes, by their names in the report directory."""
 
+_OF_WHOLE_RUNS = ("tables", "figures")
+"""Reports that compare items: a run of a few items does without, and whoever tries one item does not wait for them."""
 
-def write_all(run: Run, directory: Path) -> dict[str, str]:
+
+def write_all(run: Run, directory: Path, names: Collection[str] = NAMES) -> dict[str, str]:
     """Write every report of a run below ``directory``.
 
     A report that cannot be written does not prevent the others from being written. A report of that name from an earlier run
@@ -42,6 +44,7 @@ def write_all(run: Run, directory: Path) -> dict[str, str]:
     Args:
         run: a run record, as :func:`pytest_otmcp.record.load` returns it.
         directory: the report directory; it is made when it is not there.
+        names: those to write; the others are removed.
 
     Returns:
         The names of the reports that could not be written, each with the reason; empty when all were written.
@@ -53,6 +56,9 @@ def write_all(run: Run, directory: Path) -> dict[str, str]:
     failed: dict[str, str] = {}
     for name, (module, function) in _WRITERS.items():
         path = directory / name
+        if name not in names:
+            _remove(path)
+            continue
         try:
             getattr(import_module(f".{module}", __package__), function)(run, path)
         except Exception as error:
@@ -78,14 +84,23 @@ def render(path: Path, terminal: Any, root: Path) -> None:
         terminal.write_line(f"no reports were written: {error}", red=True)
         return
     from .console import summary
+    from .console_lines import wrapped
 
-    begun = time.monotonic()
-    failed = write_all(run, path.parent)
-    seconds = time.monotonic() - begun
-    for line, style in summary(run, width=terminal._tw.fullwidth):
+    names = NAMES if whole(run) else [name for name in NAMES if name not in _OF_WHOLE_RUNS]
+    failed = write_all(run, path.parent, names)
+    verbosity, width = terminal.config.option.verbose, terminal._tw.fullwidth
+    lines = summary(run, width, verbosity=verbosity, fold_verdict=terminal.isatty)
+    for line, style in lines:
         terminal.write_line(line, **_MARKUP[style])
     for name, reason in failed.items():
         terminal.write_line(f"{name} was not written: {reason}", red=True)
+    if verbosity < -1:
+        return
     where = path.parent.relative_to(root) if path.is_relative_to(root) else path.parent
-    written = ", ".join(name for name in ("run.json", *NAMES) if name not in failed)
-    terminal.write_line(f"{written} are in {where} (reports took {seconds:.1f} s)")
+    *first, last = (name for name in ("run.json", *names) if name not in failed)
+    texts = [f"{', '.join(first)} and {last} are in {where}" if first else f"{last} is in {where}"]
+    if names != NAMES:
+        texts.append(f"tables and figures are of whole runs; all the same: otmcp report {where / path.name}")
+    for text in texts:
+        for line in wrapped(text, width, "  "):
+            terminal.write_line(line)

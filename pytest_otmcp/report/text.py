@@ -5,9 +5,11 @@ The adapter under test may have written any text in a run record: its messages, 
 
 from __future__ import annotations
 
-from ..core.text import printable
+import math
 
-__all__ = ["clipped", "count", "interval", "number", "printable", "shortened"]
+from ..core.text import counted, printable
+
+__all__ = ["at_least", "clipped", "count", "counted", "interval", "number", "percent_down", "printable", "shortened"]
 
 
 def clipped(text: str, limit: int) -> str:
@@ -29,6 +31,16 @@ def count(good: int, total: int, none: str) -> str:
 def number(value: float | None, none: str, digits: int = 2) -> str:
     """Write a number with ``digits`` decimals, or ``none`` where there is no number."""
     return none if value is None else f"{value:.{digits}f}"
+
+
+def percent_down(rate: float) -> float:
+    """Return a lower bound, a rate from 0 to 1, in percent with one decimal, rounded down: a bound must not be overstated."""
+    return math.floor(1000 * rate) / 10
+
+
+def at_least(rate: float | None, none: str) -> str:
+    """Write a lower bound in percent, such as ``90.4 %``, or ``none`` where there is no bound."""
+    return none if rate is None else f"{percent_down(rate):.1f} %"
 
 
 def interval(bounds: tuple[float, float] | None, none: str, between: str) -> str:

@@ -13,7 +13,10 @@ from ..subject.model import READ_ONLY, Adapter
 from .rig import adapter_name
 from .task import Task
 
-__all__ = ["applicability", "participants"]
+__all__ = ["NO_ADAPTER", "applicability", "participants"]
+
+NO_ADAPTER = "the subject has no adapter for "
+"""Beginning of the reason for which most items of a subject with one protocol do not apply."""
 
 
 def applicability(task: Task, adapters: Mapping[str, Adapter]) -> tuple[Status, str] | None:
@@ -25,7 +28,7 @@ def applicability(task: Task, adapters: Mapping[str, Adapter]) -> tuple[Status, 
     claims = Claims.of_subject(adapters)
     for protocol in dict.fromkeys(facet.partition(".")[0] for facet in task.needs):
         if not claims.has_adapter(protocol):
-            return Status.NOT_APPLICABLE, f"the subject has no adapter for {protocols()[protocol].name}"
+            return Status.NOT_APPLICABLE, f"{NO_ADAPTER}{protocols()[protocol].name}"
     needs = claims.required(task.needs)
     for facet in needs:
         if (reason := claims.why_not(facet)) is not None:

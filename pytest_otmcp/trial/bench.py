@@ -6,7 +6,7 @@ The bench starts the adapters that are asked for and ends their sessions; it doe
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 from ..plant.devices import Plant
 from ..record.schema import AdapterFacts, Device
@@ -35,22 +35,40 @@ class Bench:
         self._plant = plant
         self._adapters: dict[str, AdapterUnderTest] = {}
 
-    async def prepare(self, names: Iterable[str]) -> None:
+    async def prepare(self, names: Iterable[str], started: Callable[[int, int, int], None] | None = None) -> None:
         """Start devices and adapters, all at once.
 
         An adapter that cannot be started is not an error here: its first task will report it.
 
         Args:
             names: ``protocol`` for its read-write variant, or ``protocol@ro``.
+            started: called after each device and each adapter with the number of those that were started, the number of
+                devices, and the number of adapters.
 
         Raises:
             KitError: a mock could not be started.
         """
         wanted = list(dict.fromkeys(names))
-        opening = [asyncio.create_task(self._open(name)) for name in wanted]
+        done = 0
+
+        def tell() -> None:
+            nonlocal done
+            done += 1
+            if started is not None:
+                started(done, len(wanted), len(wanted))
+
+        async def device(name: str) -> None:
+            await self._plant.device(name)
+            tell()
+
+        async def adapter(name: str) -> None:
+            await self._open(name)
+            tell()
+
+        opening = [asyncio.create_task(adapter(name)) for name in wanted]
         try:
             with self.spent.on("plant start"):
-                await asyncio.gather(*(self._plant.device(name) for name in wanted))
+                await asyncio.gather(*map(device, wanted))
             with self.spent.on("adapter starts"):
                 await asyncio.gather(*opening, return_exceptions=True)
         except BaseException:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from pytest_otmcp.plugin.collection import suite_root
@@ -85,6 +87,9 @@ def test_the_whole_suite_runs_in_a_hostile_repository_on_two_workers(repository:
     assert outcome.code == 0, outcome.output
     assert "VERDICT: CONFORMANT" in outcome.output
     assert "latencies withheld" in outcome.output
+    # Withheld means: also in the rows that appear while the items run.
+    assert re.search(r"^  M1 +1/1 PASS Ping the adapter", outcome.output, re.MULTILINE)
+    assert not re.search(r"\d ms", outcome.output)
     assert outcome.record["footer"]["timing_valid"] is False
     assert [f"test_{item['suite']}[{item['id']}]" for item in outcome.record["items"]] == suite
     assert outcome.narrowed == []

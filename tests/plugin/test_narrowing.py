@@ -213,7 +213,7 @@ def test_a_replaced_function_of_the_kit_is_on_record(repository: Repository, con
             "36 of 38 items were taken out by -k [M1] or [Q1]: M2, M3, M4, Q2, Q3, Q4 and 30 more",
         ),
         (("-m", "otmcp_stress and not otmcp_modbus"), "by -m otmcp_stress and not otmcp_modbus: "),
-        (("--otmcp-suite=normal", "-k", "[M1]"), "only the suites normal were asked for (--otmcp-suite)"),
+        (("--otmcp-suite=normal", "-k", "[M1]"), "only the suite normal was asked for (--otmcp-suite)"),
         (("--otmcp-time-scale=2", "-k", "[M1]"), "multiplied by 2 (--otmcp-time-scale)"),
         (
             ("--pyargs", "pytest_otmcp.conformance.test_normal", "-k", "[M1]"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 from dataclasses import replace
@@ -52,7 +53,7 @@ def test_rows_equal_the_papers(tmp_path: Path) -> None:
         tmp_path, "tab_taskbreakdown"
     )
     assert (
-        r"        FM2 & Modbus & Write overflow value (70000 > uint16 max) and expect adapter rejection. & 100.0 & 1.0 "
+        r"        FM2 & Modbus & Write overflow value (70000 $>$ uint16 max) and expect adapter rejection. & 100.0 & 1.0 "
         r"& range overflow \\" in lines(tmp_path, "tab_faultresults")
     )
     assert r"        Modbus & 2 & 100.0 & 100.0 & 1.3 & 1.5 & 100.0 \\" in lines(tmp_path, "tab_results")
@@ -87,8 +88,8 @@ def test_a_failure_lowers_the_rate(tmp_path: Path) -> None:
 
 
 def test_every_special_character_is_escaped() -> None:
-    assert escape(r"50 % & _x_ #1 $ {a} ~ ^ \ ") == (
-        r"50 \% \& \_x\_ \#1 \$ \{a\} \textasciitilde{} \textasciicircum{} \textbackslash{} "
+    assert escape(r"50 % & _x_ #1 $ {a} ~ ^ \ < > |") == (
+        r"50 \% \& \_x\_ \#1 \$ \{a\} \textasciitilde{} \textasciicircum{} \textbackslash{} $<$ $>$ \textbar{}"
     )
 
 
@@ -108,6 +109,36 @@ def test_a_subjects_name_cannot_leave_its_comment(tmp_path: Path) -> None:
     )
 
 
+def test_numbers_of_a_column_are_aligned_at_the_decimal_point(tmp_path: Path) -> None:
+    write_tables(run(ALL), tmp_path)
+    for name in (
+        "tab_results",
+        "tab_taskbreakdown",
+        "tab_faultresults",
+        "tab_stress",
+        "tab_recovery",
+        "tab_statistics",
+    ):
+        opening, *rest = (line.strip() for line in lines(tmp_path, name) if not line.startswith("%"))
+        spec = re.findall(r"[lcrY]", opening.rpartition("{@{}")[2])
+        table = [line.removesuffix(r" \\").split(" & ") for line in rest if line.endswith(r"\\")]
+        for column, cells in enumerate(zip(*(row for row in table if len(row) == len(spec)), strict=True)):
+            figures = [cell for cell in cells if re.fullmatch(r"\d+\.\d+", cell)]
+            if figures:
+                # Right-aligned figures with the same number of decimals have their points below each other.
+                assert spec[column] == "r"
+                assert len({len(figure.partition(".")[2]) for figure in figures}) == 1
+
+
+def test_units_stand_in_brackets_in_every_head(tmp_path: Path) -> None:
+    write_tables(run(ALL), tmp_path)
+    heads = [line for path in tmp_path.iterdir() for line in path.read_text().partition("midrule")[0].splitlines()]
+    assert any(r"(\%)" in line for line in heads)
+    assert not [
+        line for line in heads if re.search(r"[^(]\\%|\bms\b(?!\))", line.partition("% ")[0]) and "CI" not in line
+    ]
+
+
 HOSTILE = item("FM1", "fault", "Modbus", "\x1b\\ ^^M & \U0001f600", [1.0], error_code="\n\\end{tabularx}%")
 
 
@@ -120,3 +151,18 @@ def test_latex_compiles_the_tables(tmp_path: Path, items: list[dict[str, object]
     command = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "document.tex"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stdout[-3000:]
+
+
+@pytest.mark.long
+@pytest.mark.skipif(None in (shutil.which("pdflatex"), shutil.which("pdftotext")), reason="no pdflatex or pdftotext")
+def test_a_reader_of_the_paper_sees_the_words_as_they_are(tmp_path: Path) -> None:
+    odd = item("FM1", "fault", "Modbus", 'Read a < b | "c" > d.', [1.0])
+    write_tables(run([*ALL, odd]), tmp_path)
+    (tmp_path / "document.tex").write_text(DOCUMENT)
+    for command in (["pdflatex", "-interaction=nonstopmode", "document.tex"], ["pdftotext", "-raw", "document.pdf"]):
+        subprocess.run(command, cwd=tmp_path, capture_output=True, timeout=120, check=True)
+    told = " ".join((tmp_path / "document.txt").read_text(encoding="utf-8").split())
+    assert "70000 > uint16" in told
+    assert "Read a < b" in told
+    assert "> d." in told
+    assert not {"¡", "¿"} & set(told)

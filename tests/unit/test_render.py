@@ -31,7 +31,7 @@ def test_every_report_is_written_below_the_directory(tmp_path: Path) -> None:
     assert (directory / "report.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
     assert (directory / "summary.md").read_text(encoding="utf-8").startswith("## ✅ CONFORMANT")
     assert (directory / "tables" / "tab_results.tex").is_file()
-    assert (directory / "figures" / "recovery_modes.png").is_file()
+    assert (directory / "figures" / "recovery_phases.png").is_file()
 
 
 def test_every_report_is_written_of_a_run_that_was_killed(tmp_path: Path) -> None:
@@ -58,7 +58,7 @@ def test_a_report_that_cannot_be_written_is_named_removed_and_hides_no_other(
 
     # Files that an earlier run left would describe another run.
     (tmp_path / "figures").mkdir()
-    for stale in ("report.html", "figures/recovery_modes.png"):
+    for stale in ("report.html", "figures/recovery_phases.png"):
         (tmp_path / stale).write_text("stale")
     monkeypatch.setattr("pytest_otmcp.report.figures.write_figures", broken)
     monkeypatch.setattr("pytest_otmcp.report.html.page", lambda run: 1 / 0)

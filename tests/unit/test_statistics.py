@@ -42,7 +42,7 @@ def test_the_t_interval_of_ten_numbers() -> None:
 
 
 def test_thirty_of_thirty_is_not_one_hundred_percent() -> None:
-    assert lower_bound(30, 30) == pytest.approx(0.905, abs=5e-4)
+    assert lower_bound(30, 30) == pytest.approx(0.90497, abs=5e-6)
     assert proportion_interval(30, 30) == (pytest.approx(0.884, abs=5e-4), 1.0)
     assert proportion_interval(0, 10) == (0.0, pytest.approx(0.3085, abs=5e-4))
 

@@ -1,0 +1,41 @@
+"""What identifies a run on the first page of its report: when, with which kit, how often, over what. Pure."""
+
+from __future__ import annotations
+
+from . import Run, adapters
+
+__all__ = ["identity"]
+
+_NONE = "—"
+
+
+def identity(run: Run) -> list[tuple[str, str]]:
+    """Return the facts that a printed page needs so that nobody takes it for another one, each with its name."""
+    sessions, footer, settings = adapters(run), run["footer"], run["settings"]
+    revisions = dict.fromkeys(str(facts.get("protocol_version") or _NONE) for facts in sessions.values())
+    elapsed = footer.get("elapsed_s")
+    return [
+        ("Date", _moment(str(run["environment"].get("started_at") or _NONE))),
+        ("Duration", _NONE if elapsed is None else _duration(elapsed)),
+        ("Kit", f"{run['kit'].get('name')} {run['kit'].get('version')}"),
+        ("Repetitions", f"N = {settings.get('reps', _NONE)}"),
+        ("MCP revision", ", ".join(revisions) or _NONE),
+        ("Transport", ", ".join(dict.fromkeys(_transport(run, key) for key in sessions)) or _NONE),
+    ]
+
+
+def _moment(text: str) -> str:
+    """Write an RFC 3339 time in UTC to the minute."""
+    day, _, time = text.partition("T")
+    return f"{day} {time[:5]} UTC" if time else text
+
+
+def _duration(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes} min {rest} s" if minutes else f"{seconds:.1f} s"
+
+
+def _transport(run: Run, protocol: str) -> str:
+    # Only an adapter that listens itself is given a port for it.
+    devices = [device for device in run["devices"].values() if device.get("protocol") == protocol]
+    return "streamable HTTP" if any(device["placeholders"].get("http_port") for device in devices) else "stdio"
