@@ -17,6 +17,7 @@ import pytest
 from ..core.errors import UsageError
 from ..core.exhaustion import exhausted
 from ..core.matrix import SUITES
+from ..core.text import MARK, marked, one_line
 from ..core.verdict import ExitCode
 from ..protocols.own import OWN
 from ..protocols.registry import protocol_keys
@@ -104,7 +105,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 def _refuse(error: UsageError) -> NoReturn:
     """End the run with one sentence and exit code 2."""
-    pytest.exit(str(error), returncode=2)
+    pytest.exit(one_line(str(error)), returncode=2)
 
 
 def _is_worker(config: pytest.Config) -> bool:
@@ -312,6 +313,8 @@ def pytest_runtest_makereport(
         setattr(report, _RESULT, json.dumps(result))
         setattr(report, _FACTS, json.dumps(item.config.stash[RUN].facts()))
         del item.stash[RESULT]
+        # What libraries have logged meanwhile may repeat an adapter's words.
+        report.sections = [(title, marked(f"{MARK}{content}", "")) for title, content in report.sections]
     elif report.when == "call" and INTERFERENCE in item.config.stash and is_shipped(item.path):
         item.config.stash[INTERFERENCE].add_unexecuted(item)
     return report
@@ -411,7 +414,7 @@ def pytest_testnodedown(node: Any, error: object) -> None:
         node.config.stash[INTERFERENCE].note(*output.get(_NARROWED, ()))
     if REFUSED in output:
         sentence, code = output[REFUSED]
-        pytest.exit(sentence, returncode=code)
+        pytest.exit(one_line(sentence), returncode=code)
 
 
 def pytest_terminal_summary(terminalreporter: Any, exitstatus: int, config: pytest.Config) -> None:
@@ -420,7 +423,7 @@ def pytest_terminal_summary(terminalreporter: Any, exitstatus: int, config: pyte
         return
     if not recorder.statuses:
         for sentence in config.stash[INTERFERENCE].sentences:
-            terminalreporter.write_line(f"narrowed: {sentence}")
+            terminalreporter.write_line(one_line(f"narrowed: {sentence}"))
         terminalreporter.write_line(f"VERDICT: {recorder.verdict} (no item of the suite ran)", red=True, bold=True)
         return
     from ..report.render import render

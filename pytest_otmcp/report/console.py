@@ -11,6 +11,7 @@ from collections.abc import Iterator
 
 from ..core.matrix import SUITES
 from ..core.statistics import mean, mean_interval, percentile
+from ..core.text import MARK, harmless
 from ..record.consistency import count_calls
 from ..record.warnings import said, warnings
 from . import (
@@ -120,10 +121,11 @@ def _style(item: Item) -> str:
 
 
 def _wrapped(text: str, width: int, indent: str) -> Iterator[str]:
-    # The lines of a text, such as the last lines of an adapter's stderr, stay lines, but are indented, unlike the kit's own.
+    # The lines of a text, such as the last lines of an adapter's stderr, stay lines, but are marked, unlike the kit's own.
     for index, line in enumerate(text.splitlines() or [""]):
-        first = indent if index else ""
-        yield from textwrap.wrap(printable(line), width, initial_indent=first, subsequent_indent=indent) or [""]
+        mark = f"{indent}{MARK}" if index else indent
+        first = mark if index else ""
+        yield from textwrap.wrap(harmless(line), width, initial_indent=first, subsequent_indent=mark) or [""]
 
 
 def _causes(run: Run, width: int) -> Iterator[Line]:

@@ -9,6 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from ..core.text import one_line
 from ..record.condensed import condensed
 from ..record.reader import RecordError, open_record
 from . import Run
@@ -75,7 +76,7 @@ def render(path: Path, terminal: Any, root: Path) -> None:
         with open_record(path, allow_incomplete=True) as stored:
             run = condensed(stored)
     except RecordError as error:
-        terminal.write_line(f"no reports were written: {error}", red=True)
+        terminal.write_line(one_line(f"no reports were written: {error}"), red=True)
         return
     from .console import summary
 
@@ -85,7 +86,7 @@ def render(path: Path, terminal: Any, root: Path) -> None:
     for line, style in summary(run, width=terminal._tw.fullwidth):
         terminal.write_line(line, **_MARKUP[style])
     for name, reason in failed.items():
-        terminal.write_line(f"{name} was not written: {reason}", red=True)
+        terminal.write_line(one_line(f"{name} was not written: {reason}"), red=True)
     where = path.parent.relative_to(root) if path.is_relative_to(root) else path.parent
     written = ", ".join(name for name in ("run.json", *NAMES) if name not in failed)
     terminal.write_line(f"{written} are in {where} (reports took {seconds:.1f} s)")
