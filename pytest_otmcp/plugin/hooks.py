@@ -40,11 +40,12 @@ from .fixtures.definitions import (
     otmcp_trial,
 )
 from .options import add_options, read_settings
-from .stash import INTERFERENCE, PLANNED, PROGRESS, RECORDER, RESULT, RUN, SETTINGS, STARTED
+from .stash import ENDINGS, INTERFERENCE, PLANNED, PROGRESS, RECORDER, RESULT, RUN, SETTINGS, STARTED
 
 if TYPE_CHECKING:
     from ..trial.task import Task
     from .controller import RunRecorder
+    from .endings import Endings
 
 __all__ = [
     "otmcp_device",
@@ -67,6 +68,7 @@ __all__ = [
     "pytest_sessionstart",
     "pytest_terminal_summary",
     "pytest_testnodedown",
+    "pytest_testnodeready",
     "pytest_xdist_node_collection_finished",
 ]
 
@@ -247,6 +249,8 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     from .integrity import changed_files
     from .worker import Run
 
+    _endings(config).install()
+
     tasks = list(_shipped_tasks(session.items).values())
     interference.check_execution_plan(config.stash.get(PLANNED, []), _task_ids(session.items))
     with ignore_warnings():
@@ -265,6 +269,7 @@ def _begin_recording(config: pytest.Config, subject: Any, tasks: list[Task], *, 
     from .interference import Interference
     from .progress import Progress
 
+    _endings(config).install()
     settings = config.stash[SETTINGS]
     interference = config.stash.setdefault(INTERFERENCE, Interference(config))
     try:
@@ -279,6 +284,24 @@ def _begin_recording(config: pytest.Config, subject: Any, tasks: list[Task], *, 
     except UsageError as error:
         _refuse(error)
     config.stash[PROGRESS] = Progress(config, tasks, settings.repetitions)
+
+
+def _endings(config: pytest.Config) -> Endings:
+    """Return the signals that end the run; they are handled as before when the run is over."""
+    from .endings import Endings
+
+    if ENDINGS not in config.stash:
+        config.stash[ENDINGS] = Endings()
+        config.add_cleanup(config.stash[ENDINGS].restore)
+    return config.stash[ENDINGS]
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodeready(node: Any) -> None:
+    """Note the process of a worker; one on another machine has none here."""
+    process = getattr(getattr(node.gateway, "_io", None), "popen", None)
+    if process is not None:
+        _endings(node.config).workers.append(process.pid)
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -350,7 +373,7 @@ class _ResultReceiver:
         interference = config.stash[INTERFERENCE]
         item = result["item"]
         interference.check_outcome(item["id"], item["status"], report.outcome)
-        with _writable(config.stash[RECORDER]):
+        with config.stash[ENDINGS].held(), _writable(config.stash[RECORDER]):
             is_new = config.stash[RECORDER].add(result, worker.id if worker is not None else "main", facts)
         if is_new:
             config.stash[PROGRESS].show_finished(item, result["measured"])
@@ -372,6 +395,9 @@ def pytest_report_teststatus(report: pytest.TestReport, config: pytest.Config) -
 @pytest.hookimpl(tryfirst=True)
 def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
     config = session.config
+    endings = config.stash.get(ENDINGS, None)
+    if endings is not None:
+        endings.finishing()
     run = config.stash.get(RUN, None)
     recorder = config.stash.get(RECORDER, None)
     interference = config.stash.get(INTERFERENCE, None)
@@ -392,8 +418,16 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
         if limit and session.testsfailed >= limit and recorder.missing:
             interference.note(f"the run ended at failure number {limit} (-x or --maxfail)")
         with _writable(recorder):
-            recorder.finish(interrupted=exitstatus == pytest.ExitCode.INTERRUPTED)
+            recorder.finish(interrupted=_interruption(exitstatus, endings))
     session.exitstatus = _exit_status(exitstatus, recorder, session.testsfailed)
+
+
+def _interruption(exitstatus: int, endings: Endings | None) -> str | None:
+    """Say what interrupted the run; None for a run that was not interrupted."""
+    if exitstatus != pytest.ExitCode.INTERRUPTED:
+        return None
+    name = None if endings is None else endings.name
+    return "interrupted by the user" if name in (None, "SIGINT") else f"ended by {name}"
 
 
 def _exit_status(exitstatus: int, recorder: Any, failures: int) -> int:
@@ -419,7 +453,11 @@ def pytest_testnodedown(node: Any, error: object) -> None:
 
 def pytest_terminal_summary(terminalreporter: Any, exitstatus: int, config: pytest.Config) -> None:
     recorder = config.stash.get(RECORDER, None)
-    if recorder is None or (exitstatus == pytest.ExitCode.INTERRUPTED and not recorder.statuses):
+    # A run that was refused has the same exit code as one that was interrupted.
+    interrupted = ENDINGS in config.stash and config.stash[ENDINGS].name is not None
+    if recorder is None or (
+        exitstatus == pytest.ExitCode.INTERRUPTED and not recorder.statuses and not interrupted
+    ):
         return
     if not recorder.statuses:
         for sentence in config.stash[INTERFERENCE].sentences:
