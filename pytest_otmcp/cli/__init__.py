@@ -15,9 +15,10 @@ from pathlib import Path
 
 from ..core.errors import ExhaustedError, KitError, UsageError
 from ..core.exhaustion import exhausted
+from ..core.text import marked, one_line
 from ..core.verdict import ExitCode
 
-__all__ = ["Refusal", "main"]
+__all__ = ["Refusal", "main", "tell"]
 
 _COMMANDS = ("init", "doctor", "certify", "verify", "explain", "report", "mock")
 
@@ -32,6 +33,11 @@ class Refusal(Exception):
     def __init__(self, message: str, code: ExitCode = ExitCode.NOT_CONFORMANT) -> None:
         super().__init__(message)
         self.code = code
+
+
+def tell(text: str) -> None:
+    """Print a text that may repeat somebody else's words."""
+    print(marked(text), flush=True)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -90,7 +96,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _say(sentence: str, code: ExitCode) -> int:
-    print(f"otmcp: {' '.join(sentence.split())}", file=sys.stderr)
+    print(one_line(f"otmcp: {sentence}"), file=sys.stderr)
     return code
 
 

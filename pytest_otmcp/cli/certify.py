@@ -23,7 +23,7 @@ from typing import Any
 
 from ..core.errors import KitError, UsageError
 from ..core.verdict import ExitCode, Status, decide, exit_code
-from . import Refusal
+from . import Refusal, tell
 
 __all__ = ["add_parser", "run"]
 
@@ -88,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
     if without := [*unguarded(Claims.of_subject(subject.adapters), subject.adapters), *unhurried(deadlines)]:
         raise Refusal(f"no certificate: {'; '.join(without)}")
     out.mkdir(parents=True, exist_ok=True)
-    print(f"certifying {subject.name} {subject.version} ({file or 'shipped with the kit'})", flush=True)
+    tell(f"certifying {subject.name} {subject.version} ({file or 'shipped with the kit'})")
     return _conclude(out, _run_suite(file, args.reps, out))
 
 
@@ -200,15 +200,15 @@ def _write(out: Path, statement: dict[str, Any]) -> None:
     told = statement["predicate"]["otmcp"]
     for protocol, adapter in told["adapters"].items():
         facets = adapter["facets"]
-        print(
+        tell(
             f"{protocol}: earned {', '.join(facets['earned']) or 'nothing'}, every call within {adapter['deadline_s']:g} s"
         )
         if facets["claimed_not_exercised"]:
-            print(
+            tell(
                 f"{protocol}: claimed, but nothing applied that needs it: {', '.join(facets['claimed_not_exercised'])}"
             )
         for name, reason in facets["not_claimed"].items():
-            print(f"{protocol}: not claimed: {name} ({reason})")
+            tell(f"{protocol}: not claimed: {name} ({reason})")
     print(f"{told['applied']['items']} of {told['applied']['of']} items applied")
     print(told["level"]["why"])
     print(f"certificate.json, badge.json and badge.svg are in {out}, beside the run.json that they are about")

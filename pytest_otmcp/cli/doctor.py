@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from ..core.errors import SubjectError, UsageError
 from ..protocols.journal import judged
 from ..protocols.registry import protocols
+from . import tell
 from .init import parse_environment, recognise_protocol
 
 if TYPE_CHECKING:
@@ -46,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     healthy = True
     try:
         for adapter in _adapters(args):
-            print(f"{protocols()[adapter.protocol].name}: {' '.join(adapter.variants['rw'].command)}")
+            tell(f"{protocols()[adapter.protocol].name}: {' '.join(adapter.variants['rw'].command)}")
             # Variants that are started in the same way behave in the same way, so one of them is enough.
             for variant in ("rw", "ro") if adapter.variants["ro"] != adapter.variants["rw"] else ("rw",):
                 healthy &= loop.run(_examine(adapter, variant))
@@ -93,37 +94,37 @@ async def _examine(adapter: Adapter, variant: str) -> bool:
         session = under_test.session
         assert session is not None
         took = (session.ready_ns - session.spawned_ns) / 1e9
-        print(
+        tell(
             f"  {variant}: starts in {took:.1f} s: {session.server_name} {session.server_version}, "
             f"MCP {session.protocol_version}, {len(session.tools)} tools"
         )
         if under_test.legacy:
-            print(
+            tell(
                 f"  {variant}: ends at the first request of today's handshake, or never answers it, so it was given that of 2025: say era = 'legacy'"
             )
         count, first = session.stray_output()
         if count:
-            print(f"  {variant}: {count} line(s) on stdout are no MCP message, the first: {first[0]!r}")
+            tell(f"  {variant}: {count} line(s) on stdout are no MCP message, the first: {first[0]!r}")
         connected = bool(judged((await device.journal(0)).entries))
-        print(f"  {variant}: the device {'has seen a connection' if connected else 'has seen nothing yet'}")
+        tell(f"  {variant}: the device {'has seen a connection' if connected else 'has seen nothing yet'}")
         faults = check_bindings(adapter, session.tools) if variant == READ_WRITE else []
         for fault in faults:
-            print(f"  {variant}: {fault}")
+            tell(f"  {variant}: {fault}")
         if faults or not adapter.operations:
             return not faults
         problem = await prove_session(under_test)
-        print(
+        tell(
             f"  {variant}: {problem or 'a random value went between the mock device and the adapter: it talks to the mock'}"
         )
         return problem is None
     except SubjectError as failure:
-        print(f"  {variant}: {failure}")
+        tell(f"  {variant}: {failure}")
         known = protocols()[adapter.protocol].onboarding is not None
         causes = load_pack(adapter.protocol).causes if known else ()
         for advice in find_advice(str(failure), causes):
-            print(f"  -> {advice.cause} {advice.remedy}")
+            tell(f"  -> {advice.cause} {advice.remedy}")
         if shutil.which(program) is not None:
-            print(f"  ({program} is {shutil.which(program)})")
+            tell(f"  ({program} is {shutil.which(program)})")
         return False
     finally:
         if under_test is not None:

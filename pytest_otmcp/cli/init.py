@@ -13,7 +13,7 @@ from typing import Any
 
 from ..core.errors import SubjectError, UsageError
 from ..protocols.registry import protocols
-from . import Refusal
+from . import Refusal, tell
 
 __all__ = ["add_parser", "parse_environment", "recognise_protocol", "run"]
 
@@ -91,7 +91,7 @@ def run(args: argparse.Namespace) -> int:
         device = MockDevice(protocols()[protocol].mock, protocol)
         try:
             await device.launch()
-            return await draft(adapter, pack, device, lambda line: print(line, flush=True))
+            return await draft(adapter, pack, device, tell)
         finally:
             await device.close()
 
@@ -109,7 +109,7 @@ def run(args: argparse.Namespace) -> int:
     load_subject(args.out)
     print(f"\n{args.out} is written. What is left to fill in:")
     for line in drafted.left:
-        print(f"  - {line}")
+        tell(f"  - {line}")
     print(f"Then: pytest --otmcp-subject={args.out} --otmcp-reps=1", file=sys.stdout)
     return 0
 

@@ -1,8 +1,23 @@
-"""Escaping of text from outside, which makes it harmless to show, and the grammar of counts. Pure."""
+"""Escaping of text from outside, which makes it harmless to show, and the grammar of counts. Pure.
+
+Whatever the kit writes to a terminal or a log goes through :func:`marked` or :func:`one_line`, if an adapter, a device or a file
+may have had a hand in it. The first line then begins with the kit's own words, and every other one with a mark: no foreign line can
+be taken for one of the kit's, nor for a command to the service that runs the tests and reads its log.
+"""
 
 from __future__ import annotations
 
-__all__ = ["counted", "printable"]
+import re
+import textwrap
+
+__all__ = ["MARK", "counted", "harmless", "marked", "one_line", "printable"]
+
+MARK = "| "
+"""Begins every line that the kit has not written itself."""
+
+_COMMAND = re.compile(r"(?<!\S)::|##(?=\w*\[)")
+"""Beginning of a command in a log: ``::NAME::`` at the beginning of a line (GitHub), ``##[NAME`` and ``##vso[NAME`` anywhere
+(Azure), ``##teamcity[NAME``. A long line may be broken anywhere."""
 
 
 def counted(number: int, noun: str) -> str:
@@ -17,3 +32,20 @@ def printable(text: str, keep: str = "") -> str:
     a browser show another text than the one that is there.
     """
     return "".join(letter if letter.isprintable() or letter in keep else repr(letter)[1:-1] for letter in text)
+
+
+def harmless(line: str) -> str:
+    """Return a line for a terminal or a log: printable, and without the beginning of a command of a service."""
+    return _COMMAND.sub(lambda found: f"\\x{ord(found[0][0]):02x}{found[0][1:]}", printable(line))
+
+
+def marked(text: str, indent: str = "    ") -> str:
+    """Return a text for a terminal or a log: its lines harmless, and each but the first behind ``indent`` and a mark."""
+    first, *others = text.splitlines() or [""]
+    rest = textwrap.dedent("\n".join(others)).splitlines()
+    return "\n".join([harmless(first), *(f"{indent}{MARK}{harmless(line)}" for line in rest)])
+
+
+def one_line(text: str) -> str:
+    """Return a text as a harmless line."""
+    return harmless(" ".join(text.split()))

@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
+from ..core.text import printable
 from ..protocols.registry import protocols
 from ..subject.answers import interpret, read_answer
 from ..subject.model import Answering
@@ -122,7 +123,8 @@ def write_document(draft: Draft, *, into: bool = False) -> str:
     lines += ["", f"[adapter.{draft.protocol}.bind]"]
     for operation in protocols()[draft.protocol].operations:
         lines += ["", *_binding(draft, operation, form)]
-    return "\n".join(lines) + "\n"
+    # A comment may repeat the adapter's words: it stays one line, of characters that TOML allows in a comment.
+    return "\n".join(printable(line) if line.startswith("#") else line for line in lines) + "\n"
 
 
 def _unclaimed(draft: Draft) -> list[str]:
@@ -236,7 +238,7 @@ def _value(value: object) -> str:
         # Literal strings keep regular expressions readable; TOML's basic strings escape as JSON's do.
         if "\\" in value and "'" not in value and value.isprintable():
             return f"'{value}'"
-        return json.dumps(value, ensure_ascii=False)
+        return _quoted(value)
     if isinstance(value, Mapping):
         if not value:
             return "{}"
@@ -248,4 +250,9 @@ def _value(value: object) -> str:
 
 
 def _key(name: str) -> str:
-    return name if _BARE.fullmatch(name) else json.dumps(name, ensure_ascii=False)
+    return name if _BARE.fullmatch(name) else _quoted(name)
+
+
+def _quoted(text: str) -> str:
+    escaped = json.dumps(text, ensure_ascii=False)
+    return "".join(letter if letter.isprintable() else f"\\U{ord(letter):08x}" for letter in escaped)

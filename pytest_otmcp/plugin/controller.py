@@ -129,8 +129,12 @@ class RunRecorder:
         self._measured.append(result["measured"])
         return True
 
-    def finish(self, *, interrupted: bool) -> None:
-        """Decide the verdict and seal the record."""
+    def finish(self, *, interrupted: str | None) -> None:
+        """Decide the verdict and seal the record.
+
+        Args:
+            interrupted: what interrupted the run; None for a run that was not interrupted.
+        """
         self.verdict = decide(self.statuses, self.required)
         known = self._subject.deviations
         self.deviations = judge_deviations(known, self.statuses, self.required, self._started.date())
@@ -139,10 +143,8 @@ class RunRecorder:
         with suppress(OSError):
             (self.settings.report_dir / SPOOLS).rmdir()
         missing = self.missing
-        reason = None
-        if interrupted:
-            reason = "interrupted by the user"
-        elif missing:
+        reason = interrupted
+        if reason is None and missing:
             reason = self._describe_missing()
         spent: dict[str, float] = {}
         for facts in self._facts.values():

@@ -17,6 +17,7 @@ import pytest
 from ..core.errors import UsageError
 from ..core.exhaustion import exhausted
 from ..core.matrix import SUITES
+from ..core.text import MARK, marked, one_line
 from ..core.verdict import ExitCode
 from ..protocols.own import OWN
 from ..protocols.registry import protocol_keys
@@ -39,11 +40,12 @@ from .fixtures.definitions import (
     otmcp_trial,
 )
 from .options import add_options, read_settings
-from .stash import INTERFERENCE, PLANNED, PROGRESS, RECORDER, RESULT, RUN, SETTINGS, STARTED
+from .stash import ENDINGS, INTERFERENCE, PLANNED, PROGRESS, RECORDER, RESULT, RUN, SETTINGS, STARTED
 
 if TYPE_CHECKING:
     from ..trial.task import Task
     from .controller import RunRecorder
+    from .endings import Endings
 
 __all__ = [
     "otmcp_device",
@@ -66,6 +68,7 @@ __all__ = [
     "pytest_sessionstart",
     "pytest_terminal_summary",
     "pytest_testnodedown",
+    "pytest_testnodeready",
     "pytest_xdist_node_collection_finished",
 ]
 
@@ -104,7 +107,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 def _refuse(error: UsageError) -> NoReturn:
     """End the run with one sentence and exit code 2."""
-    pytest.exit(str(error), returncode=2)
+    pytest.exit(one_line(str(error)), returncode=2)
 
 
 def _is_worker(config: pytest.Config) -> bool:
@@ -246,6 +249,8 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     from .integrity import changed_files
     from .worker import Run
 
+    _endings(config).install()
+
     tasks = list(_shipped_tasks(session.items).values())
     interference.check_execution_plan(config.stash.get(PLANNED, []), _task_ids(session.items))
     with ignore_warnings():
@@ -264,6 +269,7 @@ def _begin_recording(config: pytest.Config, subject: Any, tasks: list[Task], *, 
     from .interference import Interference
     from .progress import Progress
 
+    _endings(config).install()
     settings = config.stash[SETTINGS]
     interference = config.stash.setdefault(INTERFERENCE, Interference(config))
     try:
@@ -278,6 +284,24 @@ def _begin_recording(config: pytest.Config, subject: Any, tasks: list[Task], *, 
     except UsageError as error:
         _refuse(error)
     config.stash[PROGRESS] = Progress(config, tasks, settings.repetitions, workers=workers)
+
+
+def _endings(config: pytest.Config) -> Endings:
+    """Return the signals that end the run; they are handled as before when the run is over."""
+    from .endings import Endings
+
+    if ENDINGS not in config.stash:
+        config.stash[ENDINGS] = Endings()
+        config.add_cleanup(config.stash[ENDINGS].restore)
+    return config.stash[ENDINGS]
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodeready(node: Any) -> None:
+    """Note the process of a worker; one on another machine has none here."""
+    process = getattr(getattr(node.gateway, "_io", None), "popen", None)
+    if process is not None:
+        _endings(node.config).workers.append(process.pid)
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -312,6 +336,8 @@ def pytest_runtest_makereport(
         setattr(report, _RESULT, json.dumps(result))
         setattr(report, _FACTS, json.dumps(item.config.stash[RUN].facts()))
         del item.stash[RESULT]
+        # What libraries have logged meanwhile may repeat an adapter's words.
+        report.sections = [(title, marked(f"{MARK}{content}", "")) for title, content in report.sections]
     elif report.when == "call" and INTERFERENCE in item.config.stash and is_shipped(item.path):
         item.config.stash[INTERFERENCE].add_unexecuted(item)
     return report
@@ -348,7 +374,7 @@ class _ResultReceiver:
         interference = config.stash[INTERFERENCE]
         item = result["item"]
         interference.check_outcome(item["id"], item["status"], report.outcome)
-        with _writable(config.stash[RECORDER]):
+        with config.stash[ENDINGS].held(), _writable(config.stash[RECORDER]):
             is_new = config.stash[RECORDER].add(result, worker.id if worker is not None else "main", facts)
         if is_new:
             config.stash[PROGRESS].show_finished(item, result["measured"])
@@ -391,6 +417,9 @@ def pytest_report_teststatus(report: pytest.TestReport, config: pytest.Config) -
 @pytest.hookimpl(tryfirst=True)
 def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
     config = session.config
+    endings = config.stash.get(ENDINGS, None)
+    if endings is not None:
+        endings.finishing()
     run = config.stash.get(RUN, None)
     recorder = config.stash.get(RECORDER, None)
     interference = config.stash.get(INTERFERENCE, None)
@@ -411,8 +440,16 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
         if limit and session.testsfailed >= limit and recorder.missing:
             interference.note(f"the run ended at failure number {limit} (-x or --maxfail)")
         with _writable(recorder):
-            recorder.finish(interrupted=exitstatus == pytest.ExitCode.INTERRUPTED)
+            recorder.finish(interrupted=_interruption(exitstatus, endings))
     session.exitstatus = _exit_status(exitstatus, recorder, session.testsfailed)
+
+
+def _interruption(exitstatus: int, endings: Endings | None) -> str | None:
+    """Say what interrupted the run; None for a run that was not interrupted."""
+    if exitstatus != pytest.ExitCode.INTERRUPTED:
+        return None
+    name = None if endings is None else endings.name
+    return "interrupted by the user" if name in (None, "SIGINT") else f"ended by {name}"
 
 
 def _exit_status(exitstatus: int, recorder: Any, failures: int) -> int:
@@ -433,21 +470,20 @@ def pytest_testnodedown(node: Any, error: object) -> None:
         node.config.stash[INTERFERENCE].note(*output.get(_NARROWED, ()))
     if REFUSED in output:
         sentence, code = output[REFUSED]
-        pytest.exit(sentence, returncode=code)
+        pytest.exit(one_line(sentence), returncode=code)
 
 
 def pytest_terminal_summary(terminalreporter: Any, exitstatus: int, config: pytest.Config) -> None:
     recorder = config.stash.get(RECORDER, None)
-    if recorder is None:
+    # A run that was refused has the same exit code as one that was interrupted.
+    interrupted = ENDINGS in config.stash and config.stash[ENDINGS].name is not None
+    refused = exitstatus == pytest.ExitCode.INTERRUPTED and not interrupted
+    if recorder is None or (refused and not recorder.statuses):
         return
     if not recorder.statuses:
         for sentence in config.stash[INTERFERENCE].sentences:
-            terminalreporter.write_line(f"narrowed: {sentence}")
-        reason = (
-            "interrupted before the first item"
-            if exitstatus == pytest.ExitCode.INTERRUPTED
-            else "no item of the suite ran"
-        )
+            terminalreporter.write_line(one_line(f"narrowed: {sentence}"))
+        reason = "interrupted before the first item" if interrupted else "no item of the suite ran"
         terminalreporter.write_line(f"VERDICT: {recorder.verdict} ({reason})", red=True, bold=True)
         if recorder.path.exists():
             terminalreporter.write_line(f"{recorder.path} and the reports beside it are of an earlier run")

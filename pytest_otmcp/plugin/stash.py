@@ -8,6 +8,7 @@ import pytest
 
 if TYPE_CHECKING:
     from .controller import RunRecorder
+    from .endings import Endings
     from .interference import Interference
     from .options import RunSettings
     from .progress import Progress
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from .worker import Run
 
 __all__ = [
+    "ENDINGS",
     "INTERFERENCE",
     "PLANNED",
     "PROGRESS",
@@ -30,6 +32,9 @@ SETTINGS: pytest.StashKey[RunSettings] = pytest.StashKey()
 
 STARTED: pytest.StashKey[float] = pytest.StashKey()
 """On the config: monotonic time at which the session began."""
+
+ENDINGS: pytest.StashKey[Endings] = pytest.StashKey()
+"""On the config of a process of a run of the suite: the signals that end it."""
 
 INTERFERENCE: pytest.StashKey[Interference] = pytest.StashKey()
 """On the config of a process that has collected items of the suite: everything that narrowed or shadowed the suite."""

@@ -6,8 +6,8 @@ import re
 import textwrap
 from collections.abc import Iterator
 
+from ..core.text import MARK, harmless
 from . import Item
-from .text import printable
 
 __all__ = ["Line", "failed", "wrapped"]
 
@@ -21,13 +21,14 @@ _JOINT = "\N{NO-BREAK SPACE}"
 def wrapped(text: str, width: int, indent: str) -> Iterator[str]:
     """Yield the lines of a text, none wider than ``width`` unless a word is; lines after the first begin with ``indent``.
 
-    The lines of a text, such as the last lines of an adapter's stderr, stay lines, but are indented, unlike the kit's own.
+    The lines of a text, such as the last lines of an adapter's stderr, stay lines, but are marked, unlike the kit's own.
     A number and its unit stay on one line.
     """
     for index, line in enumerate(text.splitlines() or [""]):
-        first = indent if index else ""
-        joined = _UNIT.sub(_JOINT, printable(line))
-        lines = textwrap.wrap(joined, width, initial_indent=first, subsequent_indent=indent, break_on_hyphens=False)
+        mark = f"{indent}{MARK}" if index else indent
+        first = mark if index else ""
+        joined = _UNIT.sub(_JOINT, harmless(line))
+        lines = textwrap.wrap(joined, width, initial_indent=first, subsequent_indent=mark, break_on_hyphens=False)
         yield from (part.replace(_JOINT, " ") for part in lines or [""])
 
 

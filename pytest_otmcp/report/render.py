@@ -8,6 +8,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from ..core.text import one_line
 from ..record.condensed import condensed
 from ..record.reader import RecordError, open_record
 from . import Run, whole
@@ -81,7 +82,7 @@ def render(path: Path, terminal: Any, root: Path) -> None:
         with open_record(path, allow_incomplete=True) as stored:
             run = condensed(stored)
     except RecordError as error:
-        terminal.write_line(f"no reports were written: {error}", red=True)
+        terminal.write_line(one_line(f"no reports were written: {error}"), red=True)
         return
     from .console import summary
     from .console_lines import wrapped
@@ -93,7 +94,7 @@ def render(path: Path, terminal: Any, root: Path) -> None:
     for line, style in lines:
         terminal.write_line(line, **_MARKUP[style])
     for name, reason in failed.items():
-        terminal.write_line(f"{name} was not written: {reason}", red=True)
+        terminal.write_line(one_line(f"{name} was not written: {reason}"), red=True)
     if verbosity < -1:
         return
     where = path.parent.relative_to(root) if path.is_relative_to(root) else path.parent

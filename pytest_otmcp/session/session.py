@@ -1,7 +1,6 @@
 """One MCP session with a subject, over a transport that records every frame.
 
-The official SDK's client gives the semantics (both protocol eras, cancellation on timeout, schema validation as a
-host would do it). Frames are recorded below it, because a judgement needs data that an ordinary client throws away:
+The official SDK's client gives the semantics (both protocol eras, cancellation on timeout). Frames are recorded below it, because a judgement needs data that an ordinary client throws away:
 raw bytes, the times of request and reply, stray output, stderr and the way in which the process ended.
 
 This module does not judge. It turns calls into :class:`~pytest_otmcp.session.exchange.Exchange` records.
@@ -10,6 +9,7 @@ This module does not judge. It turns calls into :class:`~pytest_otmcp.session.ex
 from __future__ import annotations
 
 import asyncio
+import json
 import time
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from contextlib import nullcontext
@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import cast
 
 from mcp import Client, MCPError
-from mcp.types import RequestParamsMeta
+from mcp.types import CallToolResult, RequestParamsMeta
 from pydantic import ValidationError
 
 from ..core.errors import ExhaustedError, KitError, SubjectError
@@ -26,6 +26,7 @@ from ..core.exhaustion import exhausted
 from .exchange import Exchange
 from .frames import MAX_STRAY_LINES, META_KEY, FrameRecorder, Measurement
 from .http import HttpTransport
+from .output_schema import OutputCheck
 from .pace import Pace
 from .process import MAX_FRAME_BYTES, StopReport, subject_environment
 from .stdio import StdioTransport
@@ -75,6 +76,7 @@ class McpSession:
         self._owner: asyncio.Task[None] | None = None
         self._closing = asyncio.Event()
         self.tools: dict[str, dict[str, object]] = {}
+        self._output_schemas: dict[str, bytes] = {}
         self.state: dict[str, object] = {}
         self.server_name = ""
         self.server_version = ""
@@ -135,6 +137,8 @@ class McpSession:
         # beginning to end, and other tasks may open and close the session.
         try:
             async with Client(self._transport.streams(), cache=None, mode=self._options.era) as client:
+                # See output_schema: the check of results is made elsewhere, with a limit.
+                client.session.validate_tool_result = _unchecked  # type: ignore[method-assign]
                 await self._list_tools(client)
                 self._client = client
                 info = client.server_info
@@ -160,6 +164,8 @@ class McpSession:
             page = await client.list_tools(cursor=cursor)
             for tool in page.tools:
                 self.tools[tool.name] = tool.model_dump(by_alias=True, mode="json", exclude_none=True)
+                if tool.output_schema is not None:
+                    self._output_schemas[tool.name] = json.dumps(tool.output_schema).encode()
             cursor = page.next_cursor
             if cursor is None:
                 return
@@ -179,7 +185,11 @@ class McpSession:
     # -- calls --------------------------------------------------------------------------------------------
 
     async def call(self, tool: str, arguments: Mapping[str, object], *, timeout_s: float) -> Exchange:
-        """Call a tool and return the recorded exchange; no outcome of the call is an exception."""
+        """Call a tool and return the recorded exchange; no outcome of the call is an exception.
+
+        Raises:
+            KitError: the result could not be checked against the tool's ``outputSchema``.
+        """
         asked = dict(arguments)
         return await self._exchange(
             tool,
@@ -213,6 +223,7 @@ class McpSession:
     ) -> Exchange:
         measured = Measurement()
         failure = complaint = None
+        answer: object = None
         client = self._client
         asked_ns = returned_ns = time.monotonic_ns()
         if client is None or self.died:
@@ -220,7 +231,7 @@ class McpSession:
         else:
             token = self._recorder.begin(measured)
             try:
-                await request(client, cast(RequestParamsMeta, {META_KEY: token}))
+                answer = await request(client, cast(RequestParamsMeta, {META_KEY: token}))
             except (MCPError, TimeoutError) as error:
                 if measured.response is None:
                     timed_out = isinstance(error, TimeoutError) or error.code == -32001
@@ -232,6 +243,9 @@ class McpSession:
             finally:
                 returned_ns = time.monotonic_ns()
                 self._recorder.end(token)
+        schema = self._output_schemas.get(tool)
+        if isinstance(answer, CallToolResult) and not answer.is_error and schema and measured.response is not None:
+            complaint = await OutputCheck.of_running_loop().objection(tool, schema, measured.response)
         return Exchange(
             tool=tool,
             arguments=arguments,
@@ -309,6 +323,10 @@ class McpSession:
             return f"the command cannot be executed ({error.strerror or error}): {self._command_line()}"
         reason = str(error).splitlines()[0][:300] if str(error) else type(error).__name__
         return f"the adapter's handshake failed: {reason} ({self._command_line()}){self._stderr_excerpt()}"
+
+
+async def _unchecked(name: str, result: CallToolResult) -> None:
+    """Take the result of a tool as it is."""
 
 
 def _without_home(text: str) -> str:

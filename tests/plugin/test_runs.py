@@ -17,6 +17,7 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
@@ -134,30 +135,37 @@ def all_end(processes: list[psutil.Process]) -> bool:
     return not psutil.wait_procs(processes, timeout=PATIENCE_S)[1]
 
 
+ENDINGS = ["SIGINT", "SIGTERM", pytest.param("SIGHUP", marks=pytest.mark.long)]
+"""The signals that ask a run to end: Ctrl-C, ``docker stop``, a closed terminal."""
+
+
 @pytest.mark.usefixtures("interruptible")
-def test_an_interrupted_run_keeps_what_it_measured(repository: Repository, waiting: socket.socket) -> None:
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_an_interrupted_run_keeps_what_it_measured(repository: Repository, waiting: socket.socket, ending: str) -> None:
     # The warm-up and the first repetition make a call each; the adapter waits in the third.
     repository.subject("write_register", "3", port_of(waiting), program=WAITING)
     with started(repository, "--otmcp-reps=3", "-k", "normal and (M1 or M2 or M3)") as process:
         connection, _ = waiting.accept()
         with connection:
             running = descendants(process)
-            process.send_signal(signal.SIGINT)
+            process.send_signal(signal.Signals[ending])
             output, _ = process.communicate(timeout=PATIENCE_S)
     outcome = repository.outcome(process.returncode, output)
     assert outcome.code == pytest.ExitCode.INTERRUPTED, output
     assert "VERDICT: INCOMPLETE" in output
     footer = outcome.record["footer"]
     assert footer["complete"] is False
-    assert footer["reason"] == "interrupted by the user"
+    assert footer["reason"] == ("interrupted by the user" if ending == "SIGINT" else f"ended by {ending}")
+    assert (outcome.report / "report.html").is_file()
     assert {item["id"]: len(item["samples"]) for item in outcome.record["items"]} == {"M1": 3, "M2": 3, "M3": 1}
     assert outcome.statuses["M3"] == "INTERRUPTED"
     assert all_end(running)
 
 
 @pytest.mark.usefixtures("interruptible")
+@pytest.mark.parametrize("ending", ["SIGINT", pytest.param("SIGTERM", marks=pytest.mark.long)])
 def test_a_run_that_is_interrupted_while_an_adapter_starts_leaves_nothing_running(
-    repository: Repository, waiting: socket.socket
+    repository: Repository, waiting: socket.socket, ending: str
 ) -> None:
     repository.write(
         silent_py=SILENT,
@@ -168,11 +176,65 @@ def test_a_run_that_is_interrupted_while_an_adapter_starts_leaves_nothing_runnin
         connection, _ = waiting.accept()
         with connection:
             running = descendants(process)
-            process.send_signal(signal.SIGINT)
+            process.send_signal(signal.Signals[ending])
             output, _ = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == pytest.ExitCode.INTERRUPTED, output
     assert "Traceback" not in output
     assert all_end(running)
+
+
+@pytest.mark.long
+def test_a_parallel_run_that_is_ended_leaves_nothing_running(repository: Repository, waiting: socket.socket) -> None:
+    repository.subject("write_register", "3", port_of(waiting), program=WAITING)
+    command = [*SUITE, "--otmcp-reps=3", "-k", "normal and (M1 or M2 or M3)", "-n", "2", "-p", "xdist.plugin"]
+    with started(repository, *command) as process:
+        connection, _ = waiting.accept()
+        with connection:
+            running = descendants(process)
+            process.send_signal(signal.SIGTERM)
+            output, _ = process.communicate(timeout=PATIENCE_S)
+    outcome = repository.outcome(process.returncode, output)
+    assert outcome.code == pytest.ExitCode.INTERRUPTED, output
+    assert outcome.record["footer"]["reason"] == "ended by SIGTERM"
+    assert "VERDICT: INCOMPLETE" in output
+    assert "Traceback" not in output
+    assert all_end(running)
+
+
+AT_A_MOMENT = """
+import os, signal
+
+def pytest_{moment}:
+    os.kill(os.getpid(), signal.{ending})
+"""
+
+
+def _moments() -> Iterator[Any]:
+    """Hooks during which a run is ended, and the signal that ends it."""
+    for moment in (
+        "runtest_setup(item)",
+        "runtest_logreport(report)",
+        "runtest_logfinish(nodeid)",
+        "sessionfinish(session)",
+        "terminal_summary(config)",
+    ):
+        for ending in ("SIGTERM", "SIGINT"):
+            few = (moment, ending) in (("runtest_logreport(report)", "SIGTERM"), ("terminal_summary(config)", "SIGINT"))
+            yield pytest.param(moment, ending, marks=() if few else pytest.mark.long)
+
+
+@pytest.mark.usefixtures("interruptible")
+@pytest.mark.parametrize(("moment", "ending"), list(_moments()))
+def test_a_run_ends_with_its_verdict_at_whatever_moment_it_is_ended(
+    repository: Repository, moment: str, ending: str
+) -> None:
+    repository.subject()
+    repository.write(ending_py=AT_A_MOMENT.format(moment=moment, ending=ending))
+    options = ("--otmcp-reps=1", "-k", "normal and (M1 or M2)")
+    outcome = repository.pytest(*SUITE, *options, plugins="ending", path=(repository.root,))
+    assert "VERDICT: INCOMPLETE" in outcome.output, outcome.output
+    assert "Traceback" not in outcome.output
+    assert "INTERNALERROR" not in outcome.output
 
 
 def test_a_mock_that_dies_is_the_kits_fault(repository: Repository, waiting: socket.socket) -> None:

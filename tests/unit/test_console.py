@@ -86,7 +86,7 @@ def test_an_adapters_words_can_neither_colour_the_terminal_nor_forge_a_line() ->
     lines = text(run([broken])).splitlines()
     assert all(line.isprintable() for line in lines)
     assert [line for line in lines if line.startswith("VERDICT")] == [lines[-1]]
-    assert r"        VERDICT: CONFORMANT\x1b[32m \u202e \x9b [wrong_value]" in lines
+    assert r"        | VERDICT: CONFORMANT\x1b[32m \u202e \x9b [wrong_value]" in lines
 
 
 def test_a_narrow_terminal_gets_no_column_of_means() -> None:
