@@ -74,6 +74,8 @@ Instant = Annotated[
 ]
 """A time of the wall clock as RFC 3339 has it."""
 Count = Annotated[int, msgspec.Meta(ge=0)]
+Restarts = Annotated[int, msgspec.Meta(ge=0, le=1_000_000)]
+"""How often a device was started again: judging again repeats it, so it must be bounded."""
 Nanoseconds = Annotated[int, msgspec.Meta(ge=0)]
 Deadline = Annotated[float, msgspec.Meta(gt=0, le=300)]
 Factor = Annotated[float, msgspec.Meta(gt=0)]
@@ -291,7 +293,8 @@ class Call(TypedDict):
     """One tool call.
 
     ``operation`` and ``inputs``: what the steps asked for; ``tool`` and ``arguments``: what the subject file makes of it.
-    ``group``: calls of the same number were made at the same time. ``frames``: where the envelope does not say it all.
+    ``group``: calls of the same number were made at the same time. ``frames``: where the envelope does not say it all; ``frames_sha256`` is the digest of these frames as they were,
+    before any was cut off.
     """
 
     role: Role
@@ -311,7 +314,7 @@ class Call(TypedDict):
     listed: bool
     outputs: dict[str, Any]
     error_code: str | None
-    frames_sha256: str
+    frames_sha256: NotRequired[str]
     frames: NotRequired[Frames]
 
 
@@ -443,7 +446,7 @@ class ItemDevice(TypedDict):
     asked_ns: Nanoseconds
     seen_ns: Nanoseconds
     accepting_ns: Nanoseconds
-    starts: Count
+    starts: Restarts
     before: list[JournalEntry]
     quiet: bool
     session: SessionStart | None

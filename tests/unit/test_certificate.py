@@ -245,6 +245,27 @@ OBJECTIONABLE: list[tuple[Change, str]] = [
         lambda run: run["subject"]["adapters"].update(bacnet=adapter("acme-bacnet", "2026-07-28")),
         "adapter 'bacnet' is none that the kit knows",
     ),
+    (
+        lambda run: by_id(run, "M2").update(started_at="2026-11-20T07:03:43.000Z"),
+        "M2: started_at 2026-11-20T07:03:43.000Z is not within the run, which lasted from 2026-11-21T07:03:43Z to",
+    ),
+    (
+        lambda run: by_id(run, "M2").update(finished_at="2026-11-21T07:23:43.000Z"),
+        "M2: finished_at 2026-11-21T07:23:43.000Z is not within the run",
+    ),
+    (
+        lambda run: by_id(run, "M2").update(ended_ns=60 * 10**9),
+        "M2: finished_at 2026-11-21T07:03:44.000Z does not go with its monotonic time: it is of another run, or the clock",
+    ),
+    (lambda run: run["environment"].update(finished_at=None), "the record does not say when the run ended"),
+    (
+        lambda run: run["subject"]["adapters"]["modbus"]["unclaimed"].update(ping="none\x1b[2J"),
+        "subject.adapters.modbus.unclaimed.ping has a control character: 'none\\x1b[2J'",
+    ),
+    (
+        lambda run: run["environment"].update(platform="Linux \u202e46_68x"),
+        "environment.platform has a control character: 'Linux \\u202e46_68x'",
+    ),
 ]
 
 
