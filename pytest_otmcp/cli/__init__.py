@@ -15,9 +15,10 @@ from pathlib import Path
 
 from ..core.errors import ExhaustedError, KitError, UsageError
 from ..core.exhaustion import exhausted
+from ..core.text import printable
 from ..core.verdict import ExitCode
 
-__all__ = ["Refusal", "main"]
+__all__ = ["Refusal", "main", "place_of"]
 
 _COMMANDS = ("init", "doctor", "certify", "verify", "explain", "report", "mock")
 
@@ -78,7 +79,7 @@ def _run(argv: Sequence[str] | None) -> int:
             return _say(f"{where}{cure}", ExitCode.INDETERMINATE)
         return _say(f"{where}{error.strerror or error}", ExitCode.USAGE)
     except Exception as error:
-        return _say(f"a fault of the kit at {_place(error)}: {error!r}; please file a bug", ExitCode.INDETERMINATE)
+        return _say(f"a fault of the kit at {place_of(error)}: {error!r}; please file a bug", ExitCode.INDETERMINATE)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -90,11 +91,13 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _say(sentence: str, code: ExitCode) -> int:
-    print(f"otmcp: {' '.join(sentence.split())}", file=sys.stderr)
+    # The sentence may quote a file of somebody else's: nothing of it may reach a terminal as it is.
+    print(f"otmcp: {printable(' '.join(sentence.split()))}", file=sys.stderr)
     return code
 
 
-def _place(error: Exception) -> str:
+def place_of(error: Exception) -> str:
+    """Return the file and line at which an exception was raised."""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next

@@ -78,10 +78,12 @@ class DeviceHistory:
             HistoryError: there is a gap, or the time of an entry does not fit.
         """
         begin = self.cursor.next
+        if until < begin:
+            raise HistoryError(f"the journal of {self.name} was taken up to entry {begin}, the record goes back to {until}")
         found = [entry["seq"] for entry in entries]
         if len(found) != until - begin or any(seq != begin + index for index, seq in enumerate(found)):
-            wanted = f"{begin} to {until - 1}" if until > begin else "none"
-            raise HistoryError(f"the journal of {self.name} should have the entries {wanted}, it has {_listed(found)}")
+            wanted = f"the entries {begin} to {until - 1}" if until > begin else "no entries"
+            raise HistoryError(f"the journal of {self.name} should have {wanted}, it has {_listed(found)}")
         last_ns = max(self._last_ns, self._floor_ns)
         for entry in entries:
             if not last_ns <= entry["t_ns"] <= seen_ns:
