@@ -9,12 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from typing import cast
+from unicodedata import category
 
 from ..core.matrix import SUITES, repetitions
 from ..core.verdict import Status, Verdict, decide
 from ..protocols.external import external_devices
 from ..protocols.protocol import GUARD
 from ..protocols.registry import protocols
+from ..record.consistency import clock_faults
 from ..record.schema import Run
 from ..subject.claims import Claims
 from ..trial.task import Task
@@ -26,6 +28,9 @@ MINIMUM_REPS = 30
 
 MAXIMUM_DEADLINE_S = 30
 """The longest deadline of a call: an answer that takes longer is one that nobody waited for."""
+
+_INVISIBLE = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
+"""Unicode categories of control characters, of marks of the reading direction, of lone surrogates and of line separators."""
 
 Tasks = Mapping[str, Task]
 
@@ -45,6 +50,8 @@ def objections(run: Run, tasks: Tasks) -> list[str]:
                 *_settings_objections(run),
                 *unguarded(_claims(run), run["subject"]["adapters"]),
                 *unhurried({protocol: facts["deadline_s"] for protocol, facts in run["subject"]["adapters"].items()}),
+                *clock_faults(run, run["items"]),
+                *_unprintable(run),
             ]
         ),
     ]
@@ -104,6 +111,29 @@ def _settings_objections(run: Run) -> Iterator[str]:
             yield f"the {device.option} was not the kit's own"
     if settings["suites"] != list(SUITES):
         yield f"not every suite was chosen: {settings.get('suites')}"
+
+
+def _unprintable(run: Run) -> Iterator[str]:
+    """Name the texts that the certificate would show and that could move a cursor or turn a line around."""
+    told: dict[str, object] = {"settings": run["settings"], "environment": run["environment"]}
+    for protocol, facts in run["subject"]["adapters"].items():
+        shown = ("server_name", "server_version", "protocol_version", "recovery", "unclaimed", "unmet", "unjudged")
+        told[f"subject.adapters.{protocol}"] = {name: dict(facts)[name] for name in shown}
+    for place, text in _texts(told, ""):
+        if any(category(letter) in _INVISIBLE for letter in text):
+            yield f"{place} has a control character: {text[:80]!r}"
+
+
+def _texts(value: object, place: str) -> Iterator[tuple[str, str]]:
+    if isinstance(value, str):
+        yield place, value
+    elif isinstance(value, Mapping):
+        for name, member in value.items():
+            yield f"a member of {place or 'the record'}", name
+            yield from _texts(member, f"{place}.{name}" if place else name)
+    elif isinstance(value, list | tuple):
+        for member in value:
+            yield from _texts(member, place)
 
 
 def unguarded(claims: Claims, adapters: Iterable[str]) -> Iterator[str]:

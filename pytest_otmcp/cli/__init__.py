@@ -18,7 +18,7 @@ from ..core.exhaustion import exhausted
 from ..core.text import marked, one_line
 from ..core.verdict import ExitCode
 
-__all__ = ["Refusal", "main", "tell"]
+__all__ = ["Refusal", "main", "place_of", "tell"]
 
 _COMMANDS = ("init", "doctor", "certify", "verify", "explain", "report", "mock")
 
@@ -84,7 +84,7 @@ def _run(argv: Sequence[str] | None) -> int:
             return _say(f"{where}{cure}", ExitCode.INDETERMINATE)
         return _say(f"{where}{error.strerror or error}", ExitCode.USAGE)
     except Exception as error:
-        return _say(f"a fault of the kit at {_place(error)}: {error!r}; please file a bug", ExitCode.INDETERMINATE)
+        return _say(f"a fault of the kit at {place_of(error)}: {error!r}; please file a bug", ExitCode.INDETERMINATE)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -100,7 +100,8 @@ def _say(sentence: str, code: ExitCode) -> int:
     return code
 
 
-def _place(error: Exception) -> str:
+def place_of(error: Exception) -> str:
+    """Return the file and line at which an exception was raised."""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next

@@ -28,7 +28,7 @@ from . import Refusal, tell
 __all__ = ["add_parser", "run"]
 
 _DEFAULT_OUT = Path("reports", "certificate")
-_OURS = ("run.json", "certificate.json", "badge.json", "badge.svg")
+_OURS = ("run.json", "certificate.json", "certificate.json.sig", "badge.json", "badge.svg")
 """Files of an earlier certification, which must not be there when this one fails."""
 
 _BENDING = ("PYTHONOPTIMIZE", "PYTHONWARNINGS", "PYTHONSTARTUP", "PYTHONINSPECT")
@@ -56,6 +56,12 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--out", metavar="DIR", type=Path, default=_DEFAULT_OUT, help="directory to write to (default: %(default)s)"
     )
+    parser.add_argument(
+        "--sign",
+        metavar="KEY",
+        type=Path,
+        help="SSH key that signs the certificate, by ssh-keygen of OpenSSH (a public key, if an agent has the private one)",
+    )
     parser.set_defaults(run=run)
 
 
@@ -70,7 +76,10 @@ def run(args: argparse.Namespace) -> int:
     from ..certificate.eligibility import MINIMUM_REPS, unguarded, unhurried
     from ..subject import load_subject, reference_subject
     from ..subject.claims import Claims
+    from .signature import check_key, sign
 
+    if args.sign is not None:
+        check_key(args.sign)
     if args.reps < MINIMUM_REPS:
         raise UsageError(f"--reps: a certificate needs at least {MINIMUM_REPS} repetitions, found {args.reps}")
     file = _subject_file(args.subject)
@@ -89,7 +98,10 @@ def run(args: argparse.Namespace) -> int:
         raise Refusal(f"no certificate: {'; '.join(without)}")
     out.mkdir(parents=True, exist_ok=True)
     tell(f"certifying {subject.name} {subject.version} ({file or 'shipped with the kit'})")
-    return _conclude(out, _run_suite(file, args.reps, out))
+    code = _conclude(out, _run_suite(file, args.reps, out))
+    if args.sign is not None:
+        tell(f"{sign(out / 'certificate.json', args.sign).name} is the signature of {args.sign}")
+    return code
 
 
 def _subject_file(given: Path | None) -> Path | None:

@@ -167,6 +167,10 @@ def _assumed(request: JournalEntry, answer: JournalEntry | None) -> bool:
     return True
 
 
+def _no_bytes(entry: JournalEntry) -> str | None:
+    return None
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OtProtocol:
     """One OT protocol.
@@ -190,6 +194,8 @@ class OtProtocol:
             is None as long as there is none; None if that cannot be told without the answer.
         describe: describes one journal entry in a few words, for findings and the report.
         title: names a journal entry, for the report's conversations; None where the entry's kind is name enough.
+        contradiction: says where a journal entry differs from the bytes of the wire that it holds, in one clause; None where the
+            two agree, or where the entry holds no bytes.
         facts: what a journal entry says of members of ``meta.trace``, by name (``a.b`` for a member of a member): the values
             that the wire has for it; None where nothing is known of traces.
         mock: name of the mock as ``python -m pytest_otmcp.mocks`` takes it: a folder of ``mocks``, or the dotted name of
@@ -226,6 +232,7 @@ class OtProtocol:
     colour: Colour
     changes: Callable[[Entries], Sequence[JournalEntry]] = _state_changing
     carried_out: Callable[[JournalEntry, JournalEntry | None], bool | None] = _assumed
+    contradiction: Callable[[JournalEntry], str | None] = _no_bytes
     composites: Mapping[str, Composite] = field(default_factory=dict)
     probes: Mapping[str, object] = field(default_factory=dict)
     choices: tuple[Choice, ...] = ()

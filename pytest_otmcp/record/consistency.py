@@ -7,14 +7,19 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from datetime import datetime
+from datetime import datetime, timedelta
 
 from ..core.matrix import SUITES
 from ..core.verdict import Status, Verdict, decide
 from .schema import ROLES, Call, Footer, Header, Item, ItemHead, Role, Sample
 from .warnings import failing
 
-__all__ = ["Contradiction", "RunChecker", "count_calls", "tool_calls"]
+__all__ = ["Contradiction", "RunChecker", "clock_faults", "count_calls", "tool_calls"]
+
+_ROUNDING = timedelta(seconds=2)
+"""Times of the run have whole seconds."""
+_DRIFT = 0.001
+"""Twice the rate at which a clock is slewed towards a time server, and a margin."""
 
 
 class Contradiction(Exception):
@@ -111,6 +116,42 @@ class RunChecker:
         claimed = footer.get("verdict")
         if claimed == Verdict.CONFORMANT and decide(self._statuses, self._statuses.keys()) != Verdict.CONFORMANT:
             raise Contradiction("the footer says CONFORMANT, the items do not")
+
+
+def clock_faults(header: Header, items: Iterable[ItemHead]) -> Iterator[str]:
+    """Name the items whose time of day is not of the run, or does not go with their monotonic time, in a sentence each.
+
+    In a run whose machine is given another time of day meanwhile they do not go together either: nobody can tell when it was.
+
+    Args:
+        header: of a record that has been checked.
+        items: its items.
+    """
+    began, ended = header["environment"]["started_at"], header["environment"]["finished_at"]
+    if ended is None:
+        yield "the record does not say when the run ended"
+        return
+    first, last = _moment(began) - _ROUNDING, _moment(ended) + _ROUNDING
+    reference: tuple[datetime, int] | None = None
+    for item in sorted(items, key=lambda item: item["began_ns"]):
+        for which, monotonic in (("started_at", item["began_ns"]), ("finished_at", item["ended_ns"])):
+            stated = item["started_at"] if which == "started_at" else item["finished_at"]
+            moment = _moment(stated)
+            if not first <= moment <= last:
+                yield f"{item['id']}: {which} {stated} is not within the run, which lasted from {began} to {ended}"
+                break
+            reference = reference or (moment, monotonic)
+            shown = reference[0] + timedelta(microseconds=(monotonic - reference[1]) // 1000)
+            if abs(moment - shown) > _ROUNDING + abs(shown - reference[0]) * _DRIFT:
+                yield (
+                    f"{item['id']}: {which} {stated} does not go with its monotonic time: it is of another run, or the clock "
+                    "of the machine was set meanwhile"
+                )
+                break
+
+
+def _moment(text: str) -> datetime:
+    return datetime.fromisoformat(text)
 
 
 def _check_instant(moment: str | None, where: str) -> None:

@@ -59,21 +59,24 @@ __all__ = [
 
 SCHEMA: Final = "otmcp-run/2"
 
+_ONE_LINE = r"^(?![\s\S]*[\u0000-\u001f\u007f-\u009f])"
 # The end of a text, alike in Python's and ECMAScript's regular expressions: "$" in Python also matches before a line feed.
 _END = r"(?![\s\S])"
 
-Name = Annotated[str, msgspec.Meta(pattern=r"^(?![\s\S]*[\u0000-\u001f\u007f-\u009f])", max_length=1000)]
+_RFC_3339 = (
+    rf"^[0-9]{{4}}-[01][0-9]-[0-3][0-9]T[0-2][0-9]:[0-5][0-9]:[0-6][0-9](\.[0-9]+)?(Z|[+-][0-9]{{2}}:[0-9]{{2}}){_END}"
+)
+_IN_WORDS = {_ONE_LINE: "has a control character", _RFC_3339: "is no time as RFC 3339 has it"}
+
+Name = Annotated[str, msgspec.Meta(pattern=_ONE_LINE, max_length=1000)]
 """A text that is printed in one line: it holds no control characters."""
 Digest = Annotated[str, msgspec.Meta(pattern=rf"^sha256:[0-9a-f]{{64}}{_END}")]
 RunId = Annotated[str, msgspec.Meta(pattern=rf"^[0-9a-f]{{32}}{_END}")]
-Instant = Annotated[
-    str,
-    msgspec.Meta(
-        pattern=rf"^[0-9]{{4}}-[01][0-9]-[0-3][0-9]T[0-2][0-9]:[0-5][0-9]:[0-6][0-9](\.[0-9]+)?(Z|[+-][0-9]{{2}}:[0-9]{{2}}){_END}"
-    ),
-]
+Instant = Annotated[str, msgspec.Meta(pattern=_RFC_3339)]
 """A time of the wall clock as RFC 3339 has it."""
 Count = Annotated[int, msgspec.Meta(ge=0)]
+Restarts = Annotated[int, msgspec.Meta(ge=0, le=1_000_000)]
+"""How often a device was started again: judging again repeats it, so it must be bounded."""
 Nanoseconds = Annotated[int, msgspec.Meta(ge=0)]
 Deadline = Annotated[float, msgspec.Meta(gt=0, le=300)]
 Factor = Annotated[float, msgspec.Meta(gt=0)]
@@ -300,7 +303,8 @@ class Call(TypedDict):
     """One tool call.
 
     ``operation`` and ``inputs``: what the steps asked for; ``tool`` and ``arguments``: what the subject file makes of it.
-    ``group``: calls of the same number were made at the same time. ``frames``: where the envelope does not say it all.
+    ``group``: calls of the same number were made at the same time. ``frames``: where the envelope does not say it all; ``frames_sha256`` is the digest of these frames as they were,
+    before any was cut off.
     """
 
     role: Role
@@ -320,7 +324,7 @@ class Call(TypedDict):
     listed: bool
     outputs: dict[str, Any]
     error_code: str | None
-    frames_sha256: str
+    frames_sha256: NotRequired[str]
     frames: NotRequired[Frames]
 
 
@@ -452,7 +456,7 @@ class ItemDevice(TypedDict):
     asked_ns: Nanoseconds
     seen_ns: Nanoseconds
     accepting_ns: Nanoseconds
-    starts: Count
+    starts: Restarts
     before: list[JournalEntry]
     quiet: bool
     session: SessionStart | None
@@ -601,6 +605,7 @@ def check(value: object, shape: type[T], where: str) -> T:
         msgspec.convert(value, shape)
     except msgspec.ValidationError as error:
         reason, _, place = str(error).partition(" - at `$")
+        reason = next((words for pattern, words in _IN_WORDS.items() if repr(pattern) in reason), reason)
         raise ShapeError(f"{where}{place.rstrip('`')}: {reason[:1].lower()}{reason[1:]}") from None
     # The value that msgspec returns is a copy without the members that it does not know.
     return value  # type: ignore[return-value]

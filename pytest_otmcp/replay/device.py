@@ -3,6 +3,8 @@
 From one item to the next a device's journal continues without a gap, unless the device was started again. Within an item
 every look at a device says when it was asked for and when its answer was there: the entries that the look shows are from
 before the answer, the entries that it does not show are from after the question.
+
+An entry that holds bytes of the wire must say what they say: oracles judge its members, and nobody reads the bytes.
 """
 
 from __future__ import annotations
@@ -10,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ..core.strict_json import same_json
+from ..protocols.registry import protocols
 from ..record.schema import Device, ItemDevice, JournalEntry, SessionStart
 from ..trial.cursor import JournalCursor
 from .reply import HistoryError
@@ -75,10 +78,14 @@ class DeviceHistory:
             HistoryError: there is a gap, or the time of an entry does not fit.
         """
         begin = self.cursor.next
+        if until < begin:
+            raise HistoryError(
+                f"the journal of {self.name} was taken up to entry {begin}, the record goes back to {until}"
+            )
         found = [entry["seq"] for entry in entries]
         if len(found) != until - begin or any(seq != begin + index for index, seq in enumerate(found)):
-            wanted = f"{begin} to {until - 1}" if until > begin else "none"
-            raise HistoryError(f"the journal of {self.name} should have the entries {wanted}, it has {_listed(found)}")
+            wanted = f"the entries {begin} to {until - 1}" if until > begin else "no entries"
+            raise HistoryError(f"the journal of {self.name} should have {wanted}, it has {_listed(found)}")
         last_ns = max(self._last_ns, self._floor_ns)
         for entry in entries:
             if not last_ns <= entry["t_ns"] <= seen_ns:
@@ -89,11 +96,22 @@ class DeviceHistory:
             last_ns = entry["t_ns"]
 
     def take(self, entries: Sequence[JournalEntry], until: int, asked_ns: int) -> None:
-        """Take a slice: the entries after it must be from after it was asked for."""
+        """Take a slice: the entries after it must be from after it was asked for.
+
+        Raises:
+            HistoryError: an entry answers a later one, or differs from the bytes that it holds.
+        """
         self.cursor.take(entries, until)
         self._floor_ns = max(self._floor_ns, asked_ns)
         if entries:
             self._last_ns = entries[-1]["t_ns"]
+        contradiction = protocols()[self.facts["protocol"]].contradiction
+        for entry in entries:
+            wrong = contradiction(entry)
+            if entry["answers"] is not None and not 0 <= entry["answers"] < entry["seq"]:
+                wrong = f"answers the entry {entry['answers']}"
+            if wrong is not None:
+                raise HistoryError(f"entry {entry['seq']} of the journal of {self.name} {wrong}")
 
 
 def _listed(numbers: Sequence[int]) -> str:

@@ -12,14 +12,18 @@ import asyncio
 import json
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from ipaddress import ip_address
 from typing import Any
 
 from ..core.strict_json import same_json
 from ..core.verdict import Status
+from ..plant.endpoint import Endpoint
+from ..protocols.registry import protocols
 from ..record.reader import StoredItem, StoredRun
 from ..record.schema import SCHEMA, Header, ItemBody, ItemHead, Sample
 from ..subject.claims import Claims
 from ..suite.catalogue import all_tasks, suite_digest
+from ..trial.adapter_under_test import endpoint_values
 from ..trial.task import Task
 from ..trial.trial import Trial
 from .device import DeviceHistory
@@ -74,6 +78,7 @@ def _disagreements(run: StoredRun) -> Iterator[str]:
     tasks = all_tasks()
     try:
         judge = _Judge(run.header)
+        yield from judge.devices()
     except UNREADABLE as error:
         yield f"the run: the stored history cannot be read ({error!r})"
         return
@@ -104,6 +109,18 @@ class _Judge:
         }
         self._devices = {name: DeviceHistory(name, facts) for name, facts in header["devices"].items()}
         self._ended_ns: dict[str, int] = {}
+
+    def devices(self) -> Iterator[str]:
+        """Return what cannot be true of the devices: the kit's devices, and its tap before a device of the user's, are on one machine."""
+        for name, history in self._devices.items():
+            facts = history.facts
+            for endpoint in facts["endpoints"]:
+                if endpoint["kind"] != "pty" and not _is_loopback(endpoint["host"]):
+                    yield f"{name}: a device of the kit listens on this machine only, the record says {endpoint['host']!r}"
+            endpoints = {endpoint["name"]: Endpoint(**endpoint) for endpoint in facts["endpoints"]}
+            follows = endpoint_values(protocols()[facts["protocol"]].scheme, endpoints)
+            if facts["placeholders"] != follows:
+                yield f"{name}: from its endpoints follows {_short(follows)}, the record says {_short(facts['placeholders'])}"
 
     def item(self, item: StoredItem, task: Task) -> Iterator[str]:
         """Judge an item again and return the disagreements with the record."""
@@ -164,6 +181,13 @@ class _Judge:
             for part, told in zip(shown["around"], head["around"], strict=True):
                 yield from _of_calls(f"{name} {told['role']}", part["calls"], told["calls"])
             yield from _of_findings(name, shown["findings"], head["findings"])
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return False
 
 
 def _of_sample(where: str, found: Sample, said: Sample) -> Iterator[str]:

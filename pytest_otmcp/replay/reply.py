@@ -5,7 +5,7 @@ What is judged again, and what is believed:
 - A reply whose frames are in the record is read from their bytes, by the same rules as before; their digest must fit.
 - For a reply without frames, which had no fault, the envelope is read again: schema, codes, contradictions within it, its
   clock against the kit's. It is believed that its text block said the same and that ``isError`` agreed.
-- Frames that are cut off, or are no UTF-8, cannot be read again: envelope and faults of such a reply are believed.
+- Frames that are cut off, are no UTF-8, or held a secret cannot be read again: envelope and faults of such a reply are believed.
 - The outputs that a Python function of a subject returned are believed; everything that follows from them is judged again.
 - Tool and arguments must be those that the stored binding makes of what the steps ask for; outputs are read anew.
 """
@@ -20,9 +20,11 @@ from typing import Any
 
 from ..core.finding import Finding
 from ..core.strict_json import same_json
+from ..record.redaction import REDACTED
 from ..session.exchange import Exchange
 from ..subject.model import READ_WRITE, Answering, Binding, ErrorRule, OutcomeRule, OutputRule
 from ..trial.reply import Expectation, Reply, observe, replace_outputs
+from ..trial.stored import KEPT_OF_A_FRAME
 
 __all__ = ["UNREADABLE", "HistoryError", "recorded_reply", "restored_bindings"]
 
@@ -108,12 +110,16 @@ def _exchange(call: Mapping[str, Any]) -> Exchange | None:
     if frames is None:
         if not isinstance(call["envelope"], dict) or not call["native"]:
             raise HistoryError(f"{call['tool']} was answered without an envelope, and there are no frames")
+        if "frames_sha256" in call:
+            raise HistoryError(f"{call['tool']} has a digest of frames, and no frames")
         response, failure, complaint = _frame(call["envelope"]), None, None
     else:
         request = frames["request"].encode()
         response = None if frames["response"] is None else frames["response"].encode()
         failure, complaint = frames["failure"], frames["complaint"]
         if response is not None and hashlib.sha256(request + b"\n" + response).hexdigest() != call["frames_sha256"]:
+            if not (_altered(frames["request"]) or _altered(frames["response"])):
+                raise HistoryError(f"the frames of {call['tool']} are not those of their digest")
             return None
     return Exchange(
         tool=call["tool"],
@@ -124,6 +130,11 @@ def _exchange(call: Mapping[str, Any]) -> Exchange | None:
         failure=failure,
         client_complaint=complaint,
     )
+
+
+def _altered(frame: str) -> bool:
+    """Tell whether a frame may have been recorded with less than its bytes: cut off, without a secret, or with bytes that are no text."""
+    return len(frame) > KEPT_OF_A_FRAME or REDACTED in frame or "\\x" in frame
 
 
 def _frame(envelope: Mapping[str, object]) -> bytes:

@@ -18,6 +18,7 @@ request to the last reply.
 
 from __future__ import annotations
 
+import ast
 import inspect
 import json
 from collections.abc import Callable, Mapping
@@ -31,7 +32,7 @@ from ..core.errors import UsageError
 from ..protocols.registry import protocols
 from .model import Function
 
-__all__ = ["Refused", "ToolAnswer", "Tools", "load_functions"]
+__all__ = ["Refused", "ToolAnswer", "Tools", "load_functions", "named_functions"]
 
 
 class Refused(Exception):
@@ -107,6 +108,27 @@ def load_functions(path: Path, protocol: str, key: str) -> dict[str, Function]:
         if inspect.isfunction(value) and value.__module__ == module.__name__ and not name.startswith("_")
     }
     return {name: _checked(name, function, protocol, f"{key}: {path}") for name, function in functions.items()}
+
+
+def named_functions(path: Path, protocol: str, key: str) -> dict[str, Function]:
+    """Return the functions of a bindings file by the operations that they perform, without executing anything of it.
+
+    Raises:
+        UsageError: the file cannot be read as Python.
+    """
+    try:
+        tree = ast.parse(path.read_bytes())
+    except FileNotFoundError:
+        raise UsageError(f"{key}: {path}: there is no such file") from None
+    except (OSError, SyntaxError, ValueError, RecursionError) as error:
+        raise UsageError(f"{key}: {path} cannot be read: {type(error).__name__}: {error}") from None
+    known = protocols()[protocol].operations
+    names = [node.name for node in ast.walk(tree) if isinstance(node, ast.AsyncFunctionDef) and node.name in known]
+    return {name: Function(name=name, call=_never_called) for name in names}
+
+
+async def _never_called(*_: object) -> Mapping[str, Any]:
+    raise AssertionError("this subject was loaded for a comparison")
 
 
 def _checked(name: str, function: Callable[..., object], protocol: str, where: str) -> Function:

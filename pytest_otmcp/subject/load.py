@@ -23,7 +23,7 @@ from ..protocols.protocol import RECOVERY
 from ..protocols.registry import protocols
 from .addressing import check_addresses
 from .bindings import read_answering, read_bindings
-from .functions import load_functions
+from .functions import load_functions, named_functions
 from .grammar import subject_file
 from .kinds import Refusal
 from .model import (
@@ -52,8 +52,13 @@ def reference_subject() -> Subject:
         return load_subject(path)
 
 
-def load_subject(path: Path) -> Subject:
+def load_subject(path: Path, *, run: bool = True) -> Subject:
     """Read and check ``path``.
+
+    Args:
+        path: the file.
+        run: False for a subject that is only compared, because the file is somebody else's: its bindings file is not imported,
+            and it need not be possible to start its adapters here.
 
     An adapter that says nothing about its tools (no ``bind``, ``bindings`` or ``answer``) gets the reference bindings: it
     has the same tools as a reference adapter.
@@ -71,13 +76,13 @@ def load_subject(path: Path) -> Subject:
     except tomllib.TOMLDecodeError as error:
         raise UsageError(f"{path}: not valid TOML: {error}") from None
     try:
-        return _subject(subject_file(protocols()).read(document, ""), path, content)
+        return _subject(subject_file(protocols()).read(document, ""), path, content, run=run)
     except Refusal as refusal:
         raise UsageError(f"{path}: {refusal}") from None
 
 
-def _subject(document: Mapping[str, Any], path: Path, content: bytes) -> Subject:
-    adapters = {protocol: _adapter(protocol, table, path) for protocol, table in document["adapter"].items()}
+def _subject(document: Mapping[str, Any], path: Path, content: bytes, *, run: bool) -> Subject:
+    adapters = {protocol: _adapter(protocol, table, path, run=run) for protocol, table in document["adapter"].items()}
     digest = hashlib.sha256(content)
     for table in document["adapter"].values():
         if "bindings" in table:
@@ -100,16 +105,16 @@ def _deviations(tables: list[dict[str, Any]]) -> tuple[Deviation, ...]:
     return tuple(Deviation(**table) for table in tables)
 
 
-def _adapter(protocol: str, table: Mapping[str, Any], path: Path) -> Adapter:
+def _adapter(protocol: str, table: Mapping[str, Any], path: Path, *, run: bool) -> Adapter:
     key, known = f"adapter.{protocol}", protocols()[protocol]
     answering = read_answering(table, key, Answering())
-    operations, connect = _operations(protocol, table, key, answering, path), _connect(table)
+    operations, connect = _operations(protocol, table, key, answering, path, run=run), _connect(table)
     _check_placeholders(table, key, operations)
     check_addresses(protocol, operations, connect, f"{key}.bind")
     return Adapter(
         protocol=protocol,
         directory=path.parent.resolve(),
-        variants={name: _variant(table, name, key, path.parent) for name in (READ_WRITE, READ_ONLY)},
+        variants={name: _variant(table, name, key, path.parent, run=run) for name in (READ_WRITE, READ_ONLY)},
         operations=operations,
         answering=answering,
         unclaimed=_unclaimed(protocol, table),
@@ -153,13 +158,15 @@ def _unclaimed(protocol: str, table: Mapping[str, Any]) -> dict[str, str]:
     return unclaimed
 
 
-def _variant(adapter: Mapping[str, Any], name: str, adapter_key: str, directory: Path) -> Variant:
+def _variant(adapter: Mapping[str, Any], name: str, adapter_key: str, directory: Path, *, run: bool) -> Variant:
     table, key = adapter[name], f"{adapter_key}.{name}"
     command = (*table.get("command", adapter.get("command", ())), *table["args"])
     env, files = adapter["env"] | table["env"], adapter["files"] | table["files"]
     for file in files:
         if PurePosixPath(file).is_absolute() or ".." in PurePosixPath(file).parts:
             raise Refusal(f"{adapter_key}.files", f"{file!r} must be a name below {{work}}")
+    if not run:
+        return Variant(command=command, env=env, cwd=None, files=files)
     for text in (*command, *env.values(), *files.values()):
         if unset := sorted(environment_names(text) - os.environ.keys()):
             raise Refusal(key, f"the environment variable {unset[0]} is not set; {{env:{unset[0]}}} needs it")
@@ -192,14 +199,15 @@ def _connect(table: Mapping[str, Any]) -> Connect | None:
 
 
 def _operations(
-    protocol: str, table: Mapping[str, Any], key: str, answering: Answering, path: Path
+    protocol: str, table: Mapping[str, Any], key: str, answering: Answering, path: Path, *, run: bool
 ) -> dict[str, tuple[Binding, ...] | Function]:
     operations: dict[str, tuple[Binding, ...] | Function] = {}
     if "bind" in table:
         operations |= read_bindings(table["bind"], f"{key}.bind", answering)
     if "bindings" in table:
         source = path.parent / table["bindings"]
-        functions = load_functions(source, protocol, f"{path}: {key}.bindings")
+        load = load_functions if run else named_functions
+        functions = load(source, protocol, f"{path}: {key}.bindings")
         if both := sorted(functions.keys() & operations.keys()):
             raise Refusal(f"{key}.bind.{both[0]}", f"{source.name} has a function for this operation as well")
         operations |= functions

@@ -10,7 +10,7 @@ import sys
 import tempfile
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TypedDict, cast
 
@@ -31,12 +31,12 @@ from ..session.process import StopReport
 from ..session.session import McpSession, SessionOptions
 from ..subject.addressing import addressed_by, carries_address
 from ..subject.answers import interpret, read_answer
+from ..subject.comparison import stored_bindings
 from ..subject.functions import Refused, ToolAnswer, checked_outputs
 from ..subject.model import (
     READ_WRITE,
     Adapter,
     Answering,
-    Binding,
     Function,
     OutputRule,
     replace_placeholders,
@@ -184,13 +184,13 @@ class AdapterUnderTest:
     def facts(self) -> AdapterFacts:
         """Return what ``run.json`` says about the adapter."""
         adapter = self.adapter
-        used = {name: adapter.operations.get(name) for name in self.used if name in adapter.operations}
         return {
             **adapter.facts(),
             **self._server,
             "bindings": {
-                name: None if cases is None or isinstance(cases, Function) else [_stored(case) for case in cases]
-                for name, cases in used.items()
+                name: cast("list[StoredBinding] | None", stored_bindings(adapter, name))
+                for name in self.used
+                if name in adapter.operations
             },
             "unmet": sorted(self.unmet),
             "listing": {tool: entry for tool in sorted(self._called) if (entry := self.listing(tool)) is not None},
@@ -508,10 +508,6 @@ class AdapterUnderTest:
         expected = self._expectation(function.name, Answering(form="text"), {})
         reply = observe(joined(tools.exchanges, inputs), expected)
         return replace_outputs(reply, outputs, None if refusal is None else (refusal.code, str(refusal)))
-
-
-def _stored(binding: Binding) -> StoredBinding:
-    return cast(StoredBinding, asdict(binding))
 
 
 class _NoAnswerError(Exception):

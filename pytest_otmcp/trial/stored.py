@@ -10,9 +10,9 @@ from ..record.schema import Finding as StoredFinding
 from ..session.exchange import Exchange
 from .ledger import Judged, Ledger
 
-__all__ = ["stored_calls", "stored_finding"]
+__all__ = ["KEPT_OF_A_FRAME", "stored_calls", "stored_finding"]
 
-_KEPT_OF_A_FRAME = 16_384
+KEPT_OF_A_FRAME = 16_384
 """Bytes that are kept of a frame: an adapter may send megabytes, again and again; the record has the digest of the whole."""
 
 
@@ -44,13 +44,13 @@ def _call(judged: Judged, *, with_frames: bool) -> Call:
         "listed": reply.listed,
         "outputs": reply.outputs,
         "error_code": reply.error_code,
-        "frames_sha256": hashlib.sha256(exchange.request + b"\n" + (exchange.response or b"")).hexdigest(),
         "inputs": dict(judged.inputs),
         "group": judged.group,
         "sent_ns": exchange.sent_ns,
         "received_ns": exchange.received_ns,
     }
     if with_frames:
+        stored["frames_sha256"] = hashlib.sha256(exchange.request + b"\n" + (exchange.response or b"")).hexdigest()
         stored["frames"] = _frames(reply.faults, exchange)
     return stored
 
@@ -66,8 +66,8 @@ def _frames(faults: tuple[Finding, ...], exchange: Exchange) -> Frames:
 
 
 def _frame(frame: bytes) -> str:
-    text = frame[:_KEPT_OF_A_FRAME].decode("utf-8", "backslashreplace")
-    return text if len(frame) <= _KEPT_OF_A_FRAME else f"{text}… ({len(frame)} bytes)"
+    text = frame[:KEPT_OF_A_FRAME].decode("utf-8", "backslashreplace")
+    return text if len(frame) <= KEPT_OF_A_FRAME else f"{text}… ({len(frame)} bytes)"
 
 
 def stored_finding(finding: Finding) -> StoredFinding:

@@ -16,9 +16,9 @@ import pytest
 from pytest_otmcp import cli
 from pytest_otmcp.certificate.eligibility import objections
 from pytest_otmcp.certificate.statement import certificate
-from pytest_otmcp.cli.verify import verify
 from pytest_otmcp.record import load
 from pytest_otmcp.suite.catalogue import tasks_by_id
+from tests.examined import verify
 from tests.once import once
 from tests.stored_runs import store
 

@@ -19,11 +19,10 @@ from pytest_otmcp.subject import Subject, load_subject, reference_subject
 from pytest_otmcp.suite.catalogue import tasks_by_id
 from pytest_otmcp.trial.adapter_under_test import BenchOptions
 from pytest_otmcp.trial.bench import Bench
-from tests.once import once
 from tests.trials import as_read, measured, recorded
 from tests.warm_start import WarmStart
 
-from .vendor import Repository
+from .reference_run import reference_run
 
 Record = dict[str, Any]
 
@@ -82,15 +81,7 @@ rogue.main()
 @pytest.fixture(scope="module")
 def record(tmp_path_factory: pytest.TempPathFactory, warm_start: WarmStart) -> Record:
     """The record of the whole suite, two repetitions each, with the reference adapters, in a pytest of its own."""
-
-    def run(directory: Path) -> str:
-        repository = Repository(directory, warm_start)
-        repository.reference_subject()
-        outcome = repository.pytest("--otmcp-reps=2", "--otmcp-seed=7")
-        assert "VERDICT" in outcome.output, outcome.output
-        return str(outcome.report / "run.json")
-
-    return load(Path(once(tmp_path_factory, "reference-run", run)))
+    return load(reference_run(tmp_path_factory, warm_start))
 
 
 @pytest.fixture(scope="module")

@@ -46,7 +46,6 @@ def call(
         "listed": True,
         "outputs": {},
         "error_code": error_code,
-        "frames_sha256": "0" * 64,
     }
 
 

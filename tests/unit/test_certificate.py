@@ -17,11 +17,10 @@ from pytest_otmcp import __version__
 from pytest_otmcp.certificate.badge import badge, badge_svg
 from pytest_otmcp.certificate.eligibility import objections
 from pytest_otmcp.certificate.statement import certificate, differences
-from pytest_otmcp.cli import Refusal
-from pytest_otmcp.cli.verify import verify
-from pytest_otmcp.errors import UsageError
+from pytest_otmcp.cli import Refusal, main
 from pytest_otmcp.suite.catalogue import tasks_by_id
 
+from ..examined import verify
 from ..stored_runs import store
 from .certified import NO_PING, adapter, conformant_run
 from .samples import finding
@@ -245,6 +244,27 @@ OBJECTIONABLE: list[tuple[Change, str]] = [
         lambda run: run["subject"]["adapters"].update(bacnet=adapter("acme-bacnet", "2026-07-28")),
         "adapter 'bacnet' is none that the kit knows",
     ),
+    (
+        lambda run: by_id(run, "M2").update(started_at="2026-11-20T07:03:43.000Z"),
+        "M2: started_at 2026-11-20T07:03:43.000Z is not within the run, which lasted from 2026-11-21T07:03:43Z to",
+    ),
+    (
+        lambda run: by_id(run, "M2").update(finished_at="2026-11-21T07:23:43.000Z"),
+        "M2: finished_at 2026-11-21T07:23:43.000Z is not within the run",
+    ),
+    (
+        lambda run: by_id(run, "M2").update(ended_ns=60 * 10**9),
+        "M2: finished_at 2026-11-21T07:03:44.000Z does not go with its monotonic time: it is of another run, or the clock",
+    ),
+    (lambda run: run["environment"].update(finished_at=None), "the record does not say when the run ended"),
+    (
+        lambda run: run["subject"]["adapters"]["modbus"]["unclaimed"].update(ping="none\x1b[2J"),
+        "subject.adapters.modbus.unclaimed.ping has a control character: 'none\\x1b[2J'",
+    ),
+    (
+        lambda run: run["environment"].update(platform="Linux \u202e46_68x"),
+        "environment.platform has a control character: 'Linux \\u202e46_68x'",
+    ),
 ]
 
 
@@ -350,7 +370,7 @@ def test_the_picture_is_valid_and_says_in_words_what_it_shows(statement: dict[st
 @pytest.fixture
 def files(record: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Path]:
     """A certificate and its record, which has no history that could be judged again."""
-    monkeypatch.setattr("pytest_otmcp.replay.rejudge.rejudge", lambda run: [])
+    monkeypatch.setattr("pytest_otmcp.cli.examination.rejudge", lambda run: [])
     cert, run = tmp_path / "certificate.json", tmp_path / "run.json"
     issue(cert, run, record)
     return cert, run
@@ -380,7 +400,9 @@ def refusal(cert: Path, run: Path) -> str:
 
 
 def test_a_certificate_of_its_own_run_is_verified(files: tuple[Path, Path]) -> None:
-    assert verify(*files) == json.loads(files[0].read_text())
+    found = verify(*files)
+    assert found.code == 0
+    assert found.said[0].startswith("verified: acme-adapter 1.4.0 is CONFORMANT; ")
 
 
 def test_a_certificate_that_was_edited_anywhere_is_refused(files: tuple[Path, Path]) -> None:
@@ -474,14 +496,14 @@ def test_a_history_that_deserves_another_judgement_is_refused(
     files: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = ["M1: the record says PASS, the history FAIL", "M2: so too", "M3: so too", "M4: so too"]
-    monkeypatch.setattr("pytest_otmcp.replay.rejudge.rejudge", lambda run: found)
+    monkeypatch.setattr("pytest_otmcp.cli.examination.rejudge", lambda run: found)
     assert refusal(*files).endswith("M1: the record says PASS, the history FAIL; M2: so too; M3: so too (and 1 more)")
 
 
 def test_a_history_that_cannot_be_judged_at_all_is_refused(
     files: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pytest_otmcp.replay.rejudge.rejudge", lambda run: run.header["nothing"])
+    monkeypatch.setattr("pytest_otmcp.cli.examination.rejudge", lambda run: run.header["nothing"])
     assert "holds what no run of this kit has written (KeyError('nothing'))" in refusal(*files)
 
 
@@ -504,8 +526,10 @@ def test_a_record_without_any_of_its_fields_is_refused_and_crashes_nothing(
                 refusal(*files)
 
 
-def test_a_file_that_is_not_there_is_named(files: tuple[Path, Path], tmp_path: Path) -> None:
+def test_a_file_that_is_not_there_is_named(
+    files: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     nowhere = tmp_path / "nowhere.json"
-    for pair in ((nowhere, files[1]), (files[0], nowhere)):
-        with pytest.raises(UsageError, match=r"nowhere\.json: there is no such file"):
-            verify(*pair)
+    for pair in ((nowhere, files[1]), (files[0], nowhere), (nowhere,)):
+        assert main(["verify", *map(str, pair)]) == 2
+        assert capsys.readouterr().err.endswith("nowhere.json: there is no such file\n")

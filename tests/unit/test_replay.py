@@ -6,6 +6,7 @@ import copy
 import hashlib
 import json
 import random
+import struct
 from collections.abc import Callable
 from typing import Any
 
@@ -21,6 +22,7 @@ from pytest_otmcp.replay.rejudge import rejudge
 from pytest_otmcp.subject import reference_subject
 from pytest_otmcp.suite.catalogue import suite_digest, tasks_by_id
 from pytest_otmcp.trial.adapter_under_test import AdapterUnderTest, BenchOptions
+from pytest_otmcp.trial.stored import KEPT_OF_A_FRAME
 
 from ..stored_runs import run_of
 from .samples import finding
@@ -71,12 +73,20 @@ def call(operation: str, tool: str, inputs: dict[str, Any], data: dict[str, Any]
         "listed": True,
         "outputs": outputs,
         "error_code": None,
-        "frames_sha256": "0" * 64,
         "inputs": inputs,
         "group": group,
         "sent_ns": BEGIN_NS + group * 10**7,
         "received_ns": BEGIN_NS + group * 10**7 + 10**6,
     }
+
+
+def pdu(kind: str, function: int, *, address: int = 1, values: list[int] | None = None, **_: Any) -> str:
+    """Return the PDU of a request or response of function 3 or 6 in hexadecimal digits."""
+    if function == 3 and kind == "response":
+        words = values or []
+        return struct.pack(f">BB{len(words)}H", 3, 2 * len(words), *words).hex()
+    [word] = [1] if function == 3 else values or [40]
+    return struct.pack(">BHH", function, address, word).hex()
 
 
 def entry(seq: int, kind: str, function: int, **fields: Any) -> dict[str, Any]:
@@ -86,10 +96,11 @@ def entry(seq: int, kind: str, function: int, **fields: Any) -> dict[str, Any]:
     common = {"seq": seq, "t_ns": at_ns, "connection": 1, "direction": direction, "kind": kind}
     asks = {"origin": "client", "request": kind == "request", "state_changing": False}
     asks["answers"] = None if kind == "request" else seq - 1
-    return {"protocol": "modbus", **common, **asks, "unit": 1, "transaction_id": seq, "function": function, **fields}
+    about = {"unit": 1, "transaction_id": seq, "function": function, "pdu": pdu(kind, function, **fields), **fields}
+    return {"protocol": "modbus", **common, **asks, **about}
 
 
-CONNECTED = {**entry(0, "connected", 0), "t_ns": BEGIN_NS - 10**6, "answers": None}
+CONNECTED = {**entry(0, "connected", 6), "t_ns": BEGIN_NS - 10**6, "answers": None}
 
 
 def adapter() -> dict[str, Any]:
@@ -250,12 +261,30 @@ def add_an_entry(changed: Item) -> None:
 
 
 def change_an_entry(changed: Item) -> None:
-    changed["samples"][0]["device"][0]["values"] = [41]
+    changed["samples"][0]["device"][0] |= {"values": [41], "pdu": "0600010029"}
+
+
+def contradict_the_bytes(changed: Item) -> None:
+    changed["samples"][0]["device"][0]["pdu"] = "00"
+
+
+def lose_the_bytes(changed: Item) -> None:
+    del changed["samples"][0]["device"][0]["pdu"]
+
+
+def answer_a_later_request(changed: Item) -> None:
+    changed["samples"][0]["device"][1]["answers"] = READ_SEQ
+
+
+def invent_a_digest_of_frames(changed: Item) -> None:
+    changed["samples"][0]["calls"][0]["frames_sha256"] = "0" * 64
 
 
 def remove_a_pair_and_number_again(changed: Item) -> None:
     sample = changed["samples"][0]
-    sample["device"] = [{**one, "seq": one["seq"] - 2} for one in sample["device"][2:]]
+    sample["device"] = [
+        {**one, "seq": one["seq"] - 2, "answers": one["answers"] and one["answers"] - 2} for one in sample["device"][2:]
+    ]
     sample["observations"][2]["journal"] = sample["observations"][3]["end"] = 7
 
 
@@ -420,6 +449,10 @@ SENTENCES = {
     add_an_entry: "M3 repetition 1: the journal of modbus has 1 entries beyond its end",
     change_an_entry: "M3 repetition 1: the stored history shows 'the device should have seen one write of [40]",
     remove_a_pair_and_number_again: "one write of [40] to holding_registers 1, it saw 0' (not_written_once), the record",
+    contradict_the_bytes: "M3 repetition 1: entry 5 of the journal of modbus says function 6, its PDU says 0",
+    lose_the_bytes: "M3 repetition 1: entry 5 of the journal of modbus has no PDU but None",
+    answer_a_later_request: "M3 repetition 1: entry 6 of the journal of modbus answers the entry 7",
+    invent_a_digest_of_frames: f"M3 repetition 1: {WRITE} has a digest of frames, and no frames",
     change_an_image: "M3 repetition 1: the stored history shows '1/holding_registers/1 should hold 40, the device",
     touch_another_cell: "'1/holding_registers/2 should hold 0, the device holds 1' (device_differs), the record says",
     break_an_image: "M3 repetition 1: it cannot be judged (KeyError('9/holding_registers/1'))",
@@ -510,11 +543,48 @@ def test_frames_that_were_cut_off_are_believed_with_their_faults() -> None:
     failed = failing()
     sample = failed["samples"][0]
     cut = sample["calls"][0]
-    cut["frames"]["response"] = cut["frames"]["response"][:100] + "… (90000 bytes)"
+    cut["frames"]["response"] = cut["frames"]["response"].ljust(KEPT_OF_A_FRAME) + "… (90000 bytes)"
     assert rejudge(run(failed)) == []
     fault = finding("no_text", f"{WRITE}(address=1, value=40): no text")
     cut["frames"]["faults"].append(fault)
     assert "no text' (no_text), the record says nothing of it" in "\n".join(rejudge(run(failed)))
+
+
+def test_frames_that_were_not_cut_off_must_be_those_of_their_digest() -> None:
+    failed = failing()
+    failed["samples"][0]["calls"][0]["frames"]["response"] += " "
+    assert rejudge(run(failed)) == [f"M3 repetition 1: the frames of {WRITE} are not those of their digest"]
+
+
+def test_frames_without_their_secret_are_believed() -> None:
+    failed = failing()
+    redacted = failed["samples"][0]["calls"][0]["frames"]
+    redacted["request"] = '{"password": "[redacted]"}'
+    assert rejudge(run(failed)) == []
+
+
+def elsewhere(record: dict[str, Any]) -> None:
+    record["devices"]["modbus"]["endpoints"][0]["host"] = "10.0.0.1"
+
+
+def under_another_address(record: dict[str, Any]) -> None:
+    record["devices"]["modbus"]["placeholders"]["port"] = "1502"
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (elsewhere, "modbus: a device of the kit listens on this machine only, the record says '10.0.0.1'"),
+        (under_another_address, "modbus: from its endpoints follows"),
+    ],
+)
+def test_a_device_that_was_elsewhere_is_found_out(change: Callable[[dict[str, Any]], None], sentence: str) -> None:
+    device = copy.deepcopy(DEVICE)
+    record = {"devices": {"modbus": device}}
+    change(record)
+    stored = run(item())
+    stored.header["devices"].update(record["devices"])  # type: ignore[arg-type]
+    assert sentence in "\n".join(rejudge(stored))
 
 
 def test_a_run_of_another_suite_is_not_judged() -> None:

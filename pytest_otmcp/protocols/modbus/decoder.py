@@ -14,8 +14,10 @@ from typing import Any
 
 from ..conversation import Direction, Message, Outstanding
 from ..framing import MalformedError
+from ..journal import JournalEntry
+from ..reread import difference
 
-__all__ = ["STATE_CHANGING", "ModbusConversation", "mbap_length"]
+__all__ = ["STATE_CHANGING", "ModbusConversation", "contradiction", "mbap_length"]
 
 READ_BITS = frozenset({1, 2})
 READ_REGISTERS = frozenset({3, 4})
@@ -71,6 +73,26 @@ class ModbusConversation:
         return [Message(direction="out", kind="response", fields=fields, answers=asked)]
 
 
+def contradiction(entry: JournalEntry) -> str | None:
+    """Say where an entry differs from its PDU; None where it does not."""
+    if entry["kind"] not in ("request", "response"):
+        return None
+    members: Mapping[str, Any] = dict(entry)
+    try:
+        pdu = bytes.fromhex(members["pdu"])
+    except (KeyError, TypeError, ValueError):
+        pdu = b""
+    if not pdu:
+        return f"has no PDU but {members.get('pdu')!r}"
+    if entry["kind"] == "request":
+        shown = {**_request(pdu), "state_changing": pdu[0] in STATE_CHANGING}
+    else:
+        # How many bits were asked for only the request says; the last byte is padded.
+        values = members.get("values")
+        shown = _response(pdu, {"quantity": len(values) if isinstance(values, list) else 0})
+    return difference(members, shown, "PDU")
+
+
 def _request(pdu: bytes) -> dict[str, object]:
     function = pdu[0]
     fields: dict[str, object] = {"function": function}
@@ -90,7 +112,7 @@ def _request(pdu: bytes) -> dict[str, object]:
             fields["values"] = [words[1] == 0xFF00]
     elif function == MASK_WRITE and len(words) >= 3:
         fields |= {"address": words[0], "quantity": 1, "and_mask": words[1], "or_mask": words[2]}
-    elif function == READ_WRITE and len(words) >= 4:
+    elif function == READ_WRITE and len(pdu) >= 10:
         fields |= {"read_address": words[0], "read_quantity": words[1]}
         fields |= {"address": words[2], "quantity": words[3], "values": _registers(pdu[10:])}
     return fields

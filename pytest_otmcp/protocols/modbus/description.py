@@ -6,7 +6,7 @@ import re
 
 from ..protocol import Colour, Framing, OtProtocol
 from ..session_oracle import Exchanges, StateChanges
-from .decoder import ModbusConversation, mbap_length
+from .decoder import ModbusConversation, contradiction, mbap_length
 from .entries import carried_out, describe, title
 from .operations import OPERATIONS
 from .oracle import no_state_changing_request
@@ -25,6 +25,7 @@ PROTOCOL = OtProtocol(
     framing=Framing(frame_length=mbap_length, conversation=ModbusConversation),
     unsolicited=lambda entries, declared: no_state_changing_request(entries),
     carried_out=carried_out,
+    contradiction=contradiction,
     describe=describe,
     facts=facts,
     title=title,

@@ -7,6 +7,7 @@ import re
 from ..protocol import Choice, Colour, Composite, Framing, OtProtocol, Simulator
 from ..session_oracle import Exchanges
 from .commands import COMMAND_TOPICS
+from .contradiction import contradiction
 from .decoder import MqttConversation, packet_length
 from .entries import describe, messages
 from .external import EXTERNAL
@@ -48,6 +49,7 @@ PROTOCOL = OtProtocol(
     unsolicited=no_command,
     changes=messages,
     carried_out=kept_or_executed,
+    contradiction=contradiction,
     describe=describe,
     facts=facts,
     mock="mqtt",

@@ -1,0 +1,213 @@
+"""The examination of a run record, alone or with its certificate and its subject file: everything in them is derived again.
+
+The files may be an enemy's. :mod:`pytest_otmcp.cli.confined` runs this in a process with bounded memory and time.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from .. import __version__
+from ..certificate.eligibility import objections
+from ..certificate.statement import PREDICATE_TYPE, STATEMENT_TYPE, certificate, differences
+from ..core.strict_json import parse_strict
+from ..core.verdict import Status, decide, exit_code
+from ..protocols.registry import protocols
+from ..record.condensed import condensed
+from ..record.consistency import clock_faults
+from ..record.reader import RecordError, StoredRun, open_record
+from ..record.schema import Kit, Run
+from ..replay.rejudge import rejudge
+from ..subject import comparison, load_subject
+from ..suite.catalogue import kit_digest, suite_digest, tasks_by_id
+from ..trial.task import Task
+from . import Refusal
+
+__all__ = ["Certificate", "Examined", "examine", "examine_again"]
+
+_SHOWN = 3
+_LONGEST = 2000
+"""Characters of a sentence at most: a record may hold a text of any length."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Certificate:
+    """A certificate as it was read: its path for messages, and its bytes."""
+
+    name: str
+    content: bytes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Examined:
+    """The result of an examination that has found nothing wrong.
+
+    Attributes:
+        said: what was found, a sentence each.
+        code: exit code of the verdict.
+    """
+
+    said: list[str]
+    code: int
+
+
+def examine_again(asked: Mapping[str, Any]) -> dict[str, Any]:
+    """Examine the files that a JSON value names, and return the result as a JSON value; see :func:`examine`."""
+    told = asked["certificate"]
+    read = None if told is None else Certificate(name=told["name"], content=base64.b64decode(told["content"]))
+    subject = None if asked["subject"] is None else Path(asked["subject"])
+    found = examine(Path(asked["record"]), certificate=read, subject=subject)
+    return {"said": found.said, "code": found.code}
+
+
+def examine(record: Path, *, certificate: Certificate | None = None, subject: Path | None = None) -> Examined:
+    """Derive everything in a record again, and the certificate from the record.
+
+    Args:
+        record: the run.json.
+        certificate: that is about the record; None for any record, also one that earns none.
+        subject: the subject file that the record names; nothing of it is executed.
+
+    Raises:
+        UsageError: the subject file cannot be read.
+        Refusal: the certificate or the record does not hold; the message is one sentence.
+    """
+    try:
+        told = None if certificate is None else _statement(certificate)
+        # A run that did not come to its end is a record as well; only a certificate needs the whole.
+        with open_record(record, allow_incomplete=certificate is None) as run:
+            if certificate is not None and run.sha256 not in _bound(told):
+                raise Refusal(f"refused: {certificate.name} is about another run.json than {record}")
+            return _derived(run, record, certificate, told, subject)
+    except RecordError as reason:
+        raise Refusal(_cut(f"refused: {reason}")) from None
+    except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
+        # A record that this kit wrote has everything that is read here: this one was not written by this kit.
+        raise Refusal(_cut(f"refused: {record} holds what no run of this kit has written ({error!r})")) from None
+
+
+def _derived(
+    stored: StoredRun, path: Path, certified: Certificate | None, told: object, subject: Path | None
+) -> Examined:
+    _check_kit(path, stored.header["kit"])
+    if "digest" not in stored.footer:
+        raise Refusal(f"refused: {path} was not sealed: {stored.footer['reason']}")
+    run = condensed(stored)
+    tasks = tasks_by_id(run["subject"]["adapters"])
+    why_none = objections(run, tasks)
+    if certified is not None:
+        _refuse(f"{path} earns no certificate", why_none)
+        expected = certificate(run, stored.sha256, tasks)
+        _refuse(f"{certified.name} does not say what the run says", list(differences(told, expected)))
+    else:
+        _refuse(f"{path} contradicts itself", [*clock_faults(run, run["items"]), *_wrong_verdict(run, tasks)])
+    if subject is not None:
+        read = load_subject(subject, run=False)
+        _refuse(f"{path} is not about {subject}", list(comparison.differences(read, run["subject"])))
+    _refuse(f"{path} was not judged as its history deserves", rejudge(stored))
+    said = list(_of_record(run, tasks, why_none) if certified is None else _of_certificate(run, tasks))
+    if subject is not None:
+        said.append(f"the subject, its claims, deadlines and bindings are those of {subject}")
+    if judges := [entry for entry in run["kit"]["protocols"] if entry["digest"] is not None]:
+        named = ", ".join(f"{entry['key']}: {entry['distribution']} {entry['version']}" for entry in judges)
+        said.append(f"judged by other packages than the kit, too: {named}")
+    statuses = {item["id"]: Status(item["status"]) for item in run["items"]}
+    return Examined(said=[_cut(sentence) for sentence in said], code=int(exit_code(decide(statuses, tasks))))
+
+
+def _of_certificate(run: Run, tasks: Mapping[str, Task]) -> Iterator[str]:
+    applied = [item for item in run["items"] if item["status"] == Status.PASS]
+    yield (
+        f"verified: {_name(run)} is {run['footer']['verdict']}; {len(applied)} of {len(tasks)} items applied, "
+        f"{_repetitions(run)}, and judging them again found the same"
+    )
+
+
+def _of_record(run: Run, tasks: Mapping[str, Task], why_none: Sequence[str]) -> Iterator[str]:
+    counts: Counter[str] = Counter(item["status"] for item in run["items"])
+    counts["did not run"] = len(tasks) - len(run["items"])
+    items = ", ".join(f"{number} {status}" for status, number in counts.items() if number)
+    yield (
+        f"verified: {_name(run)} is {run['footer'].get('verdict')}; of {len(tasks)} items {items}; {_repetitions(run)}, "
+        "and judging them again found the same"
+    )
+    failed = [item["id"] for item in run["items"] if item["status"] not in (Status.PASS, Status.NOT_APPLICABLE)]
+    if failed:
+        yield f"did not pass: {', '.join(failed)}"
+    yield f"it earns no certificate: {why_none[0]}" if why_none else "it earns a certificate; this is the record alone"
+
+
+def _name(run: Run) -> str:
+    return f"{run['subject']['name']} {run['subject']['version']}"
+
+
+def _repetitions(run: Run) -> str:
+    counted = [item for item in run["items"] if item["status"] != Status.NOT_APPLICABLE]
+    good = sum(sample["ok"] for item in counted for sample in item["samples"])
+    return f"{good} of {sum(item['planned'] for item in counted)} repetitions passed"
+
+
+def _wrong_verdict(run: Run, tasks: Mapping[str, Task]) -> Iterator[str]:
+    follows = decide({item["id"]: Status(item["status"]) for item in run["items"]}, tasks)
+    if run["footer"].get("verdict") != follows:
+        yield f"from its items follows {follows}, the footer says {run['footer'].get('verdict')}"
+
+
+def _statement(certificate: Certificate) -> Any:
+    try:
+        statement = parse_strict(certificate.content)
+    except ValueError as reason:
+        raise Refusal(_cut(f"refused: {certificate.name}: not strict JSON: {reason}")) from None
+    types = (statement.get("_type"), statement.get("predicateType")) if isinstance(statement, dict) else None
+    if types != (STATEMENT_TYPE, PREDICATE_TYPE):
+        raise Refusal(f"refused: {certificate.name}: not an in-toto statement about a test result")
+    return statement
+
+
+def _bound(statement: Any) -> list[Any]:
+    """Return the digests of the records that a statement is about."""
+    try:
+        about = statement["predicate"]["configuration"]
+        return [entry["digest"]["sha256"] for entry in about if entry["name"] == "run.json"]
+    except (KeyError, TypeError):
+        return []
+
+
+def _check_kit(path: Path, judged_by: Kit) -> None:
+    found = tuple(judged_by.get(name) for name in ("version", "suite_digest", "digest"))
+    if found == (__version__, suite_digest(), kit_digest()):
+        _check_protocols(path, judged_by)
+        return
+    if found[0] == __version__:
+        why = f"a pytest-otmcp {__version__} with other files than this one (one of the two has been changed)"
+    else:
+        why = f"pytest-otmcp {found[0]}, and this is {__version__}; install that version to judge it again"
+    raise Refusal(_cut(f"refused: {path} was judged by {why}"))
+
+
+def _check_protocols(path: Path, judged_by: Kit) -> None:
+    """Compare the protocols of other packages that judged the run with those that are installed here."""
+    for entry in judged_by["protocols"]:
+        if entry["digest"] is None:
+            continue
+        package = f"the protocol {entry['key']!r} of {entry['distribution']} {entry['version']}"
+        installed = protocols().get(entry["key"])
+        if installed is None or installed.origin is None:
+            raise Refusal(_cut(f"refused: {path} was judged by {package}; install it to judge the run again"))
+        if installed.origin.digest != entry["digest"]:
+            raise Refusal(_cut(f"refused: {path} was judged by {package} with other files than those installed here"))
+
+
+def _refuse(what: str, reasons: list[str]) -> None:
+    if reasons:
+        more = f" (and {len(reasons) - _SHOWN} more)" if len(reasons) > _SHOWN else ""
+        raise Refusal(_cut(f"refused: {what}: {'; '.join(reasons[:_SHOWN])}") + more)
+
+
+def _cut(sentence: str) -> str:
+    return sentence if len(sentence) <= _LONGEST else f"{sentence[:_LONGEST]}…"

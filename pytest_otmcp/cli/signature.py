@@ -1,0 +1,104 @@
+"""Detached signatures of certificates, by OpenSSH's own program: a vendor signs with the key that it has already.
+
+The signature is an SSH signature (PROTOCOL.sshsig of OpenSSH) in the namespace ``otmcp-certificate``. Anybody can check it without
+the kit: ``ssh-keygen -Y verify -f allowed_signers -I WHO -n otmcp-certificate -s certificate.json.sig < certificate.json``.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import tempfile
+from pathlib import Path
+
+from ..core.errors import UsageError
+from . import Refusal
+
+__all__ = ["NAMESPACE", "check_key", "sign", "signer"]
+
+NAMESPACE = "otmcp-certificate"
+"""What a signature is for: a key's signature over a git commit is none over a certificate."""
+
+_PROGRAM = "ssh-keygen"
+_PATIENCE_S = 60.0
+_PATIENCE_WITH_PERSON_S = 600.0
+"""A passphrase, or the touch of a security key, is somebody's to give."""
+
+
+def check_key(key: Path) -> None:
+    """Check that a key can be asked for, before a run of a minute is made for it.
+
+    Raises:
+        UsageError: there is no OpenSSH here, or no such key.
+    """
+    if not key.is_file():
+        raise UsageError(f"--sign: {key}: there is no such key file")
+    done = _ssh_keygen("-l", "-f", str(key))
+    if done.returncode != 0:
+        raise UsageError(f"--sign: {key} is no SSH key: {_words(done)}")
+
+
+def sign(path: Path, key: Path) -> Path:
+    """Sign a file; return the path of the signature beside it.
+
+    Args:
+        path: the file.
+        key: of OpenSSH: a private key, or a public key whose private one the agent has.
+
+    Raises:
+        Refusal: the key does not sign.
+    """
+    done = _ssh_keygen("-Y", "sign", "-f", str(key), "-n", NAMESPACE, str(path), patience_s=_PATIENCE_WITH_PERSON_S)
+    if done.returncode != 0:
+        raise Refusal(f"{path} is valid, but not signed: {_words(done)}")
+    return path.with_name(path.name + ".sig")
+
+
+def signer(content: bytes, signature: bytes, trust: Path) -> str:
+    """Return who has signed, as the file of trusted signers names them.
+
+    Args:
+        content: that was signed.
+        signature: an SSH signature.
+        trust: a file as ``allowed_signers`` of ssh-keygen(1).
+
+    Raises:
+        UsageError: there is no OpenSSH here, or no such file.
+        Refusal: the signature is of another content, or of nobody who is trusted.
+    """
+    if not trust.is_file():
+        raise UsageError(f"--trust: {trust}: there is no such file")
+    with tempfile.TemporaryDirectory(prefix="otmcp-") as directory:
+        file = Path(directory, "signature")
+        file.write_bytes(signature)
+        found = _ssh_keygen("-Y", "find-principals", "-s", str(file), "-f", str(trust))
+        names = found.stdout.decode("utf-8", "replace").split("\n")[0]
+        if found.returncode != 0 or not names:
+            raise Refusal(
+                f"refused: the signature of the certificate is of nobody whom {trust} trusts: {_words(found)}"
+            )
+        # One line of the file may name several principals, separated by commas; the first will do.
+        name = names.split(",")[0]
+        asked = ("-Y", "verify", "-f", str(trust), "-I", name, "-n", NAMESPACE, "-s", str(file))
+        done = _ssh_keygen(*asked, given=content)
+        if done.returncode != 0:
+            raise Refusal(f"refused: the signature of {name} does not hold for this certificate: {_words(done)}")
+    return name
+
+
+def _ssh_keygen(
+    *arguments: str, given: bytes | None = None, patience_s: float = _PATIENCE_S
+) -> subprocess.CompletedProcess[bytes]:
+    try:
+        # Without input, a question about a file that is there already is answered with the end of it.
+        return subprocess.run(
+            [_PROGRAM, *arguments], input=given or b"", capture_output=True, timeout=patience_s, check=False
+        )
+    except FileNotFoundError:
+        raise UsageError(f"signatures need {_PROGRAM} of OpenSSH 8.2 or later, which is not on PATH") from None
+    except subprocess.TimeoutExpired:
+        raise UsageError(f"{_PROGRAM} {arguments[1]} has not ended after {patience_s:g} s") from None
+
+
+def _words(done: subprocess.CompletedProcess[bytes]) -> str:
+    lines = (done.stderr or done.stdout).decode("utf-8", "replace").split("\n")
+    return next((line.strip()[:300] for line in lines if line.strip()), f"exit code {done.returncode}")
