@@ -43,14 +43,15 @@ class Limits:
     Attributes:
         receive_maximum: QoS 2 messages that may be unreleased at a time.
         topic_alias_maximum: highest topic alias a client may use.
-        maximum_packet_size: in bytes; None for the protocol's own limit.
+        maximum_packet_size: in bytes. The protocol's own limit is 256 MiB, and a mock that keeps messages for a hundred
+            sessions and retains them must bound its memory.
         server_keep_alive: longest keep-alive in seconds; None for any.
         connect_timeout_s: how long a connection may stay without a CONNECT.
     """
 
     receive_maximum: int = 256
     topic_alias_maximum: int = 16
-    maximum_packet_size: int | None = None
+    maximum_packet_size: int = 16 * 1024 * 1024
     server_keep_alive: int | None = None
     connect_timeout_s: float = 10.0
 

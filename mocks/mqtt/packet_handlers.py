@@ -54,8 +54,7 @@ def accept(broker: Broker, connect: Connect) -> tuple[Session | None, Connack]:
         limits = broker.limits
         properties[Property.RECEIVE_MAXIMUM] = limits.receive_maximum
         properties[Property.TOPIC_ALIAS_MAXIMUM] = limits.topic_alias_maximum
-        if limits.maximum_packet_size is not None:
-            properties[Property.MAXIMUM_PACKET_SIZE] = limits.maximum_packet_size
+        properties[Property.MAXIMUM_PACKET_SIZE] = limits.maximum_packet_size
         if client_id != connect.client_id:
             properties[Property.ASSIGNED_CLIENT_IDENTIFIER] = client_id
         keepalive = supervised_keepalive(broker, connect)

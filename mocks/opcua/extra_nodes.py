@@ -158,7 +158,8 @@ class ExtraNodes:
         )
 
     async def _method(self, description: Mapping[str, Any]) -> None:
-        name, inputs = str(description["method"]), [ua.VariantType[kind] for kind in description["inputs"]]
+        name = str(description["method"])
+        inputs = {f"Argument{number}": ua.VariantType[kind] for number, kind in enumerate(description["inputs"], 1)}
 
         async def echo(*arguments: Any) -> list[Any]:
             return list(arguments)

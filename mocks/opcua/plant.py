@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from types import MappingProxyType
 from typing import Any
 
 from asyncua import Server, ua
@@ -72,12 +73,12 @@ class Variable:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Method:
-    """A method: the object that it belongs to, the types of its arguments, and the function that performs it. The
-    function takes the values of the inputs, returns those of the outputs and may raise :class:`MethodRefusal`."""
+    """A method: the object that it belongs to, its arguments by name with their types, and the function that performs it.
+    The function takes the values of the inputs, returns those of the outputs and may raise :class:`MethodRefusal`."""
 
     owner: ua.NodeId
-    inputs: list[ua.VariantType]
-    outputs: list[ua.VariantType]
+    inputs: Mapping[str, ua.VariantType]
+    outputs: Mapping[str, ua.VariantType]
     function: Callable[..., Awaitable[list[Any]]]
 
 
@@ -136,7 +137,7 @@ class Plant:
         await self._method("StopProduction", self._stop_production)
         await self._method("TriggerEmergencyStop", self._emergency_stop)
         await self._method("ResetAlarms", self._reset_alarms)
-        await self._method("SetProductionRate", self._set_rate, [double], [double])
+        await self._method("SetProductionRate", self._set_rate, {"Rate": double}, {"PreviousRate": double})
 
     def _id(self, name: str) -> ua.NodeId:
         return ua.NodeId(name, self.namespace)
@@ -157,17 +158,16 @@ class Plant:
         self,
         name: str,
         function: Callable[..., Awaitable[list[Any]]],
-        inputs: Sequence[ua.VariantType] = (),
-        outputs: Sequence[ua.VariantType] = (),
+        inputs: Mapping[str, ua.VariantType] = MappingProxyType({}),
+        outputs: Mapping[str, ua.VariantType] = MappingProxyType({}),
     ) -> None:
-        owner = self.folders["Methods"]
-        method = Method(owner=owner, inputs=list(inputs), outputs=list(outputs), function=function)
+        method = Method(owner=self.folders["Methods"], inputs=inputs, outputs=outputs, function=function)
         await self.add_method(self._id(name), self._name(name), method)
 
     async def add_method(self, node: ua.NodeId, name: ua.QualifiedName, method: Method) -> ua.NodeId:
         """Create the node of a method. Sessions perform the method themselves; the library never does."""
         parent = self._server.get_node(method.owner)
-        await parent.add_method(node, name, _never, method.inputs, method.outputs)
+        await parent.add_method(node, name, _never, _arguments(method.inputs), _arguments(method.outputs))
         self.methods[node] = method
         self.calls[node] = 0
         return node
@@ -297,6 +297,11 @@ class Plant:
     def _share(self, name: str) -> float:
         """Return a percentage as a number from 0 to 1."""
         return min(100.0, max(0.0, float(self._number(name)))) / 100
+
+
+def _arguments(types: Mapping[str, ua.VariantType]) -> list[ua.Argument]:
+    """Return what clients read in InputArguments or OutputArguments (OPC 10000-3, 8.6): scalars."""
+    return [ua.Argument(Name=name, DataType=ua.NodeId(kind.value), ValueRank=-1) for name, kind in types.items()]
 
 
 async def _never(parent: ua.NodeId, *arguments: ua.Variant) -> None:

@@ -131,6 +131,9 @@ class PlantProtocol(OPCUAProtocol):  # type: ignore[misc]
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._device.journal.connected(self._number, process_of(transport))
         super().connection_made(transport)
+        if self.transport is None:
+            # The library has refused it: there are as many connections as it serves at a time.
+            return
         self.processor = _Processor(self.iserver, self.transport, self.limits, self._device, self._number)
         self.processor.set_policies(self.policies)
 

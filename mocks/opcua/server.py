@@ -8,7 +8,7 @@ import itertools
 import socket
 from typing import Any
 
-from asyncua import Server
+from asyncua import Server, ua
 from asyncua.server.binary_server_asyncio import BinaryServer
 from asyncua.server.internal_server import InternalServer
 from asyncua.server.internal_session import InternalSession
@@ -18,6 +18,8 @@ from .session import PlantSession
 from .state import DeviceState
 
 __all__ = ["PlantServer"]
+
+_APPLICATION = "urn:otmcp:mock"
 
 
 class _Internal(InternalServer):  # type: ignore[misc]
@@ -38,6 +40,10 @@ class PlantServer(Server):  # type: ignore[misc]
         super().__init__(iserver=_Internal())
         self._listener: asyncio.Server | None = None
         self.set_server_name("OT-MCP mock plant")
+        self._application_uri = _APPLICATION
+        self.product_uri = _APPLICATION
+        # Nobody has a certificate or a password here, so the endpoint offers neither.
+        self.set_identity_tokens([ua.AnonymousIdentityToken])
 
     async def listen(self, listener: socket.socket, owner: DeviceState) -> None:
         """Accept connections on ``listener`` for a device."""

@@ -1,6 +1,7 @@
 """A client's session: journal entries for every service call, and the checks that the library leaves out.
 
-Checks follow OPC 10000-4: 5.9.2 (Browse), 5.9.3 (BrowseNext), 5.11.2 (Read), 5.11.4 (Write), 5.12.2 (Call).
+Checks follow OPC 10000-4: 5.9.2 (Browse), 5.9.3 (BrowseNext), 5.11.2 (Read), 5.11.3 (HistoryRead), 5.11.4 (Write),
+5.12.2 (Call) and 5.14.6 (Republish).
 """
 
 from __future__ import annotations
@@ -108,6 +109,15 @@ class PlantSession(InternalSession):  # type: ignore[misc]
             if attribute in attributes and not attributes[attribute].value.Value.Value & right.mask:
                 return int(refusal)
         return None
+
+    async def history_read(self, params: ua.HistoryReadParameters) -> list[ua.HistoryReadResult]:
+        """Refuse every node: none of the plant's has a history."""
+        items = params.NodesToRead or []
+        bounded(items, self.device.limits.nodes_per_read)
+        return [ua.HistoryReadResult(StatusCode=ua.StatusCode(self._without_history(item.NodeId))) for item in items]
+
+    def _without_history(self, node: ua.NodeId) -> int:
+        return int(Codes.BadHistoryOperationUnsupported if node in self.aspace else Codes.BadNodeIdUnknown)
 
     async def write(self, params: ua.WriteParameters) -> list[ua.StatusCode]:
         exchange, items = current(), params.NodesToWrite or []
@@ -221,6 +231,25 @@ class PlantSession(InternalSession):  # type: ignore[misc]
         exchange.answer["results"] = [{"status": result.StatusCode.name} for result in results]
         return results
 
+    # -- subscriptions ------------------------------------------------------------------------------------
+
+    def republish(self, params: ua.RepublishParameters) -> ua.NotificationMessage:
+        """Return a notification that was sent and has not been acknowledged; it is kept until it is.
+
+        The library answers Good and an empty message to everything else, and a client that reconnects asks for one message
+        after the other until it is told that there is none.
+
+        Raises:
+            ServiceError: BadSubscriptionIdInvalid or BadMessageNotAvailable.
+        """
+        subscription = self.subscription_service.subscriptions.get(params.SubscriptionId)
+        if subscription is None or subscription.session_id != self.session_id:
+            raise ServiceError(Codes.BadSubscriptionIdInvalid)
+        kept = subscription._not_acknowledged_results.get(params.RetransmitSequenceNumber)
+        if kept is None:
+            raise ServiceError(Codes.BadMessageNotAvailable)
+        return kept.NotificationMessage
+
     # -- methods ------------------------------------------------------------------------------------------
 
     async def call(self, params: list[ua.CallMethodRequest]) -> list[ua.CallMethodResult]:
@@ -264,7 +293,7 @@ class PlantSession(InternalSession):  # type: ignore[misc]
             raise MethodRefusal(Codes.BadArgumentsMissing)
         if len(given) > len(method.inputs):
             raise MethodRefusal(Codes.BadTooManyArguments)
-        wrong = [not fits(argument, kind, -1, []) for argument, kind in zip(given, method.inputs, strict=True)]
+        wrong = [not fits(argument, kind, -1, []) for argument, kind in zip(given, method.inputs.values(), strict=True)]
         if any(wrong):
             arguments = [Codes.BadTypeMismatch if each else Codes.Good for each in wrong]
             raise MethodRefusal(Codes.BadInvalidArgument, arguments)
@@ -272,7 +301,9 @@ class PlantSession(InternalSession):  # type: ignore[misc]
         self.device.plant.calls[request.MethodId] += 1
         return ua.CallMethodResult(
             InputArgumentResults=[ua.StatusCode() for _ in given],
-            OutputArguments=[ua.Variant(value, kind) for value, kind in zip(outputs, method.outputs, strict=True)],
+            OutputArguments=[
+                ua.Variant(value, kind) for value, kind in zip(outputs, method.outputs.values(), strict=True)
+            ],
         )
 
 

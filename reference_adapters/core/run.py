@@ -1,7 +1,8 @@
 """The run of an adapter server over stdio or streamable HTTP.
 
-Environment: ``MCP_TRANSPORT`` (``stdio`` or ``streamable-http``), ``MCP_HTTP_HOST`` (127.0.0.1) and ``MCP_HTTP_PORT``
-(8000; 0 takes a free one).
+Environment: ``MCP_TRANSPORT`` (``stdio`` or ``streamable-http``), ``MCP_HTTP_HOST`` (127.0.0.1), ``MCP_HTTP_PORT``
+(8000; 0 takes a free one), and ``MCP_HTTP_ORIGINS``: the web pages that may call, separated by commas, such as
+``http://localhost:6274`` (none).
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import gc
 import logging
+import re
 import socket
 import sys
 
@@ -21,6 +23,8 @@ __all__ = ["serve"]
 _TRANSPORTS = ("stdio", "streamable-http")
 # The server has no authentication; for access from the network an authenticating proxy belongs in front of it.
 _LOOPBACK = {"127.0.0.1": socket.AF_INET, "localhost": socket.AF_INET, "::1": socket.AF_INET6}
+_BACKLOG = 2048
+_ORIGIN = re.compile(r"https?://[^\s/?#*@]+")
 
 
 def serve(server: AdapterServer) -> int:
@@ -35,6 +39,7 @@ def serve(server: AdapterServer) -> int:
         if host not in _LOOPBACK:
             raise ConfigError(f"MCP_HTTP_HOST: expected one of {', '.join(_LOOPBACK)}, found {host!r}")
         port = environment.whole("MCP_HTTP_PORT", 8000, 0, 65535)
+        origins = _origins(environment)
     except ConfigError as error:
         print(f"configuration: {error}", file=sys.stderr)
         return 2
@@ -47,21 +52,44 @@ def serve(server: AdapterServer) -> int:
     if transport == "stdio":
         asyncio.run(serve_stdio(server.mcp))
         return 0
-    return _serve_http(server, host, port)
+    return _serve_http(server, host, port, origins)
 
 
-def _serve_http(server: AdapterServer, host: str, port: int) -> int:
+def _origins(environment: Environment) -> list[str]:
+    """Return the origins that are named.
+
+    Raises:
+        ConfigError: one is not as browsers send them (RFC 6454, section 6.2).
+    """
+    origins = [one.strip() for one in environment.text("MCP_HTTP_ORIGINS", "").split(",") if one.strip()]
+    for origin in origins:
+        if not _ORIGIN.fullmatch(origin):
+            raise ConfigError(f"MCP_HTTP_ORIGINS: expected origins such as http://localhost:6274, found {origin!r}")
+    return origins
+
+
+def _serve_http(server: AdapterServer, host: str, port: int, origins: list[str]) -> int:
     import uvicorn
+    from mcp.server.transport_security import TransportSecuritySettings
 
-    with socket.socket(_LOOPBACK[host], socket.SOCK_STREAM) as listener:
+    # asyncio sets TCP_NODELAY only on connections of a socket that says its protocol. Without, head and body of an answer
+    # wait for each other (Nagle's algorithm and a delayed ACK, 40 ms a call).
+    with socket.socket(_LOOPBACK[host], socket.SOCK_STREAM, socket.IPPROTO_TCP) as listener:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             listener.bind((host, port))
+            # From here on connections are taken, and wait until the application has started: whoever reads the line below
+            # may connect.
+            listener.listen(_BACKLOG)
         except OSError as error:
             print(f"MCP_HTTP_PORT: {port} cannot be used: {error.strerror}", file=sys.stderr)
             return 1
         shown = f"[{host}]" if ":" in host else host
         print(f"{server.name}: http://{shown}:{listener.getsockname()[1]}/mcp", file=sys.stderr, flush=True)
-        app = server.mcp.streamable_http_app(host=host)
-        uvicorn.Server(uvicorn.Config(app, log_level="warning")).run(sockets=[listener])
+        # The SDK's own settings let every web page of this machine call, whatever its port.
+        security = TransportSecuritySettings(
+            allowed_hosts=["127.0.0.1:*", "localhost:*", "[::1]:*"], allowed_origins=origins
+        )
+        app = server.mcp.streamable_http_app(transport_security=security)
+        uvicorn.Server(uvicorn.Config(app, log_level="warning", backlog=_BACKLOG)).run(sockets=[listener])
     return 0

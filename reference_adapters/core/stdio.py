@@ -13,9 +13,11 @@ import asyncio
 import json
 import logging
 import os
+import re
 import signal
 import stat
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Self
 
@@ -24,25 +26,42 @@ from anyio.streams.memory import MemoryObjectSendStream
 from mcp.server import Server
 from mcp.server.stdio import stdio_server
 from mcp.shared.message import SessionMessage
-from mcp.types import JSONRPCMessage, jsonrpc_message_adapter
+from mcp.types import INVALID_REQUEST, ErrorData, JSONRPCError, JSONRPCMessage, jsonrpc_message_adapter
 from pydantic import ValidationError
 
 __all__ = ["serve_stdio"]
 
 _MAX_LINE = 32 * 1024 * 1024
 _FLUSH_S = 0.2
+_EDGE = 4096
+"""Bytes of the beginning and of the end of a line that is too long, in which its id is looked for."""
+
+_PLAIN = rb'"(?:jsonrpc|method)"\s*:\s*"[^"\\]*"'
+_ID = rb'"id"\s*:\s*(-?\d{1,18}|"[^"\\\x00-\x1f\x80-\xff]*")'
+# The id of the message itself, not one in its parameters: only plain members are between it and the outermost brace.
+_ID_FIRST = re.compile(rb"\s*\{\s*(?:" + _PLAIN + rb"\s*,\s*)*" + _ID)
+_ID_LAST = re.compile(rb",\s*" + _ID + rb"\s*(?:,\s*" + _PLAIN + rb"\s*)*\}\s*$")
 
 log = logging.getLogger(__name__)
 
 
 class _Input(asyncio.Protocol):
-    """Standard input, cut into lines that are parsed as messages. Other lines are dropped, with a warning on stderr."""
+    """Standard input, cut into lines that are parsed as messages. Other lines are dropped, with a warning on stderr.
 
-    def __init__(self, messages: MemoryObjectSendStream[SessionMessage | Exception]) -> None:
+    Args:
+        messages: where messages go.
+        refuse: sends the answer to a request that is too long to be read.
+    """
+
+    def __init__(
+        self, messages: MemoryObjectSendStream[SessionMessage | Exception], refuse: Callable[[JSONRPCError], None]
+    ) -> None:
         self._messages = messages
+        self._refuse = refuse
         self._buffer = bytearray()
         self._searched = 0
-        self._overlong = False
+        self._head: bytes | None = None
+        """The beginning of a line that is too long, of which ``_buffer`` holds the end."""
 
     def data_received(self, data: bytes) -> None:
         self._buffer += data
@@ -50,17 +69,30 @@ class _Input(asyncio.Protocol):
         while (end := self._buffer.find(b"\n", max(start, self._searched))) >= 0:
             line = bytes(self._buffer[start:end])
             start = end + 1
-            if self._overlong:
-                self._overlong = False
+            if self._head is not None:
+                self._drop(self._head, line)
+                self._head = None
             elif not line.isspace() and line:
                 self._deliver(line)
         if start:
             del self._buffer[:start]
         if len(self._buffer) > _MAX_LINE:
-            log.warning("a line of more than %d bytes was dropped", _MAX_LINE)
-            self._overlong = True
-            self._buffer.clear()
+            if self._head is None:
+                self._head = bytes(self._buffer[:_EDGE])
+            del self._buffer[:-_EDGE]
         self._searched = len(self._buffer)
+
+    def _drop(self, head: bytes, tail: bytes) -> None:
+        """Answer a line that is too long, if it is a request: who waits for an answer gets one."""
+        log.warning("a line of more than %d bytes was dropped", _MAX_LINE)
+        found = _ID_FIRST.match(head) or _ID_LAST.search(tail[-_EDGE:])
+        if found is not None:
+            text = f"the request is longer than {_MAX_LINE} bytes"
+            self._refuse(
+                JSONRPCError(
+                    jsonrpc="2.0", id=json.loads(found[1]), error=ErrorData(code=INVALID_REQUEST, message=text)
+                )
+            )
 
     def _deliver(self, line: bytes) -> None:
         try:
@@ -125,10 +157,13 @@ class _Output(asyncio.BaseProtocol):
             async with asyncio.timeout(_FLUSH_S):
                 await self._lost.wait()
 
+    def write(self, message: JSONRPCMessage) -> None:
+        self._pipe.write(message.model_dump_json(by_alias=True, exclude_unset=True).encode() + b"\n")
+
     async def send(self, item: SessionMessage, /) -> None:
         if self._pipe.is_closing():
             raise anyio.BrokenResourceError
-        self._pipe.write(item.message.model_dump_json(by_alias=True, exclude_unset=True).encode() + b"\n")
+        self.write(item.message)
         await self._writable.wait()
 
     async def aclose(self) -> None:
@@ -158,8 +193,8 @@ async def serve_stdio(server: Server[None]) -> None:
     send, receive = anyio.create_memory_object_stream[SessionMessage | Exception](float("inf"))
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, send.close)
-    await loop.connect_read_pipe(lambda: _Input(send), os.fdopen(wire_in, "rb", buffering=0))
     _, output = await loop.connect_write_pipe(_Output, os.fdopen(wire_out, "wb", buffering=0))
+    await loop.connect_read_pipe(lambda: _Input(send, output.write), os.fdopen(wire_in, "rb", buffering=0))
     await server.run(receive, output, server.create_initialization_options())
     await output.flushed()
 

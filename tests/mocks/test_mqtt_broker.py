@@ -10,6 +10,7 @@ import pytest
 from mqtt_tools import Peer, Raw, RunningBroker, connect_bytes, frame, running_broker, utf8
 from pytest_otmcp.mocks.mqtt.broker import Limits
 from pytest_otmcp.mocks.mqtt.faults import FaultPlan
+from pytest_otmcp.mocks.mqtt.wire import varint
 
 
 @pytest.fixture
@@ -122,6 +123,13 @@ def test_a_connection_without_a_connect_is_closed_in_time() -> None:
 def test_a_packet_beyond_the_brokers_maximum_is_refused() -> None:
     with running_broker(Limits(maximum_packet_size=64)) as broker, connected(broker, 5) as raw:
         raw.send(frame(0x30, utf8("a"), b"\0", bytes(64)))
+        assert raw.rest() == frame(0xE0, b"\x95")
+
+
+def test_a_packet_of_tens_of_megabytes_is_refused_before_it_has_arrived(broker: RunningBroker) -> None:
+    with connected(broker, 5) as raw:
+        # The first byte and a length of 60 MB, of which nothing follows.
+        raw.send(b"\x30" + varint(60_000_000))
         assert raw.rest() == frame(0xE0, b"\x95")
 
 

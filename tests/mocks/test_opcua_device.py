@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 import pytest_asyncio
 from asyncua import Client, ua
+from asyncua.ua.ua_binary import struct_from_binary
 from asyncua.ua.uaerrors import UaStatusCodeError
 from mock_program import PATIENCE_S, MockProgram
 
@@ -582,3 +583,100 @@ async def test_what_was_added_is_gone_after_a_reset(plant: MockProgram, client: 
     gone, sensors = await browse(client, description(node("Inner")), description(node("Sensors"), BrowseDirection=both))
     assert gone.StatusCode.name == "BadNodeIdUnknown"
     assert set(names(sensors)) == SENSORS | {"Plant"}
+
+
+# -- what the library leaves out -------------------------------------------------------------------------------
+
+
+async def test_the_endpoint_offers_the_one_way_to_log_in_that_works(plant: MockProgram, client: Client) -> None:
+    (endpoint,) = await client.get_endpoints()
+    assert [policy.TokenType for policy in endpoint.UserIdentityTokens] == [ua.UserTokenType.Anonymous]
+    assert endpoint.Server.ApplicationUri == "urn:otmcp:mock"
+    assert (await client.get_namespace_array())[:3] == ["http://opcfoundation.org/UA/", "urn:otmcp:mock", URI]
+    assert await client.get_node(ua.NodeId(ua.ObjectIds.Server_ServerArray)).read_value() == ["urn:otmcp:mock"]
+    named = Client(f"opc.tcp://{plant.host}:{plant.port}", timeout=PATIENCE_S)
+    named.set_user("operator")
+    named.set_password("secret")
+    with pytest.raises((UaStatusCodeError, ua.UaError)):
+        await named.connect()
+
+
+async def test_a_methods_arguments_have_names(plant: MockProgram, client: Client) -> None:
+    await create(plant, {"method": "Echo", "inputs": ["Double", "String"]})
+
+    async def arguments(method: str, which: str) -> list[tuple[str, ua.NodeId]]:
+        held = await (await client.get_node(node(method)).get_child(f"0:{which}")).read_value()
+        return [(argument.Name, argument.DataType) for argument in held]
+
+    double, string = ua.NodeId(ua.ObjectIds.Double), ua.NodeId(ua.ObjectIds.String)
+    assert await arguments("SetProductionRate", "InputArguments") == [("Rate", double)]
+    assert await arguments("SetProductionRate", "OutputArguments") == [("PreviousRate", double)]
+    assert await arguments("Echo", "InputArguments") == [("Argument1", double), ("Argument2", string)]
+
+
+async def test_a_node_without_history_says_so(client: Client) -> None:
+    asked = [ua.HistoryReadValueId(NodeId=node(name)) for name in ("Temperature", "Nowhere")]
+    results = await client.uaclient.history_read(
+        ua.HistoryReadParameters(HistoryReadDetails=ua.ReadRawModifiedDetails(), NodesToRead=asked)
+    )
+    assert [result.StatusCode.name for result in results] == ["BadHistoryOperationUnsupported", "BadNodeIdUnknown"]
+
+
+async def asked(client: Client, request: Any, answer: Any, **parameters: Any) -> Any:
+    """Send a request by hand: asyncua's client acknowledges each notification, and cannot be told to ask for one again."""
+    for name, value in parameters.items():
+        setattr(request.Parameters, name, value)
+    response = struct_from_binary(answer, await client.uaclient.session._send_request(request))
+    response.ResponseHeader.ServiceResult.check()
+    return response
+
+
+async def test_only_a_notification_that_is_kept_is_sent_again(connect: Connect) -> None:
+    client, stranger = await connect(), await connect()
+    wishes = {"RequestedPublishingInterval": 20.0, "RequestedLifetimeCount": 10_000, "RequestedMaxKeepAliveCount": 1000}
+    created = await asked(client, ua.CreateSubscriptionRequest(), ua.CreateSubscriptionResponse, **wishes)
+    subscription = created.Parameters.SubscriptionId
+    item = ua.MonitoredItemCreateRequest(
+        ItemToMonitor=ua.ReadValueId(NodeId=node("ValvePosition"), AttributeId=ua.AttributeIds.Value),
+        MonitoringMode=ua.MonitoringMode.Reporting,
+        RequestedParameters=ua.MonitoringParameters(ClientHandle=1, QueueSize=1),
+    )
+    monitored = ua.CreateMonitoredItemsParameters(SubscriptionId=subscription, ItemsToCreate=[item])
+    (result,) = await client.uaclient.create_monitored_items(monitored)
+    result.StatusCode.check()
+
+    async def again(who: Client, number: int, sequence: int) -> ua.NotificationMessage:
+        wanted = {"SubscriptionId": number, "RetransmitSequenceNumber": sequence}
+        return (await asked(who, ua.RepublishRequest(), ua.RepublishResponse, **wanted)).NotificationMessage
+
+    message = ua.NotificationMessage()
+    while not message.NotificationData:  # the first message may keep a subscription alive that has no item yet
+        published = await asked(client, ua.PublishRequest(), ua.PublishResponse)
+        message = published.Parameters.NotificationMessage
+    for _ in range(2):
+        repeated = await again(client, subscription, message.SequenceNumber)
+        assert (repeated.SequenceNumber, repeated.NotificationData) == (
+            message.SequenceNumber,
+            message.NotificationData,
+        )
+    assert await status(again(client, subscription, message.SequenceNumber + 1)) == "BadMessageNotAvailable"
+    assert await status(again(client, subscription + 1, message.SequenceNumber)) == "BadSubscriptionIdInvalid"
+    assert await status(again(stranger, subscription, message.SequenceNumber)) == "BadSubscriptionIdInvalid"
+
+    await write(client, "ValvePosition", 12.5, ua.VariantType.Double)
+    taken = ua.SubscriptionAcknowledgement(SubscriptionId=subscription, SequenceNumber=message.SequenceNumber)
+    await asked(client, ua.PublishRequest(), ua.PublishResponse, SubscriptionAcknowledgements=[taken])
+    assert await status(again(client, subscription, message.SequenceNumber)) == "BadMessageNotAvailable"
+
+
+@pytest.mark.long
+async def test_more_connections_than_it_serves_are_closed_without_a_word(plant: MockProgram) -> None:
+    # The library serves a thousand; a module's mock must have written nothing to stderr when it ends.
+    opened = [await asyncio.open_connection(plant.host, plant.port) for _ in range(1001)]
+    try:
+        async with asyncio.timeout(PATIENCE_S):
+            assert await opened[-1][0].read() == b""
+    finally:
+        for _, writer in opened:
+            writer.close()
+        await asyncio.gather(*(writer.wait_closed() for _, writer in opened), return_exceptions=True)
