@@ -72,6 +72,7 @@ def page(run: Run) -> str:
         deadlines=deadlines(run),
         rules=_rules(rules),
         catalogue=requirements(),
+        example=next((name for name, _ in rules if name in requirements()), next(iter(requirements()))),
         good=good,
         planned=planned,
         warnings=warnings(run["items"]),
