@@ -455,9 +455,7 @@ def pytest_terminal_summary(terminalreporter: Any, exitstatus: int, config: pyte
     recorder = config.stash.get(RECORDER, None)
     # A run that was refused has the same exit code as one that was interrupted.
     interrupted = ENDINGS in config.stash and config.stash[ENDINGS].name is not None
-    if recorder is None or (
-        exitstatus == pytest.ExitCode.INTERRUPTED and not recorder.statuses and not interrupted
-    ):
+    if recorder is None or (exitstatus == pytest.ExitCode.INTERRUPTED and not recorder.statuses and not interrupted):
         return
     if not recorder.statuses:
         for sentence in config.stash[INTERFERENCE].sentences:

@@ -57,9 +57,12 @@ class Run:
         if self._loop is None or self._bench is None:
             from ..core.errors import KitError, UsageError
             from ..plant.devices import Plant
+            from ..session.keeper import hide_memory
             from ..session.loop import LoopThread
             from ..trial.gc_pause import settled
 
+            # What is judged is in this process's memory, and its environment is not for adapters.
+            hide_memory()
             wanted = self._adapters_needed()
             self._loop, self._plant = LoopThread(), Plant(self.settings.external)
             with settled():
