@@ -115,13 +115,20 @@ class Run:
             raise
 
     def _execute(self, task: Task, loop: LoopThread, bench: Bench) -> ItemResult:
+        from ..core.errors import ExhaustedError
+        from ..core.exhaustion import exhausted
         from ..record.writer import SampleSpool
         from ..trial.live_driver import LiveDriver
         from ..trial.trial import Trial
         from .results import Tally
 
         folder = self.settings.report_dir / SPOOLS
-        folder.mkdir(parents=True, exist_ok=True)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            # It was there when the run began.
+            reason = exhausted(error) or error.strerror
+            raise ExhaustedError(f"{folder} cannot be made any more: {reason}") from error
         # Plugins that repeat tests may execute the same item twice.
         spool = SampleSpool(folder / f"{task.id}-{uuid4().hex}.jsonl")
         tally, redactor = Tally(task.id, task.suite), self._redactor()

@@ -55,6 +55,7 @@ def write_all(run: Run, directory: Path) -> dict[str, str]:
     for name, (module, function) in _WRITERS.items():
         path = directory / name
         try:
+            _unlink(path)
             getattr(import_module(f".{module}", __package__), function)(run, path)
         except Exception as error:
             # A record may have any content, and the other reports are still wanted.
@@ -63,8 +64,18 @@ def write_all(run: Run, directory: Path) -> dict[str, str]:
     return failed
 
 
+def _unlink(path: Path) -> None:
+    """Remove a report of that name, or the files of one that is a folder, so that nothing is written through a link."""
+    if path.is_dir() and not path.is_symlink():
+        for file in path.iterdir():
+            if file.is_symlink() or not file.is_dir():
+                file.unlink()
+    else:
+        path.unlink(missing_ok=True)
+
+
 def _remove(path: Path) -> None:
-    if path.is_dir():
+    if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path, ignore_errors=True)
     else:
         path.unlink(missing_ok=True)
@@ -81,7 +92,10 @@ def render(path: Path, terminal: Any, root: Path) -> None:
     from .console import summary
 
     begun = time.monotonic()
-    failed = write_all(run, path.parent)
+    try:
+        failed = write_all(run, path.parent)
+    except OSError as error:
+        failed = dict.fromkeys(NAMES, error.strerror or str(error))
     seconds = time.monotonic() - begun
     for line, style in summary(run, width=terminal._tw.fullwidth):
         terminal.write_line(line, **_MARKUP[style])
