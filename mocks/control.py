@@ -10,6 +10,7 @@ are executed one after the other; only a ``wait`` does not delay the requests af
 ``poke {params}``                                       set a value out of band
 ``fault {rules}``                                       replace the fault plan; ``{"hits": […]}`` of the old one
 ``reset``                                               start-up values, no faults
+``alone``                                               accept no further client; ``{"others"}``, ended by this
 ``pause`` / ``resume``                                  stop or start the free-running 1 Hz simulation
 ``tick {steps}``                                        advance the simulation by hand, seconds of plant time
 ``journal {since}``                                     ``{"entries", "first", "next", "dropped", "peers"}``
@@ -47,6 +48,7 @@ class ControlServer:
         self._device = device
         self._simulation = Simulation(device)
         self._server: asyncio.Server | None = None
+        self._clients: set[asyncio.StreamWriter] = set()
         self._ops: dict[str, Callable[[Request], Awaitable[dict[str, Any]]]] = {
             "ready": self._ready,
             "image": self._image,
@@ -68,6 +70,7 @@ class ControlServer:
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         waits: set[asyncio.Task[None]] = set()
+        self._clients.add(writer)
         try:
             while line := await reader.readline():
                 request = _parsed(line)
@@ -86,12 +89,16 @@ class ControlServer:
         finally:
             for task in waits:
                 task.cancel()
+            self._clients.discard(writer)
             writer.close()
 
     async def _answer(self, request: Request, writer: asyncio.StreamWriter) -> None:
         answer: dict[str, Any] = {"id": request.get("id"), "ok": False}
         try:
-            result = await self._operation(request)(request)
+            if request.get("op") == "alone":
+                result = self._alone(writer)
+            else:
+                result = await self._operation(request)(request)
             line = json.dumps({**answer, "ok": True, "result": result}, separators=(",", ":"))
         except ValueError as error:
             line = json.dumps({**answer, "error": str(error)})
@@ -100,6 +107,15 @@ class ControlServer:
             traceback.print_exc()
             line = json.dumps({**answer, "error": f"the device failed: {type(error).__name__}: {error}"})
         writer.write(line.encode() + b"\n")
+
+    def _alone(self, writer: asyncio.StreamWriter) -> dict[str, Any]:
+        """Close the channel to everybody but this client: who else reaches it could change what the device reports."""
+        assert self._server is not None
+        self._server.close()
+        others = self._clients - {writer}
+        for other in others:
+            other.close()
+        return {"others": len(others)}
 
     def _operation(self, request: Request) -> Callable[[Request], Awaitable[dict[str, Any]]]:
         op = request.get("op")

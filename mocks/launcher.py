@@ -39,6 +39,7 @@ from .control import ControlServer
 from .control_socket import ControlSocket
 from .device import Device
 from .exhaustion import EXIT_CODE, end_when_exhausted, is_exhaustion
+from .memory import hide_memory
 from .packages import MockPackage
 from .reservation import Reservation, reserve
 
@@ -74,6 +75,7 @@ def run(name: str, package: MockPackage, host: str, port: int) -> int:
 
 
 def _run(name: str, package: MockPackage, reservations: Mapping[str, Reservation]) -> int:
+    hide_memory()
     # Signals are handled only where the launcher waits, so never between a fork and the storing of its process id.
     signal.pthread_sigmask(signal.SIG_BLOCK, _END_SIGNALS)
     signal.signal(signal.SIGTERM, _end)

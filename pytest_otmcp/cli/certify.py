@@ -203,6 +203,10 @@ def _conclude(out: Path, ended: int) -> int:
 def _write(out: Path, statement: dict[str, Any]) -> None:
     from ..certificate.badge import badge, badge_svg
 
+    for name in ("badge.json", "badge.svg", "certificate.json"):
+        # During the run an adapter may have put a link there.
+        (out / name).unlink(missing_ok=True)
+
     def dumped(document: dict[str, object]) -> str:
         return json.dumps(document, indent=1, ensure_ascii=False) + "\n"
 

@@ -30,6 +30,7 @@ __all__ = ["MockDevice"]
 _LAUNCH_TIMEOUT_S = 60.0
 _ANSWER_TIMEOUT_S = 20.0
 _LINE_LIMIT = 64 * 1024 * 1024
+_STDERR_KEPT = 8192
 _EXHAUSTED = 75
 """Exit code of a launcher or device that has run out of something: EX_TEMPFAIL of ``sysexits.h``."""
 
@@ -142,7 +143,7 @@ class MockDevice:
                 start_new_session=True,
             )
             assert self._launcher.stderr is not None
-            self._stderr = asyncio.create_task(self._launcher.stderr.read(), name=f"otmcp-stderr-{self._name}")
+            self._stderr = asyncio.create_task(_end_of(self._launcher.stderr), name=f"otmcp-stderr-{self._name}")
             await self._ready()
         except (OSError, RuntimeError) as error:
             if (cure := exhausted(error)) is not None:
@@ -192,6 +193,11 @@ class MockDevice:
         reader, writer = await asyncio.open_unix_connection(ready["control"], limit=_LINE_LIMIT)
         self._control = _Control(reader, writer, self._name)
         self.running = True
+        if others := (await self.ask("alone"))["others"]:
+            raise KitError(
+                f"{others} other program(s) connected to the control channel of the {self._name} mock: nothing that it says can be "
+                "relied on; an adapter under test may have done this"
+            )
         await self.ask("pause")
 
     async def stop(self) -> None:
@@ -327,6 +333,14 @@ class MockDevice:
     async def tick(self, steps: int = 1) -> None:
         """Advance the simulation by ``steps`` seconds of plant time."""
         await self.ask("tick", steps=steps)
+
+
+async def _end_of(stream: asyncio.StreamReader) -> bytes:
+    """Read a stream to its end; return its last bytes."""
+    kept = b""
+    while block := await stream.read(_STDERR_KEPT):
+        kept = (kept + block)[-_STDERR_KEPT:]
+    return kept
 
 
 def _peer(told: Mapping[str, Any]) -> Peer:

@@ -5,10 +5,12 @@ With pytest-xdist the workers' results reach the controller as plain data on the
 
 from __future__ import annotations
 
+import fcntl
 import os
 import platform
 import secrets
 import shutil
+import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterable, Mapping
@@ -20,6 +22,7 @@ from typing import TYPE_CHECKING, cast
 
 from .. import __version__
 from ..core.errors import UsageError
+from ..core.exhaustion import exhausted
 from ..core.text import counted, printable
 from ..core.verdict import DeviationReport, ExitCode, Status, Verdict, decide, exit_code, judge_deviations
 from ..protocols.external import external_devices
@@ -53,8 +56,8 @@ class RunRecorder:
         begun: monotonic time at which the session began.
 
     Raises:
-        UsageError: the subject knows a deviation of an item that the suite does not have, or the report directory cannot be
-            made.
+        UsageError: the subject knows a deviation of an item that the suite does not have, nothing can be written to the report
+            directory, or another run writes to it.
     """
 
     def __init__(
@@ -81,11 +84,7 @@ class RunRecorder:
         self._begun = begun
         self._started = datetime.now(UTC)
         self._writer: RunWriter | None = None
-        try:
-            settings.report_dir.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            reason = error.strerror or type(error).__name__
-            raise UsageError(f"--otmcp-report-dir: {settings.report_dir} cannot be made: {reason}") from None
+        self._folder = _own(settings.report_dir)
         # Samples that a killed run has left.
         shutil.rmtree(settings.report_dir / SPOOLS, ignore_errors=True)
         # A deviation that no item can have is reported now, not after the run.
@@ -182,6 +181,10 @@ class RunRecorder:
             parts.append(f"{len(wanted)} of {counted(len(self.required), 'item')} did not run: {', '.join(wanted)}")
         return "; ".join(parts)
 
+    def close(self) -> None:
+        """Let other runs have the report directory."""
+        os.close(self._folder)
+
     @property
     def exit_code(self) -> ExitCode:
         """Exit code of the finished run."""
@@ -243,6 +246,30 @@ class RunRecorder:
             ),
             "devices": {name: device for facts in self._facts.values() for name, device in facts["devices"].items()},
         }
+
+
+def _own(directory: Path) -> int:
+    """Make the report directory this run's as long as the run lasts; return a descriptor of it, which holds the lock.
+
+    Raises:
+        UsageError: it cannot be made or written to, or it is another run's.
+    """
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=directory) as probe:
+            probe.write(b"a record must fit in here")
+        descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
+    except OSError as error:
+        reason = exhausted(error) or error.strerror or error
+        raise UsageError(f"--otmcp-report-dir: {directory} cannot be written to: {reason}") from None
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(descriptor)
+        raise UsageError(
+            f"--otmcp-report-dir: another run is writing to {directory}; wait for its end, or choose another directory"
+        ) from None
+    return descriptor
 
 
 def _instant(moment: datetime) -> str:

@@ -283,6 +283,7 @@ def _begin_recording(config: pytest.Config, subject: Any, tasks: list[Task], *, 
         )
     except UsageError as error:
         _refuse(error)
+    config.add_cleanup(config.stash[RECORDER].close)
     config.stash[PROGRESS] = Progress(config, tasks, settings.repetitions, workers=workers)
 
 

@@ -61,9 +61,12 @@ class Run:
         if self._loop is None or self._bench is None:
             from ..core.errors import KitError, UsageError
             from ..plant.devices import Plant
+            from ..session.keeper import hide_memory
             from ..session.loop import LoopThread
             from ..trial.gc_pause import settled
 
+            # What is judged is in this process's memory, and its environment is not for adapters.
+            hide_memory()
             wanted = self._adapters_needed()
             if self.starting is not None:
                 self.starting(0, len(wanted), len(wanted))
@@ -118,13 +121,20 @@ class Run:
             raise
 
     def _execute(self, task: Task, loop: LoopThread, bench: Bench) -> ItemResult:
+        from ..core.errors import ExhaustedError
+        from ..core.exhaustion import exhausted
         from ..record.writer import SampleSpool
         from ..trial.live_driver import LiveDriver
         from ..trial.trial import Trial
         from .results import Tally
 
         folder = self.settings.report_dir / SPOOLS
-        folder.mkdir(parents=True, exist_ok=True)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            # It was there when the run began.
+            reason = exhausted(error) or error.strerror
+            raise ExhaustedError(f"{folder} cannot be made any more: {reason}") from error
         # Plugins that repeat tests may execute the same item twice.
         spool = SampleSpool(folder / f"{task.id}-{uuid4().hex}.jsonl")
         tally, redactor = Tally(task.id, task.suite), self._redactor()

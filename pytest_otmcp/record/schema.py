@@ -464,7 +464,11 @@ class ItemDevice(TypedDict):
 
 
 class SessionRemark(TypedDict):
-    """The remarkable facts about a session apart from its replies, at the item's inspection of this number."""
+    """The remarkable facts about a session apart from its replies, at the item's inspection of this number.
+
+    ``unknown_ids``: of responses to requests that were never sent. ``repeated_ids``: of requests that were answered more than once.
+    ``too_deep``: how many messages were nested deeper than can be read.
+    """
 
     inspection: Count
     protocol: str
@@ -472,6 +476,8 @@ class SessionRemark(TypedDict):
     died: str | None
     overstayed: str | None
     unknown_ids: list[str]
+    repeated_ids: NotRequired[list[str]]
+    too_deep: NotRequired[Count]
     stray_lines: Count
     first_stray: str
 

@@ -16,6 +16,7 @@ import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 from .schema import Footer, Header, ItemHead, Sample
 
@@ -23,6 +24,7 @@ __all__ = ["ITEMS_LINE", "RunWriter", "SampleSpool", "dump", "laid_out"]
 
 ITEMS_LINE = b' "items": [\n'
 _BLOCK = 1 << 20
+_ITEM_END = b"\n  ]}"
 
 
 def dump(value: object) -> bytes:
@@ -77,6 +79,7 @@ class _Written:
     order: int
     begin: int
     end: int
+    digest: bytes
 
 
 class RunWriter:
@@ -92,7 +95,8 @@ class RunWriter:
         self._items: list[_Written] = []
         head = _head(header)
         self._end = len(head)
-        path.write_bytes(head + _unfinished(0))
+        with _new(path) as file:
+            file.write(head + _unfinished(0))
 
     def append(self, item: ItemHead, samples: Iterable[bytes]) -> None:
         """Add an item; the file is a valid record of an unfinished run when this returns.
@@ -106,13 +110,16 @@ class RunWriter:
         """
         head = (b",\n" if self._items else b"") + b"  " + dump(item)[:-1] + b', "samples": ['
         # Unbuffered, so that an interrupted write leaves whole lines before it.
-        with self._path.open("r+b", buffering=0) as file:
+        digest = hashlib.sha256(head.removeprefix(b",\n"))
+        with open(self._path, "r+b", buffering=0, opener=_no_link) as file:
             descriptor = file.fileno()
             try:
                 at = _write(descriptor, self._end, head)
                 for block in samples:
+                    digest.update(block)
                     at = _write(descriptor, at, block)
-                end = _write(descriptor, at, b"\n  ]}")
+                digest.update(_ITEM_END)
+                end = _write(descriptor, at, _ITEM_END)
                 _write(descriptor, end, _unfinished(len(self._items) + 1))
             except OSError:
                 footer = _unfinished(len(self._items))
@@ -120,15 +127,19 @@ class RunWriter:
                 file.truncate(self._end + len(footer))
                 raise
         begin = self._end + (2 if self._items else 0)
-        self._items.append(_Written(order=item["order"], begin=begin, end=end))
+        self._items.append(_Written(order=item["order"], begin=begin, end=end, digest=digest.digest()))
         self._end = end
 
     def finish(self, header: Header, footer: Footer) -> None:
-        """Seal the record: header and footer as now known, items in the suite's order. The file is replaced in one step."""
+        """Seal the record: header and footer as now known, items in the suite's order. The file is replaced in one step.
+
+        Raises:
+            OSError: it could not be written, or is not what was written before.
+        """
         fresh = self._path.with_suffix(".json.new")
         digest = hashlib.sha256()
         try:
-            with fresh.open("wb") as target, self._path.open("rb") as source:
+            with _new(fresh) as target, open(self._path, "rb", opener=_no_link) as source:
                 for block in self._sealed(source.fileno(), header, footer):
                     digest.update(block)
                     target.write(block)
@@ -143,8 +154,25 @@ class RunWriter:
         for index, item in enumerate(sorted(self._items, key=lambda item: item.order)):
             if index:
                 yield b",\n"
-            yield from _blocks(source, item.begin, item.end)
+            digest = hashlib.sha256()
+            for block in _blocks(source, item.begin, item.end):
+                digest.update(block)
+                yield block
+            if digest.digest() != item.digest:
+                # An adapter can write wherever its user can.
+                raise OSError("another program has changed it")
         yield b'\n ],\n "footer": ' + dump(footer)[:-1] + b",\n"
+
+
+def _no_link(path: str, flags: int) -> int:
+    """Open a file, but nothing that a symbolic link leads to: an adapter may have put it there."""
+    return os.open(path, flags | os.O_NOFOLLOW, 0o666)
+
+
+def _new(path: Path) -> BinaryIO:
+    """Make a file that did not exist before, in place of whatever is there."""
+    path.unlink(missing_ok=True)
+    return open(path, "xb", opener=_no_link)
 
 
 def _head(header: Header) -> bytes:

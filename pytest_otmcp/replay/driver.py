@@ -202,6 +202,8 @@ class ReplayDriver:
                 died=entry["died"],
                 overstayed=entry["overstayed"],
                 unknown_ids=tuple(entry["unknown_ids"]),
+                repeated_ids=tuple(entry.get("repeated_ids", ())),
+                too_deep=entry.get("too_deep", 0),
                 stray_lines=entry["stray_lines"],
                 first_stray=entry["first_stray"],
             )

@@ -61,6 +61,7 @@ def write_all(run: Run, directory: Path, names: Collection[str] = NAMES) -> dict
             _remove(path)
             continue
         try:
+            _unlink(path)
             getattr(import_module(f".{module}", __package__), function)(run, path)
         except Exception as error:
             # A record may have any content, and the other reports are still wanted.
@@ -69,8 +70,18 @@ def write_all(run: Run, directory: Path, names: Collection[str] = NAMES) -> dict
     return failed
 
 
+def _unlink(path: Path) -> None:
+    """Remove a report of that name, or the files of one that is a folder, so that nothing is written through a link."""
+    if path.is_dir() and not path.is_symlink():
+        for file in path.iterdir():
+            if file.is_symlink() or not file.is_dir():
+                file.unlink()
+    else:
+        path.unlink(missing_ok=True)
+
+
 def _remove(path: Path) -> None:
-    if path.is_dir():
+    if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path, ignore_errors=True)
     else:
         path.unlink(missing_ok=True)
@@ -88,7 +99,10 @@ def render(path: Path, terminal: Any, root: Path) -> None:
     from .console_lines import wrapped
 
     names = NAMES if whole(run) else [name for name in NAMES if name not in _OF_WHOLE_RUNS]
-    failed = write_all(run, path.parent, names)
+    try:
+        failed = write_all(run, path.parent, names)
+    except OSError as error:
+        failed = dict.fromkeys(names, error.strerror or str(error))
     verbosity, width = terminal.config.option.verbose, terminal._tw.fullwidth
     lines = summary(run, width, verbosity=verbosity, fold_verdict=terminal.isatty)
     for line, style in lines:

@@ -25,6 +25,7 @@ the specification gives for such keys (basic, "General fields"), and servers mus
 
 MAX_STRAY_LINES = 1000
 _KEPT_STRAY_LINES = 5
+_LONGEST_ID = 100
 
 
 @dataclass(slots=True)
@@ -44,13 +45,18 @@ class FrameRecorder:
     Attributes:
         stray_count, stray: lines that are no MCP message: how many, and the first few.
         unknown_ids: ids of responses to requests that were never sent.
+        repeated_ids: ids of requests that were answered more than once (JSON-RPC 2.0, section 5: one response for each).
+        too_deep: number of messages that are nested deeper than the client's parser reads.
         overflow: True when a message arrived that is longer than the kit accepts.
     """
 
     stray_count: int = 0
     stray: list[bytes] = field(default_factory=list)
     unknown_ids: list[str] = field(default_factory=list)
+    repeated_ids: list[str] = field(default_factory=list)
+    too_deep: int = 0
     overflow: bool = False
+    _answered: set[object] = field(default_factory=set)
     _pending: dict[int, Measurement] = field(default_factory=dict)
     _by_request_id: dict[object, Measurement] = field(default_factory=dict)
     _known_ids: set[object] = field(default_factory=set)
@@ -82,6 +88,10 @@ class FrameRecorder:
         try:
             message = jsonrpc_message_adapter.validate_json(frame)
         except ValidationError as error:
+            first = error.errors(include_url=False, include_context=False, include_input=False)[0]
+            if first["type"] == "json_invalid" and "recursion limit" in first["msg"]:
+                self.too_deep += 1
+                return error
             self.stray_count += 1
             if len(self.stray) < _KEPT_STRAY_LINES:
                 self.stray.append(frame)
@@ -91,8 +101,16 @@ class FrameRecorder:
             if measurement is not None:
                 measurement.response = frame
                 measurement.received_ns = now
-            elif message.id not in self._known_ids and len(self.unknown_ids) < _KEPT_STRAY_LINES:
-                self.unknown_ids.append(repr(message.id))
+            if message.id not in self._known_ids:
+                _keep(self.unknown_ids, message.id)
+            elif message.id in self._answered:
+                _keep(self.repeated_ids, message.id)
+            self._answered.add(message.id)
         elif not isinstance(message, JSONRPCRequest | JSONRPCNotification):
             return None
         return message
+
+
+def _keep(identifiers: list[str], identifier: object) -> None:
+    if len(identifiers) < _KEPT_STRAY_LINES:
+        identifiers.append(repr(identifier)[:_LONGEST_ID])

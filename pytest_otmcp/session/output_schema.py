@@ -137,7 +137,7 @@ class OutputCheck:
 
 def main() -> None:
     """Answer until standard input closes."""
-    from .prctl import die_with_parent
+    from .keeper import die_with_parent
 
     die_with_parent()
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))

@@ -1,34 +1,30 @@
-"""One subprocess of the subject: pipes with timestamps, stderr tail, process group, steps of stopping it.
+"""One subprocess of the subject: pipes with timestamps, stderr tail, steps of stopping it.
 
-This module knows operating systems (groups, signals, pipes); it does not know MCP. Every other module may
-assume that no process of a stopped subject is left running, including children that it forked.
+This module knows pipes and what ends a process; it does not know MCP. Every other module may
+assume that no process of a stopped subject is left running, including whatever it started (see ``keeper``).
 """
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import errno
 import os
-import signal
-import sys
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AsyncExitStack, suppress
 from dataclasses import dataclass
+from io import FileIO
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
-from ..core.errors import ExhaustedError, KitError
+from ..core.errors import ExhaustedError
 from ..core.exhaustion import exhausted
+from .keeping import Watcher
 
 __all__ = ["MAX_FRAME_BYTES", "StopReport", "SubjectProcess", "subject_environment"]
 
 MAX_FRAME_BYTES = 16 * 1024 * 1024
 """Length of the longest line on stdout that is read to its end; no OT reply has a reason to be longer."""
-
-_OF_THE_COMMAND = (errno.ENOENT, errno.EACCES, errno.ENOEXEC, errno.ENOTDIR)
-"""What the system says when the command is wrong; whatever else it says is about the kit's machine."""
 
 _SETTLE_S = 3.0
 _STDERR_LINES = 60
@@ -63,37 +59,47 @@ class StopReport:
             request) or ``killed`` (SIGKILL).
         seconds: time from the first request to the exit.
         returncode: exit code, negative for a signal, as in :mod:`subprocess`.
+        left: names of the processes that it had started and that still ran as long after the end of its stdin as it
+            may run itself; they have been killed.
     """
 
     how: str
     seconds: float
     returncode: int | None
+    left: Sequence[str] = ()
 
 
-class _Pipes(asyncio.SubprocessProtocol):
-    """The pipes of a process: stdout is cut into lines, each stamped with the time at which its last byte was read."""
+class _Pipe(asyncio.Protocol):
+    """One pipe of a process; what is read from it, and its end, is handed on."""
+
+    def __init__(self, received: Callable[[bytes], None], closed: Callable[[], None]) -> None:
+        self._received = received
+        self._closed = closed
+
+    def data_received(self, data: bytes) -> None:
+        self._received(data)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._closed()
+
+
+class _Pipes:
+    """The output of a process: stdout is cut into lines, each stamped with the time at which its last byte was read."""
 
     def __init__(self, on_line: Callable[[int, bytes], None], on_overflow: Callable[[int], None]) -> None:
         self._on_line = on_line
         self._on_overflow = on_overflow
         self._partial = bytearray()
-        self._overflown = False
+        self.overflown = False
         self.stderr: deque[str] = deque(maxlen=_STDERR_LINES)
         self._stderr_partial = b""
-        self.exited = asyncio.Event()
         self.stdout_closed = asyncio.Event()
         self.stderr_closed = asyncio.Event()
 
-    def pipe_data_received(self, fd: int, data: bytes | str) -> None:
-        assert isinstance(data, bytes)
-        if fd == 1:
-            self._stdout(time.monotonic_ns(), data)
-        else:
-            self._stderr(data)
-
-    def _stdout(self, now: int, data: bytes) -> None:
-        if self._overflown:
+    def read_stdout(self, data: bytes) -> None:
+        if self.overflown:
             return
+        now = time.monotonic_ns()
         start = 0
         while (end := data.find(b"\n", start)) >= 0:
             self._partial += data[start:end]
@@ -102,37 +108,35 @@ class _Pipes(asyncio.SubprocessProtocol):
             self._on_line(now, line)
         self._partial += data[start:]
         if len(self._partial) > MAX_FRAME_BYTES:
-            self._overflown = True
+            self.overflown = True
             self._partial.clear()
             self._on_overflow(now)
 
-    def _stderr(self, data: bytes) -> None:
+    def read_stderr(self, data: bytes) -> None:
         *lines, rest = (self._stderr_partial + data).split(b"\n")
         self._stderr_partial = rest[-_STDERR_LINE_BYTES:]
         # Only the newest lines are kept, so the others of a large chunk need not be decoded.
         for line in lines[-_STDERR_LINES:]:
             self.stderr.append(line[:_STDERR_LINE_BYTES].decode("utf-8", "replace").rstrip("\r"))
 
-    def pipe_connection_lost(self, fd: int, exc: Exception | None) -> None:
-        if fd == 1:
-            self.stdout_closed.set()
-        elif fd == 2:
-            if self._stderr_partial:
-                self.stderr.append(self._stderr_partial.decode("utf-8", "replace"))
-                self._stderr_partial = b""
-            self.stderr_closed.set()
-
-    def process_exited(self) -> None:
-        self.exited.set()
+    def end_of_stderr(self) -> None:
+        if self._stderr_partial:
+            self.stderr.append(self._stderr_partial.decode("utf-8", "replace"))
+            self._stderr_partial = b""
+        self.stderr_closed.set()
 
 
 class SubjectProcess:
     """Running process of a subject. Create it with :meth:`start`, end it with :meth:`stop`."""
 
-    def __init__(self, transport: asyncio.SubprocessTransport, pipes: _Pipes) -> None:
-        self._transport = transport
+    def __init__(
+        self, watcher: Watcher, stdin: asyncio.WriteTransport, output: Sequence[asyncio.BaseTransport], pipes: _Pipes
+    ):
+        self._watcher = watcher
+        self._stdin = stdin
+        self._output = output
         self._pipes = pipes
-        self.pid: int = transport.get_pid()
+        self.root = watcher.root
 
     @classmethod
     async def start(
@@ -144,7 +148,7 @@ class SubjectProcess:
         on_line: Callable[[int, bytes], None],
         on_overflow: Callable[[int], None],
     ) -> SubjectProcess:
-        """Start ``command`` in a process group of its own.
+        """Start ``command`` in a session of its own, below a watcher.
 
         Args:
             command: argument vector; no shell is involved.
@@ -157,29 +161,34 @@ class SubjectProcess:
             OSError: the command cannot be executed.
             KitError: no process could be started, for a reason that is not the command's.
         """
-        loop = asyncio.get_running_loop()
-        options: dict[str, Any] = {"start_new_session": True} if os.name == "posix" else {}
-        try:
-            transport, pipes = await loop.subprocess_exec(
-                lambda: _Pipes(on_line, on_overflow), *command, env=dict(env), cwd=cwd, **options
-            )
-        except Exception as error:
-            if (cure := exhausted(error)) is not None:
-                raise ExhaustedError(f"the adapter could not be started: {cure}") from error
-            if isinstance(error, OSError) and error.errno not in _OF_THE_COMMAND:
-                raise KitError(f"the adapter could not be started: {error}") from error
-            raise
-        return cls(transport, pipes)
+        pipes = _Pipes(on_line, on_overflow)
+        async with AsyncExitStack() as undo:
+            try:
+                theirs, ours = _streams(undo)
+            except OSError as error:
+                if (cure := exhausted(error)) is not None:
+                    raise ExhaustedError(f"the adapter could not be started: {cure}") from error
+                raise
+            watcher = await Watcher.start(command, env=env, cwd=cwd, streams=[file.fileno() for file in theirs])
+            undo.push_async_callback(watcher.close)
+            for file in theirs:
+                file.close()
+            loop = asyncio.get_running_loop()
+            stdin, _ = await loop.connect_write_pipe(asyncio.BaseProtocol, ours[0])
+            stdout, _ = await loop.connect_read_pipe(lambda: _Pipe(pipes.read_stdout, pipes.stdout_closed.set), ours[1])
+            stderr, _ = await loop.connect_read_pipe(lambda: _Pipe(pipes.read_stderr, pipes.end_of_stderr), ours[2])
+            undo.pop_all()
+        return cls(watcher, stdin, (stdin, stdout, stderr), pipes)
 
     @property
     def returncode(self) -> int | None:
         """Exit code, or None while the process runs."""
-        return self._transport.get_returncode()
+        return self._watcher.returncode
 
     @property
     def exited(self) -> asyncio.Event:
         """Event that is set when the process has ended."""
-        return self._pipes.exited
+        return self._watcher.exited
 
     @property
     def stdout_closed(self) -> asyncio.Event:
@@ -193,11 +202,16 @@ class SubjectProcess:
     async def settle(self) -> None:
         """Wait for a short time, after stdout was closed, until the exit code is known and stderr has been read to its end."""
         # The pipes of a process that ends are closed before its exit code is available.
-        if not await self._wait_for_exit(_SETTLE_S):
-            return
-        # A child that lives on may keep the pipe open.
-        with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(self._pipes.stderr_closed.wait(), _SETTLE_S)
+        if await _within(_SETTLE_S, self._watcher.exited):
+            # A child that lives on may keep the pipe open.
+            await _within(_SETTLE_S, self._pipes.stderr_closed)
+
+    def stop_reading(self) -> None:
+        """Read no more of stdout: what comes now is a flood."""
+        self._pipes.overflown = True
+        stdout = cast(asyncio.ReadTransport, self._output[1])
+        if not stdout.is_closing():
+            stdout.pause_reading()
 
     def write(self, data: bytes) -> None:
         """Write bytes to stdin, at once unless the pipe is full.
@@ -205,49 +219,58 @@ class SubjectProcess:
         Raises:
             BrokenPipeError: stdin is closed.
         """
-        stdin = self._transport.get_pipe_transport(0)
-        if stdin is None or stdin.is_closing():
+        if self._stdin.is_closing():
             raise BrokenPipeError("the adapter's stdin is closed")
-        cast(asyncio.WriteTransport, stdin).write(data)
+        self._stdin.write(data)
 
     async def stop(self, *, grace_s: float, reads_stdin: bool = True) -> StopReport:
         """End the process as the MCP specification describes (stdio, shutdown): close stdin, wait, SIGTERM, wait,
-        SIGKILL; then kill the rest of its process group.
+        SIGKILL; then kill the rest of what it has started.
 
         Args:
             grace_s: seconds to wait after closing stdin, and after SIGTERM.
             reads_stdin: True when the process takes the end of its stdin as a request to end; else SIGTERM is the first.
         """
         begun = time.monotonic()
+        exited = self._watcher.exited
         if self._pipes.stdout_closed.is_set():
             # stdout closes a moment before the process can be reaped, so this process was ending before it was asked to.
-            await self._wait_for_exit(grace_s)
-        how = "exited" if self._pipes.exited.is_set() else "killed"
+            await _within(grace_s, exited)
+        how = "exited" if exited.is_set() else "killed"
         if how != "exited":
-            stdin = self._transport.get_pipe_transport(0)
-            if stdin is not None:
-                stdin.close()
-            if reads_stdin and await self._wait_for_exit(grace_s):
+            self._stdin.close()
+            if reads_stdin and await _within(grace_s, exited):
                 how = "eof"
             else:
-                self._signal(signal.SIGTERM)
-                if await self._wait_for_exit(grace_s):
+                self._watcher.terminate()
+                if await _within(grace_s, exited):
                     how = "terminated" if reads_stdin else "signalled"
         seconds = time.monotonic() - begun
-        # Children of a gracefully ended subject may live on: the group gets SIGKILL in every case.
-        self._signal(signal.SIGKILL if os.name == "posix" else signal.SIGTERM)
-        await self._wait_for_exit(5.0)
-        self._transport.close()
-        return StopReport(how=how, seconds=seconds, returncode=self.returncode)
+        if how == "eof":
+            # What the adapter has started has as much time to end as the adapter itself.
+            await _within(grace_s - seconds, self._watcher.empty)
+        left = await self._watcher.close()
+        for transport in self._output:
+            transport.close()
+        return StopReport(how=how, seconds=seconds, returncode=self.returncode, left=left if how == "eof" else [])
 
-    async def _wait_for_exit(self, timeout_s: float) -> bool:
-        with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(self._pipes.exited.wait(), timeout_s)
-        return self._pipes.exited.is_set()
 
-    def _signal(self, number: signal.Signals) -> None:
-        with contextlib.suppress(ProcessLookupError, PermissionError):
-            if sys.platform != "win32":
-                os.killpg(self.pid, number)
-            elif self.returncode is None:
-                self._transport.terminate()
+def _streams(undo: AsyncExitStack) -> tuple[list[FileIO], list[FileIO]]:
+    """Return the adapter's ends of its standard streams, and the kit's."""
+    theirs: list[FileIO] = []
+    ours: list[FileIO] = []
+    for number in range(3):
+        read, write = os.pipe()
+        ends = os.fdopen(read, "rb", 0), os.fdopen(write, "wb", 0)
+        for end in ends:
+            undo.enter_context(end)
+        theirs.append(ends[number > 0])
+        ours.append(ends[number == 0])
+    return theirs, ours
+
+
+async def _within(seconds: float, event: asyncio.Event) -> bool:
+    """Wait for an event so long; tell whether it came."""
+    with suppress(TimeoutError):
+        await asyncio.wait_for(event.wait(), max(0.0, seconds))
+    return event.is_set()

@@ -261,9 +261,9 @@ class McpSession:
 
     @property
     def pid(self) -> int | None:
-        """Number of the process; None as long as it has not been started."""
+        """Number of the process from which everything descends that the subject starts; None as long as there is none."""
         process = self._transport.process
-        return None if process is None else process.pid
+        return None if process is None else process.root
 
     @property
     def died(self) -> bool:
@@ -292,6 +292,15 @@ class McpSession:
     def unknown_responses(self) -> list[str]:
         """Return the ids of responses to requests that were never sent."""
         return list(self._recorder.unknown_ids)
+
+    def repeated_responses(self) -> list[str]:
+        """Return the ids of requests that were answered more than once."""
+        return list(self._recorder.repeated_ids)
+
+    @property
+    def too_deep(self) -> int:
+        """Number of messages that are nested deeper than can be read."""
+        return self._recorder.too_deep
 
     @property
     def overflow(self) -> bool:

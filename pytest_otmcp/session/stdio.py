@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 __all__ = ["StdioTransport"]
 
+_PASSED_ON = 5
+
 
 class StdioTransport:
     """Process of the subject and carrier of messages to and from it, for one session."""
@@ -82,7 +84,14 @@ class StdioTransport:
                     await stream.aclose()
 
     async def _watch_end(self, process: SubjectProcess) -> None:
-        await process.stdout_closed.wait()
+        ends = [asyncio.create_task(event.wait()) for event in (process.stdout_closed, process.exited)]
+        try:
+            await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
+            # What a process has written before it ended is read first; a child that it leaves may keep its stdout open.
+            await process.settle()
+        finally:
+            for end in ends:
+                end.cancel()
         self._incoming.put_nowait(None)
 
     async def _pump_in(self, to_client: anyio.abc.ObjectSendStream[SessionMessage | Exception]) -> None:
@@ -109,14 +118,20 @@ class StdioTransport:
     def _receive_line(self, now: int, line: bytes) -> None:
         message = self._recorder.received(now, line.rstrip(b"\r"))
         if isinstance(message, ValidationError):
-            if self._recorder.stray_count <= MAX_STRAY_LINES:
+            # The client takes it as an error and says so in its log; a few are enough.
+            if self._recorder.stray_count <= _PASSED_ON:
                 self._incoming.put_nowait(message)
             if self._recorder.stray_count == MAX_STRAY_LINES:
                 # The session does not wait for the end of a flood: it ends here, and the finding says why.
-                self._incoming.put_nowait(None)
+                self._end_reading()
         elif message is not None:
             self._incoming.put_nowait(SessionMessage(message))
 
     def _end_at_overflow(self, now: int) -> None:
         self._recorder.overflow = True
+        self._end_reading()
+
+    def _end_reading(self) -> None:
+        if self.process is not None:
+            self.process.stop_reading()
         self._incoming.put_nowait(None)

@@ -28,9 +28,11 @@ class SessionFacts:
     Attributes:
         protocol: whose session it is.
         overflow: a message arrived that was longer than the kit accepts.
-        died: words for how the adapter ended although nobody asked it to; or None.
+        died: words for how the adapter ended although nobody asked it to; or None. Only determined when a session ends.
         overstayed: words for how it was made to end, as it did not exit when its stdin was closed; or None.
-        unknown_ids: ids of responses to requests that were never sent. Like ``died`` only determined when a session ends.
+        unknown_ids: ids of responses to requests that were never sent.
+        repeated_ids: ids of requests that were answered more than once.
+        too_deep: how many messages were nested deeper than can be read.
         stray_lines: how many lines on stdout were no MCP message.
         first_stray: the first of them.
     """
@@ -40,17 +42,20 @@ class SessionFacts:
     died: str | None = None
     overstayed: str | None = None
     unknown_ids: tuple[str, ...] = ()
+    repeated_ids: tuple[str, ...] = ()
+    too_deep: int = 0
     stray_lines: int = 0
     first_stray: str = ""
 
     @property
     def remarkable(self) -> bool:
         """At least one of the facts deviates from a clean session."""
-        return bool(self.overflow or self.died or self.overstayed or self.unknown_ids or self.stray_lines)
+        ids = self.unknown_ids or self.repeated_ids
+        return bool(self.overflow or self.died or self.overstayed or ids or self.too_deep or self.stray_lines)
 
     def as_record(self, inspection: int) -> SessionRemark:
         """Return the facts as an item has them, with the number of the inspection."""
-        return {
+        remark: SessionRemark = {
             "inspection": inspection,
             "protocol": self.protocol,
             "overflow": self.overflow,
@@ -60,6 +65,11 @@ class SessionFacts:
             "stray_lines": self.stray_lines,
             "first_stray": self.first_stray,
         }
+        if self.repeated_ids:
+            remark["repeated_ids"] = list(self.repeated_ids)
+        if self.too_deep:
+            remark["too_deep"] = self.too_deep
+        return remark
 
 
 class ItemHistory(TypedDict):

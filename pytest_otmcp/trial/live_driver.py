@@ -9,6 +9,7 @@ from dataclasses import replace
 from datetime import UTC, datetime
 
 from ..core.errors import SubjectError
+from ..core.text import printable
 from ..core.verdict import Status
 from ..protocols.journal import Entries
 from ..protocols.protocol import Declared
@@ -129,7 +130,7 @@ class LiveDriver:
                     protocol=state.under_test.adapter.protocol,
                     stray_lines=session.stray_lines,
                     first_stray=session.first_stray,
-                    overstayed=_overstayed(report) if report is not None and late else None,
+                    overstayed=_overstayed(report) if report is not None and late else _left(report),
                 )
                 if facts.remarkable:
                     found.append(facts)
@@ -154,7 +155,12 @@ class LiveDriver:
                 continue
             lines, first = session.stray_output()
             facts = SessionFacts(
-                protocol=state.under_test.adapter.protocol, stray_lines=lines, first_stray=first[0] if lines else ""
+                protocol=state.under_test.adapter.protocol,
+                unknown_ids=tuple(session.unknown_responses()),
+                repeated_ids=tuple(session.repeated_responses()),
+                too_deep=session.too_deep,
+                stray_lines=lines,
+                first_stray=first[0] if lines else "",
             )
             if ending:
                 died = session.died and not session.overflow
@@ -162,7 +168,6 @@ class LiveDriver:
                     facts,
                     overflow=session.overflow,
                     died=await session.death_note() if died else None,
-                    unknown_ids=tuple(session.unknown_responses()),
                 )
             if facts.remarkable:
                 found.append(facts)
@@ -212,6 +217,12 @@ def _overstayed(report: StopReport) -> str:
         f"with writes disabled the adapter did not exit within {report.seconds:.1f} s of its stdin closing and had to be "
         f"{report.how}"
     )
+
+
+def _left(report: StopReport | None) -> str | None:
+    if report is None or not report.left:
+        return None
+    return f"the adapter ended and left processes running, which had to be killed: {printable(', '.join(report.left))}"
 
 
 def _instant(moment: datetime) -> str:

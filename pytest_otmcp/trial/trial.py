@@ -258,6 +258,12 @@ class Trial:
                 self._note("does_not_exit", facts.overstayed, "MCP-009")
             for identifier in facts.unknown_ids:
                 self._note("unknown_id", f"a response carries the id {identifier}, which no request had", "MCP-001")
+            if facts.repeated_ids:
+                said = f"{facts.protocol}: a request was answered more than once, the first: id {facts.repeated_ids[0]}"
+                self._note("repeated_response", said, "MCP-001")
+            if facts.too_deep:
+                said = f"{facts.protocol}: {facts.too_deep} message(s) nested more deeply than the MCP client reads"
+                self._note("frame_too_deep", said, "MCP-001")
             if facts.stray_lines:
                 count, first = facts.stray_lines, facts.first_stray
                 message = f"{count} line(s) on stdout that are no MCP message, the first: {first!r}"

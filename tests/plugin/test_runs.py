@@ -201,6 +201,20 @@ def test_a_parallel_run_that_is_ended_leaves_nothing_running(repository: Reposit
     assert all_end(running)
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("parallel", [(), ("-n", "2", "-p", "xdist.plugin")])
+def test_a_killed_run_leaves_nothing_running(
+    repository: Repository, waiting: socket.socket, parallel: tuple[str, ...]
+) -> None:
+    repository.subject("write_register", "3", port_of(waiting), program=WAITING)
+    with started(repository, "--otmcp-reps=3", "-k", "normal and (M1 or M2 or M3)", *parallel) as process:
+        connection, _ = waiting.accept()
+        with connection:
+            running = descendants(process)
+            process.kill()
+            assert all_end(running)
+
+
 AT_A_MOMENT = """
 import os, signal
 

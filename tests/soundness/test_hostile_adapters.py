@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import re
+import secrets
 import sys
+from collections.abc import Iterator
 
+import psutil
 import pytest
 
 from .conftest import HERE, IMPATIENT, Judge, failing, words
@@ -12,9 +15,23 @@ from .conftest import HERE, IMPATIENT, Judge, failing, words
 LONG = pytest.mark.long
 
 
-def hostile(kind: str) -> tuple[str, ...]:
+@pytest.fixture
+def token() -> Iterator[str]:
+    """A word in the command line of whatever a hostile adapter starts; nothing that has it outlives the test."""
+    word = secrets.token_hex(8)
+    yield word
+    left = [process for process in psutil.process_iter(["cmdline"]) if word in (process.info["cmdline"] or ())]
+    assert left == []
+
+
+def hostile(kind: str, token: str) -> tuple[str, ...]:
     """Return the command of a hostile adapter, which is started as a vendor's adapter is."""
-    return (sys.executable, str(HERE / "hostile.py"), kind)
+    return (sys.executable, str(HERE / "hostile.py"), kind, token)
+
+
+LEFT = r"the adapter ended and left processes running, which had to be killed: python"
+NOTHING_WRONG = r"the device should have answered at least 1 request\(s\) during the call\(s\), it saw none"
+"""All that there is to say of it: it never asks the device."""
 
 
 @pytest.mark.parametrize(
@@ -25,11 +42,67 @@ def hostile(kind: str) -> tuple[str, ...]:
         pytest.param("slow-references", r"the outputSchema of tool ping cannot be checked within 5 s", marks=LONG),
         pytest.param("endless-reference", r"nested too deeply", marks=LONG),
         pytest.param("foreign-reference", r"Unresolvable: http://127\.0\.0\.1:9/schema\.json", marks=LONG),
+        pytest.param("contradicts-itself", r"a request was answered more than once, the first: id \d"),
+        pytest.param("contradicts-itself-later", r"a request was answered more than once", marks=LONG),
+        pytest.param("says-it-twice", r"a request was answered more than once", marks=LONG),
+        pytest.param("deep", r"1 message\(s\) nested more deeply than the MCP client reads", marks=LONG),
+        pytest.param("very-deep", r"1 message\(s\) nested more deeply than the MCP client reads", marks=LONG),
+        pytest.param("noise-in-call", r"on stdout that are no MCP message.*I am the spindle", marks=LONG),
+        pytest.param("stdout-noise", r"floods stdout with lines that are no MCP messages", marks=LONG),
+        pytest.param("stdout-without-newline", r"sent a line of more than 16 MiB during its handshake", marks=LONG),
+        pytest.param("stderr-without-newline", NOTHING_WRONG, marks=LONG),
+        pytest.param("notifications-in-call", r"no reply within the deadline", marks=LONG),
+        pytest.param("progress-in-call", r"no reply within the deadline", marks=LONG),
+        pytest.param("trickles", r"no reply within the deadline", marks=LONG),
+        pytest.param("large-reply", NOTHING_WRONG, marks=LONG),
+        pytest.param("large-text", NOTHING_WRONG, marks=LONG),
+        pytest.param("not-utf-8", r"no reply within the deadline", marks=LONG),
+        pytest.param("lone-surrogate", NOTHING_WRONG, marks=LONG),
+        pytest.param("long-number", r"no reply within the deadline|not strict JSON", marks=LONG),
+        pytest.param("null-id", r"no reply within the deadline", marks=LONG),
+        pytest.param("text-id", r"a response carries the id '\d", marks=LONG),
+        pytest.param("duplicate-keys", r"not strict JSON", marks=LONG),
+        pytest.param("crlf", NOTHING_WRONG, marks=LONG),
+        pytest.param("asks-back", NOTHING_WRONG, marks=LONG),
+        pytest.param("crashes-in-initialize", r"was killed by signal 11 during its handshake", marks=LONG),
+        pytest.param("bad-protocol-version", r"handshake failed: .*1492-10-12", marks=LONG),
+        pytest.param("closes-stdout", r"handshake", marks=LONG),
+        pytest.param("ignores-sigterm-in-initialize", r"did not finish its handshake within", marks=LONG),
+        pytest.param("pages-for-ever", r"did not finish its handshake within", marks=LONG),
+        pytest.param("pages-in-a-circle", r"did not finish its handshake within", marks=LONG),
+        pytest.param("many-tools", r"ping", marks=LONG),
+        pytest.param("nameless-tool", r"handshake failed", marks=LONG),
+        pytest.param("long-description", NOTHING_WRONG, marks=LONG),
         pytest.param("bad-pattern", r"is not a 'regex'", marks=LONG),
     ],
 )
-def test_the_finding_says_what_the_adapter_did(judge: Judge, kind: str, expected: str) -> None:
-    results = judge("modbus", command=hostile(kind), tasks="M1", time_scale=IMPATIENT)
+def test_the_finding_says_what_the_adapter_did(judge: Judge, token: str, kind: str, expected: str) -> None:
+    results = judge("modbus", command=hostile(kind, token), tasks="M1", time_scale=IMPATIENT)
     assert failing(results) == {"M1"}
     assert results["M1"]["status"] == "FAIL"
     assert re.search(expected, words(results), re.DOTALL | re.IGNORECASE), words(results)
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        pytest.param("many-children", marks=LONG),
+        pytest.param("daemon", marks=LONG),
+        pytest.param("daemon-with-pipes", marks=LONG),
+        "daemon-of-a-daemon",
+        pytest.param("daemon-ignores-signals", marks=LONG),
+        pytest.param("forks-when-it-ends", marks=LONG),
+        pytest.param("never-ends", marks=LONG),
+        pytest.param("kills-its-parent", marks=LONG),
+    ],
+)
+def test_nothing_that_an_adapter_starts_outlives_its_session(judge: Judge, token: str, kind: str) -> None:
+    results = judge("modbus", command=hostile(kind, token), tasks="M1", time_scale=0.2)
+    assert results["M1"]["status"] == "FAIL"
+
+
+@LONG
+@pytest.mark.parametrize("kind", ["daemon", "daemon-of-a-daemon", "forks-when-it-ends", "many-children"])
+def test_what_an_adapter_leaves_running_is_told(judge: Judge, token: str, kind: str) -> None:
+    results = judge("modbus", command=hostile(kind, token), tasks="R-modbus", time_scale=0.2)
+    assert re.search(LEFT, words(results)), words(results)
