@@ -110,7 +110,7 @@ def test_a_connection_that_the_kit_could_not_accept_makes_its_item_a_fault_of_th
 
 def test_a_record_that_does_not_fit_on_the_disk_ends_the_run_in_one_sentence(empty_repository: Repository) -> None:
     # The samples of one call are smaller than the limit; the record with its header is not.
-    outcome = run(empty_repository, resource.RLIMIT_FSIZE, 10_000, "--otmcp-reps=1", "-k", "[M1]")
+    outcome = run(empty_repository, resource.RLIMIT_FSIZE, 6_000, "--otmcp-reps=1", "-k", "[M1]")
     assert outcome.code == 3
     words = " ".join(outcome.output.split())
     assert (
