@@ -63,7 +63,9 @@ _ONE_LINE = r"^(?![\s\S]*[\u0000-\u001f\u007f-\u009f])"
 # The end of a text, alike in Python's and ECMAScript's regular expressions: "$" in Python also matches before a line feed.
 _END = r"(?![\s\S])"
 
-_RFC_3339 = rf"^[0-9]{{4}}-[01][0-9]-[0-3][0-9]T[0-2][0-9]:[0-5][0-9]:[0-6][0-9](\.[0-9]+)?(Z|[+-][0-9]{{2}}:[0-9]{{2}}){_END}"
+_RFC_3339 = (
+    rf"^[0-9]{{4}}-[01][0-9]-[0-3][0-9]T[0-2][0-9]:[0-5][0-9]:[0-6][0-9](\.[0-9]+)?(Z|[+-][0-9]{{2}}:[0-9]{{2}}){_END}"
+)
 _IN_WORDS = {_ONE_LINE: "has a control character", _RFC_3339: "is no time as RFC 3339 has it"}
 
 Name = Annotated[str, msgspec.Meta(pattern=_ONE_LINE, max_length=1000)]

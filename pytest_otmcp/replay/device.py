@@ -79,7 +79,9 @@ class DeviceHistory:
         """
         begin = self.cursor.next
         if until < begin:
-            raise HistoryError(f"the journal of {self.name} was taken up to entry {begin}, the record goes back to {until}")
+            raise HistoryError(
+                f"the journal of {self.name} was taken up to entry {begin}, the record goes back to {until}"
+            )
         found = [entry["seq"] for entry in entries]
         if len(found) != until - begin or any(seq != begin + index for index, seq in enumerate(found)):
             wanted = f"the entries {begin} to {until - 1}" if until > begin else "no entries"
