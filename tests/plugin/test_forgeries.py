@@ -58,7 +58,7 @@ def test_the_genuine_record_is_verified(genuine: Record, tmp_path: Path) -> None
 
 def test_the_subject_file_of_the_run_is_that_of_the_record(path: Path) -> None:
     said = examine(path, subject=path.parents[2] / "otmcp.toml").said
-    assert said[2].startswith("the subject, its claims, deadlines and bindings are those of ")
+    assert said[-1].startswith("the subject, its claims, deadlines and bindings are those of ")
 
 
 def test_another_subject_file_is_refused(genuine: Record, path: Path, tmp_path: Path) -> None:
