@@ -36,7 +36,7 @@ class Bounds:
         processor_s: seconds of the processor.
     """
 
-    memory_mb: int = 2048
+    memory_mb: int = 1024
     processor_s: int = 60
 
     def __str__(self) -> str:

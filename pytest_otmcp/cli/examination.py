@@ -113,9 +113,13 @@ def _derived(
     said = list(_of_record(run, tasks, why_none) if certified is None else _of_certificate(run, tasks))
     if subject is not None:
         said.append(f"the subject, its claims, deadlines and bindings are those of {subject}")
-    if judges := [entry for entry in run["kit"]["protocols"] if entry["digest"] is not None]:
-        named = ", ".join(f"{entry['key']}: {entry['distribution']} {entry['version']}" for entry in judges)
-        said.append(f"judged by other packages than the kit, too: {named}")
+    judges = [
+        f"protocol {entry['key']}: {entry['distribution']} {entry['version']}"
+        for entry in run["kit"]["protocols"]
+        if entry["digest"] is not None and entry["key"] in run["subject"]["adapters"]
+    ]
+    if judges:
+        said.append(f"judged by other packages than the kit, too: {', '.join(judges)}")
     statuses = {item["id"]: Status(item["status"]) for item in run["items"]}
     return Examined(said=[_cut(sentence) for sentence in said], code=int(exit_code(decide(statuses, tasks))))
 

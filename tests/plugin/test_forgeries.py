@@ -56,6 +56,18 @@ def test_the_genuine_record_is_verified(genuine: Record, tmp_path: Path) -> None
     assert said[0].endswith("16 of 16 repetitions passed, and judging them again found the same")
 
 
+def test_the_subject_file_of_the_run_is_that_of_the_record(path: Path) -> None:
+    said = examine(path, subject=path.parents[2] / "otmcp.toml").said
+    assert said[-1].startswith("the subject, its claims, deadlines and bindings are those of ")
+
+
+def test_another_subject_file_is_refused(genuine: Record, path: Path, tmp_path: Path) -> None:
+    changed = tmp_path / "otmcp.toml"
+    changed.write_bytes((path.parents[2] / "otmcp.toml").read_bytes() + b"\n")
+    with pytest.raises(Refusal, match=r"is not about \S+otmcp\.toml: the digest of the subject is sha256:"):
+        examine(store(tmp_path / "run.json", genuine, recount=True), subject=changed)
+
+
 # -- places in a record ---------------------------------------------------------------------------------------------------
 
 

@@ -1,0 +1,132 @@
+"""Signatures of certificates, by the real ssh-keygen, with keys that are made for the test."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from pytest_otmcp.cli import main
+from pytest_otmcp.cli.signature import NAMESPACE, sign, signer
+
+pytestmark = pytest.mark.skipif(shutil.which("ssh-keygen") is None, reason="ssh-keygen is not installed")
+
+WHO = "release@acme.example"
+
+
+def new_key(path: Path) -> Path:
+    command = ["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", str(path)]
+    subprocess.run(command, check=True, timeout=60)
+    return path
+
+
+@pytest.fixture
+def key(tmp_path: Path) -> Path:
+    return new_key(tmp_path / "key")
+
+
+@pytest.fixture
+def trust(tmp_path: Path, key: Path) -> Path:
+    """A file of trusted signers that names the key."""
+    file = tmp_path / "allowed_signers"
+    file.write_text(f'{WHO} namespaces="{NAMESPACE}" {key.with_suffix(".pub").read_text()}')
+    return file
+
+
+@pytest.fixture
+def certificate(tmp_path: Path) -> Path:
+    file = tmp_path / "certificate.json"
+    file.write_text("{}")
+    return file
+
+
+Told = pytest.CaptureFixture[str]
+
+
+def refused(told: Told, *options: object) -> str:
+    code = main(["verify", *map(str, options)])
+    sentence = told.readouterr().err
+    assert sentence.count("\n") == 1
+    return f"{code}: {sentence}"
+
+
+def test_a_signature_names_its_signer(certificate: Path, key: Path, trust: Path) -> None:
+    signature = sign(certificate, key)
+    assert signature.name == "certificate.json.sig"
+    assert signer(certificate.read_bytes(), signature.read_bytes(), trust) == WHO
+
+
+def test_anybody_can_check_it_with_ssh_keygen_alone(certificate: Path, key: Path, trust: Path) -> None:
+    command = [
+        "ssh-keygen",
+        "-Y",
+        "verify",
+        "-f",
+        str(trust),
+        "-I",
+        WHO,
+        "-n",
+        NAMESPACE,
+        "-s",
+        str(sign(certificate, key)),
+    ]
+    subprocess.run(command, input=certificate.read_bytes(), check=True, timeout=60)
+
+
+def test_another_content_is_not_signed(certificate: Path, key: Path, trust: Path, capsys: Told) -> None:
+    sign(certificate, key)
+    certificate.write_text('{"awarded": "Gold"}')
+    sentence = refused(capsys, certificate, certificate, "--trust", trust)
+    assert sentence.startswith(f"1: otmcp: refused: the signature of {WHO} does not hold for this certificate: ")
+
+
+def test_a_signature_of_somebody_else_is_refused(certificate: Path, tmp_path: Path, trust: Path, capsys: Told) -> None:
+    sign(certificate, new_key(tmp_path / "other"))
+    sentence = refused(capsys, certificate, certificate, "--trust", trust)
+    assert sentence.startswith(
+        f"1: otmcp: refused: the signature of the certificate is of nobody whom {trust} trusts: "
+    )
+
+
+def test_a_signature_for_another_purpose_is_refused(certificate: Path, key: Path, trust: Path, capsys: Told) -> None:
+    trust.write_text(f"{WHO} {key.with_suffix('.pub').read_text()}")
+    command = ["ssh-keygen", "-q", "-Y", "sign", "-f", str(key), "-n", "git", str(certificate)]
+    subprocess.run(command, check=True, timeout=60, capture_output=True)
+    assert "does not hold for this certificate" in refused(capsys, certificate, certificate, "--trust", trust)
+
+
+def test_what_is_no_signature_is_refused(certificate: Path, trust: Path, capsys: Told) -> None:
+    certificate.with_name("certificate.json.sig").write_text("\x1b[2J signed by TUV")
+    assert refused(capsys, certificate, certificate, "--trust", trust).startswith("1: otmcp: refused: the signature of")
+
+
+def test_files_that_are_missing_are_named(certificate: Path, key: Path, trust: Path, capsys: Told) -> None:
+    assert refused(capsys, certificate, certificate, "--trust", trust) == (
+        f"2: otmcp: {certificate}.sig: there is no such file\n"
+    )
+    sign(certificate, key)
+    assert refused(capsys, certificate, certificate, "--trust", "nowhere") == (
+        "2: otmcp: --trust: nowhere: there is no such file\n"
+    )
+    assert refused(capsys, certificate, "--trust", trust) == (
+        "2: otmcp: --trust: only a certificate is signed; give CERT and RUN\n"
+    )
+
+
+def test_a_key_that_cannot_sign_is_found_before_the_run(tmp_path: Path, certificate: Path, capsys: Told) -> None:
+    for key, reason in ((tmp_path / "none", "there is no such key file"), (certificate, "is no SSH key: ")):
+        assert main(["certify", "--sign", str(key), "--out", str(tmp_path / "out")]) == 2
+        told = capsys.readouterr()
+        assert told.out == ""
+        assert reason in told.err
+
+
+def test_a_machine_without_openssh_is_told_what_is_missing(
+    certificate: Path, key: Path, trust: Path, monkeypatch: pytest.MonkeyPatch, capsys: Told
+) -> None:
+    sign(certificate, key)
+    monkeypatch.setenv("PATH", "")
+    wanted = "2: otmcp: signatures need ssh-keygen of OpenSSH 8.2 or later, which is not on PATH\n"
+    assert refused(capsys, certificate, certificate, "--trust", trust) == wanted
