@@ -16,6 +16,9 @@ from .model import Adapter, placeholders
 
 __all__ = ["check_bindings"]
 
+_SHOWN = 40
+_LONGEST = 80
+
 
 def check_bindings(adapter: Adapter, tools: Mapping[str, Mapping[str, object]]) -> list[str]:
     """Return the contradictions between the bindings and ``tools`` (name to entry in ``tools/list``), a sentence each."""
@@ -42,7 +45,8 @@ def _compare(
 ) -> Iterator[str]:
     if tool not in tools:
         near = difflib.get_close_matches(tool, tools, 1)
-        listed = ", ".join(sorted(tools)) or "none at all"
+        more = f" and {len(tools) - _SHOWN} more" if len(tools) > _SHOWN else ""
+        listed = ", ".join(name[:_LONGEST] for name in sorted(tools)[:_SHOWN]) + more or "none at all"
         yield f"{where}.tool: the adapter lists no tool {tool!r}; " + (
             f"did you mean {near[0]!r}?" if near else f"it lists {listed}"
         )

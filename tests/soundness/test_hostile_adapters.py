@@ -57,7 +57,7 @@ NOTHING_WRONG = r"the device should have answered at least 1 request\(s\) during
         pytest.param("large-reply", NOTHING_WRONG, marks=LONG),
         pytest.param("large-text", NOTHING_WRONG, marks=LONG),
         pytest.param("not-utf-8", r"no reply within the deadline", marks=LONG),
-        pytest.param("lone-surrogate", NOTHING_WRONG, marks=LONG),
+        pytest.param("lone-surrogate", r"1 line\(s\) on stdout that are no MCP message", marks=LONG),
         pytest.param("long-number", r"no reply within the deadline|not strict JSON", marks=LONG),
         pytest.param("null-id", r"no reply within the deadline", marks=LONG),
         pytest.param("text-id", r"a response carries the id '\d", marks=LONG),
@@ -70,7 +70,7 @@ NOTHING_WRONG = r"the device should have answered at least 1 request\(s\) during
         pytest.param("ignores-sigterm-in-initialize", r"did not finish its handshake within", marks=LONG),
         pytest.param("pages-for-ever", r"did not finish its handshake within", marks=LONG),
         pytest.param("pages-in-a-circle", r"did not finish its handshake within", marks=LONG),
-        pytest.param("many-tools", r"ping", marks=LONG),
+        pytest.param("many-tools", r"handshake within|it saw none", marks=LONG),
         pytest.param("nameless-tool", r"handshake failed", marks=LONG),
         pytest.param("long-description", NOTHING_WRONG, marks=LONG),
         pytest.param("bad-pattern", r"is not a 'regex'", marks=LONG),
@@ -104,5 +104,5 @@ def test_nothing_that_an_adapter_starts_outlives_its_session(judge: Judge, token
 @LONG
 @pytest.mark.parametrize("kind", ["daemon", "daemon-of-a-daemon", "forks-when-it-ends", "many-children"])
 def test_what_an_adapter_leaves_running_is_told(judge: Judge, token: str, kind: str) -> None:
-    results = judge("modbus", command=hostile(kind, token), tasks="R-modbus", time_scale=0.2)
+    results = judge("modbus", command=hostile(kind, token), tasks="R-modbus")
     assert re.search(LEFT, words(results)), words(results)
