@@ -20,5 +20,5 @@ def test_the_picture_loads_nothing_and_shows_an_adapter_being_caught() -> None:
 
 
 def test_the_picture_is_a_screen_and_not_a_scroll() -> None:
-    rows = {match for match in re.findall(r' y="([\d.]+)"', PICTURE.read_text(encoding="utf-8"))}
+    rows = set(re.findall(r' y="([\d.]+)"', PICTURE.read_text(encoding="utf-8")))
     assert 15 < len(rows) <= 30
