@@ -20,7 +20,7 @@ from pytest_otmcp.report.console_lines import wrapped
 HERE = Path(__file__).resolve().parent
 COLUMNS = 80
 COMMAND = "pytest --otmcp-suite=normal"
-COMMENT = '# an adapter that answers "written" and sends nothing'
+COMMENT = '# the adapter says "written" and sends nothing'
 SUBJECT = """
 [subject]
 name = "acme-modbus"

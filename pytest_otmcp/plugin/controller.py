@@ -29,6 +29,7 @@ from ..protocols.external import external_devices
 from ..protocols.registry import protocols
 from ..record.schema import ROLES, SCHEMA
 from ..suite.catalogue import kit_digest, suite_digest
+from .interference import join_ids
 from .worker import SPOOLS
 
 if TYPE_CHECKING:
@@ -178,7 +179,7 @@ class RunRecorder:
         others = [name for name in self.missing if name in known and known[name].suite not in chosen]
         parts = [f"{counted(len(others), 'item')} of other suites did not run"] if others else []
         if wanted := [name for name in self.missing if name not in others]:
-            parts.append(f"{len(wanted)} of {counted(len(self.required), 'item')} did not run: {', '.join(wanted)}")
+            parts.append(f"{len(wanted)} of {counted(len(self.required), 'item')} did not run: {join_ids(wanted)}")
         return "; ".join(parts)
 
     def close(self) -> None:

@@ -227,7 +227,7 @@ def _adapter(protocol: str, facts: Mapping[str, Any]) -> Adapter:
         notes.append(f"Declares that {operation} may be known from up to {seconds:g} s ago.")
     return Adapter(
         protocol=protocol,
-        server=f"{facts.get('server_name') or NONE} {facts.get('server_version') or ''}",
+        server=" ".join(filter(None, (facts.get("server_name") or NONE, facts.get("server_version")))),
         revision=str(facts.get("protocol_version") or NONE),
         tools=str(facts.get("tools", NONE)),
         deadline=f"{facts['deadline_s']:g}",
@@ -251,7 +251,9 @@ def facts(run: Run) -> list[tuple[str, str]]:
         "Processors": environment.get("cpu_count"),
         "Python": environment.get("python"),
         "Packages": ", ".join(f"{name} {version}" for name, version in packages.items() if version),
-        "Settings": ", ".join(f"{name}: {_flat(value)}" for name, value in settings.items() if name != "narrowed"),
+        "Settings": ", ".join(
+            f"{name}: {_flat(value)}" for name, value in settings.items() if name != "narrowed" and value is not None
+        ),
         "Tool calls": ", ".join(f"{role} {calls}" for role, calls in footer.get("tool_calls", {}).items()),
     }
     return [(name, str(value)) for name, value in known.items() if value]

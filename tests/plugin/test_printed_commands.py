@@ -37,16 +37,16 @@ def test_every_command_that_a_report_prints_works(empty_repository: Repository) 
     commands = printed(outcome)
     assert {" ".join(command.split()[:2]) for command in commands} >= {"otmcp verify", "otmcp explain", "otmcp report"}
     assert any("-k '[M2]'" in command for command in commands)
+    refused = {}
     for command in commands:
         program, *arguments = shlex.split(command)
         # The page names the record beside itself, the terminal names it from the directory of the run.
         where = outcome.report if "run.json" in arguments else repository.root
         done = run(PROGRAMS[program], arguments, where)
         # A command that cannot be carried out ends with 2; a failing record is a failure all the same.
-        assert done.returncode in (0, 1), f"{command}\n{done.stdout}{done.stderr}"
-        assert "usage:" not in done.stderr
-        if program == "pytest":
-            assert "VERDICT: " in done.stdout
+        if done.returncode not in (0, 1) or (program == "pytest" and "VERDICT: " not in done.stdout):
+            refused[command] = done.stdout + done.stderr
+    assert refused == {}
 
 
 def run(program: list[str], arguments: list[str], where: Path) -> subprocess.CompletedProcess[str]:

@@ -179,6 +179,7 @@ def test_a_run_that_is_interrupted_while_an_adapter_starts_leaves_nothing_runnin
             process.send_signal(signal.Signals[ending])
             output, _ = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == pytest.ExitCode.INTERRUPTED, output
+    assert "VERDICT: INCOMPLETE (interrupted before the first item)" in output
     assert "Traceback" not in output
     assert all_end(running)
 
