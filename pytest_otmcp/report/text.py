@@ -14,7 +14,7 @@ __all__ = ["at_least", "clipped", "count", "counted", "interval", "number", "per
 
 def clipped(text: str, limit: int) -> str:
     """Return at most ``limit`` characters of a text, and how many there were."""
-    return text if len(text) <= limit else f"{text[:limit]}… ({len(text)} characters, all are in run.json)"
+    return text if len(text) <= limit else f"{text[:limit]}… ({len(text)} characters in all)"
 
 
 def shortened(text: str, width: int) -> str:

@@ -1,8 +1,8 @@
 """The run of an adapter server over stdio or streamable HTTP.
 
 Environment: ``MCP_TRANSPORT`` (``stdio`` or ``streamable-http``), ``MCP_HTTP_HOST`` (127.0.0.1), ``MCP_HTTP_PORT``
-(8000; 0 takes a free one), and ``MCP_HTTP_ORIGINS``: the web pages that may call, separated by commas, such as
-``http://localhost:6274`` (none).
+(8000; 0 takes a free one), and ``MCP_HTTP_ORIGINS``: the origins of web pages that may call, separated by commas, such as
+``http://localhost:6274`` (none but the server's own).
 """
 
 from __future__ import annotations
@@ -84,11 +84,13 @@ def _serve_http(server: AdapterServer, host: str, port: int, origins: list[str])
         except OSError as error:
             print(f"MCP_HTTP_PORT: {port} cannot be used: {error.strerror}", file=sys.stderr)
             return 1
+        taken = listener.getsockname()[1]
         shown = f"[{host}]" if ":" in host else host
-        print(f"{server.name}: http://{shown}:{listener.getsockname()[1]}/mcp", file=sys.stderr, flush=True)
+        print(f"{server.name}: http://{shown}:{taken}/mcp", file=sys.stderr, flush=True)
         # The SDK's own settings let every web page of this machine call, whatever its port.
+        own = [f"http://{name}:{taken}" for name in ("127.0.0.1", "localhost", "[::1]")]
         security = TransportSecuritySettings(
-            allowed_hosts=["127.0.0.1:*", "localhost:*", "[::1]:*"], allowed_origins=origins
+            allowed_hosts=["127.0.0.1:*", "localhost:*", "[::1]:*"], allowed_origins=[*own, *origins]
         )
         app = server.mcp.streamable_http_app(transport_security=security)
         uvicorn.Server(uvicorn.Config(app, log_level="warning", backlog=_BACKLOG)).run(sockets=[listener])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import base64
-import shutil
 import socket
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager
@@ -20,11 +19,11 @@ from pytest_otmcp.plant.mqtt_broker import TappedBroker
 from pytest_otmcp.protocols.mqtt import oracle as mqtt_oracle
 
 from ..feeding import fed
+from ..foreign_software.conftest import running_mosquitto
 
 pytestmark = pytest.mark.asyncio
 
 paho: Any = untyped_paho
-MOSQUITTO = shutil.which("mosquitto")
 
 
 @asynccontextmanager
@@ -98,22 +97,9 @@ async def test_the_mock_serves_as_a_broker_of_the_users_own() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
 async def test_mosquitto_serves_as_a_broker_of_the_users_own(tmp_path: Path) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
-    settings = tmp_path / "mosquitto.conf"
-    settings.write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\n")
-    process = await asyncio.create_subprocess_exec(MOSQUITTO or "", "-c", str(settings), stderr=asyncio.subprocess.PIPE)
-    assert process.stderr is not None
-    try:
-        async with asyncio.timeout(60):
-            while b"running" not in await process.stderr.readline():
-                assert process.returncode is None
+    with running_mosquitto(tmp_path) as port:
         await exercise(f"mqtt://127.0.0.1:{port}")
-    finally:
-        process.terminate()
-        await process.communicate()
 
 
 async def test_the_kit_may_have_several_connections_to_one_broker() -> None:

@@ -1,0 +1,246 @@
+"""``otmcp call``: one operation through an adapter at its mock device; reply, frames and journal beside each other."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..core.errors import SubjectError, UsageError
+from ..core.names import describe_unknown
+from ..core.text import printable
+from ..protocols.journal import judged
+from ..protocols.registry import protocols
+from ..subject.model import Function, placeholders
+from . import Refusal
+from .doctor import subject_or_reference
+
+if TYPE_CHECKING:
+    from ..protocols.journal import JournalEntry
+    from ..protocols.protocol import Operation
+    from ..subject import Subject
+    from ..subject.model import Adapter
+    from ..trial.reply import Reply
+
+__all__ = ["add_parser", "run"]
+
+_ARRIVING_S = 0.5
+"""Seconds within which the device must have seen a write that claims success; a message may arrive after the answer."""
+
+_FALLBACK = (100, 24)
+"""Columns and lines where the output is no terminal and COLUMNS says nothing."""
+
+_LONGEST = 16_384
+"""Characters that are shown of a frame."""
+
+
+def add_parser(subparsers: Any) -> None:
+    """Declare the subcommand."""
+    parser: argparse.ArgumentParser = subparsers.add_parser(
+        "call",
+        help="perform one operation through an adapter and show what the device saw",
+        description=(
+            "Start an adapter of a subject file at its mock device, perform one operation through the tool that is bound to it, "
+            "and show the reply, the frames and the device's journal. A value is JSON where it can be read as JSON, else text. "
+            "Nothing is written before a random value went between the mock device and the adapter."
+        ),
+    )
+    parser.add_argument("--subject", metavar="FILE", type=Path, help="a subject file (default: otmcp.toml)")
+    parser.add_argument("--protocol", choices=tuple(protocols()), help="whose operation (default: the one that has it)")
+    parser.add_argument(
+        "--variant", choices=("rw", "ro"), default="rw", help="with writes enabled or disabled (default: rw)"
+    )
+    parser.add_argument("operation", metavar="OPERATION", help="an operation of the protocol, such as read")
+    parser.add_argument("inputs", metavar="KEY=VALUE", nargs="*", help="its inputs")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Perform the operation and show it; return 0 when the adapter claims success, else 1.
+
+    Raises:
+        UsageError: there is no such operation, it has other inputs, or no tool is bound to it.
+        Refusal: the adapter cannot be started, or nothing proves that it talks to the mock device, and the operation writes.
+    """
+    from ..session.loop import LoopThread
+
+    subject = subject_or_reference(args.subject)
+    adapter = _adapter(subject, args.operation, args.protocol)
+    inputs = _inputs(args.operation, protocols()[adapter.protocol].operations[args.operation], args.inputs)
+    _check_filling(adapter, args.operation, inputs)
+    loop = LoopThread()
+    try:
+        reply, entries = loop.run(_perform(adapter, args.variant, args.operation, inputs))
+    except SubjectError as failure:
+        raise Refusal(f"{adapter.protocol}: {failure}; 'otmcp doctor' may know why") from None
+    finally:
+        loop.close()
+    for line in _shown(reply, entries, inputs, shutil.get_terminal_size(_FALLBACK).columns):
+        print(line)
+    return 0 if reply.success and not reply.faulty else 1
+
+
+# -- what is asked ----------------------------------------------------------------------------------------------
+
+
+def _adapter(subject: Subject, operation: str, protocol: str | None) -> Adapter:
+    """Return the adapter that the operation is for.
+
+    Raises:
+        UsageError: there is none, or more than one.
+    """
+    if protocol is not None and protocol not in subject.adapters:
+        raise UsageError(f"{subject.source}: there is no [adapter.{protocol}]")
+    asked = [protocol] if protocol is not None else list(subject.adapters)
+    able = [key for key in asked if operation in protocols()[key].operations]
+    if not able:
+        known = {name for key in asked for name in protocols()[key].operations}
+        raise UsageError(describe_unknown("operation", operation, known))
+    if len(able) > 1:
+        raise UsageError(f"{operation}: {' and '.join(able)} have it; say which by --protocol")
+    return subject.adapters[able[0]]
+
+
+def _inputs(name: str, operation: Operation, words: Sequence[str]) -> dict[str, object]:
+    """Return the inputs that are written as KEY=VALUE.
+
+    Raises:
+        UsageError: a word has another form, or the operation has other inputs.
+    """
+    inputs: dict[str, object] = {}
+    for word in words:
+        key, found, value = word.partition("=")
+        if not found:
+            raise UsageError(f"{name}: expected KEY=VALUE, found {word!r}")
+        if key not in operation.inputs:
+            raise UsageError(f"{name}: {describe_unknown('input', key, operation.inputs)}")
+        if key in inputs:
+            raise UsageError(f"{name}: {key} is given twice")
+        inputs[key] = _value(value)
+    if missing := [key for key in operation.inputs if key not in inputs and key not in operation.optional]:
+        raise UsageError(f"{name}: {' and '.join(missing)} must be given, as {missing[0]}=VALUE")
+    return inputs
+
+
+def _check_filling(adapter: Adapter, operation: str, inputs: Mapping[str, object]) -> None:
+    """Make sure, before anything is started, that a tool is bound and that its arguments can be made from the inputs.
+
+    Raises:
+        UsageError: no tool is bound to the operation with these inputs, or they do not fit its arguments.
+    """
+    bound = adapter.operations.get(operation)
+    if isinstance(bound, Function):
+        return
+    binding = next((case for case in bound or () if case.fits(inputs)), None)
+    if binding is None:
+        raise UsageError(f"{adapter.protocol}: the subject binds no tool to {operation} with these inputs")
+    if binding.resource:
+        return
+    if lacking := sorted(placeholders(binding.arguments) - set(inputs)):
+        raise UsageError(f"{operation}: {binding.tool} needs {' and '.join(lacking)}, as {lacking[0]}=VALUE")
+    try:
+        binding.fill(inputs, {})
+    except (TypeError, ValueError) as error:
+        raise UsageError(f"{operation}: the inputs do not fit the arguments of {binding.tool}: {error}") from None
+
+
+def _value(text: str) -> object:
+    from ..core.strict_json import parse_strict
+
+    try:
+        return parse_strict(text.encode())
+    except ValueError:
+        return text
+
+
+# -- what happens -----------------------------------------------------------------------------------------------
+
+
+async def _perform(
+    adapter: Adapter, variant: str, operation: str, inputs: Mapping[str, object]
+) -> tuple[Reply, list[JournalEntry]]:
+    from ..plant.mock_device import MockDevice
+    from ..trial.adapter_under_test import AdapterUnderTest, BenchOptions, NoBindingError
+    from ..trial.session_proof import prove_session
+
+    known = protocols()[adapter.protocol]
+    device = MockDevice(known.mock, adapter.protocol)
+    under_test = None
+    try:
+        await device.launch()
+        under_test = AdapterUnderTest(adapter, variant, device, BenchOptions())
+        await under_test.open()
+        writes = known.operations[operation].writes
+        if writes and (problem := await prove_session(under_test)) is not None:
+            raise Refusal(f"{adapter.protocol}: {problem}")
+        since = await device.mark()
+        reply = await under_test.call(operation, **inputs)
+        if writes and reply.success:
+            await device.wait(since, {"state_changing": True}, timeout_s=_ARRIVING_S)
+        return reply, judged((await device.journal(since)).entries)
+    except NoBindingError as gap:
+        raise UsageError(str(gap)) from None
+    finally:
+        if under_test is not None:
+            await under_test.close()
+        await device.close()
+
+
+# -- what is shown ----------------------------------------------------------------------------------------------
+
+
+def _shown(reply: Reply, entries: Sequence[JournalEntry], inputs: Mapping[str, object], width: int) -> Iterator[str]:
+    from ..report.exchange import conversation
+    from ..report.lanes import lanes
+
+    call = {
+        "role": "task",
+        "adapter": reply.adapter,
+        "variant": reply.variant,
+        "tool": reply.tool,
+        "arguments": reply.arguments,
+        "latency_ms": reply.latency_ms,
+        "ok": not reply.faulty,
+        "envelope": reply.envelope,
+        "error_code": reply.error_code,
+        "sent_ns": reply.exchange.sent_ns,
+        "received_ns": reply.exchange.received_ns,
+        "frames": {"failure": reply.exchange.failure},
+    }
+    placed = [{"protocol": reply.adapter, **entry} for entry in entries]
+    asked = " ".join(f"{key}={_json(value)}" for key, value in inputs.items())
+    yield printable(f"{reply.operation} {asked}".rstrip())
+    yield ""
+    name = protocols()[reply.adapter].name
+    yield from lanes(conversation([call], placed), f"{name} adapter ({reply.variant})", f"{name} mock device", width)
+    yield ""
+    claim = {True: "success", False: f"failure, {reply.error_code or 'without a code'}", None: "none that can be read"}
+    yield f"reply: {printable(claim[reply.success])}"
+    for output, value in reply.outputs.items():
+        yield from _wrapped(f"output {output}", _json(value), width)
+    for fault in reply.faults:
+        yield from _wrapped("fault", fault.message, width)
+    if reply.success and protocols()[reply.adapter].operations[reply.operation].writes:
+        changed = sum(entry["state_changing"] for entry in entries)
+        yield f"device: it saw {changed or 'no'} request{'' if changed == 1 else 's'} that change{'s' if changed == 1 else ''} its state"
+    yield from _wrapped("request frame", _frame(reply.exchange.request), width)
+    yield from _wrapped("response frame", _frame(reply.exchange.response), width)
+
+
+def _frame(frame: bytes | None) -> str:
+    if frame is None:
+        return "none"
+    text = frame.decode("utf-8", "backslashreplace")
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ... ({len(text)} characters in all)"
+
+
+def _wrapped(label: str, text: str, width: int) -> list[str]:
+    return textwrap.wrap(printable(f"{label}: {text}"), width, subsequent_indent="  ", break_on_hyphens=False)
+
+
+def _json(value: object) -> str:
+    return json.dumps(value, ensure_ascii=False, default=str)
