@@ -17,6 +17,7 @@ import pytest
 from pytest_otmcp.core.errors import ExhaustedError, KitError, SubjectError
 from pytest_otmcp.core.exhaustion import exhausted
 from pytest_otmcp.plant.mock_device import MockDevice
+from pytest_otmcp.session import keeping
 from pytest_otmcp.session.loop import LoopThread
 from pytest_otmcp.session.session import McpSession, SessionOptions
 
@@ -88,10 +89,11 @@ async def test_a_mock_that_finds_no_descriptor_is_no_bug() -> None:
 async def test_a_process_that_the_system_refuses_is_no_fault_of_the_adapter(
     number: int | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    async def refuse(*arguments: object, **options: object) -> None:
+    def refuse(*arguments: object, **options: object) -> None:
         raise THREADLESS if number is None else OSError(number, os.strerror(number))
 
-    monkeypatch.setattr(asyncio.get_running_loop(), "subprocess_exec", refuse)
+    monkeypatch.setattr(keeping.subprocess, "Popen", refuse)
+    monkeypatch.setattr(keeping._Keeper, "_running", None)
     with pytest.raises(KitError) as refused:
         await session("adapter").open()
     assert isinstance(refused.value, ExhaustedError) == (number not in (errno.EIO, errno.E2BIG))
