@@ -32,11 +32,11 @@ from .collection import (
 )
 from .fixtures.definitions import (
     REFUSED,
+    _otmcp_trial,
     otmcp_device,
     otmcp_resources,
     otmcp_session,
     otmcp_subject,
-    otmcp_trial,
 )
 from .options import add_options, read_settings
 from .stash import INTERFERENCE, PLANNED, PROGRESS, RECORDER, RESULT, RUN, SETTINGS, STARTED
@@ -46,11 +46,11 @@ if TYPE_CHECKING:
     from .controller import RunRecorder
 
 __all__ = [
+    "_otmcp_trial",
     "otmcp_device",
     "otmcp_resources",
     "otmcp_session",
     "otmcp_subject",
-    "otmcp_trial",
     "pytest_addoption",
     "pytest_collect_file",
     "pytest_collection_finish",
