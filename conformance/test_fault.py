@@ -16,5 +16,5 @@ from .tasks import tasks
 
 
 @pytest.mark.parametrize("task", tasks("fault"), ids=lambda task: task.id)
-def test_fault(task: Task, otmcp_trial: Callable[[Task], None]) -> None:
-    otmcp_trial(task)
+def test_fault(task: Task, _otmcp_trial: Callable[[Task], None]) -> None:
+    _otmcp_trial(task)

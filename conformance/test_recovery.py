@@ -12,5 +12,5 @@ from .tasks import tasks
 
 
 @pytest.mark.parametrize("task", tasks("recovery"), ids=lambda task: task.id)
-def test_recovery(task: Task, otmcp_trial: Callable[[Task], None]) -> None:
-    otmcp_trial(task)
+def test_recovery(task: Task, _otmcp_trial: Callable[[Task], None]) -> None:
+    _otmcp_trial(task)

@@ -17,5 +17,5 @@ from .tasks import tasks
 
 
 @pytest.mark.parametrize("task", tasks("stress"), ids=lambda task: task.id)
-def test_stress(task: Task, otmcp_trial: Callable[[Task], None]) -> None:
-    otmcp_trial(task)
+def test_stress(task: Task, _otmcp_trial: Callable[[Task], None]) -> None:
+    _otmcp_trial(task)

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 
+from .. import __version__
 from ..core.errors import ExhaustedError, KitError, UsageError
 from ..core.exhaustion import exhausted
 from ..core.text import marked, one_line
@@ -20,7 +21,7 @@ from ..core.verdict import ExitCode
 
 __all__ = ["Refusal", "main", "place_of", "tell"]
 
-_COMMANDS = ("init", "doctor", "certify", "verify", "explain", "report", "mock")
+_COMMANDS = ("init", "doctor", "call", "certify", "verify", "explain", "report", "mock", "docs")
 
 
 class Refusal(Exception):
@@ -61,7 +62,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(argv: Sequence[str] | None) -> int:
     try:
-        arguments = _parser().parse_args(argv)
+        parser = _parser()
+        arguments = parser.parse_args(argv)
+        if arguments.run is None:
+            parser.print_help(sys.stderr)
+            return ExitCode.USAGE
         return int(arguments.run(arguments))
     except SystemExit as end:
         # argparse has said what is wrong, or has printed the help.
@@ -89,7 +94,10 @@ def _run(argv: Sequence[str] | None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="otmcp", description="Conformance of MCP-to-OT adapters.")
-    subparsers = parser.add_subparsers(metavar="COMMAND", required=True)
+    parser.add_argument("--version", action="version", version=f"pytest-otmcp {__version__}")
+    # Whoever says no command gets the list of all of them.
+    parser.set_defaults(run=None)
+    subparsers = parser.add_subparsers(metavar="COMMAND", title="commands")
     for name in _COMMANDS:
         import_module(f".{name}", __name__).add_parser(subparsers)
     return parser

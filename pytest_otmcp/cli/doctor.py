@@ -16,9 +16,10 @@ from . import tell
 from .init import parse_environment, recognise_protocol
 
 if TYPE_CHECKING:
+    from ..subject import Subject
     from ..subject.model import Adapter
 
-__all__ = ["add_parser", "run"]
+__all__ = ["add_parser", "run", "subject_or_reference"]
 
 
 def add_parser(subparsers: Any) -> None:
@@ -44,21 +45,23 @@ def run(args: argparse.Namespace) -> int:
     from ..session.loop import LoopThread
 
     loop = LoopThread()
-    healthy = True
+    healthy = described = True
     try:
         for adapter in _adapters(args):
             tell(f"{protocols()[adapter.protocol].name}: {' '.join(adapter.variants['rw'].command)}")
             # Variants that are started in the same way behave in the same way, so one of them is enough.
             for variant in ("rw", "ro") if adapter.variants["ro"] != adapter.variants["rw"] else ("rw",):
                 healthy &= loop.run(_examine(adapter, variant))
+            described &= bool(adapter.operations)
     finally:
         loop.close()
+    if healthy and described:
+        print(f"all is well, next: pytest{'' if args.subject is None else f' --otmcp-subject={args.subject}'}")
     return 0 if healthy else 1
 
 
 def _adapters(args: argparse.Namespace) -> Iterator[Adapter]:
     from ..onboarding.drafting import describe_launch
-    from ..subject import load_subject, reference_subject
 
     if args.command:
         if args.subject is not None:
@@ -67,12 +70,22 @@ def _adapters(args: argparse.Namespace) -> Iterator[Adapter]:
         protocol = args.protocol or recognise_protocol([*args.command, *env, *env.values()])
         yield describe_launch(protocol, args.command, env, url=args.url, deadline_s=15.0, start_timeout_s=30.0)
         return
+    yield from subject_or_reference(args.subject).adapters.values()
+
+
+def subject_or_reference(given: Path | None) -> Subject:
+    """Return the subject of a file, of ``otmcp.toml`` here, or else the reference adapters, and say so.
+
+    Raises:
+        UsageError: the file is wrong.
+    """
+    from ..subject import load_subject, reference_subject
+
     default = Path("otmcp.toml")
-    if args.subject is None and not default.is_file():
+    if given is None and not default.is_file():
         print("no subject file otmcp.toml here: these are the reference adapters", file=sys.stderr)
-        yield from reference_subject().adapters.values()
-        return
-    yield from load_subject(args.subject or default).adapters.values()
+        return reference_subject()
+    return load_subject(given or default)
 
 
 async def _examine(adapter: Adapter, variant: str) -> bool:
@@ -95,7 +108,7 @@ async def _examine(adapter: Adapter, variant: str) -> bool:
         assert session is not None
         took = (session.ready_ns - session.spawned_ns) / 1e9
         tell(
-            f"  {variant}: starts in {took:.1f} s: {session.server_name} {session.server_version}, "
+            f"  {variant}: starts in {took:.1f} s: {' '.join(filter(None, (session.server_name, session.server_version)))}, "
             f"MCP {session.protocol_version}, {len(session.tools)} tools"
         )
         if under_test.legacy:
@@ -105,13 +118,18 @@ async def _examine(adapter: Adapter, variant: str) -> bool:
         count, first = session.stray_output()
         if count:
             tell(f"  {variant}: {count} line(s) on stdout are no MCP message, the first: {first[0]!r}")
-        connected = bool(judged((await device.journal(0)).entries))
-        tell(f"  {variant}: the device {'has seen a connection' if connected else 'has seen nothing yet'}")
         faults = check_bindings(adapter, session.tools) if variant == READ_WRITE else []
         for fault in faults:
             tell(f"  {variant}: {fault}")
-        if faults or not adapter.operations:
-            return not faults
+        if faults:
+            return False
+        if not adapter.operations:
+            # Nobody has said how it is asked, so a connection is all that can be looked for, and none may be due yet.
+            connected = bool(judged((await device.journal(0)).entries))
+            tell(
+                f"  {variant}: the device {'has seen a connection' if connected else 'has not been asked anything yet'}"
+            )
+            return True
         problem = await prove_session(under_test)
         tell(
             f"  {variant}: {problem or 'a random value went between the mock device and the adapter: it talks to the mock'}"

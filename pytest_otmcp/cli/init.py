@@ -104,7 +104,8 @@ def run(args: argparse.Namespace) -> int:
         loop.close()
     drafted = replace(drafted, command=[_from_file(part, args.out.parent) for part in drafted.command])
     text = write_document(drafted, into=added_to is not None)
-    args.out.write_text(text if added_to is None else f"{added_to.rstrip()}\n\n{text}", encoding="utf-8")
+    before = f"#:schema {_schema(args.out.parent)}\n" if added_to is None else f"{added_to.rstrip()}\n\n"
+    args.out.write_text(before + text, encoding="utf-8")
     # A proposal that cannot be loaded is a fault of the kit; it is better found here than by the user.
     load_subject(args.out)
     print(f"\n{args.out} is written. What is left to fill in:")
@@ -131,6 +132,14 @@ def _existing(path: Path, protocol: str) -> str | None:
     if there:
         raise UsageError(f"{path}: exists already; give another --out, or --force to replace it")
     return text
+
+
+def _schema(directory: Path) -> str:
+    """Return where editors find the schema of the subject file: from its directory, if it lies below that, as in a ``.venv``."""
+    from ..subject.schema import SHIPPED
+
+    below = SHIPPED.is_relative_to(directory.absolute())
+    return os.path.relpath(SHIPPED, directory) if below else str(SHIPPED)
 
 
 def _from_file(part: str, directory: Path) -> str:

@@ -29,12 +29,12 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument("protocol", choices=tuple(_mocks()))
     for name, (metavar, text) in _options().items():
-        parser.add_argument(f"--{name}", metavar=metavar, help=text)
+        parser.add_argument(f"--{name}", metavar=metavar, help=text, type=_port if name == "port" else str)
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> NoReturn:
-    """Replace this process by the mock, which checks its options itself."""
+    """Replace this process by the mock, which checks its other options itself."""
     mock, clients = _mocks()[args.protocol]
     options = [f"--{option}={value}" for option in _options() if (value := getattr(args, option)) is not None]
     print(
@@ -45,6 +45,12 @@ def run(args: argparse.Namespace) -> NoReturn:
     )
     # A module of the working directory must not take the place of a module of the mock.
     os.execv(sys.executable, [sys.executable, "-P", "-m", "pytest_otmcp.mocks", mock, *options])  # noqa: S606
+
+
+def _port(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and int(text) <= 65535):
+        raise argparse.ArgumentTypeError(f"expected 0 to 65535, found {text!r}")
+    return int(text)
 
 
 def _mocks() -> dict[str, tuple[str, str]]:

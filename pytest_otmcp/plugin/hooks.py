@@ -33,11 +33,11 @@ from .collection import (
 )
 from .fixtures.definitions import (
     REFUSED,
+    _otmcp_trial,
     otmcp_device,
     otmcp_resources,
     otmcp_session,
     otmcp_subject,
-    otmcp_trial,
 )
 from .options import add_options, read_settings
 from .stash import ENDINGS, INTERFERENCE, PLANNED, PROGRESS, RECORDER, RESULT, RUN, SETTINGS, STARTED
@@ -48,11 +48,11 @@ if TYPE_CHECKING:
     from .endings import Endings
 
 __all__ = [
+    "_otmcp_trial",
     "otmcp_device",
     "otmcp_resources",
     "otmcp_session",
     "otmcp_subject",
-    "otmcp_trial",
     "pytest_addoption",
     "pytest_collect_file",
     "pytest_collection_finish",

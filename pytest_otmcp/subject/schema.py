@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from ..protocols.protocol import OtProtocol
@@ -15,7 +16,10 @@ from ..protocols.registry import protocols
 from .grammar import subject_file
 from .kinds import Definitions
 
-__all__ = ["schema", "schema_text"]
+__all__ = ["SHIPPED", "schema", "schema_text"]
+
+SHIPPED = Path(__file__).with_name("subject.schema.json")
+"""The schema for the kit's own protocols, as editors read it."""
 
 
 def schema(known: Mapping[str, OtProtocol]) -> dict[str, Any]:
@@ -24,6 +28,7 @@ def schema(known: Mapping[str, OtProtocol]) -> dict[str, Any]:
     root = subject_file(known).schema(definitions)
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "$id": "urn:otmcp:subject-file",
         "title": "pytest-otmcp subject file",
         **root,
         "$defs": definitions,

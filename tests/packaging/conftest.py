@@ -48,7 +48,8 @@ def _build(directory: Path) -> str:
     clutter = shutil.ignore_patterns("__pycache__", "*.pyc", "*.egg-info")
     for folder in FOLDERS:
         shutil.copytree(CHECKOUT / folder, source / folder, ignore=clutter)
-    for file in ("pyproject.toml", "README.md", "LICENSE"):
+    shutil.copytree(CHECKOUT / "docs", source / "docs", ignore=clutter)
+    for file in ("pyproject.toml", "setup.py", "README.md", "LICENSE"):
         shutil.copy(CHECKOUT / file, source)
     told = _quietly(sys.executable, "-c", _BUILD, "build_sdist", directory, cwd=source, env=env)
     unpacked = directory / "unpacked"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import configparser
 import json
 import os
+import re
 import subprocess
 import zipfile
 from pathlib import Path
@@ -56,6 +57,7 @@ def test_the_wheel_holds_every_file_of_the_kit_and_one_import_name(wheel: Path) 
         for path in (CHECKOUT / folder).rglob("*")
         if path.is_file() and "__pycache__" not in path.parts
     }
+    expected |= {f"pytest_otmcp/docs/{path.name}" for path in (CHECKOUT / "docs").glob("*.md")}
     shipped = {name for name in names if name.startswith("pytest_otmcp/")}
     assert expected - shipped == set()
     assert shipped - expected == set()
@@ -69,6 +71,26 @@ def test_the_wheel_offers_a_pytest_plugin_and_the_command_otmcp(wheel: Path) -> 
         points.read_string(archive.read(name).decode())
     assert dict(points["pytest11"]) == {"otmcp": "pytest_otmcp.plugin"}
     assert dict(points["console_scripts"]) == {"otmcp": "pytest_otmcp.cli:main"}
+
+
+def test_the_description_has_no_link_or_image_that_leads_nowhere_on_an_index_page(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        [name] = [name for name in archive.namelist() if name.endswith(".dist-info/METADATA")]
+        metadata = archive.read(name).decode()
+    assert "Description-Content-Type: text/markdown" in metadata
+    _, _, description = metadata.partition("\n\n")
+    assert "The conformance kit for MCP-to-OT adapters" in description
+    targets = re.findall(r"\]\(([^)]*)\)", description)
+    assert [target for target in targets if not target.startswith(("https://", "#"))] == []
+    assert "`otmcp docs subject-file`" in description
+
+
+def test_the_documentation_can_be_read_from_the_wheel(empty: Path) -> None:
+    listed = run(empty, "otmcp", "docs")
+    assert listed.returncode == 0, listed.stderr
+    pages = [line.split()[0] for line in listed.stdout.splitlines()]
+    assert pages == sorted(path.stem for path in (CHECKOUT / "docs").glob("*.md"))
+    assert run(empty, "otmcp", "docs", "ci").stdout == (CHECKOUT / "docs" / "ci.md").read_text()
 
 
 def test_bare_pytest_in_an_empty_directory_gives_a_verdict(empty: Path) -> None:

@@ -30,7 +30,7 @@ HOSTILE_CONFTEST = """
 import pytest
 
 @pytest.fixture
-def otmcp_trial():
+def _otmcp_trial():
     return lambda task: None
 
 def pytest_collection_modifyitems(items):

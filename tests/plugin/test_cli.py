@@ -15,6 +15,7 @@ from typing import Any
 import psutil
 import pytest
 
+import pytest_otmcp
 from pytest_otmcp import cli
 from pytest_otmcp.errors import KitError, UsageError
 from pytest_otmcp.record import load
@@ -56,7 +57,6 @@ def test_help_names_every_command_and_imports_nothing_heavy(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ([], "required: COMMAND"),
         (["certfy"], "invalid choice: 'certfy'"),
         (["certify", "--reps", "many"], "--reps: invalid int value: 'many'"),
         (["certify", "--reps", "29"], "--reps: a certificate needs at least 30 repetitions, found 29"),
@@ -66,8 +66,8 @@ def test_help_names_every_command_and_imports_nothing_heavy(tmp_path: Path) -> N
         (["verify", "nowhere.json", "nowhere.json"], "nowhere.json: there is no such file"),
         (["report", "nowhere.json"], "nowhere.json: there is no such file"),
         (["mock", "bacnet"], "invalid choice: 'bacnet'"),
-        (["mock", "modbus", "--port", "70000"], "--port: expected 0 to 65535, found 70000"),
-        (["mock", "modbus", "--port", "many"], "--port: invalid int value: 'many'"),
+        (["mock", "modbus", "--port", "70000"], "--port: expected 0 to 65535, found '70000'"),
+        (["mock", "modbus", "--port", "many"], "--port: expected 0 to 65535, found 'many'"),
     ],
 )
 def test_what_cannot_be_done_is_said_in_a_sentence_and_ends_with_2(
@@ -78,6 +78,42 @@ def test_what_cannot_be_done_is_said_in_a_sentence_and_ends_with_2(
     assert done.returncode == 2
     assert words in done.stderr
     assert "Traceback" not in done.stderr
+    assert done.stdout == ""
+    assert "below says" not in done.stderr
+
+
+def test_without_a_command_all_are_listed_with_a_line_each(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main([]) == 2
+    shown = capsys.readouterr().err
+    for command in ("init", "doctor", "call", "certify", "verify", "explain", "report", "mock", "docs"):
+        assert re.search(rf"^ +{command} +\w.*$", shown, re.MULTILINE)
+
+
+def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["--version"]) == 0
+    assert capsys.readouterr().out == f"pytest-otmcp {pytest_otmcp.__version__}\n"
+
+
+def test_the_pages_of_the_documentation_are_listed_and_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    docs = Path(__file__).parents[2] / "docs"
+    assert cli.main(["docs"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == sorted(path.stem for path in docs.glob("*.md"))
+    assert any(re.fullmatch(r"subject-file +The subject file", line) for line in lines)
+    for name in ("subject-file", "docs/subject-file.md"):
+        assert cli.main(["docs", name]) == 0
+        assert capsys.readouterr().out == (docs / "subject-file.md").read_text()
+    assert cli.main(["docs", "subjectfile"]) == 2
+    assert capsys.readouterr().err == "otmcp: there is no page 'subjectfile'; did you mean 'subject-file'?\n"
+
+
+@pytest.mark.parametrize("module", ["pytest_otmcp", "pytest_otmcp.cli", "pytest_otmcp.plugin"])
+def test_on_another_system_the_import_ends_in_one_sentence(tmp_path: Path, module: str) -> None:
+    program = f"import sys; sys.platform = 'win32'; import {module}"
+    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith("pytest-otmcp runs on Linux, not on win32: on Windows use WSL 2")
+    assert len(done.stderr.splitlines()) == 1
 
 
 @pytest.mark.parametrize(

@@ -102,8 +102,8 @@ def test_stopped_session(otmcp_modbus_device, otmcp_session):
 def test_fault(otmcp_modbus_device):
     otmcp_modbus_device.fault({"function": 3, "action": {"explode": True}})
 
-def test_trial(otmcp_trial):
-    otmcp_trial(None)
+def test_trial(_otmcp_trial):
+    _otmcp_trial(None)
 
 async def test_asynchronous(otmcp_session):
     await otmcp_session.aio("modbus", variant="readonly")
@@ -143,7 +143,7 @@ def test_misuse_is_one_sentence_at_the_line_of_the_test(repository: Repository) 
     assert "10 failed" in outcome.output, outcome.output
     for sentence in SENTENCES:
         assert f"UsageError: {sentence}" in outcome.output, sentence
-    assert "otmcp_trial runs the shipped suite only: pytest --pyargs pytest_otmcp.conformance" in outcome.output
+    assert "_otmcp_trial runs the shipped suite only: pytest --pyargs pytest_otmcp.conformance" in outcome.output
     assert "tests/test_it.py:3: UsageError" in outcome.output
     assert "pytest_otmcp/session/loop.py" not in outcome.output
     assert "pytest_otmcp/trial/adapter_under_test.py" not in outcome.output

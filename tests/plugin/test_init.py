@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from collections.abc import Callable
@@ -130,6 +131,10 @@ def test_a_prose_adapter_is_described_by_what_the_device_saw(
     assert "illegal_address" in [rule.code for rule in adapter.answering.errors]
     assert adapter.variants["rw"].command[-1] == "{dir}/prose.py"
     assert load_subject(tmp_path / "otmcp.toml").version == "unknown"
+    first = (tmp_path / "otmcp.toml").read_text(encoding="utf-8").splitlines()[0]
+    assert (
+        json.loads(Path(first.removeprefix("#:schema ")).read_text(encoding="utf-8"))["$id"] == "urn:otmcp:subject-file"
+    )
     assert "the version of your product" in done.stdout
 
 
@@ -233,6 +238,8 @@ result = {{ values = "registers" }}
     assert done.returncode == 0, done.stdout + done.stderr
     assert "old 1.9.4, MCP 2024-11-05, 1 tools" in done.stdout
     assert "a random value went between the mock device and the adapter: it talks to the mock" in done.stdout
+    assert "nothing yet" not in done.stdout
+    assert done.stdout.splitlines()[-1] == "all is well, next: pytest"
     addressed = (tmp_path / "addressed").read_text(encoding="utf-8").split()
     advice = "ends at the first request of today's handshake, or never answers it, so it was given that of 2025: say era = 'legacy'"
     if era == "auto":
@@ -288,3 +295,4 @@ tool = "pin"
     assert done.returncode == 1
     assert "modbus-reference" in done.stdout
     assert "the adapter lists no tool 'pin'; did you mean 'ping'?" in done.stdout
+    assert "all is well" not in done.stdout

@@ -14,10 +14,10 @@ def around_everything():
     yield
 
 @pytest.fixture
-def otmcp_trial(otmcp_trial):
+def _otmcp_trial(_otmcp_trial):
     def run(task):
         try:
-            otmcp_trial(task)
+            _otmcp_trial(task)
         except BaseException:
             pass
     return run
@@ -133,7 +133,7 @@ def test_a_conftest_that_shadows_removes_skips_reverses_and_repeats_changes_no_r
     only(
         outcome,
         "the fixture around_everything of conftest.py:4 runs around the items",
-        "the fixture otmcp_trial of conftest.py:8 shadows the kit's",
+        "the fixture _otmcp_trial of conftest.py:8 shadows the kit's",
         "1 of 38 items were taken out by conftest.py: M3",
         "items are marked skip by something outside the suite",
         "FM1 would run more than once; the first time counts",

@@ -33,6 +33,11 @@ def test_the_schema_that_is_shipped_is_generated_from_the_grammar() -> None:
     assert shipped == schema_text(own()), "out of date: write the output of python -m pytest_otmcp.subject.schema to it"
 
 
+def test_the_schema_has_an_identity_that_is_no_address() -> None:
+    assert schema(own())["$id"].startswith("urn:")
+    jsonschema.Draft202012Validator.check_schema(schema(own()))
+
+
 def test_a_command_prints_the_schema_for_all_protocols_that_are_installed() -> None:
     command = [sys.executable, "-m", "pytest_otmcp.subject.schema"]
     printed = subprocess.run(command, check=True, capture_output=True, text=True, encoding="utf-8").stdout

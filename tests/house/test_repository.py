@@ -1,0 +1,50 @@
+"""Files that machines outside read: workflows, components, citation. They agree with each other and with the project."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections import defaultdict
+from pathlib import Path
+
+CHECKOUT = Path(__file__).parents[2]
+PROJECT = tomllib.loads((CHECKOUT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+RECIPES = [
+    CHECKOUT / "docs" / "ci.md",
+    CHECKOUT / "action.yml",
+    *sorted((CHECKOUT / "templates").glob("*.yml")),
+    *sorted((CHECKOUT / ".github" / "workflows").glob("*.yml")),
+]
+
+
+def test_every_workflow_and_recipe_uses_one_version_of_an_action() -> None:
+    used = defaultdict(set)
+    for recipe in RECIPES:
+        for action, version in re.findall(r"uses: ([\w./-]+)@(\S+)", recipe.read_text(encoding="utf-8")):
+            used[action].add(version)
+    assert used["actions/checkout"]
+    assert {action: versions for action, versions in used.items() if len(versions) > 1} == {}
+
+
+def test_recipes_install_the_version_that_this_is() -> None:
+    text = "\n".join(recipe.read_text(encoding="utf-8") for recipe in RECIPES)
+    assert set(re.findall(r"pytest-otmcp==([\d.]+\d)", text)) == {PROJECT["version"]}
+    assert set(re.findall(r"OWNER/pytest-otmcp(?:/conformance)?@v?([\d.]+\d)", text)) == {PROJECT["version"]}
+    [default] = re.findall(r'version:\n(?: +.*\n)*? +default: "([\d.]+)"', text)
+    assert default == PROJECT["version"]
+
+
+def test_the_citation_names_the_version_and_licence_of_the_project() -> None:
+    citation = (CHECKOUT / "CITATION.cff").read_text(encoding="utf-8")
+    assert f"\nversion: {PROJECT['version']}\n" in citation
+    assert f"\nlicense: {PROJECT['license']}\n" in citation
+    assert PROJECT["authors"][0]["name"] in citation
+
+
+def test_the_tests_run_on_every_python_and_pytest_that_is_promised() -> None:
+    workflow = (CHECKOUT / ".github" / "workflows" / "tests.yml").read_text(encoding="utf-8")
+    promised = {name.rpartition(" ")[2] for name in PROJECT["classifiers"] if re.search(r"Python :: 3\.\d+$", name)}
+    assert set(re.findall(r'python(?:-version)?: "(3\.\d+)"', workflow)) == promised
+    [least] = [re.search(r">=([\d.]+)", name) for name in PROJECT["dependencies"] if re.match(r"pytest[><=]", name)]
+    assert least is not None
+    assert f'pytest: "{least[1]}"' in workflow
