@@ -16,7 +16,7 @@ from ..core.text import printable
 from ..protocols.journal import judged
 from ..protocols.registry import protocols
 from ..subject.model import Function, placeholders
-from . import Refusal
+from . import Refusal, tell
 from .doctor import subject_or_reference
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
     finally:
         loop.close()
     for line in _shown(reply, entries, inputs, shutil.get_terminal_size(_FALLBACK).columns):
-        print(line)
+        tell(line)
     return 0 if reply.success and not reply.faulty else 1
 
 
