@@ -87,7 +87,7 @@ def test_the_bounds_are_plenty_for_a_genuine_record(path: Path) -> None:
 
 def many_images(run: Record) -> None:
     looks = run["items"][0]["samples"][0]["observations"]
-    looks[:0] = [{**looks[0], "changes": []} for _ in range(100_000)]
+    looks[:0] = [{**looks[0], "changes": []} for _ in range(10_000)]
 
 
 def many_restarts(run: Record) -> None:
