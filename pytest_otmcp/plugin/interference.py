@@ -9,7 +9,7 @@ an item would run twice                            two items with the id of one 
 items were not collected                           required items without a collected one        ``check_selection``
 items were taken out by a filter or plugin         collected items that are not selected         ``check_selection``
 items are skipped, xfailed or use other fixtures   markers of the items                          ``check_selection``
-a fixture shadows the kit's                        a fixture ``otmcp…`` from outside the kit     ``check_selection``
+a fixture shadows the kit's                        a ``…otmcp…`` fixture from outside the kit  ``check_selection``
 a fixture runs around items                        its file is of the repository                 ``check_selection``
 a hook runs around items                           the file of its plugin is of the repository   ``check_selection``
 items were removed or sorted after the kit's hook  planned items differ from those to be run     ``check_execution_plan``
@@ -178,7 +178,7 @@ class Interference:
             file = getattr(getattr(function, "__code__", None), "co_filename", "")
             if function.__module__.startswith(f"{_PACKAGE}."):
                 continue
-            if name.startswith("otmcp"):
+            if name.lstrip("_").startswith("otmcp"):
                 self.note(f"the fixture {name} of {self._locate(function)} shadows the kit's")
             elif _is_own(file, self._config.rootpath):
                 self.note(f"the fixture {name} of {self._locate(function)} runs around the items")
