@@ -207,11 +207,17 @@ class SubjectProcess:
             await _within(_SETTLE_S, self._pipes.stderr_closed)
 
     def stop_reading(self) -> None:
-        """Read no more of stdout: what comes now is a flood."""
+        """Read no more of stdout until the process is to end: what comes now is a flood."""
         self._pipes.overflown = True
         stdout = cast(asyncio.ReadTransport, self._output[1])
         if not stdout.is_closing():
             stdout.pause_reading()
+
+    def _read_on(self) -> None:
+        """Read stdout and throw it away."""
+        stdout = cast(asyncio.ReadTransport, self._output[1])
+        if not stdout.is_closing():
+            stdout.resume_reading()
 
     def write(self, data: bytes) -> None:
         """Write bytes to stdin, at once unless the pipe is full.
@@ -233,6 +239,9 @@ class SubjectProcess:
         """
         begun = time.monotonic()
         exited = self._watcher.exited
+        if self._pipes.overflown:
+            # A process that waits until somebody reads its output cannot end.
+            self._read_on()
         if self._pipes.stdout_closed.is_set():
             # stdout closes a moment before the process can be reaped, so this process was ending before it was asked to.
             await _within(grace_s, exited)

@@ -263,7 +263,7 @@ def test_what_fails_gets_no_certificate_and_keeps_no_older_one(tmp_path: Path) -
 
 
 @pytest.mark.usefixtures("interruptible")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)])
 def test_an_interrupted_certification_leaves_a_record_and_nothing_running(
     empty_repository: Repository, waiting: socket.socket, number: signal.Signals
 ) -> None:

@@ -71,6 +71,7 @@ def test_a_bug_of_the_kit_is_neither_success_nor_failure(repository: Repository)
     assert "pytest_otmcp.trial.trial.Trial.run was replaced by something from" in " ".join(outcome.narrowed)
 
 
+@pytest.mark.long
 def test_an_adapter_without_the_tool_that_its_subject_names_is_a_usage_error(repository: Repository) -> None:
     binding = '\n[adapter.modbus.bind.ping]\ntool = "pingg"\nresult = { reachable = "data.reachable" }\n'
     repository.subject(more=binding)

@@ -173,6 +173,7 @@ def test_a_broken_subject_file_is_an_error_of_whoever_asks_for_the_subject(repos
     assert "Traceback" not in outcome.output
 
 
+@pytest.mark.long
 def test_the_subject_can_be_overridden(repository: Repository) -> None:
     repository.write(
         tests__conftest_py="import dataclasses\nimport pytest\nfrom pytest_otmcp.subject import reference_subject\n\n"

@@ -51,7 +51,7 @@ def test_there_are_examples_of_both_kinds() -> None:
         assert fixture in text
 
 
-@pytest.mark.parametrize("options", [pytest.param((), marks=pytest.mark.long), ("-n", "2")])
+@pytest.mark.parametrize("options", [(), pytest.param(("-n", "2"), marks=pytest.mark.long)])
 def test_the_examples_run_under_pytest_asyncio_in_strict_mode(repository: Repository, options: tuple[str, ...]) -> None:
     loops = ("-o", "asyncio_mode=strict", "-o", "asyncio_default_fixture_loop_scope=function")
     all_passed(run(repository, *loops, *options, plugins="pytest_asyncio.plugin xdist"))

@@ -161,6 +161,7 @@ def test_the_doctor_says_of_a_good_adapter_that_it_talks_to_the_mock(
     assert not elsewhere.touched
 
 
+@pytest.mark.long
 def test_fixtures_do_not_write_elsewhere(
     empty_repository: Repository, warm_start: WarmStart, protocol: str, elsewhere: Elsewhere
 ) -> None:

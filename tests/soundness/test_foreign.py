@@ -64,6 +64,7 @@ def test_an_honest_adapter_passes_what_it_claims(judge_foreign: Judge, name: str
     } == reasons
 
 
+@pytest.mark.long
 def test_an_adapter_that_waits_for_one_message_after_the_other_is_honest(judge_foreign: Judge) -> None:
     # What is bent is no lie: it is told like one.
     results = judge_foreign("mqtt-collect", lie="one-at-a-time", tasks="Q2 S2")
@@ -149,6 +150,7 @@ MISDESCRIBED = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", MISDESCRIBED)
 def test_a_subject_file_that_asks_for_something_else_cannot_pass(judge_foreign: Judge, case: str) -> None:
     name, lie, described, tasks = MISDESCRIBED[case]

@@ -81,6 +81,7 @@ def test_strangers_that_change_nothing_are_notes_beside_a_whole_run(judge_descri
             assert any(text in one for one in found[at, "stranger", what[:15]]), found
 
 
+@pytest.mark.long
 def test_a_stranger_that_was_gone_before_it_could_be_asked_who_it_was_is_no_adapter(
     judge_described: Judge, beside: Beside
 ) -> None:

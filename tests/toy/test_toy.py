@@ -87,6 +87,7 @@ def test_toys_are_collected_run_witnessed_recorded_reported_and_judged_again(run
     assert again.returncode == 0, again.stderr
 
 
+@pytest.mark.long
 def test_a_toy_that_says_written_and_wrote_nothing_is_found_out_by_its_device(run: Run, tmp_path: Path) -> None:
     subject(tmp_path, manner="lies")
     done = run("pytest", "--otmcp-reps=1", "-p", "no:cacheprovider", "-p", "undrawn", "-k", "T2 or U2")

@@ -405,6 +405,7 @@ def test_a_certificate_of_its_own_run_is_verified(files: tuple[Path, Path]) -> N
     assert found.said[0].startswith("verified: acme-adapter 1.4.0 is CONFORMANT; ")
 
 
+@pytest.mark.long
 def test_a_certificate_that_was_edited_anywhere_is_refused(files: tuple[Path, Path]) -> None:
     statement = json.loads(files[0].read_text())
     places = kinds(statement)
@@ -435,6 +436,7 @@ def kinds(document: Any) -> dict[str, tuple[str | int, ...]]:
     return {"/".join("*" if isinstance(name, int) else name for name in path): path for path in leaves(document)}
 
 
+@pytest.mark.long
 def test_a_run_of_which_any_kind_of_field_was_edited_is_refused(
     files: tuple[Path, Path], record: dict[str, Any]
 ) -> None:

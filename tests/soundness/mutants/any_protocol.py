@@ -243,7 +243,6 @@ MUTANTS = (
         bend=guard_after_sending("write_opcua_node"),
         items="O3",
         requirements="WR-004",
-        quick=True,
     ),
     Mutant(
         id="MU-21",
