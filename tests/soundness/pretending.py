@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import dataclasses
 import sys
 from collections.abc import Callable
@@ -42,8 +43,8 @@ class Pretender:
     described: Callable[[Adapter], Adapter] = lambda adapter: adapter
 
 
-def remembered_status(**meta: Any) -> Callable[[AdapterServer], None]:
-    """Answer the status from memory after the first time, with these members in ``meta``."""
+def remembered_status(*, pause_s: float = 0.0, **meta: Any) -> Callable[[AdapterServer], None]:
+    """Answer the status from memory after the first time, with these members in ``meta``, each answer after a pause."""
 
     def bend(server: AdapterServer) -> None:
         memory: dict[str, Any] = {}
@@ -52,9 +53,11 @@ def remembered_status(**meta: Any) -> Callable[[AdapterServer], None]:
             async def handler(call: Call, arguments: Any) -> Any:
                 if not memory:
                     memory.update(await genuine(call, arguments))
+                    await asyncio.sleep(pause_s)
                     return memory
                 call.source = meta.get("source", "none")
                 call.extra.update({name: value for name, value in meta.items() if name != "source"})
+                await asyncio.sleep(pause_s)
                 return memory
 
             return handler
@@ -151,9 +154,10 @@ PRETENDERS = {
     ),
     "status-always-young": Pretender(
         protocol="mqtt",
-        bend=remembered_status(source="cache", age_ms=1.0),
-        tasks="S11",
-        fails="S11",
+        # A status that is a tenth of a second older than it says is not told from a fresh one (TRANSIT_MS).
+        bend=remembered_status(source="cache", age_ms=1.0, pause_s=0.2),
+        tasks="Q1 S11",
+        fails="Q1 S11",
         words="it is older than the 1.0 ms that it claims",
         described=CACHED,
     ),
