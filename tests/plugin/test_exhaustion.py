@@ -32,8 +32,11 @@ def accuses_nobody(outcome: Outcome) -> None:
     assert outcome.code == 3, outcome.output
     assert "Traceback" not in outcome.output
     assert "file a bug" not in outcome.output
-    assert set(outcome.statuses.values()) <= {"PASS", "KIT_ERROR"}
-    assert "KIT_ERROR" in outcome.statuses.values()
+    if (outcome.report / "run.json").exists():
+        assert set(outcome.statuses.values()) <= {"PASS", "KIT_ERROR"}
+        assert "KIT_ERROR" in outcome.statuses.values()
+    else:
+        assert "M1 could not begin" in outcome.output
     words = " ".join(outcome.output.split())
     assert "`ulimit -n 1024`" in words
 
