@@ -13,7 +13,6 @@ import pytest
 
 from .vendor import Outcome, Repository
 
-
 PROGRAMS = ("", ".conformance", ".mocks", ".reference_adapters")
 
 
