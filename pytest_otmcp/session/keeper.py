@@ -33,7 +33,6 @@ import select
 import signal
 import socket
 import sys
-import time
 from collections.abc import Iterator
 from typing import Any, NoReturn
 
@@ -242,7 +241,9 @@ def _kill_unwatched(watchers: set[int]) -> None:
         for number in strays:
             with contextlib.suppress(OSError):
                 os.kill(number, signal.SIGKILL)
-        time.sleep(0.002)
+            # It is a child, whose status nobody wants: the wait ends with it, and there is nothing to return.
+            with contextlib.suppress(ChildProcessError):
+                os.waitpid(number, 0)
 
 
 def _fork_watcher(kit: socket.socket, parent: int, descriptors: list[int]) -> int:
