@@ -13,7 +13,7 @@ A fault of the adapter found by an oracle is no exception at all but a :class:`~
 
 from __future__ import annotations
 
-from .text import harmless
+from .text import marked
 
 __all__ = ["ExhaustedError", "KitError", "SubjectError", "UsageError"]
 
@@ -31,12 +31,12 @@ class ExhaustedError(KitError):
 
 
 class SubjectError(Exception):
-    """The adapter under test could not be started or served; the message repeats its words, made harmless.
+    """The adapter under test could not be started or served; the message repeats its words, each line of them marked.
 
     Attributes:
         code: the finding's code, such as ``cannot_start`` or ``start_timeout``.
     """
 
     def __init__(self, code: str, message: str) -> None:
-        super().__init__("\n".join(map(harmless, message.splitlines())))
+        super().__init__(marked(message))
         self.code = code

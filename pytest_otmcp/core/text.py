@@ -40,10 +40,13 @@ def harmless(line: str) -> str:
 
 
 def marked(text: str, indent: str = "    ") -> str:
-    """Return a text for a terminal or a log: its lines harmless, and each but the first behind ``indent`` and a mark."""
+    """Return a text for a terminal or a log: its lines harmless, and each but the first behind ``indent`` and a mark.
+
+    A line that is marked already gets no second mark: a text may pass here twice on its way.
+    """
     first, *others = text.splitlines() or [""]
     rest = textwrap.dedent("\n".join(others)).splitlines()
-    return "\n".join([harmless(first), *(f"{indent}{MARK}{harmless(line)}" for line in rest)])
+    return "\n".join([harmless(first), *(f"{indent}{MARK}{harmless(line.removeprefix(MARK))}" for line in rest)])
 
 
 def one_line(text: str) -> str:
