@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import cast
 from unicodedata import category
 
-from ..core.matrix import SUITES, repetitions
+from ..core.matrix import BENCHMARK, repetitions
 from ..core.verdict import Status, Verdict, decide
 from ..protocols.external import external_devices
 from ..protocols.protocol import GUARD
@@ -109,7 +109,7 @@ def _settings_objections(run: Run) -> Iterator[str]:
     for device in external_devices().values():
         if cast(dict[str, object], settings).get(device.option) != "embedded":
             yield f"the {device.option} was not the kit's own"
-    if settings["suites"] != list(SUITES):
+    if not {*BENCHMARK} <= {*settings["suites"]}:
         yield f"not every suite was chosen: {settings.get('suites')}"
 
 
@@ -180,7 +180,9 @@ def _item_objections(run: Run, tasks: Tasks) -> Iterator[str]:
             yield f"{name} is an item of {task.suite}, {task.family}, the record says {item['suite']}, {item['family']}"
         elif item["planned"] != planned.get(task.suite):
             yield f"{name} has {item['planned']} repetitions, the settings say {planned.get(task.suite)}"
-        elif (item["status"] == Status.NOT_APPLICABLE) == all(map(claims.has, claims.required(task.needs))):
+        elif (item["status"] == Status.NOT_APPLICABLE and not item["devices"]) == all(
+            map(claims.has, claims.required(task.needs))
+        ):
             yield f"{name} is called {item['status']}, which is not what the subject claims"
 
 

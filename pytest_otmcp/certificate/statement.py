@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping
 
-from ..core.matrix import SUITES
+from ..core.matrix import BENCHMARK, SUITES
 from ..core.statistics import lower_bound, proportion_interval
 from ..core.verdict import Status
 from ..protocols.registry import protocols
@@ -149,7 +149,11 @@ def _counts(run: Run) -> dict[str, object]:
         "confidence": _CONFIDENCE,
         "bounds": "Clopper-Pearson: at_least is one-sided, interval two-sided",
         "items": {item["id"]: _item_counts(item) for item in items if item["status"] != Status.NOT_APPLICABLE},
-        "suites": {suite: _tally(item for item in items if item["suite"] == suite) for suite in SUITES},
+        "suites": {
+            suite: _tally(item for item in items if item["suite"] == suite)
+            for suite in SUITES
+            if suite in BENCHMARK or suite in run["settings"]["suites"]
+        },
         "total": _tally(items),
         "tool_calls": run["footer"]["tool_calls"],
     }

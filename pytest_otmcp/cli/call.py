@@ -178,7 +178,7 @@ async def _perform(
         if writes and (problem := await prove_session(under_test)) is not None:
             raise Refusal(f"{adapter.protocol}: {problem}")
         since = await device.mark()
-        reply = await under_test.call(operation, **inputs)
+        reply = await under_test.call(operation, inputs)
         if writes and reply.success:
             await device.wait(since, {"state_changing": True}, timeout_s=_ARRIVING_S)
         return reply, judged((await device.journal(since)).entries)

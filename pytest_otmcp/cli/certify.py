@@ -191,7 +191,7 @@ def _conclude(out: Path, ended: int) -> int:
             record, sha256 = condensed(stored), stored.sha256
     except RecordError as reason:
         raise Refusal(f"no certificate: {reason}") from None
-    tasks = tasks_by_id(record["subject"]["adapters"])
+    tasks = tasks_by_id(record["subject"]["adapters"], record["settings"]["suites"])
     if reasons := objections(record, tasks):
         statuses = {item["id"]: Status(item["status"]) for item in record["items"]}
         code = exit_code(decide(statuses, tasks))

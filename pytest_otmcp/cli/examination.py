@@ -98,7 +98,7 @@ def _derived(
     if "digest" not in stored.footer:
         raise Refusal(f"refused: {path} was not sealed: {stored.footer['reason']}")
     run = condensed(stored)
-    tasks = tasks_by_id(run["subject"]["adapters"])
+    tasks = tasks_by_id(run["subject"]["adapters"], run["settings"]["suites"])
     why_none = objections(run, tasks)
     if certified is not None:
         _refuse(f"{path} earns no certificate", why_none)

@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
                 + (
                     f"did you mean {hint}?"
                     if hint
-                    else "docs/items.md, docs/requirements.md and docs/codes.md list them all"
+                    else "docs/items.md, docs/checks.md, docs/requirements.md and docs/codes.md list them all"
                 )
             )
         found += meanings

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
-__all__ = ["CROSS_PROTOCOL", "SUITES", "WARMED_UP", "repetitions"]
+__all__ = ["BENCHMARK", "CROSS_PROTOCOL", "REQUIREMENTS", "SUITES", "WARMED_UP", "repetitions"]
 
-SUITES = ("normal", "fault", "stress", "recovery")
-"""The suites in the order in which they run."""
+BENCHMARK = ("normal", "fault", "stress", "recovery")
+"""The paper's suites in the order in which they run: what a run has when no suite is asked for."""
+
+REQUIREMENTS = "requirements"
+"""The suite with a check for each row of the requirement catalogue and each protocol."""
+
+SUITES = (*BENCHMARK, REQUIREMENTS)
+"""Every suite, in the order in which they run."""
 
 WARMED_UP = ("normal", "fault")
 """Suites whose items begin with one unmeasured repetition, so that no first-time cost is counted as the adapter's."""
@@ -17,9 +23,11 @@ CROSS_PROTOCOL = "Cross-protocol"
 def repetitions(reps: int) -> dict[str, int]:
     """Return the repetitions per suite for one number N: N, N, ceil(N/3), ceil(2N/3) (N = 30 gives the paper's matrix).
 
+    A check of a requirement does by itself as often as its row needs what it is about, so it has one repetition.
+
     Raises:
         ValueError: N is below 1.
     """
     if reps < 1:
         raise ValueError("repetitions must be at least 1")
-    return {"normal": reps, "fault": reps, "stress": -(-reps // 3), "recovery": -(-2 * reps // 3)}
+    return {"normal": reps, "fault": reps, "stress": -(-reps // 3), "recovery": -(-2 * reps // 3), REQUIREMENTS: 1}

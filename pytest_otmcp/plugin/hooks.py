@@ -5,6 +5,7 @@ In a run without conformance items the plugin does nothing and imports nothing h
 
 from __future__ import annotations
 
+import difflib
 import json
 import time
 from collections.abc import Generator, Iterator
@@ -177,6 +178,7 @@ def pytest_collection_modifyitems(
 
     with ignore_warnings():
         required = list(_required_tasks(config))
+    _check_rows(config.stash[SETTINGS].only)
     tasks = _drop_unrequired_items(items, required)
     interference = config.stash[INTERFERENCE] = Interference(config)
     interference.note_collected(items)
@@ -185,7 +187,7 @@ def pytest_collection_modifyitems(
     settings = config.stash[SETTINGS]
     with ignore_warnings():
         interference.check_selection(items, required, settings)
-    selected = {item: task for item, task in _shipped_tasks(items).items() if task.suite in settings.suites}
+    selected = {item: task for item, task in _shipped_tasks(items).items() if settings.wants(task)}
     _deselect(config, items, [item for item in items if item in tasks and item not in selected])
     _sort_in_suite_order(items, selected, required)
     config.stash[PLANNED] = _task_ids(items)
@@ -196,6 +198,28 @@ def _drop_unrequired_items(items: list[pytest.Item], required: list[str]) -> dic
     tasks = {item: task for item, task in _shipped_tasks(items).items() if task.id in required}
     items[:] = [item for item in items if item in tasks or not is_shipped(item.path) or task_of(item) is None]
     return tasks
+
+
+def _check_rows(asked: tuple[str, ...]) -> None:
+    """End the run when there is no check of a row that was asked for."""
+    from ..core.matrix import REQUIREMENTS
+    from ..suite.catalogue import all_tasks
+    from ..suite.requirements import requirements
+
+    checks = [task for task in all_tasks().values() if task.suite == REQUIREMENTS] if asked else []
+    known = {name for task in checks for name in (task.id, *task.requirements)}
+    for name in asked:
+        if name in known:
+            continue
+        if name in requirements():
+            _refuse(
+                UsageError(
+                    f"--otmcp-only: {name} has no check of its own; otmcp explain {name} says where it is judged"
+                )
+            )
+        near = difflib.get_close_matches(name.upper(), sorted(known), 1)
+        hint = f"did you mean {near[0]}?" if near else "docs/checks.md lists them"
+        _refuse(UsageError(f"--otmcp-only: there is no row or check {name!r}; {hint}"))
 
 
 def _mark_items(tasks: dict[pytest.Item, Task]) -> None:
@@ -225,9 +249,10 @@ def _required_tasks(config: pytest.Config) -> dict[str, Task]:
     from ..protocols.registry import protocols
     from ..suite.catalogue import tasks_by_id
 
+    suites = config.stash[SETTINGS].suites
     if all(protocol.always for protocol in protocols().values()):
-        return tasks_by_id()
-    return tasks_by_id(_load_subject(config).adapters)
+        return tasks_by_id(suites=suites)
+    return tasks_by_id(_load_subject(config).adapters, suites)
 
 
 def _task_ids(items: list[pytest.Item]) -> list[str]:

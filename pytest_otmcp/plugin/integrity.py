@@ -23,6 +23,7 @@ from ..trial.task import Task
 __all__ = ["altered_task", "changed_files", "replaced_functions"]
 
 _KIT = Path(__file__).resolve().parents[1]
+_WRAPPING = _KIT / "trial" / "check.py"
 _LIBRARY = Path(hashlib.__file__).resolve().parent
 _PACKAGE = __package__.partition(".")[0]
 _ROOMS_WITHOUT_JUDGEMENT = tuple(
@@ -89,13 +90,24 @@ def altered_task(task: Task) -> list[str]:
     for attribute in (field.name for field in fields(task)):
         value, genuine = getattr(task, attribute), getattr(declared, attribute)
         if callable(genuine):
-            # pytest rewrites asserts, so the code may differ; the file that it comes from may not.
-            file = getattr(getattr(value, "__code__", None), "co_filename", "elsewhere")
-            if not Path(file).resolve().is_relative_to(files):
+            if (file := _foreign_file(value, files)) is not None:
                 found.append(f"{attribute} of the task {task.id} were replaced by something from {file}")
         elif value != genuine:
             found.append(f"{attribute} of the task {task.id} was altered from {genuine!r} to {value!r}")
     return found
+
+
+def _foreign_file(function: object, files: Path) -> str | None:
+    """Return the file that a function comes from when that is none of ``files``; None when it is.
+
+    pytest rewrites asserts, so the code may differ; the file that it comes from may not. Steps for every protocol are wrapped by the
+    kit, once for each protocol.
+    """
+    file = str(getattr(getattr(function, "__code__", None), "co_filename", "elsewhere"))
+    wrapped = getattr(function, "__wrapped__", None)
+    if wrapped is not None and Path(file).resolve() == _WRAPPING:
+        return _foreign_file(wrapped, files)
+    return None if Path(file).resolve().is_relative_to(files) else file
 
 
 @cache

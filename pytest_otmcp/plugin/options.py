@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 from ..core.errors import UsageError
-from ..core.matrix import SUITES, repetitions
+from ..core.matrix import BENCHMARK, REQUIREMENTS, SUITES, repetitions
 from ..protocols.external import ExternalDevice, external_devices
 
 if TYPE_CHECKING:
     import pytest
+
+    from ..trial.task import Task
 
 __all__ = ["DEFAULT_REPS", "RunSettings", "add_options", "read_settings"]
 
@@ -26,7 +28,8 @@ DEFAULT_REPS = 3
 _OPTIONS = {
     "reps": ("N", f"repetitions N: normal and fault N, stress N/3, recovery 2N/3, rounded up (default {DEFAULT_REPS})"),
     "subject": ("FILE", "subject file of the adapters under test (default: otmcp.toml, else the reference adapters)"),
-    "suite": ("NAMES", f"only these suites, separated by commas: {', '.join(SUITES)}"),
+    "suite": ("NAMES", f"these suites, separated by commas: {', '.join(SUITES)} (default: all but the last)"),
+    "only": ("ROWS", "only the checks of these rows of the catalogue, separated by commas: WR-003, or WR-003.modbus"),
     "report-dir": ("DIR", "directory for run record, tables and figures (default reports/latest)"),
     "seed": ("N", "seed of the values that repetitions use (default 0)"),
     "era": ("ERA", "MCP protocol era: auto or legacy (default auto)"),
@@ -47,6 +50,7 @@ class RunSettings:
         repetitions: suite name to number of repetitions.
         subject: subject file, or None for the shipped reference adapters.
         suites: names of the suites to run, in the suite's order.
+        only: rows of the catalogue, or ids of checks, to which the requirement suite is narrowed; empty for all.
         report_dir: directory of run record, tables and figures.
         seed: seed of the values that repetitions use.
         era: MCP protocol era, ``auto`` or ``legacy``.
@@ -58,11 +62,18 @@ class RunSettings:
     repetitions: dict[str, int]
     subject: Path | None
     suites: tuple[str, ...]
+    only: tuple[str, ...]
     report_dir: Path
     seed: int
     era: str
     time_scale: float
     external: dict[str, str]
+
+    def wants(self, task: Task) -> bool:
+        """Tell whether suite and row of a task were asked for."""
+        return task.suite in self.suites and (
+            task.suite != REQUIREMENTS or not self.only or not {task.id, *task.requirements}.isdisjoint(self.only)
+        )
 
 
 def add_options(parser: pytest.Parser) -> None:
@@ -90,12 +101,14 @@ def read_settings(config: pytest.Config) -> RunSettings:
             value = config.getini(_destination(name)) or None
         return None if value is None else str(value)
 
+    only = tuple(name.strip() for name in (text("only") or "").split(",") if name.strip())
     reps = _read_whole_number("reps", text("reps"), DEFAULT_REPS, minimum=1, maximum=100_000)
     return RunSettings(
         reps=reps,
         repetitions=repetitions(reps),
         subject=_find_subject(text("subject"), config.rootpath, config.invocation_params.dir),
-        suites=_read_suites(text("suite")),
+        suites=_read_suites(text("suite"), (REQUIREMENTS,) if only else BENCHMARK),
+        only=only,
         report_dir=_resolve_report_dir(text("report-dir"), config),
         seed=_read_whole_number("seed", text("seed"), 0, minimum=0, maximum=2**63 - 1),
         era=_check_choice("era", text("era") or "auto", ("auto", "legacy")),
@@ -140,9 +153,9 @@ def _check_choice(name: str, value: str, known: tuple[str, ...]) -> str:
     return value
 
 
-def _read_suites(value: str | None) -> tuple[str, ...]:
+def _read_suites(value: str | None, default: tuple[str, ...]) -> tuple[str, ...]:
     if value is None:
-        return SUITES
+        return default
     names = [name.strip() for name in value.split(",") if name.strip()]
     if not names:
         raise UsageError(f"--otmcp-suite: expected one or more of {', '.join(SUITES)}")

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 __all__ = ["Progress", "verbose_word"]
 
 # Rough seconds per repetition, to guess the remaining time; nothing better is known of items that have not run.
-_GUESS_S = {"normal": 0.02, "fault": 0.02, "stress": 0.12, "recovery": 1.3}
+_GUESS_S = {"normal": 0.02, "fault": 0.02, "stress": 0.12, "recovery": 1.3, "requirements": 1.0}
 _REDRAW_S = 0.1
 _MOVING_WIDTH = 70
 _EDGE = len(" [100%]") + 2

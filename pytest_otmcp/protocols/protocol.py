@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 from ..core.finding import Finding
 from .conversation import Conversation
+from .exercise import Exercise
 from .external import ExternalDevice
 from .framing import FrameLength
 from .journal import Entries, JournalEntry
@@ -212,6 +213,7 @@ class OtProtocol:
         external: the user's device in the mock's place; None when the mock cannot be replaced.
         session_oracles: the oracles that judge the whole life of a session.
         proof: what shows that a session talks to the mock device, before anything is written through it.
+        exercise: what checks that hold for every protocol do on this one; None where there are no such checks.
         always: the protocol's items are part of every run, as the paper's matrix has it; otherwise only of runs whose
             subject has an adapter for it.
         delayed: conditions of the mock's fault rules, one each, that together concern every request that is answered.
@@ -247,6 +249,7 @@ class OtProtocol:
     external: ExternalDevice | None = None
     session_oracles: tuple[type[SessionOracle], ...] = ()
     proof: Proof = field(default_factory=Proof)
+    exercise: Exercise | None = None
     always: bool = False
     delayed: tuple[Mapping[str, object], ...] = ({},)
     origin: Origin | None = None

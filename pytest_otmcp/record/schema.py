@@ -20,6 +20,7 @@ __all__ = [
     "ROLES",
     "SCHEMA",
     "AdapterFacts",
+    "Altered",
     "Around",
     "Call",
     "Change",
@@ -29,6 +30,7 @@ __all__ = [
     "Environment",
     "Finding",
     "Footer",
+    "Footprint",
     "Frames",
     "FreshSession",
     "Header",
@@ -299,11 +301,19 @@ class Frames(TypedDict):
     faults: list[Finding]
 
 
+class Altered(TypedDict):
+    """A change to the arguments that a binding makes: ``given`` ones, those that are ``left_out``, another ``tool``."""
+
+    given: dict[str, Any]
+    left_out: list[str]
+    tool: str | None
+
+
 class Call(TypedDict):
     """One tool call.
 
     ``operation`` and ``inputs``: what the steps asked for; ``tool`` and ``arguments``: what the subject file makes of it.
-    ``group``: calls of the same number were made at the same time. ``frames``: where the envelope does not say it all; ``frames_sha256`` is the digest of these frames as they were,
+    ``altered``: how the steps changed these arguments. ``group``: calls of the same number were made at the same time. ``frames``: where the envelope does not say it all; ``frames_sha256`` is the digest of these frames as they were,
     before any was cut off.
     """
 
@@ -324,6 +334,7 @@ class Call(TypedDict):
     listed: bool
     outputs: dict[str, Any]
     error_code: str | None
+    altered: NotRequired[Altered]
     frames_sha256: NotRequired[str]
     frames: NotRequired[Frames]
 
@@ -363,6 +374,15 @@ Change = tuple[list[str | int], Any]
 """A place in a device image, and its value there."""
 
 
+class Footprint(TypedDict):
+    """Figures of a session's processes together: resident memory in KiB, open descriptors, threads, processes."""
+
+    rss_kib: Count
+    descriptors: Count
+    threads: Count
+    processes: Count
+
+
 class Observation(TypedDict):
     """One look at a device, between ``asked_ns`` and ``seen_ns``; ``at`` names the adapter: its protocol, with ``@ro`` for the one with writes disabled.
 
@@ -374,7 +394,9 @@ class Observation(TypedDict):
     a device image; ``changes``: what differs in one from the last whole image of the device. ``stop``: the device was stopped,
     milliseconds; ``start``: it was started, its journal counts from 0 again. ``fresh_session``: the session was replaced.
     ``garbled``: number of the entry at which a session with a write switch that means nothing began; None where there was none.
-    ``end``: the slice ends before this number, the next one begins there.
+    ``end``: the slice ends before this number, the next one begins there. ``process``: figures of the adapter's processes.
+    ``tools``: digest of what the adapter lists. ``line_sent``: whether a line could be written to its standard input as it is.
+    ``stderr``: the adapter's newest lines there.
     """
 
     at: str
@@ -392,6 +414,10 @@ class Observation(TypedDict):
     fresh_session: NotRequired[FreshSession]
     garbled: NotRequired[Count | None]
     end: NotRequired[Count]
+    process: NotRequired[Footprint]
+    tools: NotRequired[str]
+    line_sent: NotRequired[bool]
+    stderr: NotRequired[list[str]]
 
 
 class Phases(TypedDict):

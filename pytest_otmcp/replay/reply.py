@@ -23,6 +23,7 @@ from ..core.strict_json import same_json
 from ..record.redaction import REDACTED
 from ..session.exchange import Exchange
 from ..subject.model import READ_WRITE, Answering, Binding, ErrorRule, OutcomeRule, OutputRule
+from ..trial.alteration import Alteration
 from ..trial.reply import Expectation, Reply, observe, replace_outputs
 from ..trial.stored import KEPT_OF_A_FRAME
 
@@ -56,7 +57,12 @@ def _binding(case: Mapping[str, Any]) -> Binding:
 
 
 def recorded_reply(
-    call: Mapping[str, Any], *, cases: list[Binding] | None, endpoint: Mapping[str, str], deadline_s: float
+    call: Mapping[str, Any],
+    *,
+    cases: list[Binding] | None,
+    endpoint: Mapping[str, str],
+    deadline_s: float,
+    altered: Alteration | None = None,
 ) -> Reply:
     """Read a recorded call again.
 
@@ -64,6 +70,7 @@ def recorded_reply(
         call: as ``run.json`` has it.
         cases: the subject's bindings of the operation; None for a Python function.
         endpoint, deadline_s: of the adapter under test.
+        altered: how the steps change the arguments.
 
     Raises:
         HistoryError: the call cannot have been made as it is recorded.
@@ -76,6 +83,8 @@ def recorded_reply(
         if binding is None:
             raise HistoryError(f"no binding of {call['operation']} is stored for {inputs}")
         arguments, tool = binding.fill(inputs, endpoint), binding.tool
+        if altered is not None:
+            arguments, tool = altered.applied(arguments), altered.tool or tool
     if tool != call["tool"] or not same_json(arguments, call["arguments"]):
         raise HistoryError(
             f"{call['operation']} is performed by {tool} with {arguments}, "

@@ -11,9 +11,10 @@ from typing import Any, cast
 from ..core.strict_json import same_json
 from ..protocols.protocol import Declared
 from ..record.images import Images, restore_image
-from ..record.schema import AdapterFacts, Call, DeviceEntry, ItemDevice, Observation
+from ..record.schema import AdapterFacts, Call, DeviceEntry, Footprint, ItemDevice, Observation
 from ..subject.claims import Claims
 from ..subject.model import READ_WRITE, Binding
+from ..trial.alteration import Alteration
 from ..trial.ledger import Ledger
 from ..trial.reply import Reply
 from ..trial.rig import Entry, FreshSession, Rig, adapter_name
@@ -269,14 +270,40 @@ class ReplayRig(Rig):
         self._state.history.looked(entries, end, seen_ns)
         return entries
 
-    async def _perform(self, operation: str, inputs: Mapping[str, object]) -> Reply:
+    async def _perform(self, operation: str, inputs: Mapping[str, object], altered: Alteration | None = None) -> Reply:
         call = self._past.call(self._state, operation, inputs, together=self._ledger.together)
+        stated = None if altered is None else altered.as_record()
+        if not same_json(call.get("altered"), stated):
+            raise HistoryError(
+                f"the steps change a call of {call['tool']} by {stated}, the history by {call.get('altered')}"
+            )
         return recorded_reply(
             call,
+            altered=altered,
             cases=self._state.adapter.bindings.get(operation),
             endpoint=self._state.history.facts["placeholders"],
             deadline_s=self._state.adapter.deadline_s,
         )
+
+    async def _perform_and_cancel(
+        self, operation: str, inputs: Mapping[str, object], seen: Mapping[str, object], timeout_s: float
+    ) -> Reply:
+        return await self._perform(operation, inputs)
+
+    def bindings(self, operation: str) -> Sequence[Binding] | None:
+        return self._state.adapter.bindings.get(operation, [])
+
+    async def footprint(self) -> Footprint:
+        return self._seen("process")["process"]
+
+    async def listed_tools(self) -> str:
+        return self._seen("tools")["tools"]
+
+    async def send_line(self, line: str) -> bool:
+        return self._seen("line_sent")["line_sent"]
+
+    async def stderr(self) -> list[str]:
+        return self._seen("stderr")["stderr"]
 
     async def _journal(self) -> list[Entry]:
         seen = self._seen("journal")

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from itertools import count
 from typing import cast
 
-from ..core.matrix import SUITES, repetitions
+from ..core.matrix import BENCHMARK, REQUIREMENTS, repetitions
 from ..core.statistics import lower_bound
 from ..protocols.external import external_devices
 from ..record.schema import AdapterFacts, Call, Item, ItemBody, Run
@@ -46,13 +46,15 @@ def applies(item: Item) -> bool:
 def applied(run: Run) -> str:
     """Say how many items of the suite ran and apply to the subject, of all that there are: what a verdict is about."""
     ran = {item["id"]: applies(item) for item in run["items"]}
-    total = len({*tasks_by_id(run["subject"]["adapters"]), *ran})
+    total = len({*tasks_by_id(run["subject"]["adapters"], run["settings"].get("suites", BENCHMARK)), *ran})
     return f"{sum(ran.values())} of {total} items applied"
 
 
 def whole(run: Run) -> bool:
     """Tell whether every item of the suite that there is for the subject has a result."""
-    return tasks_by_id(run["subject"]["adapters"]).keys() <= {item["id"] for item in run["items"]}
+    return tasks_by_id(run["subject"]["adapters"], run["settings"].get("suites", BENCHMARK)).keys() <= {
+        item["id"] for item in run["items"]
+    }
 
 
 def deadlines(run: Run) -> str:
@@ -69,9 +71,11 @@ def tally(items: Iterable[Item]) -> tuple[int, int]:
 
 
 def least(item: Item) -> float | None:
-    """Return the rate at which the item passes at least, with 95 % confidence; None when it says nothing about the subject,
-    or when something around the repetitions failed: then the repetitions are not what the item is about."""
-    return lower_bound(*tally([item])) if item["samples"] and not failing(item["findings"]) else None
+    """Return the rate at which the item passes at least, with 95 % confidence; None when it says nothing about the subject, for a
+    check of a requirement, which is met or not, or when something around the repetitions failed: then the repetitions are not what the item is about."""
+    if item["suite"] == REQUIREMENTS or not item["samples"] or failing(item["findings"]):
+        return None
+    return lower_bound(*tally([item]))
 
 
 def control_failed(item: ItemBody, passed: int) -> bool:
@@ -127,8 +131,10 @@ def command(run: Run, item: Item | None = None, repetition: int = 0) -> str:
     options = ["--pyargs", "pytest_otmcp.conformance"]
     if item is None:
         options.append(f"--otmcp-reps={settings['reps']}")
-        if list(settings.get("suites", SUITES)) != list(SUITES):
+        if list(settings.get("suites", BENCHMARK)) != list(BENCHMARK):
             options.append(f"--otmcp-suite={','.join(settings['suites'])}")
+    elif item["suite"] == REQUIREMENTS:
+        options.append(f"--otmcp-only={item['id']}")
     else:
         # A suite's repetitions are a share of N: N must be large enough for this repetition to be among them.
         reps = next(reps for reps in count(1) if repetitions(reps)[item["suite"]] > repetition)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from ..core.capability import Capability
+from ..core.matrix import BENCHMARK
 from ..core.verdict import Status
 from ..protocols.protocol import GUARD
 from ..protocols.registry import protocols
@@ -118,7 +119,8 @@ def earned(run: Run) -> list[tuple[Heading, dict[str, Earned]]]:
 def _wanted(run: Run) -> tuple[dict[str, _Ids], _Ids]:
     """Return the ids of the items behind each capability, by family, and of the items behind none."""
     behind: dict[str, tuple[str, Collection[str]]] = {
-        task.id: (task.family, task.capabilities) for task in tasks_by_id(run["subject"]["adapters"]).values()
+        task.id: (task.family, task.capabilities)
+        for task in tasks_by_id(run["subject"]["adapters"], run["settings"].get("suites", BENCHMARK)).values()
     }
     behind |= {item["id"]: (item["family"], _capabilities(item)) for item in run["items"]}
     wanted: dict[str, _Ids] = {name: {} for name in _HEADINGS}

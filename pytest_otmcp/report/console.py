@@ -60,7 +60,8 @@ def summary(run: Run, width: int = 80, *, verbosity: int = 0, fold_verdict: bool
 
 
 def _suites(run: Run, width: int) -> Iterator[Line]:
-    yield f"{'suite':<9}{'items':>7}{'runs':>10}{'each at least':>16}", "head"
+    wide = max(len(suite) for suite in ("normal", *(item["suite"] for item in run["items"]))) + 1
+    yield f"{'suite':<{wide}}{'items':>7}{'runs':>10}{'each at least':>16}", "head"
     for suite in SUITES:
         items = [item for item in run["items"] if item["suite"] == suite and applies(item)]
         if items:
@@ -68,7 +69,9 @@ def _suites(run: Run, width: int) -> Iterator[Line]:
             bounds = [least(item) for item in items]
             # One item of a suite that fails leaves nothing that could be said of each.
             known = [bound for bound in bounds if bound is not None] if not red and None not in bounds else []
-            row = f"{suite:<9}{count(len(items) - len(red), len(items), _NONE):>7}{count(*tally(items), _NONE):>10}"
+            row = (
+                f"{suite:<{wide}}{count(len(items) - len(red), len(items), _NONE):>7}{count(*tally(items), _NONE):>10}"
+            )
             row += f"{at_least(min(known, default=None), _NONE):>16}{'   ' if red else ''}{' '.join(red)}"
             yield shortened(row, width), "bad" if red else "plain"
 

@@ -35,10 +35,11 @@ def tables(run: Run, width: int) -> Iterator[Line]:
 
 def _suite(run: Run, suite: str, items: list[Item], width: int) -> Iterator[Line]:
     more = f"{'mean ms':>9}{'95 % CI':>17}" if width >= _WIDE else ""
-    yield f"{suite:<9}{'passed':>9}{'at least':>10}{'median ms':>11}{'p95 ms':>9}{more}   task", "head"
+    wide = max(7, *(len(item["id"]) + 1 for item in items))
+    yield f"{suite:<{wide + 2}}{'passed':>9}{'at least':>10}{'median ms':>11}{'p95 ms':>9}{more}   task", "head"
     for item in items:
         times = durations(run, [item])
-        row = f"  {item['id']:<7}{_count(*tally([item])):>9}{at_least(least(item), _NONE):>10}"
+        row = f"  {item['id']:<{wide}}{_count(*tally([item])):>9}{at_least(least(item), _NONE):>10}"
         row += f"{_number(percentile(times, 50)):>11}{_number(percentile(times, 95)):>9}"
         if more:
             row += f"{_number(mean(times)):>9}{interval(mean_interval(times), _NONE, '..'):>17}"

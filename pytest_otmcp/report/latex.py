@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from ..core.matrix import SUITES
+from ..core.matrix import BENCHMARK
 from ..core.statistics import mean, mean_interval, median_interval, outliers, percentile, standard_deviation
 from ..protocols.registry import protocols
 from ..record.consistency import count_calls
@@ -102,7 +102,7 @@ def _median_p95(run: Run, items: Iterable[Item]) -> tuple[str, str]:
 
 
 def _exact_counts(run: Run) -> list[str]:
-    suites = {suite: _items(run, suite) for suite in SUITES}
+    suites = {suite: _items(run, suite) for suite in BENCHMARK}
     samples = {suite: sum(len(item["samples"]) for item in items) for suite, items in suites.items()}
     calls = {suite: len(task_calls(items)) for suite, items in suites.items()}
     every = count_calls(run["items"])
@@ -218,7 +218,7 @@ def _recovery(run: Run) -> list[str]:
 
 def _statistics(run: Run) -> list[str]:
     rows: list[str] = []
-    for suite in SUITES:
+    for suite in BENCHMARK:
         items = _items(run, suite)
         if rows and items:
             rows.append("\\midrule")

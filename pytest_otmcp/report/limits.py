@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..core.matrix import SUITES
+from ..core.matrix import BENCHMARK
 from ..core.statistics import lower_bound
 from ..protocols.external import external_devices
 from . import Run, timing_valid
@@ -21,7 +21,7 @@ def narrowed(run: Run) -> list[str]:
     reasons = []
     if not footer["complete"]:
         reasons.append(f"The run is not complete: {footer.get('reason')}.")
-    if missing := [suite for suite in SUITES if suite not in settings.get("suites", SUITES)]:
+    if missing := [suite for suite in BENCHMARK if suite not in settings.get("suites", BENCHMARK)]:
         reasons.append(f"These suites were left out: {', '.join(missing)}.")
     # Limits that an option of the kit sets have their own sentences in this function.
     noted = [sentence for sentence in settings.get("narrowed", ()) if "(--otmcp-" not in sentence]

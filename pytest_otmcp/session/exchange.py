@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-__all__ = ["Exchange", "joined"]
+__all__ = ["CANCELLED", "Exchange", "joined"]
+
+CANCELLED = "cancelled"
+"""Failure of an exchange that the kit itself has cancelled."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -19,7 +22,7 @@ class Exchange:
         response: the response frame as read, or None when none came.
         sent_ns: monotonic time just before the request was written.
         received_ns: monotonic time at which the response had been read, or None.
-        failure: why there is no usable response (``timeout``, ``connection_closed``), or None.
+        failure: why there is no usable response (``timeout``, ``connection_closed``, ``cancelled``), or None.
         client_complaint: what the official SDK client objected to in the response, or None.
         asked_ns, returned_ns: monotonic times at which the SDK client was asked, and at which it had processed the
             response; 0 where the time of the client was not measured.

@@ -59,6 +59,10 @@ class HttpTransport:
         """True when the process has ended, or was never started."""
         return self.process is None or self.process.exited.is_set()
 
+    def write_line(self, line: bytes) -> bool:
+        """Return False: messages go by HTTP requests, and standard input carries none."""
+        return False
+
     async def stop(self) -> StopReport | None:
         """End the process if it still runs; a server on the network is asked by SIGTERM."""
         if self.process is not None and self.stop_report is None:

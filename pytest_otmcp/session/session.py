@@ -9,6 +9,7 @@ This module does not judge. It turns calls into :class:`~pytest_otmcp.session.ex
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import json
 import time
 from collections.abc import Awaitable, Callable, Mapping, Sequence
@@ -23,7 +24,9 @@ from pydantic import ValidationError
 
 from ..core.errors import ExhaustedError, KitError, SubjectError
 from ..core.exhaustion import exhausted
-from .exchange import Exchange
+from ..record.schema import Footprint
+from .exchange import CANCELLED, Exchange
+from .footprint import footprint
 from .frames import MAX_STRAY_LINES, META_KEY, FrameRecorder, Measurement
 from .http import HttpTransport
 from .output_schema import OutputCheck
@@ -184,8 +187,14 @@ class McpSession:
 
     # -- calls --------------------------------------------------------------------------------------------
 
-    async def call(self, tool: str, arguments: Mapping[str, object], *, timeout_s: float) -> Exchange:
+    async def call(
+        self, tool: str, arguments: Mapping[str, object], *, timeout_s: float, cancel: asyncio.Event | None = None
+    ) -> Exchange:
         """Call a tool and return the recorded exchange; no outcome of the call is an exception.
+
+        Args:
+            cancel: when it is set before the response has come, the call is cancelled by the client: with
+                ``notifications/cancelled`` on stdio, and as the transport has it elsewhere (MCP, Cancellation).
 
         Raises:
             KitError: the result could not be checked against the tool's ``outputSchema``.
@@ -195,7 +204,36 @@ class McpSession:
             tool,
             asked,
             lambda client, meta: client.call_tool(tool, asked, read_timeout_seconds=timeout_s, meta=meta),
+            cancel,
         )
+
+    async def list_anew(self, *, timeout_s: float) -> str:
+        """Ask for the list of tools again and return its digest; every page counts, and the order of the tools.
+
+        Raises:
+            SubjectError: there is no answer.
+        """
+        entries: list[object] = []
+        cursor: str | None = None
+        try:
+            async with asyncio.timeout(timeout_s):
+                while self._client is not None:
+                    page = await self._client.list_tools(cursor=cursor)
+                    entries += [tool.model_dump(by_alias=True, mode="json", exclude_none=True) for tool in page.tools]
+                    cursor = page.next_cursor
+                    if cursor is None:
+                        return f"sha256:{hashlib.sha256(json.dumps(entries).encode()).hexdigest()}"
+        except (MCPError, TimeoutError, RuntimeError, ValueError) as error:
+            raise SubjectError("session_lost", f"tools/list was not answered: {error}") from None
+        raise SubjectError("session_lost", await self.death_note())
+
+    def write_line(self, line: bytes) -> bool:
+        """Write a line to the standard input of the subject as it is; return whether there is such a stream."""
+        return self._transport.write_line(line)
+
+    def footprint(self) -> Footprint:
+        """Return the figures of the subject's processes together; zeros when there is none."""
+        return footprint(self.pid)
 
     async def read_resource(self, uri: str, *, timeout_s: float) -> Exchange:
         """Read a resource and return the recorded exchange, as :meth:`call` does."""
@@ -211,15 +249,17 @@ class McpSession:
         tool: str,
         arguments: Mapping[str, object],
         request: Callable[[Client, RequestParamsMeta], Awaitable[object]],
+        cancel: asyncio.Event | None = None,
     ) -> Exchange:
         async with nullcontext() if self._options.pace is None else self._options.pace.call():
-            return await self._recorded(tool, arguments, request)
+            return await self._recorded(tool, arguments, request, cancel)
 
     async def _recorded(
         self,
         tool: str,
         arguments: Mapping[str, object],
         request: Callable[[Client, RequestParamsMeta], Awaitable[object]],
+        cancel: asyncio.Event | None,
     ) -> Exchange:
         measured = Measurement()
         failure = complaint = None
@@ -231,7 +271,11 @@ class McpSession:
         else:
             token = self._recorder.begin(measured)
             try:
-                answer = await request(client, cast(RequestParamsMeta, {META_KEY: token}))
+                asking = request(client, cast(RequestParamsMeta, {META_KEY: token}))
+                answer = await (asking if cancel is None else _unless(cancel, asking))
+            except CancelledByKit:
+                if measured.response is None:
+                    failure = CANCELLED
             except (MCPError, TimeoutError) as error:
                 if measured.response is None:
                     timed_out = isinstance(error, TimeoutError) or error.code == -32001
@@ -354,3 +398,28 @@ def _innermost(error: BaseException) -> BaseException:
     while isinstance(error, BaseExceptionGroup) and error.exceptions:
         error = error.exceptions[0]
     return error
+
+
+class CancelledByKit(Exception):
+    """The kit has cancelled a call."""
+
+
+async def _unless(cancel: asyncio.Event, asking: Awaitable[object]) -> object:
+    """Return what is awaited, unless the event comes first.
+
+    Raises:
+        CancelledByKit: it came first; what was awaited has been cancelled.
+    """
+    # A task of its own: the client's cancel scopes must not see the cancellation of their caller.
+    answer = asyncio.ensure_future(asking)
+    waiting = asyncio.ensure_future(cancel.wait())
+    try:
+        await asyncio.wait({answer, waiting}, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        waiting.cancel()
+        if not answer.done():
+            answer.cancel()
+            await asyncio.wait({answer})
+    if answer.cancelled():
+        raise CancelledByKit
+    return answer.result()

@@ -53,6 +53,16 @@ class StdioTransport:
         process = self.process
         return process is None or process.exited.is_set() or process.stdout_closed.is_set()
 
+    def write_line(self, line: bytes) -> bool:
+        """Write a line to the process as it is, past the client; return whether the process takes input."""
+        if self.process is None or self.died:
+            return False
+        try:
+            self.process.write(line + b"\n")
+        except BrokenPipeError:
+            return False
+        return True
+
     async def stop(self) -> StopReport | None:
         """End the process if it still runs."""
         if self.process is not None and self.stop_report is None:

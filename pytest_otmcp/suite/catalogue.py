@@ -8,6 +8,7 @@ from importlib import import_module
 from types import ModuleType
 
 from ..core.digest import files_digest
+from ..core.matrix import BENCHMARK, REQUIREMENTS
 from ..protocols.registry import protocols
 from ..trial.task import Task
 
@@ -22,33 +23,38 @@ _MOCKS = f"{_PACKAGE}.mocks"
 _ADAPTERS = f"{_PACKAGE}.reference_adapters"
 
 
-def _declarations() -> ModuleType:
+def _declarations() -> tuple[ModuleType, ModuleType]:
     # The suite imports the kit, so the kit finds the suite by its name.
-    return import_module(f"{SUITE}.tasks")
+    return import_module(f"{SUITE}.tasks"), import_module(f"{SUITE}.requirements")
 
 
 def task_modules() -> tuple[str, ...]:
     """Return the dotted names of the modules that declare the tasks of the suite."""
-    modules: tuple[str, ...] = _declarations().modules()
-    return modules
+    return tuple(name for declaring in _declarations() for name in declaring.modules())
 
 
 def all_tasks() -> dict[str, Task]:
     """Return every task by id in the suite's order, also the tasks that run only for a subject with their protocol."""
-    return {task.id: task for task in _declarations().tasks()}
+    benchmark, requirements = _declarations()
+    return {task.id: task for task in (*benchmark.tasks(), *requirements.checks())}
 
 
-def tasks_by_id(adapters: Collection[str] = ()) -> dict[str, Task]:
+def tasks_by_id(adapters: Collection[str] = (), suites: Collection[str] = BENCHMARK) -> dict[str, Task]:
     """Return the tasks that a run must have, by id, in the suite's order.
+
+    The benchmark's suites belong together: who asks for one of them has a run of the benchmark that is not whole. The requirement
+    suite is part of a run that asks for it, alone or beside the benchmark.
 
     Args:
         adapters: protocols for which the subject has an adapter. Tasks on the kit's own protocols are always required,
             tasks on other protocols only when the subject has an adapter for them.
+        suites: suites that the run has asked for.
     """
+    wanted = {*(BENCHMARK if {*BENCHMARK} & {*suites} else ()), *({REQUIREMENTS} & {*suites})}
     return {
         name: task
         for name, task in all_tasks().items()
-        if all(protocols()[key].always or key in adapters for key in task.protocols)
+        if task.suite in wanted and all(protocols()[key].always or key in adapters for key in task.protocols)
     }
 
 

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 
 from ..core.error_registry import registry
-from ..core.matrix import SUITES
+from ..core.matrix import BENCHMARK, REQUIREMENTS
 from .catalogue import all_tasks
 from .explanations import Explained, error_code, finding_code, findings, item, requirement
 from .requirements import requirements
@@ -26,9 +26,19 @@ def _items() -> Iterator[str]:
         "seen. `otmcp explain M3` prints the same."
     )
     tasks = all_tasks().values()
-    for suite in SUITES:
+    for suite in BENCHMARK:
         yield f"## {suite.capitalize()} suite"
         yield from _sections(item(task) for task in tasks if task.suite == suite)
+
+
+def _checks() -> Iterator[str]:
+    yield "# The checks of the requirement suite"
+    yield _HEAD.format(name="checks", origin="the declarations of the checks")
+    yield (
+        "Each check is about one row of the catalogue and one protocol. `pytest --otmcp-only=WR-003` runs those of a row, and "
+        "`otmcp explain WR-003.modbus` prints the same as this page."
+    )
+    yield from _sections((item(task) for task in all_tasks().values() if task.suite == REQUIREMENTS), "##")
 
 
 def _requirements() -> Iterator[str]:
@@ -56,6 +66,7 @@ def _codes() -> Iterator[str]:
 
 PAGES: Mapping[str, Callable[[], Iterator[str]]] = {
     "items": _items,
+    "checks": _checks,
     "requirements": _requirements,
     "codes": _codes,
 }

@@ -5,12 +5,13 @@ A session that broke is replaced. This module knows no tasks and judges nothing.
 
 from __future__ import annotations
 
+import asyncio
 import socket
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypedDict, cast
 
@@ -37,11 +38,13 @@ from ..subject.model import (
     READ_WRITE,
     Adapter,
     Answering,
+    Binding,
     Function,
     OutputRule,
     replace_placeholders,
     replace_template,
 )
+from .alteration import Alteration, expanded
 from .cursor import JournalCursor
 from .reply import Expectation, Reply, observe, replace_outputs
 
@@ -384,12 +387,21 @@ class AdapterUnderTest:
 
     # -- calls --------------------------------------------------------------------------------------------
 
-    async def call(self, operation: str, **inputs: object) -> Reply:
+    async def call(
+        self,
+        operation: str,
+        inputs: Mapping[str, object],
+        *,
+        altered: Alteration | None = None,
+        cancel: asyncio.Event | None = None,
+    ) -> Reply:
         """Perform an abstract operation through the adapter's own tools.
 
         Args:
             operation: name of the operation.
             inputs: the operation's inputs.
+            altered: change to the arguments of the tool; for an operation that a Python function performs there is none.
+            cancel: the call is cancelled when this is set before the answer has come.
 
         Raises:
             NoBindingError: the subject does not say how it is performed.
@@ -400,7 +412,7 @@ class AdapterUnderTest:
         self.used[operation] = None
         session = self._current()
         if isinstance(bound, Function):
-            return await self._perform(bound, session, inputs)
+            return await self._perform(bound, session, dict(inputs))
         binding = next((case for case in bound or () if case.fits(inputs)), None)
         if binding is None:
             asked = ", ".join(f"{name}={value!r}" for name, value in inputs.items()) if bound else "any input"
@@ -413,11 +425,13 @@ class AdapterUnderTest:
             exchange = await session.read_resource(binding.tool, timeout_s=timeout_s)
         else:
             arguments = binding.fill(inputs, self.endpoint)
-            self.check_address(
-                binding.tool, arguments, writes=protocols()[self.adapter.protocol].operations[operation].writes
-            )
-            self._called.add(binding.tool)
-            exchange = await session.call(binding.tool, arguments, timeout_s=timeout_s)
+            tool = binding.tool
+            if altered is not None:
+                arguments, tool = altered.applied(arguments), altered.tool or tool
+            self.check_address(tool, arguments, writes=protocols()[self.adapter.protocol].operations[operation].writes)
+            self._called.add(tool)
+            exchange = await session.call(tool, expanded(arguments), timeout_s=timeout_s, cancel=cancel)
+            exchange = replace(exchange, arguments=arguments)
         listed = self.variant == READ_WRITE or binding.resource or binding.tool in session.tools
         expected = self._expectation(operation, binding.answering, binding.outputs, listed=listed)
         if not binding.answering.native:
@@ -458,6 +472,11 @@ class AdapterUnderTest:
                 f"{self.adapter.protocol}: {tool} may write and is not told where the mock device is, although tools that read "
                 "are; nothing was written"
             )
+
+    def bindings(self, operation: str) -> Sequence[Binding] | None:
+        """Return the bindings of an operation; None for one that a Python function performs."""
+        bound = self.adapter.operations.get(operation)
+        return None if isinstance(bound, Function) else bound or ()
 
     def is_bound(self, operation: str, inputs: Mapping[str, object]) -> bool:
         """Tell whether the subject says how the operation is performed with these inputs."""

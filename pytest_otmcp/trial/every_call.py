@@ -55,7 +55,7 @@ class EveryCall:
             self._start_times.look(call)
             owner = repetition.rig(call.reply.adapter)
             # The read-only variant need not list every tool, and lists no other ones.
-            if owner is not None and call.reply.variant == READ_WRITE:
+            if owner is not None and call.reply.variant == READ_WRITE and call.altered is None:
                 self._of_item += self._listing_faults(owner, call)
 
     def _listing_faults(self, at: Rig, call: Judged) -> Iterator[Finding]:

@@ -11,6 +11,7 @@ from ..core.finding import Finding
 from ..protocols.journal import JournalEntry
 from ..record.schema import DeviceEntry, Observation, Role
 from ..subject.model import READ_WRITE
+from .alteration import Alteration
 from .reply import Reply
 
 __all__ = ["Entry", "Judged", "Ledger"]
@@ -27,6 +28,7 @@ class Judged:
         inputs: the inputs of the operation.
         role: ``task``, ``control``, ``setup``, ``warmup`` or ``recovery``; only ``task`` calls count for the benchmark.
         group: number of the calls that were made at the same time.
+        altered: how the steps changed the arguments; None for a call as the subject file has it.
         ok: the call met its task's expectation; None until it has been judged.
         reachable: the device was there all the time.
         proof: the call proves where the session leads; the steps did not ask for it.
@@ -36,6 +38,7 @@ class Judged:
     inputs: Mapping[str, object]
     role: Role
     group: int
+    altered: Alteration | None = None
     ok: bool | None = None
     reachable: bool = True
     proof: bool = False
@@ -73,13 +76,21 @@ class Ledger:
         self._together = False
 
     def add(
-        self, reply: Reply, inputs: Mapping[str, object], role: Role | None = None, *, reachable: bool = True
+        self,
+        reply: Reply,
+        inputs: Mapping[str, object],
+        role: Role | None = None,
+        *,
+        reachable: bool = True,
+        altered: Alteration | None = None,
     ) -> None:
         """Note a reply and its faults."""
         if not self._together:
             self._group += 1
         role = role or self.role
-        self.calls.append(Judged(reply=reply, inputs=inputs, role=role, group=self._group, reachable=reachable))
+        self.calls.append(
+            Judged(reply=reply, inputs=inputs, role=role, group=self._group, reachable=reachable, altered=altered)
+        )
         self.findings.extend(reply.faults)
 
     def add_proof(self, reply: Reply, inputs: Mapping[str, object]) -> None:

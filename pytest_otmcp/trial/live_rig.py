@@ -9,17 +9,20 @@ from contextlib import AbstractContextManager
 from dataclasses import asdict
 from typing import Any, cast
 
+from ..core.errors import KitError
 from ..core.finding import Finding
 from ..plant.device import Journal
 from ..protocols.journal import ADAPTER
 from ..protocols.protocol import Declared
 from ..record.images import Images, keep_image
-from ..record.schema import ItemDevice, Observation, SessionStart
+from ..record.schema import Footprint, ItemDevice, Observation, SessionStart
+from ..session.footprint import footprint
 from ..session.session import McpSession
 from ..subject.addressing import addressed_by
 from ..subject.claims import Claims
-from ..subject.model import Function
+from ..subject.model import Binding, Function
 from .adapter_under_test import AdapterUnderTest
+from .alteration import Alteration
 from .bench import Bench
 from .ledger import Ledger
 from .reply import Reply
@@ -152,6 +155,9 @@ class LiveRig(Rig):
     def addressed_by(self) -> Sequence[str]:
         return addressed_by(self.under_test.adapter)
 
+    def bindings(self, operation: str) -> Sequence[Binding] | None:
+        return self.under_test.bindings(operation)
+
     def _is_bound(self, operation: str, inputs: Mapping[str, object]) -> bool:
         return self.under_test.is_bound(operation, inputs)
 
@@ -170,8 +176,25 @@ class LiveRig(Rig):
         observation = {"at": self.name, "asked_ns": asked_ns, "seen_ns": time.monotonic_ns(), **seen}
         self._ledger.observed(cast(Observation, observation))
 
-    async def _perform(self, operation: str, inputs: Mapping[str, Any]) -> Reply:
-        reply = await self.under_test.call(operation, **inputs)
+    async def _perform(self, operation: str, inputs: Mapping[str, object], altered: Alteration | None = None) -> Reply:
+        return self._observed(await self.under_test.call(operation, inputs, altered=altered))
+
+    async def _perform_and_cancel(
+        self, operation: str, inputs: Mapping[str, object], seen: Mapping[str, object], timeout_s: float
+    ) -> Reply:
+        cancel = asyncio.Event()
+        # One more entry that matches than there are.
+        before = len(await self.device.wait(self._cursor.next, seen, timeout_s=0.0))
+        call = asyncio.create_task(self.under_test.call(operation, inputs, cancel=cancel))
+        try:
+            scaled = timeout_s * self._ledger.time_scale
+            await self.device.wait(self._cursor.next, seen, timeout_s=scaled, count=before + 1)
+        finally:
+            cancel.set()
+            await asyncio.wait({call})
+        return self._observed(call.result())
+
+    def _observed(self, reply: Reply) -> Reply:
         if self.under_test.session is not None:
             bugs = [fault for fault in reply.faults if fault.code == "internal_error"]
             self._bugs += [(bug, self.under_test.session) for bug in bugs]
@@ -298,6 +321,39 @@ class LiveRig(Rig):
         self._state.told_session = self._cursor.session
         self._noted({"garbled": self._cursor.began if started else None}, begun)
         return started
+
+    async def footprint(self) -> Footprint:
+        asked_ns = time.monotonic_ns()
+        session = self.under_test.session
+        found = footprint(None if session is None else session.pid)
+        self._noted({"process": found}, asked_ns)
+        return found
+
+    async def listed_tools(self) -> str:
+        asked_ns = time.monotonic_ns()
+        with self._bench.spent.on("tool calls"):
+            digest = await self._session.list_anew(timeout_s=self.under_test.deadline_s)
+        self._noted({"tools": digest}, asked_ns)
+        return digest
+
+    async def send_line(self, line: str) -> bool:
+        asked_ns = time.monotonic_ns()
+        sent = self._session.write_line(line.encode("utf-8", "surrogateescape"))
+        self._noted({"line_sent": sent}, asked_ns)
+        return sent
+
+    async def stderr(self) -> list[str]:
+        asked_ns = time.monotonic_ns()
+        lines = self._session.stderr_tail()
+        self._noted({"stderr": lines}, asked_ns)
+        return lines
+
+    @property
+    def _session(self) -> McpSession:
+        session = self.under_test.session
+        if session is None:
+            raise KitError(f"the steps look at the session of {self.name}, there is none")
+        return session
 
     async def close_session(self) -> None:
         with self._bench.spent.on("adapter starts"):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import random
 from collections.abc import Coroutine, Iterable
-from typing import Any
+from typing import Any, NoReturn
 
 from ..core.finding import Finding
 from ..core.strict_json import same_json
@@ -40,6 +40,7 @@ class Repetition:
         notes: a place where the steps can keep values.
         phases: of a recovery trial.
         ended_early: its last steps were not reached.
+        inapplicable: why the steps found nothing to judge; None where they did.
     """
 
     def __init__(
@@ -55,6 +56,7 @@ class Repetition:
         self.phases: Phases | None = None
         self.notes: dict[str, object] = {}
         self.ended_early = False
+        self.inapplicable: str | None = None
         self._at = {(at.protocol, at.variant): at for at in rigs}
         for at in self.all:
             at.join(self.ledger)
@@ -111,6 +113,15 @@ class Repetition:
         """Note a finding of the task itself."""
         self.ledger.finding(code, message, requirement, evidence)
 
+    def not_applicable(self, reason: str) -> NoReturn:
+        """End the repetition: the subject has nothing that the steps could judge.
+
+        Args:
+            reason: why, from what the subject file and the adapter's list of tools say alone, so that a stored history says the same.
+        """
+        self.inapplicable = reason
+        raise EndedError
+
     # -- judging ------------------------------------------------------------------------------------------
 
     def succeeds(self, reply: Reply, *, requirement: str | None = None, **outputs: object) -> bool:
@@ -142,7 +153,7 @@ class Repetition:
     @property
     def unanswered(self) -> bool:
         """At least one call of the steps got no response at all."""
-        return not all(call.reply.answered for call in self.ledger.calls if not call.proof)
+        return not all(call.reply.answered or call.reply.cancelled for call in self.ledger.calls if not call.proof)
 
     @property
     def duration_ms(self) -> float:

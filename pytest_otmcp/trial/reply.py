@@ -11,7 +11,7 @@ from ..core.strict_json import parse_strict
 from ..protocols.envelope import check_result
 from ..protocols.journal import Entries, JournalEntry
 from ..protocols.registry import protocols
-from ..session.exchange import Exchange
+from ..session.exchange import CANCELLED, Exchange
 from ..subject.answers import extract, interpret, read_answer, synthesised, synthesised_from_outputs
 from ..subject.model import Answering, OutputRule
 
@@ -79,6 +79,11 @@ class Reply:
         return self.exchange.response is not None
 
     @property
+    def cancelled(self) -> bool:
+        """The kit has cancelled the call before there was a response."""
+        return self.exchange.failure == CANCELLED
+
+    @property
     def latency_ms(self) -> float | None:
         """Request written to response line read, in milliseconds; None without a response."""
         return self.exchange.latency_ms
@@ -125,6 +130,8 @@ def observe(exchange: Exchange, expected: Expectation) -> Reply:
         listed=expected.listed,
     )
     if exchange.response is None:
+        if exchange.failure == CANCELLED:
+            return silent
         return replace(silent, faults=(_no_response(exchange, expected.deadline_s),))
     try:
         message = parse_strict(exchange.response)

@@ -7,15 +7,16 @@ which uses a running adapter and device, and by ``replay.rig``, which reads the 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar, cast
 
 from ..core.finding import Finding
 from ..protocols.journal import ADAPTER, judged
 from ..protocols.protocol import Declared
-from ..record.schema import DeviceEntry, Role
-from ..subject.model import READ_WRITE
+from ..record.schema import DeviceEntry, Footprint, Role
+from ..subject.model import READ_WRITE, Binding
+from .alteration import Alteration
 from .cursor import JournalCursor, Oracle
 from .ledger import Entry, Ledger
 from .reply import Reply
@@ -108,15 +109,62 @@ class Rig(WriteGate):
 
         An operation that writes is performed only in a session that is proven to talk to the mock device.
         """
+        return await self._call(operation, inputs, role)
+
+    async def call_altered(
+        self, operation: str, altered: Alteration, *, role: Role | None = None, **inputs: object
+    ) -> Reply:
+        """Perform an operation by a tool call whose arguments are changed; see :meth:`call`.
+
+        The operation must be one of :meth:`alterable`.
+        """
+        return await self._call(operation, inputs, role, altered)
+
+    async def _call(
+        self, operation: str, inputs: Mapping[str, object], role: Role | None, altered: Alteration | None = None
+    ) -> Reply:
         writes = await self._before(operation)
         there = self.running
-        reply = await self._perform(operation, inputs)
-        self._ledger.add(reply, inputs, role, reachable=there and self.running)
+        reply = await self._perform(operation, inputs, altered)
+        self._ledger.add(reply, inputs, role, reachable=there and self.running, altered=altered)
         if writes:
             self._after(reply)
         if not reply.answered:
             raise EndedError
         return reply
+
+    async def call_and_cancel(
+        self, operation: str, *, seen: Mapping[str, object], timeout_s: float, **inputs: object
+    ) -> Reply:
+        """Perform an operation and cancel the call as soon as the device has seen an entry that matches, or after the timeout.
+
+        The reply is ``cancelled``, unless the answer came first.
+        """
+        await self._before(operation)
+        reply = await self._perform_and_cancel(operation, inputs, {"origin": ADAPTER, **seen}, timeout_s)
+        self._ledger.add(reply, inputs)
+        return reply
+
+    def arguments_of(self, operation: str, **inputs: object) -> dict[str, str] | None:
+        """Return the inputs of an operation by the tool argument that each is given as, where it is given as it is.
+
+        None where the operation is not performed by one tool call, so that its arguments cannot be changed.
+        """
+        cases = self.bindings(operation)
+        binding = next((case for case in cases or () if case.fits(inputs)), None)
+        if binding is None or binding.resource:
+            return None
+        taken = {value: name for name, value in binding.arguments.items() if isinstance(value, str)}
+        return {
+            name: taken[f"${name}"]
+            for name in inputs
+            if f"${name}" in taken and name not in {*binding.offset, *binding.names, *binding.convert}
+        }
+
+    def tool_of(self, operation: str, **inputs: object) -> str | None:
+        """Return the tool that performs an operation; None where it is not performed by one tool call."""
+        cases = self.bindings(operation)
+        return next((case.tool for case in cases or () if case.fits(inputs) and not case.resource), None)
 
     async def call_until_success(self, operation: str, *, window_s: float, **inputs: Any) -> list[Reply]:
         """Call until the adapter succeeds or the window, counted from the moment the device accepts connections,
@@ -210,6 +258,30 @@ class Rig(WriteGate):
     def listing(self, operation: str, tool: str) -> Mapping[str, object] | None:
         """Return what ``tools/list`` says of the tool that a binding of this operation calls; None where it says nothing."""
 
+    @abstractmethod
+    def bindings(self, operation: str) -> Sequence[Binding] | None:
+        """Return the subject's bindings of an operation; None for one that a Python function performs."""
+
+    @abstractmethod
+    async def footprint(self) -> Footprint:
+        """Return what the processes of the session take of the machine."""
+
+    @abstractmethod
+    async def listed_tools(self) -> str:
+        """Ask for the list of tools again, and return its digest.
+
+        Raises:
+            SubjectError: there is no answer.
+        """
+
+    @abstractmethod
+    async def send_line(self, line: str) -> bool:
+        """Write a line to the adapter's standard input as it is; return whether there is such a stream."""
+
+    @abstractmethod
+    async def stderr(self) -> list[str]:
+        """Return the newest lines that the adapter has written to standard error, oldest first."""
+
     @property
     @abstractmethod
     def accepting_ns(self) -> int:
@@ -282,6 +354,11 @@ class Rig(WriteGate):
     @abstractmethod
     async def _reconnecting(self) -> None:
         """Wait, after a failed call, until it makes sense to call again."""
+
+    @abstractmethod
+    async def _perform_and_cancel(
+        self, operation: str, inputs: Mapping[str, object], seen: Mapping[str, object], timeout_s: float
+    ) -> Reply: ...
 
     @abstractmethod
     async def _stop(self) -> float: ...

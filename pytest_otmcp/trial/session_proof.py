@@ -42,7 +42,7 @@ class _Session:
         return operation in self._under_test.adapter.blocking
 
     async def ask(self, operation: str, inputs: Mapping[str, Any]) -> Reply:
-        return await self._under_test.call(operation, **inputs)
+        return await self._under_test.call(operation, inputs)
 
     async def poke(self, **params: object) -> None:
         await self._under_test.device.poke(**params)

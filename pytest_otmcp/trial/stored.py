@@ -23,7 +23,13 @@ def stored_calls(ledger: Ledger) -> list[Call]:
     fault, or where the answer is no envelope.
     """
     return [
-        _call(call, with_frames=ledger.failed or bool(call.reply.faults) or not call.reply.native)
+        _call(
+            call,
+            with_frames=ledger.failed
+            or bool(call.reply.faults)
+            or not call.reply.native
+            or call.reply.envelope is None,
+        )
         for call in ledger.calls
     ]
 
@@ -49,6 +55,8 @@ def _call(judged: Judged, *, with_frames: bool) -> Call:
         "sent_ns": exchange.sent_ns,
         "received_ns": exchange.received_ns,
     }
+    if judged.altered is not None:
+        stored["altered"] = judged.altered.as_record()
     if with_frames:
         stored["frames_sha256"] = hashlib.sha256(exchange.request + b"\n" + (exchange.response or b"")).hexdigest()
         stored["frames"] = _frames(reply.faults, exchange)

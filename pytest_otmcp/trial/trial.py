@@ -142,6 +142,9 @@ class Trial:
                 self._progress(rep, self._planned)
             repetition = await self._repeat(rep)
             silent = silent + 1 if repetition.unanswered else 0
+            if repetition.inapplicable is not None:
+                self._status, self._reason = "NOT_APPLICABLE", repetition.inapplicable
+                return
             if repetition.unanswered or repetition.ended_early:
                 self._take(await driver.end_sessions())
             if silent == _GIVE_UP_AFTER and rep + 1 < self._planned:

@@ -15,6 +15,7 @@ from ..core.finding import Finding
 from ..protocols.journal import JournalEntry
 from ..protocols.oracle import state_changing
 from ..protocols.registry import protocols
+from .alteration import Alteration
 from .cursor import JournalCursor
 from .ledger import Ledger
 from .proving import prove, why_reachable
@@ -159,7 +160,9 @@ class WriteGate(ABC):
     def _is_bound(self, operation: str, inputs: Mapping[str, object]) -> bool: ...
 
     @abstractmethod
-    async def _perform(self, operation: str, inputs: Mapping[str, object]) -> Reply: ...
+    async def _perform(
+        self, operation: str, inputs: Mapping[str, object], altered: Alteration | None = None
+    ) -> Reply: ...
 
     @abstractmethod
     async def _feed(self) -> None:

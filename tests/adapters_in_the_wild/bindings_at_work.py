@@ -32,7 +32,7 @@ class Work:
     async def call(self, operation: str, **inputs: object) -> Reply:
         """Perform the operation; ``entries`` is then what the device saw."""
         since = await self.device.mark()
-        reply = await self.under_test.call(operation, **inputs)
+        reply = await self.under_test.call(operation, inputs)
         await self.device.wait(since, {"direction": "in"}, timeout_s=1.0)
         self.entries = [*(await self.device.journal(since)).entries]
         return reply
@@ -67,7 +67,7 @@ async def tells_the_state(work: Work, operation: str) -> bool:
     with_device = await work.call(operation)
     exchanged = any(entry["answers"] for entry in work.entries)
     await work.device.stop()
-    without = await work.under_test.call(operation)
+    without = await work.under_test.call(operation, {})
     await work.device.start()
     return exchanged and not _says_no(with_device) and _says_no(without)
 
@@ -91,17 +91,17 @@ async def receives(work: Work, operation: str) -> bool:
     topic, text, blocks = "wild/tank", f"{random.getrandbits(40):x}", operation in work.under_test.adapter.blocking
     since = await work.device.mark()
     if not blocks:
-        await work.under_test.call("subscribe", filter="wild/#", qos=0)
+        await work.under_test.call("subscribe", {"filter": "wild/#", "qos": 0})
     inputs: dict[str, object] = {"filter": topic, **({"seconds": 2} if blocks else {})}
-    call = asyncio.create_task(work.under_test.call(operation, **inputs)) if blocks else None
+    call = asyncio.create_task(work.under_test.call(operation, inputs)) if blocks else None
     await work.device.wait(since, {"kind": "SUBACK", "direction": "out"}, timeout_s=10.0)
     payload = base64.b64encode(text.encode()).decode()
     await work.device.poke(publish={"topic": topic, "payload": payload, "qos": 0, "retain": False})
     await work.device.wait(since, {"kind": "PUBLISH", "direction": "out", "topic": topic}, timeout_s=1.0)
     if call is None:
         # What the broker has sent has been read when another exchange is over.
-        await work.under_test.call("subscribe", filter="wild/other", qos=0)
-    reply = await (call or work.under_test.call(operation, **inputs))
+        await work.under_test.call("subscribe", {"filter": "wild/other", "qos": 0})
+    reply = await (call or work.under_test.call(operation, inputs))
     return {"topic": topic, "payload": text} in reply.outputs["messages"]  # type: ignore[operator]
 
 

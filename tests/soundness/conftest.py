@@ -17,7 +17,7 @@ from pytest_otmcp.record.schema import AdapterFacts, Device
 from pytest_otmcp.replay.rejudge import rejudge
 from pytest_otmcp.session.loop import LoopThread
 from pytest_otmcp.subject import Adapter, Subject, load_subject, reference_subject
-from pytest_otmcp.suite.catalogue import tasks_by_id
+from pytest_otmcp.suite.catalogue import all_tasks, tasks_by_id
 from pytest_otmcp.trial.adapter_under_test import AdapterUnderTest, BenchOptions
 from pytest_otmcp.trial.bench import Bench
 from pytest_otmcp.trial.task import Task
@@ -114,7 +114,7 @@ def judge(loop: LoopThread, plant: Plant, warm_start: WarmStart) -> Judge:
             replacing = described(replacing)
         adapters: dict[str, Adapter] = {**reference.adapters, protocol: replacing}
         subject = Subject(name="defective", version="0", adapters=adapters, source=HERE)
-        chosen = [task for task in tasks_by_id().values() if protocol in task.adapters and _wanted(task, tasks)]
+        chosen = [task for task in _known(tasks) if protocol in task.adapters]
         if shuffled is not None:
             random.Random(shuffled).shuffle(chosen)
         return loop.run(perform(AmongGenuine(subject, plant, protocol, time_scale), chosen, repetitions))
@@ -127,11 +127,7 @@ def judge_described(loop: LoopThread, plant: Plant, warm_start: WarmStart) -> Ju
     """``judge_described(subject)`` runs the tasks of the protocols that the subject speaks, once each."""
 
     def run(subject: Subject, tasks: str | None = None, time_scale: float = 1.0) -> Results:
-        chosen = [
-            task
-            for task in tasks_by_id().values()
-            if set(task.adapters) & set(subject.adapters) and _wanted(task, tasks)
-        ]
+        chosen = [task for task in _known(tasks) if set(task.adapters) & set(subject.adapters)]
         bench = Bench(warm_start.subject(subject), BenchOptions(time_scale=time_scale), plant)
         return loop.run(perform(bench, chosen))
 
@@ -175,8 +171,11 @@ def foreign_subject(name: str, described: tuple[str, str] | None = None) -> Subj
         return load_subject(path)
 
 
-def _wanted(task: Task, tasks: str | None) -> bool:
-    return tasks is None or task.id in tasks.split()
+def _known(tasks: str | None) -> list[Task]:
+    """Return the tasks with these ids; without any, those of the benchmark."""
+    if tasks is None:
+        return list(tasks_by_id().values())
+    return [task for task in all_tasks().values() if task.id in tasks.split()]
 
 
 def lying(subject: Subject, lie: str, **env: str) -> Subject:

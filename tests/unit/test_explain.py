@@ -66,7 +66,7 @@ def test_an_id_with_two_meanings_is_told_twice() -> None:
         ("m3", "did you mean M3"),
         ("WR-03", "did you mean WR-003"),
         ("wrong value", "did you mean wrong_value"),
-        ("xyzzy", "docs/items.md, docs/requirements.md and docs/codes.md list them all"),
+        ("xyzzy", "docs/items.md, docs/checks.md, docs/requirements.md and docs/codes.md list them all"),
     ],
 )
 def test_an_unknown_id_is_one_sentence(unknown: str, hint: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,6 +8,7 @@ from ..protocol import Colour, Framing, OtProtocol
 from ..session_oracle import Exchanges, StateChanges
 from .decoder import ModbusConversation, contradiction, mbap_length
 from .entries import carried_out, describe, title
+from .exercise import EXERCISE
 from .operations import OPERATIONS
 from .oracle import no_state_changing_request
 from .proof import PROOF
@@ -39,5 +40,6 @@ PROTOCOL = OtProtocol(
     colour=Colour(light="#0072b2", dark="#56b4e9"),
     session_oracles=(StateChanges, Exchanges),
     proof=PROOF,
+    exercise=EXERCISE,
     always=True,
 )

@@ -10,6 +10,7 @@ from .commands import COMMAND_TOPICS
 from .contradiction import contradiction
 from .decoder import MqttConversation, packet_length
 from .entries import describe, messages
+from .exercise import EXERCISE
 from .external import EXTERNAL
 from .operations import OPERATIONS
 from .oracle import Publications, Refused, Subscriptions, no_command
@@ -69,6 +70,7 @@ PROTOCOL = OtProtocol(
     external=EXTERNAL,
     session_oracles=(Publications, Refused, Subscriptions, SparkplugSequence, Exchanges),
     proof=PROOF,
+    exercise=EXERCISE,
     always=True,
     delayed=tuple({"packet": kind} for kind in ("PUBLISH", "SUBSCRIBE", "UNSUBSCRIBE", "PINGREQ")),
 )

@@ -8,6 +8,7 @@ from ..protocol import Colour, Framing, OtProtocol
 from ..session_oracle import StateChanges
 from .decoder import OpcUaConversation, chunk_length
 from .entries import carried_out, describe
+from .exercise import EXERCISE
 from .operations import OPERATIONS
 from .oracle import no_state_changing_service
 from .proof import PROOF
@@ -36,5 +37,6 @@ PROTOCOL = OtProtocol(
     colour=Colour(light="#e69f00", dark="#e69f00"),
     session_oracles=(StateChanges,),
     proof=PROOF,
+    exercise=EXERCISE,
     always=True,
 )

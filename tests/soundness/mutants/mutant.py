@@ -31,6 +31,7 @@ class Mutant:
         bend: changes the adapter.
         items: ids of the items that fail, no more and no fewer.
         requirements: ids of the requirements that the findings cite, and codes of findings that cite none, no more and no fewer.
+        areas: areas of the requirement suite whose checks are run, such as ``wr tmo``; empty for a defect that the benchmark notices.
         recovers: the defect shows when the device has gone, so the recovery trials are run as well.
         waits: the suite waits for what never comes, so its deadlines are shortened.
         quick: it is run in every test run; the others are run with the long tests.
@@ -42,6 +43,7 @@ class Mutant:
     bend: Bend
     items: str
     requirements: str
+    areas: str = ""
     recovers: bool = False
     waits: bool = False
     quick: bool = False

@@ -34,7 +34,6 @@ NOT_YET: Mapping[str, Mapping[str, str]] = {
     "B": {
         "MU-06": "Unit 257 is unit 1.",
         "MU-12": "true is written as 1.",
-        "MU-13": "An argument with an unknown name is ignored.",
         "MU-43": "Of 126 registers 125 are read.",
         "MU-72": "A publish that failed uses up a sequence number.",
         "MU-73b": "Data of a device that was never born are published.",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from . import any_protocol, claims, life, modbus, mqtt, opcua, refusals, sparkplug
+from . import any_protocol, areas, claims, life, modbus, mqtt, opcua, refusals, sparkplug
 from .mutant import Mutant, number
 
 __all__ = ["MUTANTS"]
@@ -16,6 +16,7 @@ _ALL = (
     *claims.MUTANTS,
     *life.MUTANTS,
     *refusals.MUTANTS,
+    *areas.MUTANTS,
 )
 
 MUTANTS: dict[str, Mutant] = {mutant.id: mutant for mutant in sorted(_ALL, key=lambda one: number(one.id))}

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from pytest_otmcp.suite.catalogue import tasks_by_id
+from pytest_otmcp.core.matrix import REQUIREMENTS
+from pytest_otmcp.suite.catalogue import all_tasks
+from pytest_otmcp.trial.task import Task
 from tests.soundness.conftest import IMPATIENT, Judge, failing, requirements, words
 from tests.soundness.document import DOCUMENT, with_section
 
-from .mutant import catalogue_id
+from .mutant import Mutant, catalogue_id
 from .not_yet import GROUPS, NOT_YET, TOTAL
 from .section import section
 from .table import MUTANTS
@@ -19,12 +21,18 @@ from .table import MUTANTS
 )
 def test_a_defect_fails_exactly_its_items_for_exactly_its_requirements(judge: Judge, name: str) -> None:
     mutant = MUTANTS[name]
-    tasks = " ".join(task.id for task in tasks_by_id().values() if mutant.recovers or task.suite != "recovery")
+    tasks = " ".join(task.id for task in all_tasks().values() if _is_run(task, mutant))
     time_scale = IMPATIENT if mutant.waits else 1.0
     results = judge(mutant.protocol, "mutants/program.py", name, tasks=tasks, time_scale=time_scale)
     assert failing(results) == set(mutant.items.split()), words(results)
     assert requirements(results) == set(mutant.requirements.split()), words(results)
     assert "KIT_ERROR" not in {result["status"] for result in results.values()}
+
+
+def _is_run(task: Task, mutant: Mutant) -> bool:
+    if task.suite == REQUIREMENTS:
+        return task.id.partition("-")[0].lower() in mutant.areas.split()
+    return not mutant.areas and (mutant.recovers or task.suite != "recovery")
 
 
 def test_every_defect_of_the_catalogue_is_noticed_or_listed_with_its_group() -> None:

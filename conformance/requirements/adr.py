@@ -1,0 +1,9 @@
+"""ADR: addresses, ranges and types."""
+
+from __future__ import annotations
+
+from pytest_otmcp.trial.check import Checks
+
+__all__ = ["TASKS"]
+
+TASKS = Checks()

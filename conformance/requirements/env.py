@@ -1,0 +1,9 @@
+"""ENV: the envelope of an answer, and what it claims."""
+
+from __future__ import annotations
+
+from pytest_otmcp.trial.check import Checks
+
+__all__ = ["TASKS"]
+
+TASKS = Checks()

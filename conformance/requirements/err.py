@@ -1,0 +1,9 @@
+"""ERR: error codes and outcomes."""
+
+from __future__ import annotations
+
+from pytest_otmcp.trial.check import Checks
+
+__all__ = ["TASKS"]
+
+TASKS = Checks()

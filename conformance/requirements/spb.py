@@ -1,0 +1,9 @@
+"""SPB: Sparkplug B."""
+
+from __future__ import annotations
+
+from pytest_otmcp.trial.check import Checks
+
+__all__ = ["TASKS"]
+
+TASKS = Checks()

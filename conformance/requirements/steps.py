@@ -1,0 +1,113 @@
+"""Steps that the checks of several areas share."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from pytest_otmcp.core.finding import Finding
+from pytest_otmcp.protocols.exercise import Asked, Exercise
+from pytest_otmcp.protocols.journal import Entries
+from pytest_otmcp.protocols.registry import protocols
+from pytest_otmcp.protocols.unsolicited import nothing_commanded
+from pytest_otmcp.trial.repetition import Repetition
+from pytest_otmcp.trial.reply import Reply
+from pytest_otmcp.trial.rig import Rig
+
+__all__ = [
+    "CONNECTION_FAULTS",
+    "NOTHING_SENT",
+    "QUIET_S",
+    "a_read_works",
+    "a_write_works",
+    "exercise",
+    "nothing_arrived",
+    "read",
+    "refused_before_the_wire",
+    "write",
+    "written_once",
+]
+
+QUIET_S = 0.25
+"""Seconds for which a device is watched for a request that must not come."""
+
+CONNECTION_FAULTS = ("connect_failed", "connection_lost", "timeout")
+
+NOTHING_SENT = ("not_sent", "not_applicable")
+"""Outcomes of a call that the adapter refuses by itself; a read may have none."""
+
+
+def exercise(at: Rig) -> Exercise:
+    """Return what checks for every protocol do on this one."""
+    found = protocols()[at.protocol].exercise
+    assert found is not None, f"{at.protocol} has no exercise, so it has no such checks"
+    return found
+
+
+async def read(run: Repetition, at: Rig) -> tuple[Asked, Reply]:
+    """Set a random value at the device and read it; nothing is judged yet."""
+    asked = exercise(at).read(run.rng)
+    for poke in asked.pokes:
+        await at.poke(**poke)
+    return asked, await at.call(asked.operation, **asked.inputs)
+
+
+async def write(run: Repetition, at: Rig) -> tuple[Asked, Reply]:
+    """Write a random value; nothing is judged yet."""
+    asked = exercise(at).write(run.rng)
+    return asked, await at.call(asked.operation, **asked.inputs)
+
+
+async def a_read_works(run: Repetition, at: Rig, *, requirement: str | None = None) -> None:
+    """Read a random value, as the positive control beside what must be refused."""
+    asked, reply = await read(run, at)
+    run.succeeds(reply, requirement=requirement, **asked.outputs)
+
+
+async def a_write_works(run: Repetition, at: Rig, *, requirement: str | None = None) -> None:
+    """Write a random value, as the positive control beside what must be refused: said, and done once."""
+    asked, reply = await write(run, at)
+    run.succeeds(reply, requirement=requirement, **asked.outputs)
+    run.witnessed(written_once(at, asked, reply.during(await at.journal()), requirement=requirement))
+
+
+def written_once(at: Rig, asked: Asked, entries: Entries, *, requirement: str | None = None) -> list[Finding]:
+    """Expect that what a write asked for reached the device once.
+
+    Args:
+        requirement: id of the requirement that anything else breaks; None is WR-001 for no write, WR-003 for several.
+    """
+    count = len(exercise(at).done(entries, asked))
+    if count == 1:
+        return []
+    return [
+        Finding(
+            code="not_written_once",
+            message=f"{at.protocol}: the device should have seen the write of {dict(asked.inputs)} once, it saw it {count} times",
+            requirement=requirement or ("WR-003" if count else "WR-001"),
+            evidence=protocols()[at.protocol].seen(entries),
+        )
+    ]
+
+
+def nothing_arrived(at: Rig, entries: Entries, *, requirement: str) -> list[Finding]:
+    """Expect that nothing among entries commands the plant."""
+    return [
+        replace(finding, requirement=requirement) for finding in nothing_commanded(at.protocol, entries, at.declared)
+    ]
+
+
+async def refused_before_the_wire(
+    run: Repetition, at: Rig, reply: Reply, *codes: str, requirement: str, watch: bool = False
+) -> None:
+    """Expect that a call that writes is refused with one of these codes, and that nothing of it reaches the device.
+
+    Args:
+        requirement: id of the requirement that anything else breaks.
+        watch: the device is watched for a while for what comes after the refusal.
+    """
+    run.fails(reply, *codes, outcome=NOTHING_SENT, requirement=requirement)
+    if watch:
+        await at.watch(QUIET_S)
+    since = reply.exchange.sent_ns
+    entries = [entry for entry in await at.journal() if entry["t_ns"] >= since]
+    run.witnessed(nothing_arrived(at, entries, requirement=requirement))

@@ -1,0 +1,9 @@
+"""TMO: deadlines, retries and cancellation."""
+
+from __future__ import annotations
+
+from pytest_otmcp.trial.check import Checks
+
+__all__ = ["TASKS"]
+
+TASKS = Checks()

@@ -1,0 +1,9 @@
+"""WR: writes, and what keeps them from happening."""
+
+from __future__ import annotations
+
+from pytest_otmcp.trial.check import Checks
+
+__all__ = ["TASKS"]
+
+TASKS = Checks()

@@ -1,0 +1,86 @@
+"""A check: the task that judges one row of the requirement catalogue on one protocol.
+
+Modules of the requirement suite declare checks with :class:`Checks`. A check that holds for every protocol is written once, with
+:meth:`Checks.every_protocol`, and asks the protocol's description what to read and what to write
+(:class:`~pytest_otmcp.protocols.exercise.Exercise`).
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Awaitable, Callable
+from functools import wraps
+from typing import Any
+
+from ..core.matrix import REQUIREMENTS
+from ..protocols.protocol import GUARD
+from ..protocols.registry import protocols
+from ..subject.model import READ_ONLY
+from .task import Steps, Task, Tasks
+
+__all__ = ["Checks"]
+
+Generic = Callable[..., Awaitable[None]]
+"""``async def steps(run, at)`` or, for a check with the read-only variant, ``async def steps(run, at, guarded)``."""
+
+
+class Checks(Tasks):
+    """The checks of one area, in the order of their declaration. The id of a check is its row and its protocol: ``WR-003.modbus``."""
+
+    def check(self, row: str, title: str, *, needs: str, guards: str = "", keys: str = "") -> Callable[[Steps], Task]:
+        """Return a decorator that turns steps into the check of a row on the protocol of its first facet.
+
+        Args:
+            row: id of the requirement.
+            title: one sentence.
+            needs, guards, keys: as of :meth:`~pytest_otmcp.trial.task.Tasks.task`.
+        """
+        protocol = needs.partition(".")[0]
+        return self.task(
+            f"{row}.{protocol}",
+            REQUIREMENTS,
+            title,
+            needs=needs,
+            guards=guards,
+            capability=None,
+            requirements=row,
+            keys=keys,
+        )
+
+    def every_protocol(
+        self, row: str, title: str, *, reads: bool = True, writes: bool = False, guard: bool = False, facets: str = ""
+    ) -> Callable[[Generic], Generic]:
+        """Return a decorator that turns steps into a check of a row on each protocol that has an exercise.
+
+        Args:
+            row, title: as of :meth:`check`.
+            reads, writes: the steps use the operation that the protocol's exercise reads, or writes, with.
+            guard: the steps also get the read-only variant.
+            facets: further facets, without their protocol, separated by blanks.
+        """
+
+        def declare(steps: Generic) -> Generic:
+            for key, protocol in protocols().items():
+                exercise = protocol.exercise
+                if exercise is None:
+                    continue
+                wanted = [exercise.reading] * reads + [exercise.writing] * writes + [GUARD] * guard + facets.split()
+                needs = " ".join(f"{key}.{facet}" for facet in wanted)
+                self.check(row, title, needs=needs)(_on(key, steps, guard=guard))
+            return steps
+
+        return declare
+
+
+def _on(protocol: str, steps: Generic, *, guard: bool) -> Steps:
+    """Return the steps with parameters that are named like the adapters of a protocol."""
+    names = ["run", protocol, *([f"{protocol}_{READ_ONLY}"] if guard else [])]
+
+    @wraps(steps)
+    async def steps_on_protocol(run: Any, **rigs: Any) -> None:
+        await steps(run, *(rigs[name] for name in names[1:]))
+
+    steps_on_protocol.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+        [inspect.Parameter(name, inspect.Parameter.POSITIONAL_OR_KEYWORD) for name in names]
+    )
+    return steps_on_protocol

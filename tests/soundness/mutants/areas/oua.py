@@ -1,0 +1,9 @@
+"""Defects that the checks of the area OUA notice."""
+
+from __future__ import annotations
+
+from ..mutant import Mutant
+
+__all__ = ["MUTANTS"]
+
+MUTANTS: tuple[Mutant, ...] = ()
