@@ -36,7 +36,7 @@ def _checks() -> Iterator[str]:
     yield _HEAD.format(name="checks", origin="the declarations of the checks")
     yield (
         "Each check is about one row of the catalogue and one protocol. `pytest --otmcp-only=WR-003` runs those of a row, and "
-        "`otmcp explain WR-003.modbus` prints the same as this page."
+        "`otmcp explain` with the id of a check prints the same as this page."
     )
     yield from _sections((item(task) for task in all_tasks().values() if task.suite == REQUIREMENTS), "##")
 
