@@ -26,10 +26,13 @@ from ..record.schema import Item
 from ..record.warnings import failing, findings_of
 from .requirements import Catalogue, Level, Requirement
 
-__all__ = ["REQUIREMENT_SUITE", "Standing", "judged", "said", "shown", "standing"]
+__all__ = ["REQUIREMENT_SUITE", "Standing", "said", "shown", "standing", "standings"]
 
 REQUIREMENT_SUITE = "requirements"
 """The suite whose items decide whether a row is met; each is named by its row and protocol, such as ``WR-003.KEY``."""
+
+_NAMED = 5
+"""Rows that a line names at most."""
 
 _GUARD = "WR-004"
 """The row by which writes that are disabled stay disabled."""
@@ -88,9 +91,16 @@ class Standing:
         return self.attainable and self.shown and not (self.failed or self.unattributed or self.not_run)
 
 
-def judged(items: Iterable[Item]) -> bool:
-    """Tell whether a run has items of the requirement suite; without them nothing is said about levels."""
-    return any(item["suite"] == REQUIREMENT_SUITE for item in items)
+def standings(catalogue: Catalogue, items: Sequence[Item], adapters: Iterable[str]) -> list[Standing]:
+    """Return the level of each protocol; of a run without items of the requirement suite nothing is said about levels.
+
+    Args:
+        catalogue, items: as for :func:`standing`.
+        adapters: keys of the protocols for which the subject has an adapter.
+    """
+    if all(item["suite"] != REQUIREMENT_SUITE for item in items):
+        return []
+    return [standing(catalogue, items, protocol) for protocol in adapters if protocol in protocols()]
 
 
 def standing(catalogue: Catalogue, items: Sequence[Item], protocol: str) -> Standing:
@@ -205,7 +215,7 @@ def said(found: Standing) -> str:
     if not found.attainable:
         return f"{name}: {level}; {found.wanted.capitalize()} cannot be earned yet"
     lacking = [
-        f"{counted(len(names), noun)} {what} ({', '.join(names)})"
+        f"{counted(len(names), noun)} {what} ({_some(names)})"
         for names, noun, what in (
             (tuple(found.failed), "row", "not met"),
             (found.unattributed, "item", "failed for a cause of its own"),
@@ -216,6 +226,11 @@ def said(found: Standing) -> str:
     if not lacking:
         lacking = ["nothing that belongs to it is claimed"]
     return f"{name}: {level}; for {found.wanted.capitalize()}: {'; '.join(lacking)}"
+
+
+def _some(names: Sequence[str]) -> str:
+    more = len(names) - _NAMED
+    return ", ".join(names[:_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
 def shown(found: Standing, catalogue: Catalogue) -> list[str]:

@@ -9,7 +9,7 @@ from typing import Any, cast
 import pytest
 
 from pytest_otmcp.record.schema import Item
-from pytest_otmcp.suite.levels import REQUIREMENT_SUITE, Standing, judged, said, shown, standing
+from pytest_otmcp.suite.levels import REQUIREMENT_SUITE, Standing, said, shown, standing, standings
 from pytest_otmcp.suite.requirements import Catalogue, Level, catalogue, read
 
 from .samples import finding, item
@@ -24,8 +24,9 @@ def check(row: str, protocol: str = "modbus", status: str = "PASS") -> dict[str,
 
 
 def all_passed(protocol: str = "modbus", level: Level = Level.SILVER) -> dict[str, dict[str, Any]]:
-    """Return items that meet every row that a level needs and that is judged, by row."""
-    return {row.id: check(row.id, protocol) for row in catalogue().needs(level, protocol) if row.not_yet is None}
+    """Return items that meet every MUST that a level needs and that is judged, by row."""
+    needed = [row.id for row in catalogue().needs(level, protocol) if row.strength == "MUST" and row.not_yet is None]
+    return {row: check(row, protocol) for row in needed}
 
 
 def stands(items: Iterable[dict[str, Any]], protocol: str = "modbus", rows: Catalogue | None = None) -> Standing:
@@ -69,8 +70,17 @@ def test_a_run_without_items_earns_nothing() -> None:
     found = stands([])
     assert (found.level, found.wanted) == (None, Level.BRONZE)
     assert len(found.not_run) == 46
-    assert not judged(cast(list[Item], [item("M1", "normal", "Modbus", "Ping.", [1.0])]))
-    assert judged(cast(list[Item], [check("WR-003")]))
+    assert said(found).endswith("46 rows not shown (MCP-001, MCP-002, MCP-003, MCP-004, MCP-005 and 41 more)")
+
+
+def test_of_a_run_without_the_requirement_suite_nothing_is_said() -> None:
+    without = cast(list[Item], [item("M1", "normal", "Modbus", "Ping.", [1.0])])
+    assert standings(catalogue(), without, ["modbus"]) == []
+    both = cast(list[Item], [*without, check("WR-003")])
+    assert [one.protocol for one in standings(catalogue(), both, ["modbus", "opcua", "semaphore"])] == [
+        "modbus",
+        "opcua",
+    ]
 
 
 @pytest.mark.parametrize("status", ["FAIL", "NOT_TESTABLE"])
