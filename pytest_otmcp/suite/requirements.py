@@ -151,21 +151,25 @@ def read(text: str) -> Catalogue:
     except tomllib.TOMLDecodeError as error:
         raise ValueError(f"{_FILE}: {error}") from None
     areas = _table(document, "areas")
-    profiles = {name: _profile(name, table) for name, table in _table(document, "profiles").items()}
-    rows = {name: _row(name, table, areas, profiles) for name, table in document.items()}
+    # Each question for the keys looks through all installed packages.
+    keys = protocol_keys()
+    profiles = {name: _profile(name, table, keys) for name, table in _table(document, "profiles").items()}
+    rows = {name: _row(name, table, areas, profiles, keys) for name, table in document.items()}
     return Catalogue(areas=areas, profiles=profiles, rows=rows)
 
 
-def _profile(name: str, table: object) -> Profile:
+def _profile(name: str, table: object, protocols: Iterable[str]) -> Profile:
     fields = _fields(table, name, {"level": str, "meaning": str}, {"protocol": str})
     protocol = fields.get("protocol")
     if protocol is not None:
-        _known((protocol,), protocol_keys(), name, "protocol")
+        _known((protocol,), protocols, name, "protocol")
     _known((fields["level"],), Level, name, "level")
     return Profile(id=name, level=Level(fields["level"]), meaning=fields["meaning"], protocol=protocol)
 
 
-def _row(name: str, table: object, areas: Iterable[str], profiles: Iterable[str]) -> Requirement:
+def _row(
+    name: str, table: object, areas: Iterable[str], profiles: Iterable[str], protocols: Iterable[str]
+) -> Requirement:
     if _ID.fullmatch(name) is None:
         raise ValueError(f"{_FILE}: {name!r} is no id of a requirement")
     fields = _fields(
@@ -187,7 +191,7 @@ def _row(name: str, table: object, areas: Iterable[str], profiles: Iterable[str]
     _known((fields["strength"],), _STRENGTHS, name, "strength")
     _known((fields["level"],), Level, name, "level")
     _known(fields["profiles"], profiles, name, "profile")
-    _known(fields.get("protocols", ()), protocol_keys(), name, "protocol")
+    _known(fields.get("protocols", ()), protocols, name, "protocol")
     _known(fields.get("capabilities", ()), Capability, name, "capability")
     if not fields["profiles"]:
         raise ValueError(f"{_FILE}: {name} has no profile")
