@@ -83,6 +83,7 @@ OPERATIONS: Mapping[str, Operation] = {
         needed=("value",),
         voluntary=True,
         voluntary_outputs=("special", "raw"),
+        requirement="ADR-005",
     ),
     "write_registers": Operation(
         meaning="write holding registers in one request (function 16)",
@@ -115,6 +116,7 @@ OPERATIONS: Mapping[str, Operation] = {
         writes=True,
         voluntary=True,
         voluntary_inputs=_UNIT,
+        requirement="WR-011",
     ),
     "write_tag": Operation(
         meaning="write a tag's engineering value",
@@ -123,5 +125,6 @@ OPERATIONS: Mapping[str, Operation] = {
         writes=True,
         voluntary=True,
         voluntary_outputs=("raw",),
+        requirement="ADR-005",
     ),
 }

@@ -93,7 +93,7 @@ OPERATIONS: Mapping[str, Operation] = {
         writes=True,
         voluntary=True,
         voluntary_outputs=("bd_seq",),
-        requirement="SPB-001",
+        requirement="SPB-012",
     ),
     "device_death": Operation(
         meaning="declare a Sparkplug B device dead (DDEATH)",
@@ -101,7 +101,7 @@ OPERATIONS: Mapping[str, Operation] = {
         writes=True,
         voluntary=True,
         voluntary_outputs=("sequence",),
-        requirement="SPB-001",
+        requirement="SPB-012",
     ),
     "send_node_command": Operation(
         meaning="command another Sparkplug B edge node (NCMD)",
@@ -126,6 +126,7 @@ OPERATIONS: Mapping[str, Operation] = {
         outputs=("nodes",),
         needed=("nodes",),
         voluntary=True,
+        requirement="SPB-011",
     ),
     "decode_sparkplug": Operation(
         meaning="decode a Sparkplug B payload, which is base64; metrics with name, alias, datatype and value",

@@ -59,6 +59,6 @@ OPERATIONS: Mapping[str, Operation] = {
         writes=True,
         voluntary=True,
         voluntary_outputs=("data_types",),
-        requirement="OUA-001",
+        requirement="OUA-008",
     ),
 }
