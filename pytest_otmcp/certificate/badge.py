@@ -13,7 +13,7 @@ from ..protocols.registry import protocols
 
 __all__ = ["badge", "badge_svg"]
 
-_LABEL = "OT-MCP benchmark"
+_LABEL = "OT-MCP conformance"
 _COLOUR = "#1a7f37"
 _LETTER = 6.6
 """Pixels of an average letter of an 11 pixel sans serif font; ``textLength`` makes any font fit."""

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import cast
 from unicodedata import category
 
-from ..core.matrix import BENCHMARK, repetitions
+from ..core.matrix import SUITES, repetitions
 from ..core.verdict import Status, Verdict, decide
 from ..protocols.external import external_devices
 from ..protocols.protocol import GUARD
@@ -109,7 +109,7 @@ def _settings_objections(run: Run) -> Iterator[str]:
     for device in external_devices().values():
         if cast(dict[str, object], settings).get(device.option) != "embedded":
             yield f"the {device.option} was not the kit's own"
-    if not {*BENCHMARK} <= {*settings["suites"]}:
+    if settings["suites"] != list(SUITES):
         yield f"not every suite was chosen: {settings.get('suites')}"
 
 

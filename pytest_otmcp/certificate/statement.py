@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping
 
-from ..core.matrix import BENCHMARK, SUITES
+from ..core.matrix import SUITES
 from ..core.statistics import lower_bound, proportion_interval
 from ..core.verdict import Status
 from ..protocols.registry import protocols
@@ -36,11 +36,6 @@ _CONFIDENCE = 0.95
 _FIRST_STATELESS = "2026-07-28"
 """The first revision of MCP without ``initialize``: revisions are dates, and compare as text."""
 
-_NO_LEVEL = {
-    "awarded": None,
-    "why": "benchmark suite only; no level is awarded: the requirement suite, whose items decide about levels, is no part "
-    "of this run",
-}
 _LIMITS = [
     "Self-certification: the kit was run by whoever shows this certificate. It is not signed here; sign it to say who that was.",
     "Tamper-evident, not tamper-proof: otmcp verify makes this document again from run.json and judges the stored history again.",
@@ -114,8 +109,6 @@ def awarded(run: Run) -> dict[str, object]:
     """Return the level of each protocol, in a line, and what is missing for the next one."""
     rows = catalogue()
     found = standings(rows, run["items"], sorted(run["subject"]["adapters"]))
-    if not found:
-        return dict(_NO_LEVEL)
     return {
         "awarded": {one.protocol: one.level for one in found},
         "why": " ".join(f"{said(one)}." for one in found),
@@ -166,11 +159,7 @@ def _counts(run: Run) -> dict[str, object]:
         "confidence": _CONFIDENCE,
         "bounds": "Clopper-Pearson: at_least is one-sided, interval two-sided",
         "items": {item["id"]: _item_counts(item) for item in items if item["status"] != Status.NOT_APPLICABLE},
-        "suites": {
-            suite: _tally(item for item in items if item["suite"] == suite)
-            for suite in SUITES
-            if suite in BENCHMARK or suite in run["settings"]["suites"]
-        },
+        "suites": {suite: _tally(item for item in items if item["suite"] == suite) for suite in SUITES},
         "total": _tally(items),
         "tool_calls": run["footer"]["tool_calls"],
     }

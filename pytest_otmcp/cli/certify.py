@@ -22,6 +22,7 @@ from types import FrameType
 from typing import Any
 
 from ..core.errors import KitError, UsageError
+from ..core.matrix import SUITES
 from ..core.verdict import ExitCode, Status, decide, exit_code
 from . import Refusal, tell
 
@@ -42,8 +43,8 @@ def add_parser(subparsers: Any) -> None:
     """Declare the subcommand."""
     parser: argparse.ArgumentParser = subparsers.add_parser(
         "certify",
-        help="run the whole suite in isolation and write a certificate",
-        description="Run the whole suite, isolated from pytest configuration and plugins, and write certificate.json, "
+        help="run benchmark and requirement suite in isolation and write a certificate",
+        description="Run the benchmark and the requirement suite, isolated from pytest configuration and plugins, and write certificate.json, "
         "badge.json and badge.svg if the subject is conformant.",
     )
     parser.add_argument(
@@ -127,7 +128,8 @@ def _run_suite(subject: Path | None, reps: int, out: Path) -> int:
             "pytest_otmcp.conformance",
         ]
         # The seed is random, so that nobody can know beforehand which values will be written and read.
-        command += [f"--otmcp-reps={reps}", f"--otmcp-seed={secrets.randbelow(2**32)}", f"--otmcp-report-dir={out}"]
+        command += [f"--otmcp-suite={','.join(SUITES)}", f"--otmcp-reps={reps}"]
+        command += [f"--otmcp-seed={secrets.randbelow(2**32)}", f"--otmcp-report-dir={out}"]
         if subject is not None:
             command.append(f"--otmcp-subject={subject}")
         return _supervised(command, _environment())

@@ -19,6 +19,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
+from ..core.matrix import REQUIREMENTS
 from ..core.text import counted
 from ..core.verdict import Status
 from ..protocols.registry import protocols
@@ -26,10 +27,7 @@ from ..record.schema import Item
 from ..record.warnings import failing, findings_of
 from .requirements import Catalogue, Level, Requirement
 
-__all__ = ["REQUIREMENT_SUITE", "Standing", "said", "shown", "standing", "standings"]
-
-REQUIREMENT_SUITE = "requirements"
-"""The suite whose items decide whether a row is met; each is named by its row and protocol, such as ``WR-003.KEY``."""
+__all__ = ["Standing", "said", "shown", "standing", "standings"]
 
 _NAMED = 5
 """Rows that a line names at most."""
@@ -98,7 +96,7 @@ def standings(catalogue: Catalogue, items: Sequence[Item], adapters: Iterable[st
         catalogue, items: as for :func:`standing`.
         adapters: keys of the protocols for which the subject has an adapter.
     """
-    if all(item["suite"] != REQUIREMENT_SUITE for item in items):
+    if all(item["suite"] != REQUIREMENTS for item in items):
         return []
     return [standing(catalogue, items, protocol) for protocol in adapters if protocol in protocols()]
 
@@ -137,7 +135,7 @@ class _Evidence:
     def _look_at(self, item: Item) -> None:
         row, state = item["id"].partition(".")[0], _STATES[Status(item["status"])]
         cited = {finding["requirement"] for finding in failing(findings_of(item))}
-        decides = item["suite"] == REQUIREMENT_SUITE and row in self._catalogue.rows
+        decides = item["suite"] == REQUIREMENTS and row in self._catalogue.rows
         if decides:
             ranks = list(_State)
             self._states[row] = min(state, self._states.get(row, _State.UNCLAIMED), key=ranks.index)
@@ -202,7 +200,7 @@ class _Evidence:
 def _protocols(item: Item) -> set[str]:
     """Return the keys of the protocols that an item is about; an item that does not say that is about every one."""
     known = set(protocols())
-    if item["suite"] == REQUIREMENT_SUITE and (key := item["id"].partition(".")[2]) in known:
+    if item["suite"] == REQUIREMENTS and (key := item["id"].partition(".")[2]) in known:
         return {key}
     named = {key for key in known if protocols()[key].name == item["family"]}
     return named or {name.partition("@")[0] for name in item["devices"]} & known or known

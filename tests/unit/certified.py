@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from pytest_otmcp import __version__
-from pytest_otmcp.core.matrix import repetitions
+from pytest_otmcp.core.matrix import SUITES, repetitions
 from pytest_otmcp.subject.claims import Claims
 from pytest_otmcp.suite.catalogue import kit_digest, suite_digest, tasks_by_id
 
@@ -29,7 +29,7 @@ def conformant_run(adapters: dict[str, dict[str, Any]] | None = None) -> dict[st
     planned = repetitions(30)
     claims = Claims.of_record(adapters)  # type: ignore[arg-type]
     items = []
-    for task in tasks_by_id().values():
+    for task in tasks_by_id(suites=SUITES).values():
         entry = item(task.id, task.suite, task.family, task.title, [1.0] * planned[task.suite])
         if not all(map(claims.has, claims.required(task.needs))):
             entry |= {"status": "NOT_APPLICABLE", "samples": []}
@@ -43,7 +43,7 @@ def conformant_run(adapters: dict[str, dict[str, Any]] | None = None) -> dict[st
         "deviations": [],
         "adapters": adapters,
     }
-    record["settings"] |= {"repetitions": planned, "seed": 7}
+    record["settings"] |= {"suites": list(SUITES), "repetitions": planned, "seed": 7}
     return record
 
 

@@ -18,10 +18,10 @@ from pytest_otmcp.certificate.badge import badge, badge_svg
 from pytest_otmcp.certificate.eligibility import objections
 from pytest_otmcp.certificate.statement import awarded, certificate, differences
 from pytest_otmcp.cli import Refusal, main
+from pytest_otmcp.core.matrix import REQUIREMENTS, SUITES
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.record.schema import AdapterFacts
 from pytest_otmcp.suite.catalogue import tasks_by_id
-from pytest_otmcp.suite.levels import REQUIREMENT_SUITE
 from pytest_otmcp.suite.requirements import Level, catalogue
 
 from ..examined import verify
@@ -29,7 +29,7 @@ from ..stored_runs import store
 from .certified import NO_PING, adapter, conformant_run
 from .samples import finding, item
 
-TASKS = tasks_by_id()
+TASKS = tasks_by_id(suites=SUITES)
 FILE = "ab" * 32
 
 Change = Callable[[dict[str, Any]], object]
@@ -144,8 +144,8 @@ def test_messages_can_be_received_without_subscribing_by_a_call_that_waits_for_t
 
 def test_how_many_items_applied_stands_beside_the_verdict(statement: dict[str, Any]) -> None:
     applied = told(statement)["applied"]
-    assert applied == {"items": len(statement["predicate"]["passedTests"]), "of": 38}
-    assert applied["items"] + len(told(statement)["not_applicable"]) == 38
+    assert applied == {"items": len(statement["predicate"]["passedTests"]), "of": len(TASKS)}
+    assert applied["items"] + len(told(statement)["not_applicable"]) == len(TASKS)
 
 
 def test_a_deadline_that_nobody_waits_for_earns_nothing(record: dict[str, Any]) -> None:
@@ -194,14 +194,6 @@ def test_counts_have_exact_bounds_that_are_never_rounded_up(statement: dict[str,
     total = counts["total"]
     assert total["passed"] == total["planned"] == sum(item["planned"] for item in counts["items"].values())
     assert sum(suite["items"] for suite in counts["suites"].values()) == total["items"] == len(counts["items"])
-
-
-def test_no_level_is_claimed(statement: dict[str, Any]) -> None:
-    level = told(statement)["level"]
-    assert level["awarded"] is None
-    assert level["why"].startswith("benchmark suite only; no level is awarded")
-    text = json.dumps(statement).lower()
-    assert not any(word in text for word in ("bronze", "silver", "gold"))
 
 
 def test_the_same_run_gives_the_same_certificate(record: dict[str, Any], statement: dict[str, Any]) -> None:
@@ -354,7 +346,7 @@ def test_the_badge_is_what_shields_draws_from(statement: dict[str, Any]) -> None
     passed = len(statement["predicate"]["passedTests"])
     assert badge(statement) == {
         "schemaVersion": 1,
-        "label": "OT-MCP benchmark",
+        "label": "OT-MCP conformance",
         "message": f"conformant: Modbus, OPC UA ({passed} of {len(TASKS)} items applied)",
         "color": "1a7f37",
     }
@@ -363,7 +355,7 @@ def test_the_badge_is_what_shields_draws_from(statement: dict[str, Any]) -> None
 def test_a_badge_for_everything_counts_too() -> None:
     everything = conformant_run({name: adapter(name, "2026-07-28") for name in ("modbus", "mqtt", "opcua")})
     message = badge(certificate(everything, FILE, TASKS))["message"]
-    assert message == "conformant: Modbus, MQTT, OPC UA (38 of 38 items applied)"
+    assert message.endswith(f"({len(TASKS)} of {len(TASKS)} items applied)")
 
 
 def test_the_picture_is_valid_and_says_in_words_what_it_shows(statement: dict[str, Any]) -> None:
@@ -374,11 +366,11 @@ def test_the_picture_is_valid_and_says_in_words_what_it_shows(statement: dict[st
     assert title is not None
     message = badge(statement)["message"]
     deadlines = "deadlines of a call: modbus 5 s, opcua 5 s"
-    assert title.text == f'OT-MCP benchmark: {message} (a <b> & "c"  1.0; {deadlines})'
+    assert title.text == f'OT-MCP conformance: {message} (a <b> & "c"  1.0; {deadlines})'
     assert picture.get("aria-label") == title.text
     assert picture.get("role") == "img"
     texts = [element.text for element in picture.iter(f"{namespace}text")]
-    assert texts == ["OT-MCP benchmark", message]
+    assert texts == ["OT-MCP conformance", message]
     assert "http" not in badge_svg(statement).replace("http://www.w3.org/2000/svg", "")
 
 
@@ -561,7 +553,7 @@ def with_levels() -> dict[str, Any]:
     for protocol in record["subject"]["adapters"]:
         rows = [row for row in catalogue().needs(Level.SILVER, protocol) if row.strength == "MUST" and not row.not_yet]
         record["items"] += [
-            item(f"{row.id}.{protocol}", REQUIREMENT_SUITE, protocols()[protocol].name, row.statement, [1.0])
+            item(f"{row.id}.{protocol}", REQUIREMENTS, protocols()[protocol].name, row.statement, [1.0])
             for row in rows
             if (row.id, protocol) != ("RES-001", "opcua")
         ]

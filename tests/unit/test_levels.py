@@ -8,8 +8,9 @@ from typing import Any, cast
 
 import pytest
 
+from pytest_otmcp.core.matrix import REQUIREMENTS
 from pytest_otmcp.record.schema import Item
-from pytest_otmcp.suite.levels import REQUIREMENT_SUITE, Standing, said, shown, standing, standings
+from pytest_otmcp.suite.levels import Standing, said, shown, standing, standings
 from pytest_otmcp.suite.requirements import Catalogue, Level, catalogue, read
 
 from .samples import finding, item
@@ -19,7 +20,7 @@ KEYS = ("modbus", "mqtt", "opcua")
 
 def check(row: str, protocol: str = "modbus", status: str = "PASS") -> dict[str, Any]:
     """Return the item of the requirement suite that judges a row."""
-    entry = item(f"{row}.{protocol}", REQUIREMENT_SUITE, "", row, [])
+    entry = item(f"{row}.{protocol}", REQUIREMENTS, "", row, [])
     return {**entry, "status": status, "requirements": [row]}
 
 

@@ -1,0 +1,49 @@
+"""The requirement suite on the command line: which checks run, what is said of them, and that they are judged again."""
+
+from __future__ import annotations
+
+import pytest
+
+from pytest_otmcp.cli import main
+
+from .vendor import Repository
+
+SUITE = ("--pyargs", "pytest_otmcp.conformance")
+
+
+def test_one_row_runs_on_every_protocol_and_is_judged_again(
+    empty_repository: Repository, capsys: pytest.CaptureFixture[str]
+) -> None:
+    empty_repository.reference_subject()
+    outcome = empty_repository.pytest(*SUITE, "--otmcp-only=MCP-004", plugins=None)
+    assert outcome.statuses == {f"MCP-004.{protocol}": "PASS" for protocol in ("modbus", "mqtt", "opcua")}
+    assert "narrowed: only the suite requirements was asked for" in outcome.output
+    assert main(["verify", str(empty_repository.root / "reports" / "latest" / "run.json")]) == 0
+    assert "judging them again found the same" in capsys.readouterr().out
+
+
+def test_one_check_runs_alone(empty_repository: Repository) -> None:
+    empty_repository.reference_subject()
+    assert empty_repository.pytest(*SUITE, "--otmcp-only=MCP-004.modbus").statuses == {"MCP-004.modbus": "PASS"}
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ("MCP-04", "there is no row or check 'MCP-04'; did you mean MCP-004"),
+        ("xyzzy", "there is no row or check 'xyzzy'; docs/checks.md lists them"),
+        ("TLS-001", "TLS-001 has no check of its own; otmcp explain TLS-001 says where it is judged"),
+    ],
+)
+def test_a_row_without_a_check_is_one_sentence(empty_repository: Repository, asked: str, said: str) -> None:
+    empty_repository.reference_subject()
+    outcome = empty_repository.pytest(*SUITE, f"--otmcp-only={asked}")
+    assert outcome.code == 2
+    assert f"--otmcp-only: {said}" in outcome.output
+
+
+def test_a_bare_run_is_the_benchmark(empty_repository: Repository) -> None:
+    empty_repository.reference_subject()
+    outcome = empty_repository.pytest(*SUITE, "-k", "[M1]", "--otmcp-reps=1")
+    assert outcome.statuses == {"M1": "PASS"}
+    assert "(1 of 38 items applied" in outcome.output
