@@ -1,6 +1,7 @@
 """Reference adapters over a long time: many calls, and a device that comes and goes, with flat memory and descriptors.
 
-Short by default. ``OTMCP_SOAK_CALLS=20000 OTMCP_SOAK_S=3600 pytest tests/adapters/test_soak.py -m long`` is a real soak.
+Short by default. ``OTMCP_SOAK_CALLS=20000 OTMCP_SOAK_S=3600 pytest tests/adapters/test_soak.py -m long -rP`` is a real soak, and
+prints its figures.
 """
 
 from __future__ import annotations
@@ -32,6 +33,14 @@ def held(client: Client) -> tuple[int, int]:
     return process.memory_info().rss, process.num_fds()
 
 
+def nothing_is_left(client: Client, before: tuple[int, int], done: str) -> None:
+    """Compare what the process holds now with what it held before, and print both."""
+    (memory, descriptors), after = before, held(client)
+    print(f"{done}: {memory / 1e6:.1f} to {after[0] / 1e6:.1f} MB, {descriptors} to {after[1]} descriptors")
+    assert after[1] == descriptors
+    assert after[0] - memory < GROWTH
+
+
 @every_case
 def test_many_calls_leave_nothing_behind(case: Case, rigs: Callable[[Case], Rig]) -> None:
     rig = rigs(case)
@@ -43,11 +52,9 @@ def test_many_calls_leave_nothing_behind(case: Case, rigs: Callable[[Case], Rig]
             rig.adapter.call(tool, case.tools[tool])
 
     call(CALLS // 4)
-    memory, descriptors = held(rig.adapter)
+    before = held(rig.adapter)
     call(CALLS)
-    after = held(rig.adapter)
-    assert after[1] == descriptors
-    assert after[0] - memory < GROWTH
+    nothing_is_left(rig.adapter, before, f"{CALLS} calls")
 
 
 @every_case
@@ -55,13 +62,11 @@ def test_a_device_that_comes_and_goes_leaves_nothing_behind(case: Case, rigs: Ca
     rig = rigs(case)
     with rig.outage():
         pass
-    memory, descriptors = held(rig.adapter)
+    before = held(rig.adapter)
     began, outages = time.monotonic(), 0
     while time.monotonic() - began < SECONDS:
         with rig.outage():
             assert not rig.adapter.call(case.probe, case.reads[case.probe]).envelope["success"]
         outages += 1
     assert outages > 0
-    after = held(rig.adapter)
-    assert after[1] == descriptors
-    assert after[0] - memory < GROWTH
+    nothing_is_left(rig.adapter, before, f"{outages} outages")

@@ -1,4 +1,4 @@
-"""Fixtures: a broker that nobody here wrote, and programs of the npm registry with the Node.js that they need."""
+"""Fixtures: a broker that nobody here wrote, mock devices, and programs of the npm registry with the Node.js that they need."""
 
 from __future__ import annotations
 
@@ -15,6 +15,9 @@ from pathlib import Path
 
 import pytest
 
+from pytest_otmcp.plant.mock_device import MockDevice
+from pytest_otmcp.protocols.registry import protocols
+from pytest_otmcp.session.loop import LoopThread
 from tests.once import once
 
 PATIENCE_S = 120.0
@@ -57,6 +60,18 @@ def running_mosquitto(directory: Path) -> Iterator[int]:
             yield port
         finally:
             process.terminate()
+
+
+@contextmanager
+def mock(protocol: str) -> Iterator[tuple[LoopThread, MockDevice]]:
+    """A mock device and the loop on which it is asked."""
+    loop, device = LoopThread(), MockDevice(protocols()[protocol].mock, protocol)
+    try:
+        loop.run(device.launch())
+        yield loop, device
+    finally:
+        loop.run(device.close())
+        loop.close()
 
 
 def _install(directory: Path) -> str:

@@ -1,4 +1,4 @@
-"""Kit, mocks and reference adapters with software that nobody here wrote: a broker, MCP's own tools, clients for Node.js."""
+"""Mocks and reference adapters with software of the npm registry: MCP's own tools, clients for Node.js."""
 
 from __future__ import annotations
 
@@ -16,51 +16,14 @@ from typing import Any
 import pytest
 
 from pytest_otmcp.plant.mock_device import MockDevice
-from pytest_otmcp.protocols.registry import protocols
-from pytest_otmcp.record import load
-from pytest_otmcp.session.loop import LoopThread
 
-from .conftest import PATIENCE_S, Npm, running_mosquitto
+from .conftest import PATIENCE_S, Npm, mock
 
 pytestmark = pytest.mark.long
 
 PROGRAMS = Path(__file__).parent
 
 PROTOCOLS = ("modbus", "mqtt", "opcua")
-
-
-def suite(directory: Path, *options: str) -> dict[str, str]:
-    """Run the whole suite in one process; return the status of each item."""
-    command = [sys.executable, "-P", "-m", "pytest", "-p", "no:cacheprovider", "--pyargs", "pytest_otmcp.conformance"]
-    report = directory / "report"
-    done = subprocess.run(
-        [*command, f"--otmcp-report-dir={report}", *options],
-        cwd=directory,
-        env={**os.environ, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "PYTEST_PLUGINS": "pytest_otmcp.plugin"},
-        capture_output=True,
-        text=True,
-        timeout=580,
-        check=False,
-    )
-    statuses = {item["id"]: item["status"] for item in load(report / "run.json")["items"]}
-    assert len(statuses) == 38, done.stdout
-    assert done.returncode == 0, done.stdout[-4000:]
-    return statuses
-
-
-def good_with_a_foreign_broker(statuses: Mapping[str, str]) -> None:
-    """Nothing failed, and what does not apply are items that need to know what the broker holds."""
-    assert set(statuses.values()) <= {"PASS", "NOT_APPLICABLE"}, statuses
-    assert {statuses[item] for item in ("Q1", "Q2", "Q3", "Q4", "S8", "R-mqtt") if item in statuses} == {"PASS"}
-
-
-# -- a foreign broker -----------------------------------------------------------------------------------------------
-
-
-def test_the_whole_suite_passes_in_one_process_with_mosquitto_as_the_broker(tmp_path: Path) -> None:
-    with running_mosquitto(tmp_path) as port:
-        broker = f"--otmcp-broker=mqtt://127.0.0.1:{port}"
-        good_with_a_foreign_broker(suite(tmp_path, "--otmcp-reps=2", broker))
 
 
 # -- MCP's own tools ------------------------------------------------------------------------------------------------
@@ -74,18 +37,6 @@ SCENARIOS = (
     "dns-rebinding-protection",
 )
 """Scenarios of the official conformance suite that want no tool, prompt or resource of their own."""
-
-
-@contextmanager
-def mock(protocol: str) -> Iterator[tuple[LoopThread, MockDevice]]:
-    """A mock device and the loop on which it is asked."""
-    loop, device = LoopThread(), MockDevice(protocols()[protocol].mock, protocol)
-    try:
-        loop.run(device.launch())
-        yield loop, device
-    finally:
-        loop.run(device.close())
-        loop.close()
 
 
 @contextmanager

@@ -48,3 +48,17 @@ def test_the_tests_run_on_every_python_and_pytest_that_is_promised() -> None:
     [least] = [re.search(r">=([\d.]+)", name) for name in PROJECT["dependencies"] if re.match(r"pytest[><=]", name)]
     assert least is not None
     assert f'pytest: "{least[1]}"' in workflow
+
+
+def test_the_lock_of_continuous_integration_has_every_version_with_hashes_and_no_address() -> None:
+    lock = (CHECKOUT / ".ci" / "locked.txt").read_text(encoding="utf-8")
+    constraints = (CHECKOUT / "constraints.txt").read_text(encoding="utf-8")
+    versions = re.compile(r"^([\w.-]+)==([^\s\\]+)", re.MULTILINE)
+
+    def pinned(text: str) -> set[tuple[str, str]]:
+        return {(re.sub(r"[-_.]+", "-", name).lower(), version) for name, version in versions.findall(text)}
+
+    assert pinned(lock) == pinned(constraints)
+    files = re.split(versions, lock)[3::3]
+    assert all(re.match(r"( \\\n +--hash=sha256:[0-9a-f]{64})+$", one.rstrip("\n")) for one in files), files
+    assert "://" not in lock

@@ -66,20 +66,25 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return Path(once(tmp_path_factory, "wheel", _build))
 
 
-@pytest.fixture(scope="session")
-def empty(tmp_path_factory: pytest.TempPathFactory, wheel: Path) -> Path:
-    """A directory with nothing in it but a virtual environment ``.venv`` into which the wheel is installed.
+def environment(factory: pytest.TempPathFactory, wheel: Path) -> Path:
+    """Make a directory with nothing in it but a virtual environment ``.venv`` into which the wheel is installed.
 
     The wheel's dependencies are those of this environment, linked one by one: the checkout is not among them.
     """
-    root = tmp_path_factory.mktemp("empty")
+    root = factory.mktemp("empty")
     _quietly(sys.executable, "-m", "venv", "--without-pip", root / ".venv", cwd=root)
     python = root / ".venv" / "bin" / "python"
     _quietly(sys.executable, "-m", "pip", "--python", python, "install", "--no-deps", "--no-index", wheel, cwd=root)
     ours = _quietly(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))", cwd=root).strip()
-    linked = tmp_path_factory.mktemp("dependencies")
+    linked = factory.mktemp("dependencies")
     for entry in Path(sysconfig.get_path("purelib")).iterdir():
         if not entry.name.startswith(("pytest_otmcp", "__editable__", "__pycache__")):
             (linked / entry.name).symlink_to(entry)
     Path(ours, "dependencies.pth").write_text(f"{linked}\n")
     return root
+
+
+@pytest.fixture(scope="session")
+def empty(tmp_path_factory: pytest.TempPathFactory, wheel: Path) -> Path:
+    """A directory with nothing in it but an environment with the wheel."""
+    return environment(tmp_path_factory, wheel)
