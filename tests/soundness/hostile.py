@@ -263,6 +263,25 @@ def _(identifier: Any) -> None:
         say(method="notifications/progress", params={"progressToken": identifier, "progress": number})
 
 
+@calling("requests-in-call")
+def _(identifier: Any) -> None:
+    """It never reads the answers."""
+    for number in itertools.count():
+        say(id=f"{number}{'x' * 1000}", method="ping")
+
+
+@calling("responses-in-call")
+def _(identifier: Any) -> None:
+    for number in itertools.count():
+        say(id=f"{number}{'x' * 1000}", result={})
+
+
+@calling("deep-in-call")
+def _(identifier: Any) -> None:
+    while True:
+        raw(b"[" * 20_000 + b"]" * 20_000 + b"\n")
+
+
 @calling("trickles")
 def _(identifier: Any) -> None:
     for letter in bytes_of(identifier, answer()):
@@ -280,6 +299,21 @@ def _(identifier: Any) -> None:
     say(id=identifier, result=answer(envelope(data={"reachable": True, "padding": "a" * 7_000_000})))
 
 
+def padded(name: str, padding: Any) -> None:
+    """Enter a kind that pads a good answer, once in its structured content, and no text repeats it."""
+
+    @calling(name)
+    def _(identifier: Any) -> None:
+        document = envelope(data={"reachable": True, "padding": padding})
+        say(id=identifier, result=answer(document, text=json.dumps(envelope())))
+
+
+padded("most-bytes", "\u20ac" * 690_000)
+padded("most-values", [[] for _ in range(99_000)])
+padded("megabyte", list(range(10_000, 160_000)))
+padded("most-members", [{"a": 0.5} for _ in range(66_000)])
+
+
 # -- frames -------------------------------------------------------------------------------------------------------
 
 
@@ -294,7 +328,7 @@ def _(identifier: Any) -> None:
 @calling("very-deep")
 def _(identifier: Any) -> None:
     before, after = bytes_of(identifier, answer(envelope(data={"deep": "DEEP"}), text="x")).split(b'"DEEP"')
-    raw(before + b"[" * 200_000 + b"]" * 200_000 + after + b"\n")
+    raw(before + b"[" * 90_000 + b"]" * 90_000 + after + b"\n")
 
 
 @calling("not-utf-8")
