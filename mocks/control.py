@@ -10,7 +10,7 @@ are executed one after the other; only a ``wait`` does not delay the requests af
 ``poke {params}``                                       set a value out of band
 ``fault {rules}``                                       replace the fault plan; ``{"hits": […]}`` of the old one
 ``reset``                                               start-up values, no faults
-``alone``                                               accept no further client; ``{"others"}``, ended by this
+``alone``                                               accept no further client, end the others; ``{"others"}``: who has connected
 ``pause`` / ``resume``                                  stop or start the free-running 1 Hz simulation
 ``tick {steps}``                                        advance the simulation by hand, seconds of plant time
 ``journal {since}``                                     ``{"entries", "first", "next", "dropped", "peers"}``
@@ -26,16 +26,20 @@ import json
 import os
 import socket
 import traceback
+from collections import deque
 from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import asdict
 from typing import Any, TypeVar
 
 from .device import Device, Simulation
+from .peer import Process, client
 
 __all__ = ["ControlServer"]
 
 _LINE_LIMIT = 16 * 1024 * 1024
 _WAIT_LIMIT_S = 600.0
 _TURNS = 16
+_MET = 20
 
 Request = Mapping[str, Any]
 T = TypeVar("T")
@@ -49,6 +53,9 @@ class ControlServer:
         self._simulation = Simulation(device)
         self._server: asyncio.Server | None = None
         self._clients: set[asyncio.StreamWriter] = set()
+        # Also those that have gone: what they have asked for was done.
+        self._met: deque[tuple[asyncio.StreamWriter, Process | None]] = deque(maxlen=_MET)
+        self._closed = False
         self._ops: dict[str, Callable[[Request], Awaitable[dict[str, Any]]]] = {
             "ready": self._ready,
             "image": self._image,
@@ -69,8 +76,13 @@ class ControlServer:
         self._simulation.resume()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        if self._closed:
+            # It was accepted before the channel was closed, and is begun with afterwards.
+            writer.close()
+            return
         waits: set[asyncio.Task[None]] = set()
         self._clients.add(writer)
+        self._met.append((writer, client(writer.get_extra_info("socket"))))
         try:
             while line := await reader.readline():
                 request = _parsed(line)
@@ -112,10 +124,10 @@ class ControlServer:
         """Close the channel to everybody but this client: who else reaches it could change what the device reports."""
         assert self._server is not None
         self._server.close()
-        others = self._clients - {writer}
-        for other in others:
+        self._closed = True
+        for other in self._clients - {writer}:
             other.close()
-        return {"others": len(others)}
+        return {"others": [None if it is None else asdict(it) for other, it in self._met if other is not writer]}
 
     def _operation(self, request: Request) -> Callable[[Request], Awaitable[dict[str, Any]]]:
         op = request.get("op")

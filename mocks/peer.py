@@ -18,7 +18,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 
-__all__ = ["Process", "holder", "process_of", "socket_of"]
+__all__ = ["Process", "client", "holder", "process_of", "socket_of"]
 
 _SOCK_DIAG = 4
 _BY_FAMILY = 20
@@ -133,6 +133,15 @@ def holder(number: int) -> Process | None:
     return None
 
 
+def client(connection: socket.socket) -> Process | None:
+    """Return the process that has connected to a Unix socket (SO_PEERCRED, unix(7)); None if it cannot be seen any more."""
+    pid, _, _ = struct.unpack("=iII", connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
+    try:
+        return _process(pid)
+    except OSError:
+        return None
+
+
 def _place(pid: int, link: str) -> str | None:
     """Return the file descriptor of a process, as a path, that is this socket; None if it has none."""
     directory = f"/proc/{pid}/fd"
@@ -157,13 +166,17 @@ def _found(pid: int, place: str) -> Process | None:
         if os.stat(f"/proc/{pid}/ns/pid").st_ino != os.stat("/proc/self/ns/pid").st_ino:
             # In a container: whose child it is cannot be told from here.
             return None
-        process = Process(pid=pid, name=_name(pid), ancestors=tuple(_ancestors(pid)), token=_token(pid))
+        process = _process(pid)
     except OSError:
         return None
     _known[pid, _start(pid)] = _Known(process, place)
     if len(_known) > _MOST_KNOWN:
         _known.popitem(last=False)
     return process
+
+
+def _process(pid: int) -> Process:
+    return Process(pid=pid, name=_name(pid), ancestors=tuple(_ancestors(pid)), token=_token(pid))
 
 
 def _stat(pid: int) -> list[str]:

@@ -16,7 +16,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -150,7 +150,9 @@ def _supervised(command: list[str], environment: dict[str, str]) -> int:
             return process.wait()
         except KeyboardInterrupt:
             process.send_signal(signal.SIGINT)
-            process.wait(_GRACE_S)
+            with suppress(subprocess.TimeoutExpired):
+                # Whoever wants it to end gets that, whatever keeps it: it is killed, and its keeper ends the rest.
+                process.wait(_GRACE_S)
             raise
         finally:
             if process.poll() is None:

@@ -15,6 +15,10 @@ _VALUES = re.compile(r"[0-9a-f]{8,}|-?\d+(?:\.\d+)?")
 """Values differ from one repetition to the next, so that no answer from memory can pass."""
 
 
+_LONGEST = 10_000
+"""Characters of a message; a longer one is cut off."""
+
+
 def kind_of(code: str, requirement: str | None, message: str) -> Kind:
     """Return the kind of a finding: equal for one that another repetition makes of the same fault."""
     return code, requirement, _VALUES.sub("#", message)
@@ -39,6 +43,11 @@ class Finding:
     evidence: str | None = None
     strength: Literal["MUST", "SHOULD"] = "MUST"
     cause: str | None = None
+
+    def __post_init__(self) -> None:
+        if len(self.message) > _LONGEST:
+            # An adapter's words may be megabytes, and reports repeat them in many places.
+            object.__setattr__(self, "message", f"{self.message[:_LONGEST]}… ({len(self.message)} characters)")
 
     @property
     def is_must(self) -> bool:

@@ -122,7 +122,7 @@ def _in_text(text: str, expected: object) -> Iterator[dict[str, object]]:
         position = text.find(written)
         if position < 0:
             continue
-        anchor = re.search(r"[A-Za-z_]+\W*$", text[:position])
+        anchor = re.search(r"[A-Za-z_]+\W*$", text[max(0, position - 200) : position])
         before = "" if anchor is None else re.escape(anchor[0]).replace(r"\ ", r"\s*")
         pattern = {"int": r"(-?\d+)", "float": r"(-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?)", "bool": r"(\w+)"}.get(
             kind, r"([^\s,;]+)"

@@ -16,7 +16,7 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from ..core.errors import ExhaustedError, KitError
+from ..core.errors import ExhaustedError, KitError, SubjectError
 from ..core.exhaustion import exhausted
 from ..protocols.journal import JournalEntry
 from ..protocols.registry import protocols
@@ -193,12 +193,20 @@ class MockDevice:
         reader, writer = await asyncio.open_unix_connection(ready["control"], limit=_LINE_LIMIT)
         self._control = _Control(reader, writer, self._name)
         self.running = True
-        if others := (await self.ask("alone"))["others"]:
-            raise KitError(
-                f"{others} other program(s) connected to the control channel of the {self._name} mock: nothing that it says can be "
-                "relied on; an adapter under test may have done this"
-            )
+        others = [_process(told) for told in (await self.ask("alone"))["others"]]
         await self.ask("pause")
+        for other in others:
+            if other is not None and self.sessions.owns(other):
+                raise SubjectError(
+                    "control_channel",
+                    f"the adapter (its process {other.name!r}) connected to the control channel of the {self._name} mock",
+                )
+        if others:
+            names = ", ".join(sorted({"one that has ended" if it is None else repr(it.name) for it in others}))
+            raise KitError(
+                f"other programs connected to the control channel of the {self._name} mock: {names}; nothing that it says "
+                "can be relied on"
+            )
 
     async def stop(self) -> None:
         """Kill the device process: its connections break, its TCP ports refuse, its other endpoints do not answer."""
@@ -210,7 +218,11 @@ class MockDevice:
             self._control = None
 
     async def start(self) -> None:
-        """Start a new device process at the same addresses and wait until it serves; ``accepting_ns`` says when."""
+        """Start a new device process at the same addresses and wait until it serves; ``accepting_ns`` says when.
+
+        Raises:
+            SubjectError: an adapter under test got hold of its control channel.
+        """
         await self._command("start")
         await self._ready()
 
@@ -344,6 +356,8 @@ async def _end_of(stream: asyncio.StreamReader) -> bytes:
 
 
 def _peer(told: Mapping[str, Any]) -> Peer:
-    found = told["process"]
-    process = None if found is None else PeerProcess(**{**found, "ancestors": tuple(found["ancestors"])})
-    return Peer(accepted_ns=told["accepted_ns"], process=process, spoke=told["spoke"])
+    return Peer(accepted_ns=told["accepted_ns"], process=_process(told["process"]), spoke=told["spoke"])
+
+
+def _process(told: Mapping[str, Any] | None) -> PeerProcess | None:
+    return None if told is None else PeerProcess(**{**told, "ancestors": tuple(told["ancestors"])})

@@ -145,6 +145,10 @@ class Sessions:
             entry["process"] = OwnerProcess(pid=found.pid, name=found.name)
         return entry
 
+    def owns(self, process: PeerProcess) -> bool:
+        """Tell whether a process that runs now is, or descends from, an adapter's."""
+        return self._session(process, time.monotonic_ns()) is not None
+
     def _session(self, process: PeerProcess, accepted_ns: int) -> _Session | None:
         if process.token is not None and process.token in self._by_token:
             return self._by_token[process.token]

@@ -123,7 +123,7 @@ class RunRecorder:
             self._writer = RunWriter(self.path, self._header())
         self._facts[worker] = facts
         head: ItemHead = {**item, "run_id": self._run_id, "order": self.required.index(item["id"])}
-        self._writer.append(head, SampleSpool.read(spool))
+        self._writer.append(head, SampleSpool.read(spool, result["digest"]))
         spool.unlink(missing_ok=True)
         self.statuses[item["id"]] = Status(item["status"])
         self._measured.append(result["measured"])

@@ -36,11 +36,12 @@ class Measured(TypedDict):
 
 
 class ItemResult(TypedDict):
-    """An item, the summary of its samples, and the file that holds them."""
+    """An item, the summary of its samples, the file that holds them, and its digest."""
 
     item: ItemBody
     measured: Measured
     spool: str
+    digest: str
 
 
 class WorkerFacts(TypedDict):

@@ -145,7 +145,12 @@ class Run:
 
         def result(item: ItemBody) -> ItemResult:
             measured = redactor.apply(tally.measured(item))
-            return {"item": redactor.apply(item), "measured": measured, "spool": str(spool.path)}
+            return {
+                "item": redactor.apply(item),
+                "measured": measured,
+                "spool": str(spool.path),
+                "digest": spool.digest,
+            }
 
         planned = self.settings.repetitions[task.suite]
         report = partial(self.progress, task) if self.progress is not None else None

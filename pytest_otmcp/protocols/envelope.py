@@ -29,6 +29,8 @@ _LEAKS = re.compile(
     | (?:/[\w.-]+){2,}\.(?:py|js|ts|go|rs|java)\b | [A-Za-z]:\\[\w.-]+\\ | \b\w+(?:Error|Exception)\( | \bNone:None\b""",
     re.VERBOSE,
 )
+_SEARCHED = 4000
+"""Characters of a message that are searched: the time that a long row of slashes takes grows with its square."""
 _ENDPOINT = re.compile(r"[a-z][a-z0-9+.-]*://(?:\[[0-9a-fA-F:.]+\]|[^/@\s:]+):\d{1,5}(?:/\S*)?")
 _ROUNDING_MS = 0.1
 """Envelopes round their latency; no judgement depends on less than this."""
@@ -182,7 +184,7 @@ def _error_faults(error: Mapping[str, object]) -> Iterator[Finding]:
             message=f"the adapter reports a bug of its own: {error.get('message')}",
             requirement="ERR-001",
         )
-    if leak := _LEAKS.search(str(error.get("message"))):
+    if leak := _LEAKS.search(str(error.get("message"))[:_SEARCHED]):
         yield Finding(
             code="leaky_message",
             message=f"the error message leaks internals: {leak.group()!r}",

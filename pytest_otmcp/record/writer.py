@@ -52,6 +52,12 @@ class SampleSpool:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._count = 0
+        self._digest = hashlib.sha256()
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of what was added."""
+        return self._digest.hexdigest()
 
     def add(self, sample: Sample) -> None:
         """Append a sample."""
@@ -65,13 +71,27 @@ class SampleSpool:
                 file.truncate(begin)
                 raise
         self._count += 1
+        self._digest.update(content)
 
     @staticmethod
-    def read(path: Path) -> Iterator[bytes]:
-        """Return what a spool of another process holds, in blocks."""
+    def read(path: Path, expected: str) -> Iterator[bytes]:
+        """Return what a spool of another process holds, in blocks.
+
+        Args:
+            path: of the spool.
+            expected: its digest.
+
+        Raises:
+            OSError: at its end, if it is not what was added: an adapter can write wherever its user can.
+        """
+        digest = hashlib.sha256()
         if path.is_file():
-            with path.open("rb") as file:
-                yield from _blocks(file.fileno(), 0, path.stat().st_size)
+            with open(path, "rb", opener=_no_link) as file:
+                for block in _blocks(file.fileno(), 0, path.stat().st_size):
+                    digest.update(block)
+                    yield block
+        if digest.hexdigest() != expected:
+            raise OSError("another program has changed the samples of an item")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

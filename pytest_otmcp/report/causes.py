@@ -19,7 +19,7 @@ from . import Item, Run
 __all__ = ["Cause", "causes"]
 
 _ROLE = re.compile(r"^(?:setup|warmup|control): ")
-_VARIABLE = re.compile(r"""'(?:[^'\\]|\\.)*'|"(?:[^"\\]|\\.)*"|\[[^\]]*\]|\d+(?:\.\d+)?""")
+_VARIABLE = re.compile(r"""'(?:[^'\\]|\\.){0,1000}'|"(?:[^"\\]|\\.){0,1000}"|\[[^\]]{0,1000}\]|\d+(?:\.\d+)?""")
 """What differs between findings of one fault in two items: values, addresses, texts, counts."""
 
 _COMPARED = 300

@@ -10,12 +10,13 @@ from typing import Any
 from mcp.types import (
     JSONRPCError,
     JSONRPCMessage,
-    JSONRPCNotification,
     JSONRPCRequest,
     JSONRPCResponse,
     jsonrpc_message_adapter,
 )
 from pydantic import ValidationError
+
+from .limits import is_too_large
 
 __all__ = ["MAX_STRAY_LINES", "META_KEY", "FrameRecorder", "Measurement"]
 
@@ -47,7 +48,7 @@ class FrameRecorder:
         unknown_ids: ids of responses to requests that were never sent.
         repeated_ids: ids of requests that were answered more than once (JSON-RPC 2.0, section 5: one response for each).
         too_deep: number of messages that are nested deeper than the client's parser reads.
-        overflow: True when a message arrived that is longer than the kit accepts.
+        overflow: True when a message arrived that is larger than the kit accepts.
     """
 
     stray_count: int = 0
@@ -82,12 +83,20 @@ class FrameRecorder:
             measurement.request = frame
             measurement.sent_ns = now
 
+    def accepts(self, frame: bytes) -> bool:
+        """Tell whether a frame is to be read, before a parser sees it; one that is too large is an overflow."""
+        if is_too_large(frame):
+            self.overflow = True
+        return not self.overflow
+
     def received(self, now: int, frame: bytes) -> JSONRPCMessage | ValidationError | None:
-        """Note that a frame was read; return its message, the error when it holds no message, or None for a message of
-        a kind that a client does not use."""
+        """Note that a frame was read; return its message, the error when it holds no message, or None for a notification:
+        the kit uses none."""
         try:
             message = jsonrpc_message_adapter.validate_json(frame)
         except ValidationError as error:
+            # Its traceback leads to the caller, which keeps the error: a circle, which holds the frame until the collector comes.
+            error.__traceback__ = None
             first = error.errors(include_url=False, include_context=False, include_input=False)[0]
             if first["type"] == "json_invalid" and "recursion limit" in first["msg"]:
                 self.too_deep += 1
@@ -105,8 +114,9 @@ class FrameRecorder:
                 _keep(self.unknown_ids, message.id)
             elif message.id in self._answered:
                 _keep(self.repeated_ids, message.id)
-            self._answered.add(message.id)
-        elif not isinstance(message, JSONRPCRequest | JSONRPCNotification):
+            else:
+                self._answered.add(message.id)
+        elif not isinstance(message, JSONRPCRequest):
             return None
         return message
 

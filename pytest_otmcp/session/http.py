@@ -19,7 +19,8 @@ from mcp.client.streamable_http import streamable_http_client
 
 from ..core.exhaustion import exhausted
 from .frames import FrameRecorder
-from .process import MAX_FRAME_BYTES, StopReport, SubjectProcess
+from .limits import MAX_FRAME_BYTES, TOO_LARGE
+from .process import StopReport, SubjectProcess
 
 if TYPE_CHECKING:
     from mcp.client._transport import TransportStreams
@@ -28,6 +29,9 @@ __all__ = ["HttpTransport"]
 
 _POLL_S = 0.02
 """Interval at which the kit tries to connect to a starting server, which has no way to say that it is ready."""
+
+_ATTEMPTS = 32
+"""Attempts to read a body of unknown length before its end; a server may send it byte by byte."""
 
 # The session keeps the deadline of each call; these limits only end the wait for a dead connection.
 _TIMEOUT = httpx2.Timeout(30.0, read=330.0)
@@ -120,11 +124,20 @@ class _RecordingTransport(httpx2.AsyncBaseTransport):
             message = json.loads(body)
             if "id" in message and "method" in message:
                 self._recorder.sent(time.monotonic_ns(), body, message["id"], message.get("params"))
+        # What is compressed could neither be recorded as it is read nor be limited: a few kilobytes may become gigabytes.
+        request.headers["accept-encoding"] = "identity"
         response = await self._network.handle_async_request(request)
+        response.headers.pop("content-encoding", None)
         kind = response.headers.get("content-type", "").partition(";")[0].strip()
         assert isinstance(response.stream, httpx2.AsyncByteStream)
         if kind in ("application/json", "text/event-stream"):
-            response.stream = _RecordedBody(response.stream, self._recorder, events=kind == "text/event-stream")
+            length = response.headers.get("content-length", "")
+            response.stream = _RecordedBody(
+                response.stream,
+                self._recorder,
+                events=kind == "text/event-stream",
+                length=int(length) if length.isdecimal() else None,
+            )
         return response
 
     async def aclose(self) -> None:
@@ -132,14 +145,26 @@ class _RecordingTransport(httpx2.AsyncBaseTransport):
 
 
 class _RecordedBody(httpx2.AsyncByteStream):
-    """Response body that is recorded while it is read: one JSON message, or server-sent events with one message each."""
+    """Response body that is recorded while it is read: one JSON message, or server-sent events with one message each.
 
-    def __init__(self, stream: httpx2.AsyncByteStream, recorder: FrameRecorder, *, events: bool) -> None:
+    Args:
+        stream: the body.
+        recorder: of the session.
+        events: the body consists of events.
+        length: of the body in bytes, where the server has said it.
+    """
+
+    def __init__(
+        self, stream: httpx2.AsyncByteStream, recorder: FrameRecorder, *, events: bool, length: int | None
+    ) -> None:
         self._stream = stream
         self._recorder = recorder
         self._events = events
-        self._unread = b""
+        self._length = length
+        self._attempts = 0
+        self._unread = bytearray()
         self._data: list[bytes] = []
+        self._data_bytes = 0
 
     async def __aiter__(self) -> AsyncIterator[bytes]:
         async for chunk in self._stream:
@@ -147,34 +172,48 @@ class _RecordedBody(httpx2.AsyncByteStream):
             self._record(chunk)
             yield chunk
         if not self._events and self._unread:
-            self._recorder.received(time.monotonic_ns(), self._unread)
+            self._receive(time.monotonic_ns(), bytes(self._unread))
 
     def _record(self, chunk: bytes) -> None:
         now = time.monotonic_ns()
         self._unread += chunk
-        if len(self._unread) > MAX_FRAME_BYTES:
+        if len(self._unread) + self._data_bytes > MAX_FRAME_BYTES:
             self._recorder.overflow = True
-            raise httpx2.ReadError("the adapter sent a message longer than the kit reads")
+            raise httpx2.ReadError(f"the adapter sent a message of {TOO_LARGE}")
         if not self._events:
-            self._record_whole_body(now)
+            if len(self._unread) == self._length or self._is_whole(chunk):
+                self._receive(now, bytes(self._unread))
+                self._unread.clear()
             return
-        *lines, self._unread = self._unread.split(b"\n")
+        if b"\n" not in chunk:
+            return
+        *lines, rest = bytes(self._unread).split(b"\n")
+        self._unread = bytearray(rest)
         for line in map(bytes.strip, lines):
             if line.startswith(b"data:"):
                 self._data.append(line[5:].removeprefix(b" "))
+                self._data_bytes += len(line)
             elif not line and self._data:
-                frame, self._data = b"\n".join(self._data), []
+                frame, self._data, self._data_bytes = b"\n".join(self._data), [], 0
                 if frame:
-                    self._recorder.received(now, frame)
+                    self._receive(now, frame)
 
-    def _record_whole_body(self, now: int) -> None:
-        # The end of a body is signalled after its last byte, but the reply is complete with that byte and is timed then.
+    def _is_whole(self, chunk: bytes) -> bool:
+        """Tell whether a body of unknown length is complete: its end is signalled after its last byte, but the reply is
+        complete, and timed, with that byte."""
+        if self._length is not None or not chunk.rstrip().endswith(b"}") or self._attempts == _ATTEMPTS:
+            return False
+        self._attempts += 1
+        frame = bytes(self._unread)
         try:
-            json.loads(self._unread)
-        except ValueError:
-            return
-        self._recorder.received(now, self._unread)
-        self._unread = b""
+            return self._recorder.accepts(frame) and json.loads(frame) is not None
+        except (ValueError, RecursionError):
+            return False
+
+    def _receive(self, now: int, frame: bytes) -> None:
+        if not self._recorder.accepts(frame):
+            raise httpx2.ReadError(f"the adapter sent a message of {TOO_LARGE}")
+        self._recorder.received(now, frame)
 
     async def aclose(self) -> None:
         await self._stream.aclose()

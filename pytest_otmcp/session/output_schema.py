@@ -146,9 +146,10 @@ class OutputCheck:
 
 def main() -> None:
     """Answer until standard input closes."""
-    from .keeper import die_with_parent
+    from .keeper import die_with_parent, hide_memory
 
     die_with_parent()
+    hide_memory()
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
     from jsonschema import validators  # noqa: F401  (takes a tenth of a second, which is not the first check's)
 

@@ -20,11 +20,13 @@ from typing import cast
 from ..core.errors import ExhaustedError
 from ..core.exhaustion import exhausted
 from .keeping import Watcher
+from .limits import MAX_FRAME_BYTES
 
-__all__ = ["MAX_FRAME_BYTES", "StopReport", "SubjectProcess", "subject_environment"]
+__all__ = ["StopReport", "SubjectProcess", "subject_environment"]
 
-MAX_FRAME_BYTES = 16 * 1024 * 1024
-"""Length of the longest line on stdout that is read to its end; no OT reply has a reason to be longer."""
+_UNREAD_BYTES = 4 * 1024 * 1024
+"""Bytes that wait for an adapter to read its stdin, beyond which its stdout is not read either: it may send requests, and
+every answer to one that it does not read would be kept."""
 
 _SETTLE_S = 3.0
 _STDERR_LINES = 60
@@ -83,6 +85,19 @@ class _Pipe(asyncio.Protocol):
         self._closed()
 
 
+class _Stdin(asyncio.BaseProtocol):
+    """The pipe to a process, which says when too much waits in it, and when that is over."""
+
+    def __init__(self) -> None:
+        self.full: Callable[[bool], None] = lambda full: None
+
+    def pause_writing(self) -> None:
+        self.full(True)
+
+    def resume_writing(self) -> None:
+        self.full(False)
+
+
 class _Pipes:
     """The output of a process: stdout is cut into lines, each stamped with the time at which its last byte was read."""
 
@@ -136,6 +151,7 @@ class SubjectProcess:
         self._stdin = stdin
         self._output = output
         self._pipes = pipes
+        self._held: set[str] = set()
         self.root = watcher.root
 
     @classmethod
@@ -155,7 +171,7 @@ class SubjectProcess:
             env: the whole environment of the process.
             cwd: working directory, or None for the kit's.
             on_line: called with (monotonic ns, line without its newline) for every line on stdout.
-            on_overflow: called once when a line on stdout exceeds :data:`MAX_FRAME_BYTES`; reading ends then.
+            on_overflow: called once when a line on stdout exceeds :data:`~pytest_otmcp.session.limits.MAX_FRAME_BYTES`; reading ends then.
 
         Raises:
             OSError: the command cannot be executed.
@@ -174,11 +190,14 @@ class SubjectProcess:
             for file in theirs:
                 file.close()
             loop = asyncio.get_running_loop()
-            stdin, _ = await loop.connect_write_pipe(asyncio.BaseProtocol, ours[0])
+            stdin, unread = await loop.connect_write_pipe(_Stdin, ours[0])
+            stdin.set_write_buffer_limits(_UNREAD_BYTES)
             stdout, _ = await loop.connect_read_pipe(lambda: _Pipe(pipes.read_stdout, pipes.stdout_closed.set), ours[1])
             stderr, _ = await loop.connect_read_pipe(lambda: _Pipe(pipes.read_stderr, pipes.end_of_stderr), ours[2])
             undo.pop_all()
-        return cls(watcher, stdin, (stdin, stdout, stderr), pipes)
+        process = cls(watcher, stdin, (stdin, stdout, stderr), pipes)
+        unread.full = lambda full: process.hold("stdin", full)
+        return process
 
     @property
     def returncode(self) -> int | None:
@@ -209,15 +228,20 @@ class SubjectProcess:
     def stop_reading(self) -> None:
         """Read no more of stdout until the process is to end: what comes now is a flood."""
         self._pipes.overflown = True
+        self.hold("flood", True)
+
+    def hold(self, reason: str, held: bool) -> None:
+        """Read nothing more of stdout as long as there is a reason; what the process writes waits in its pipe."""
+        (self._held.add if held else self._held.discard)(reason)
         stdout = cast(asyncio.ReadTransport, self._output[1])
         if not stdout.is_closing():
-            stdout.pause_reading()
+            (stdout.pause_reading if self._held else stdout.resume_reading)()
 
     def _read_on(self) -> None:
         """Read stdout and throw it away."""
-        stdout = cast(asyncio.ReadTransport, self._output[1])
-        if not stdout.is_closing():
-            stdout.resume_reading()
+        self._pipes.overflown = True
+        for reason in list(self._held):
+            self.hold(reason, False)
 
     def write(self, data: bytes) -> None:
         """Write bytes to stdin, at once unless the pipe is full.
@@ -239,7 +263,7 @@ class SubjectProcess:
         """
         begun = time.monotonic()
         exited = self._watcher.exited
-        if self._pipes.overflown:
+        if self._held:
             # A process that waits until somebody reads its output cannot end.
             self._read_on()
         if self._pipes.stdout_closed.is_set():

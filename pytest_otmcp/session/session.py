@@ -29,9 +29,10 @@ from .exchange import CANCELLED, Exchange
 from .footprint import footprint
 from .frames import MAX_STRAY_LINES, META_KEY, FrameRecorder, Measurement
 from .http import HttpTransport
+from .limits import TOO_LARGE
 from .output_schema import OutputCheck
 from .pace import Pace
-from .process import MAX_FRAME_BYTES, StopReport, subject_environment
+from .process import StopReport, subject_environment
 from .stdio import StdioTransport
 
 __all__ = ["McpSession", "SessionOptions"]
@@ -348,7 +349,7 @@ class McpSession:
 
     @property
     def overflow(self) -> bool:
-        """True when a message arrived that is longer than the kit accepts; it ends the session."""
+        """True when a message arrived that is larger than the kit accepts; it ends the session."""
         return self._recorder.overflow
 
     # -- descriptions -------------------------------------------------------------------------------------
@@ -364,7 +365,7 @@ class McpSession:
         if isinstance(error, FileNotFoundError):
             return f"the command {self._command[0]!r} was not found; the launch command is: {self._command_line()}"
         if self._recorder.overflow:
-            return f"the adapter sent a line of more than {MAX_FRAME_BYTES // 2**20} MiB during its handshake"
+            return f"the adapter sent a message of {TOO_LARGE} during its handshake"
         if self._recorder.stray_count >= MAX_STRAY_LINES:
             first = self._recorder.stray[0][:120].decode("utf-8", "replace")
             return f"the adapter floods stdout with lines that are no MCP messages, the first: {first!r}"

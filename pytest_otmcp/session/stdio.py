@@ -26,6 +26,10 @@ __all__ = ["StdioTransport"]
 
 _PASSED_ON = 5
 
+_WAITING_MESSAGES = 256
+_WAITING_BYTES = 1024 * 1024
+"""What may wait until the client takes it; beyond that, nothing more is read: an adapter may write faster than it is read."""
+
 
 class StdioTransport:
     """Process of the subject and carrier of messages to and from it, for one session."""
@@ -45,7 +49,8 @@ class StdioTransport:
         self._cwd = cwd
         self._recorder = recorder
         self._exit_grace_s = exit_grace_s
-        self._incoming: asyncio.Queue[SessionMessage | Exception | None] = asyncio.Queue()
+        self._incoming: asyncio.Queue[tuple[int, SessionMessage | Exception] | None] = asyncio.Queue()
+        self._waiting_bytes = 0
 
     @property
     def died(self) -> bool:
@@ -75,7 +80,7 @@ class StdioTransport:
         self.process = await SubjectProcess.start(
             self._command, env=self._env, cwd=self._cwd, on_line=self._receive_line, on_overflow=self._end_at_overflow
         )
-        to_client, from_server = anyio.create_memory_object_stream[SessionMessage | Exception](256)
+        to_client, from_server = anyio.create_memory_object_stream[SessionMessage | Exception](0)
         from_client, to_server = anyio.create_memory_object_stream[SessionMessage](16)
         tasks = [
             asyncio.create_task(self._pump_in(to_client), name="otmcp-pump-in"),
@@ -106,9 +111,21 @@ class StdioTransport:
 
     async def _pump_in(self, to_client: anyio.abc.ObjectSendStream[SessionMessage | Exception]) -> None:
         async with to_client:
-            while (message := await self._incoming.get()) is not None:
+            while (waiting := await self._incoming.get()) is not None:
+                size, message = waiting
                 with suppress(anyio.BrokenResourceError, anyio.ClosedResourceError):
                     await to_client.send(message)
+                self._waiting_bytes -= size
+                if self.process is not None and self._incoming.empty():
+                    self.process.hold("client", False)
+
+    def _pass_on(self, size: int, message: SessionMessage | Exception) -> None:
+        self._waiting_bytes += size
+        self._incoming.put_nowait((size, message))
+        if self.process is not None and (
+            self._waiting_bytes > _WAITING_BYTES or self._incoming.qsize() > _WAITING_MESSAGES
+        ):
+            self.process.hold("client", True)
 
     async def _pump_out(self, to_server: anyio.abc.ObjectReceiveStream[SessionMessage]) -> None:
         async for outgoing in to_server:
@@ -126,16 +143,19 @@ class StdioTransport:
                 return
 
     def _receive_line(self, now: int, line: bytes) -> None:
+        if not self._recorder.accepts(line):
+            self._end_reading()
+            return
         message = self._recorder.received(now, line.rstrip(b"\r"))
         if isinstance(message, ValidationError):
             # The client takes it as an error and says so in its log; a few are enough.
-            if self._recorder.stray_count <= _PASSED_ON:
-                self._incoming.put_nowait(message)
+            if self._recorder.stray_count + self._recorder.too_deep <= _PASSED_ON:
+                self._pass_on(len(line), message)
             if self._recorder.stray_count == MAX_STRAY_LINES:
                 # The session does not wait for the end of a flood: it ends here, and the finding says why.
                 self._end_reading()
         elif message is not None:
-            self._incoming.put_nowait(SessionMessage(message))
+            self._pass_on(len(line), SessionMessage(message))
 
     def _end_at_overflow(self, now: int) -> None:
         self._recorder.overflow = True

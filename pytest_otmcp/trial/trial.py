@@ -16,6 +16,7 @@ from ..core.exhaustion import exhausted
 from ..core.finding import Finding, Kind, kind_of
 from ..protocols.unsolicited import nothing_commanded
 from ..record.schema import Around, DeviceEntry, Ended, ItemBody, Role, Sample, State
+from ..session.limits import TOO_LARGE
 from ..subject.model import READ_WRITE
 from .adapter_under_test import NoBindingError
 from .driver import SessionFacts, TrialDriver
@@ -103,7 +104,7 @@ class Trial:
         except _ItemOverError:
             pass
         except SubjectError as failure:
-            self._end("subject", failure.code, str(failure), "MCP-002")
+            self._end("subject", failure.code, str(failure), None if failure.code == "control_channel" else "MCP-002")
         except NoBindingError as gap:
             self._status, self._reason = "NOT_TESTABLE", str(gap)
             self._end("binding", "not_testable", str(gap))
@@ -254,7 +255,7 @@ class Trial:
     def _take(self, sessions: list[SessionFacts]) -> None:
         for facts in sessions:
             if facts.overflow:
-                self._note("frame_too_long", "the adapter sent a message longer than 16 MiB", "ADR-009")
+                self._note("frame_too_long", f"the adapter sent a message of {TOO_LARGE}", "ADR-009")
             if facts.died is not None:
                 self._note("session_lost", facts.died, "MCP-007")
             if facts.overstayed is not None:

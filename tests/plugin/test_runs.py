@@ -12,6 +12,7 @@ import signal
 import socket
 import struct
 import subprocess
+import sys
 import termios
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
@@ -182,6 +183,40 @@ def test_a_run_that_is_interrupted_while_an_adapter_starts_leaves_nothing_runnin
     assert "VERDICT: INCOMPLETE (interrupted before the first item)" in output
     assert "Traceback" not in output
     assert all_end(running)
+
+
+HTTP = """
+[subject]
+name = "over HTTP"
+version = "1.0"
+
+[adapter.modbus]
+command = {command}
+transport = "http"
+url = "http://127.0.0.1:{{http_port}}/mcp"
+env = {{ MODBUS_HOST = "{{host}}", MODBUS_PORT = "{{port}}", MCP_TRANSPORT = "streamable-http", MCP_HTTP_PORT = "{{http_port}}" }}
+rw = {{ env = {{ MODBUS_WRITES_ENABLED = "true" }} }}
+deadline_s = 30
+"""
+
+
+@pytest.mark.usefixtures("interruptible")
+@pytest.mark.parametrize("ending", ["SIGTERM", pytest.param("SIGINT", marks=pytest.mark.long)])
+def test_an_http_adapter_with_writes_enabled_does_not_outlive_a_run_that_is_ended(
+    repository: Repository, waiting: socket.socket, ending: str
+) -> None:
+    command = [sys.executable, str(WAITING), "write_register", "2", port_of(waiting)]
+    repository.write(otmcp_toml=HTTP.format(command=json.dumps(command)))
+    with started(repository, "--otmcp-reps=3", "-k", "normal and M3") as process:
+        connection, _ = waiting.accept()
+        with connection:
+            running = descendants(process)
+            assert [one for one in running if one.environ().get("MODBUS_WRITES_ENABLED") == "true"]
+            process.send_signal(signal.Signals[ending])
+            output, _ = process.communicate(timeout=PATIENCE_S)
+            assert all_end(running)
+    assert process.returncode == pytest.ExitCode.INTERRUPTED, output
+    assert "VERDICT: INCOMPLETE" in output
 
 
 @pytest.mark.long

@@ -36,7 +36,7 @@ def nothing_is_left_behind() -> Any:
         ("dies-in-initialize", r"exited with code 3 during its handshake.*no module named 'spindle'"),
         ("stdout-flood", r"floods stdout with lines that are no MCP messages.*I am the spindle"),
         ("wrong-id", r"a response carries the id \d{4}, which no request had"),
-        ("huge-reply", r"longer than 16 MiB"),
+        ("huge-reply", r"a message of more than 4 MiB"),
         ("dies-in-call", r"exited with code 7.*out of spindle oil"),
         ("hangs-in-call", r"no reply within the deadline of 1\.5 s"),
         ("not-json", r"not strict JSON: NaN is no JSON number"),

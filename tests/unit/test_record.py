@@ -72,10 +72,10 @@ def test_an_item_without_samples_is_read_back(tmp_path: Path) -> None:
 def test_samples_wait_in_a_file_of_their_own(tmp_path: Path) -> None:
     path, writer = begun(tmp_path)
     spool = SampleSpool(tmp_path / "M1.jsonl")
-    assert list(SampleSpool.read(spool.path)) == []
+    assert list(SampleSpool.read(spool.path, spool.digest)) == []
     for sample in ITEMS[0]["samples"]:
         spool.add(sample)
-    writer.append(head(ITEMS[0]), SampleSpool.read(spool.path))
+    writer.append(head(ITEMS[0]), SampleSpool.read(spool.path, spool.digest))
     assert load(path, allow_incomplete=True)["items"] == ITEMS[:1]
 
 
