@@ -1,0 +1,38 @@
+"""A bench on which the adapter of one protocol is under test, among genuine ones."""
+
+from __future__ import annotations
+
+from ..plant.devices import Plant
+from ..record.schema import AdapterFacts, Device
+from ..subject import Subject
+from .adapter_under_test import AdapterUnderTest, BenchOptions
+from .bench import Bench
+
+__all__ = ["AmongGenuine"]
+
+
+class AmongGenuine(Bench):
+    """A bench on which only the adapter of one protocol has other deadlines; the others have their usual ones.
+
+    The others end with the bench: an adapter that connects to a device again after an outage would be taken for the
+    next adapter of that device.
+    """
+
+    def __init__(self, subject: Subject, plant: Plant, protocol: str, time_scale: float) -> None:
+        super().__init__(subject, BenchOptions(time_scale=time_scale), plant)
+        self._protocol = protocol
+        self._genuine = Bench(subject, BenchOptions(), plant)
+
+    async def adapter(self, name: str) -> AdapterUnderTest:
+        under_test = name.partition("@")[0] == self._protocol
+        return await (super() if under_test else self._genuine).adapter(name)
+
+    async def close(self) -> None:
+        await self._genuine.close()
+        await super().close()
+
+    def adapters(self) -> dict[str, AdapterFacts]:
+        return self._genuine.adapters() | super().adapters()
+
+    def devices(self) -> dict[str, Device]:
+        return self._genuine.devices() | super().devices()
