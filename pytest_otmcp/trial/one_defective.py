@@ -24,8 +24,9 @@ class AmongGenuine(Bench):
         self._genuine = Bench(subject, BenchOptions(), plant)
 
     async def adapter(self, name: str) -> AdapterUnderTest:
-        under_test = name.partition("@")[0] == self._protocol
-        return await (super() if under_test else self._genuine).adapter(name)
+        if name.partition("@")[0] == self._protocol:
+            return await super().adapter(name)
+        return await self._genuine.adapter(name)
 
     async def close(self) -> None:
         await self._genuine.close()
