@@ -6,6 +6,7 @@ import asyncio
 from contextlib import suppress
 from functools import partial
 from importlib import import_module
+from threading import Thread
 from typing import TYPE_CHECKING
 from uuid import uuid4
 
@@ -83,6 +84,9 @@ class Run:
                     era=self.settings.era, time_scale=self.settings.time_scale, worker=self._worker or MAIN
                 )
                 self._bench = Bench(self.subject, options, self._plant)
+                if self._worker is None:
+                    # The bounds of the verdict need it. While the adapters start, this process only waits.
+                    Thread(target=import_module, args=("scipy.special",), daemon=True).start()
                 # A mock that cannot be started is reported by every task that needs it.
                 with suppress(KitError):
                     self._loop.run(self._bench.prepare(wanted, started=self.starting))
