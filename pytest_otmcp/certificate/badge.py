@@ -21,10 +21,15 @@ _PADDING = 7
 
 
 def badge(certificate: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the content of ``badge.json``: the protocols, and how many items of the suite applied."""
+    """Return the content of ``badge.json``: the protocols, each with its level where one is awarded, and how many items of the suite applied."""
     told = certificate["predicate"]["otmcp"]
     applied = told["applied"]
-    message = "conformant: " + ", ".join(protocols()[protocol].name for protocol in told["adapters"])
+    awarded = told["level"]["awarded"] or {}
+    named = [
+        protocols()[protocol].name + (f" {level.capitalize()}" if (level := awarded.get(protocol)) else "")
+        for protocol in told["adapters"]
+    ]
+    message = "conformant: " + ", ".join(named)
     message += f" ({applied['items']} of {applied['of']} items applied)"
     return {"schemaVersion": 1, "label": _LABEL, "message": message, "color": _COLOUR.removeprefix("#")}
 

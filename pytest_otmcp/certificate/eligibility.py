@@ -16,8 +16,8 @@ from ..core.verdict import Status, Verdict, decide
 from ..protocols.external import external_devices
 from ..protocols.protocol import GUARD
 from ..protocols.registry import protocols
-from ..record.consistency import clock_faults
-from ..record.schema import Run
+from ..record.consistency import clock_faults, inapplicable_by_steps
+from ..record.schema import Item, Run
 from ..subject.claims import Claims
 from ..trial.task import Task
 
@@ -180,10 +180,13 @@ def _item_objections(run: Run, tasks: Tasks) -> Iterator[str]:
             yield f"{name} is an item of {task.suite}, {task.family}, the record says {item['suite']}, {item['family']}"
         elif item["planned"] != planned.get(task.suite):
             yield f"{name} has {item['planned']} repetitions, the settings say {planned.get(task.suite)}"
-        elif (item["status"] == Status.NOT_APPLICABLE and not item["devices"]) == all(
-            map(claims.has, claims.required(task.needs))
-        ):
+        elif _without_facets(item) == all(map(claims.has, claims.required(task.needs))):
             yield f"{name} is called {item['status']}, which is not what the subject claims"
+
+
+def _without_facets(item: Item) -> bool:
+    """Tell whether an item is said not to apply for want of a facet; the steps of a check may also find nothing to judge."""
+    return item["status"] == Status.NOT_APPLICABLE and not inapplicable_by_steps(item)
 
 
 def exercised(task: Task, claims: Claims) -> list[str]:

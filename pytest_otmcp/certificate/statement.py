@@ -21,10 +21,12 @@ from ..protocols.registry import protocols
 from ..record.schema import AdapterFacts, Item, Run
 from ..record.warnings import warnings
 from ..subject.claims import Claims
+from ..suite.levels import said, shown, standings
+from ..suite.requirements import catalogue
 from ..trial.task import Task
 from .eligibility import exercised
 
-__all__ = ["PREDICATE_TYPE", "STATEMENT_TYPE", "certificate", "differences"]
+__all__ = ["PREDICATE_TYPE", "STATEMENT_TYPE", "awarded", "certificate", "differences"]
 
 STATEMENT_TYPE = "https://in-toto.io/Statement/v1"
 PREDICATE_TYPE = "https://in-toto.io/attestation/test-result/v0.1"
@@ -34,10 +36,10 @@ _CONFIDENCE = 0.95
 _FIRST_STATELESS = "2026-07-28"
 """The first revision of MCP without ``initialize``: revisions are dates, and compare as text."""
 
-_LEVEL = {
+_NO_LEVEL = {
     "awarded": None,
-    "why": "benchmark suite only; no level is awarded: the requirement catalogue, over which levels are defined, is not "
-    "part of this suite",
+    "why": "benchmark suite only; no level is awarded: the requirement suite, whose items decide about levels, is no part "
+    "of this run",
 }
 _LIMITS = [
     "Self-certification: the kit was run by whoever shows this certificate. It is not signed here; sign it to say who that was.",
@@ -90,7 +92,7 @@ def certificate(run: Run, run_sha256: str, tasks: Tasks) -> dict[str, object]:
                 "verdict": footer["verdict"],
                 "warnings": warned,
                 "applied": {"items": len(passed), "of": len(tasks)},
-                "level": dict(_LEVEL),
+                "level": awarded(run),
                 "run_id": run["run_id"],
                 "measured_at": run["environment"]["started_at"],
                 "adapters": {
@@ -105,6 +107,19 @@ def certificate(run: Run, run_sha256: str, tasks: Tasks) -> dict[str, object]:
                 "limits": list(_LIMITS),
             },
         },
+    }
+
+
+def awarded(run: Run) -> dict[str, object]:
+    """Return the level of each protocol, in a line, and what is missing for the next one."""
+    rows = catalogue()
+    found = standings(rows, run["items"], sorted(run["subject"]["adapters"]))
+    if not found:
+        return dict(_NO_LEVEL)
+    return {
+        "awarded": {one.protocol: one.level for one in found},
+        "why": " ".join(f"{said(one)}." for one in found),
+        "next": {one.protocol: shown(one, rows) for one in found},
     }
 
 

@@ -29,7 +29,10 @@ _OPTIONS = {
     "reps": ("N", f"repetitions N: normal and fault N, stress N/3, recovery 2N/3, rounded up (default {DEFAULT_REPS})"),
     "subject": ("FILE", "subject file of the adapters under test (default: otmcp.toml, else the reference adapters)"),
     "suite": ("NAMES", f"these suites, separated by commas: {', '.join(SUITES)} (default: all but the last)"),
-    "only": ("ROWS", "only the checks of these rows of the catalogue, separated by commas: WR-003, or WR-003.modbus"),
+    "only": (
+        "ROWS",
+        "only the checks of these rows of the catalogue, or these checks, separated by commas, such as WR-003",
+    ),
     "report-dir": ("DIR", "directory for run record, tables and figures (default reports/latest)"),
     "seed": ("N", "seed of the values that repetitions use (default 0)"),
     "era": ("ERA", "MCP protocol era: auto or legacy (default auto)"),

@@ -9,12 +9,12 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from datetime import datetime, timedelta
 
-from ..core.matrix import SUITES
+from ..core.matrix import REQUIREMENTS, SUITES
 from ..core.verdict import Status, Verdict, decide
 from .schema import ROLES, Call, Footer, Header, Item, ItemHead, Role, Sample
 from .warnings import failing
 
-__all__ = ["Contradiction", "RunChecker", "clock_faults", "count_calls", "tool_calls"]
+__all__ = ["Contradiction", "RunChecker", "clock_faults", "count_calls", "inapplicable_by_steps", "tool_calls"]
 
 _ROUNDING = timedelta(seconds=2)
 """Times of the run have whole seconds."""
@@ -41,6 +41,11 @@ def count_calls(items: Iterable[Item]) -> dict[Role, int]:
         for part in (*item["around"], *item["samples"]):
             calls.update(tool_calls(item["suite"], part["calls"]))
     return dict(calls)
+
+
+def inapplicable_by_steps(item: ItemHead) -> bool:
+    """Tell whether the steps of a check found nothing to judge: they ran, and playing them back shows the same."""
+    return item["suite"] == REQUIREMENTS and item["status"] == Status.NOT_APPLICABLE and bool(item["devices"])
 
 
 class RunChecker:

@@ -19,6 +19,7 @@ from ..core.strict_json import same_json
 from ..core.verdict import Status
 from ..plant.endpoint import Endpoint
 from ..protocols.registry import protocols
+from ..record.consistency import inapplicable_by_steps
 from ..record.reader import StoredItem, StoredRun
 from ..record.schema import SCHEMA, Header, ItemBody, ItemHead, Sample
 from ..subject.claims import Claims
@@ -138,8 +139,7 @@ class _Judge:
     def _of_claims(self, head: ItemHead, task: Task) -> Iterator[str]:
         # An adapter that had no device, as in a run that was narrowed, cannot be judged.
         gaps = [facet for facet in self._claims.required(task.needs) if not self._claims.has(facet)]
-        # Steps that found nothing to judge say so by themselves, and are played back.
-        if head["status"] == Status.NOT_APPLICABLE and not gaps and not head["devices"]:
+        if head["status"] == Status.NOT_APPLICABLE and not gaps and not inapplicable_by_steps(head):
             yield f"{head['id']}: the record says NOT_APPLICABLE, the subject claims {' and '.join(task.needs)}"
         named = [facet for facet in gaps if self._claims.has_adapter(facet.partition(".")[0])]
         if head["status"] != Status.NOT_APPLICABLE and named:

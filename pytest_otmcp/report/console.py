@@ -11,6 +11,9 @@ from collections.abc import Iterator
 from ..core.matrix import SUITES
 from ..record.consistency import count_calls
 from ..record.warnings import said, warnings
+from ..suite.levels import said as level_of
+from ..suite.levels import standings
+from ..suite.requirements import catalogue
 from . import Run, applied, applies, least, tally, timing_valid
 from .applying import not_applying
 from .causes import Cause, causes
@@ -55,7 +58,7 @@ def summary(run: Run, width: int = 80, *, verbosity: int = 0, fold_verdict: bool
     if verbosity > 0:
         lines += time_budget(run, width)
     if verbosity >= 0:
-        lines += [*_narrowed(run, width), *_strangers(run, width)]
+        lines += [*_levels(run, width), *_narrowed(run, width), *_strangers(run, width)]
     return [*lines, *_verdict(run, width if fold_verdict else None)]
 
 
@@ -140,6 +143,12 @@ def _counts(run: Run, width: int) -> Iterator[Line]:
         texts.append("latencies withheld: the run was parallel, so they measure the neighbours too")
     for text in texts:
         for line in wrapped(text, width, "  "):
+            yield line, "plain"
+
+
+def _levels(run: Run, width: int) -> Iterator[Line]:
+    for found in standings(catalogue(), run["items"], run["subject"]["adapters"]):
+        for line in wrapped(f"level: {level_of(found)}", width, "  "):
             yield line, "plain"
 
 

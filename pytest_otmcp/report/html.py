@@ -11,7 +11,8 @@ from ..core.matrix import SUITES
 from ..record.warnings import warnings
 from ..suite.catalogue import all_tasks
 from ..suite.explanations import item as explained_item
-from ..suite.requirements import requirements
+from ..suite.levels import said, shown, standings
+from ..suite.requirements import catalogue, requirements
 from . import Item, Run, applied, applies, command, deadlines, overview, tally, timing_valid
 from .capabilities import earned
 from .causes import causes
@@ -82,6 +83,7 @@ def page(run: Run) -> str:
         families=families,
         identity=identity(run),
         capabilities=earned(run),
+        levels=_levels(run),
         causes=causes(run),
         failures=failing,
         anchors=anchors,
@@ -105,6 +107,12 @@ def page(run: Run) -> str:
 
 
 _OF_A_ROW = ("Asked", "Must be said", "Must be seen at the device", "Once before", "Once afterwards", "Why")
+
+
+def _levels(run: Run) -> list[tuple[str, list[str]]]:
+    """Return a line for each protocol with what is missing for its next level; none without the requirement suite."""
+    rows = catalogue()
+    return [(said(one), shown(one, rows)) for one in standings(rows, run["items"], run["subject"]["adapters"])]
 
 
 def _suite(name: str, rows: list[overview.Row]) -> dict[str, Any]:

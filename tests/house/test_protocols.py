@@ -10,6 +10,7 @@ from types import ModuleType
 import pytest
 
 from pytest_otmcp.core.error_registry import registry, wire_codes
+from pytest_otmcp.core.matrix import SUITES
 from pytest_otmcp.protocols.own import OWN
 from pytest_otmcp.protocols.protocol import OtProtocol
 from pytest_otmcp.protocols.registry import protocols
@@ -74,7 +75,7 @@ def test_every_protocol_has_a_mock_and_a_reference_adapter(protocol: OtProtocol)
 
 def test_every_protocol_has_an_item_in_every_suite(protocol: OtProtocol) -> None:
     suites = {task.suite for task in all_tasks().values() if task.protocols == (protocol.key,)}
-    assert suites == {"normal", "fault", "stress", "recovery"}
+    assert suites == {*SUITES}
 
 
 def test_every_protocol_has_a_lie_about_writing_that_the_suite_must_notice(protocol: OtProtocol) -> None:

@@ -64,7 +64,7 @@ def test_a_narrowed_run_is_recorded_and_called_incomplete(repository: Repository
     record = outcome.record
     assert record["schema"] == "otmcp-run/2"
     assert [item["id"] for item in record["items"]] == ["M2", "FM1"]
-    assert record["settings"]["repetitions"] == {"normal": 4, "fault": 4, "stress": 2, "recovery": 3}
+    assert record["settings"]["repetitions"] == {"normal": 4, "fault": 4, "stress": 2, "recovery": 3, "requirements": 1}
     sample = record["items"][0]["samples"][0]
     assert sample["calls"][0]["tool"] == "read_input_registers"
     assert {entry["kind"] for entry in sample["device"]} == {"request", "response"}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from pytest_otmcp.core.matrix import SUITES
+from pytest_otmcp.core.matrix import BENCHMARK
 from pytest_otmcp.core.verdict import Status, Verdict, decide
 from pytest_otmcp.record.consistency import count_calls
 from pytest_otmcp.suite.catalogue import all_tasks
@@ -184,7 +184,7 @@ def run(items: list[dict[str, Any]], *, complete: bool = True, timing_valid: boo
             "seed": 0,
             "era": "auto",
             "time_scale": 1.0,
-            "suites": list(SUITES),
+            "suites": list(BENCHMARK),
             "xdist_workers": 0,
             "broker": "embedded",
             "narrowed": [],

@@ -16,15 +16,18 @@ import pytest
 from pytest_otmcp import __version__
 from pytest_otmcp.certificate.badge import badge, badge_svg
 from pytest_otmcp.certificate.eligibility import objections
-from pytest_otmcp.certificate.statement import certificate, differences
+from pytest_otmcp.certificate.statement import awarded, certificate, differences
 from pytest_otmcp.cli import Refusal, main
+from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.record.schema import AdapterFacts
 from pytest_otmcp.suite.catalogue import tasks_by_id
+from pytest_otmcp.suite.levels import REQUIREMENT_SUITE
+from pytest_otmcp.suite.requirements import Level, catalogue
 
 from ..examined import verify
 from ..stored_runs import store
 from .certified import NO_PING, adapter, conformant_run
-from .samples import finding
+from .samples import finding, item
 
 TASKS = tasks_by_id()
 FILE = "ab" * 32
@@ -550,3 +553,28 @@ def test_a_file_that_is_not_there_is_named(
     for pair in ((nowhere, files[1]), (files[0], nowhere), (nowhere,)):
         assert main(["verify", *map(str, pair)]) == 2
         assert capsys.readouterr().err.endswith("nowhere.json: there is no such file\n")
+
+
+def with_levels() -> dict[str, Any]:
+    """Return the record of a conformant run with the requirement suite, in which one row was not shown for one protocol."""
+    record = conformant_run()
+    for protocol in record["subject"]["adapters"]:
+        rows = [row for row in catalogue().needs(Level.SILVER, protocol) if row.strength == "MUST" and not row.not_yet]
+        record["items"] += [
+            item(f"{row.id}.{protocol}", REQUIREMENT_SUITE, protocols()[protocol].name, row.statement, [1.0])
+            for row in rows
+            if (row.id, protocol) != ("RES-001", "opcua")
+        ]
+    return record
+
+
+def test_the_level_of_each_protocol_is_awarded_with_what_is_missing_for_the_next() -> None:
+    level = awarded(with_levels())  # type: ignore[arg-type]
+    assert level["awarded"] == {"modbus": "silver", "opcua": "bronze"}
+    assert level["why"] == (
+        "Modbus: Silver; Gold cannot be earned yet. OPC UA: Bronze; for Silver: 1 row not shown (RES-001)."
+    )
+    assert "No item has shown RES-001." in level["next"]["opcua"]  # type: ignore[index]
+    statement = certificate(conformant_run(), FILE, TASKS)  # type: ignore[arg-type]
+    statement["predicate"]["otmcp"]["level"] = level  # type: ignore[index]
+    assert badge(statement)["message"].startswith("conformant: Modbus Silver, OPC UA Bronze (")

@@ -168,3 +168,13 @@ def test_a_quiet_run_tells_causes_and_verdict_and_a_quieter_one_the_verdict() ->
 def test_one_of_a_thing_is_not_called_several() -> None:
     shown = text(run([item("M2", "normal", "Modbus", "Read.", [1.0])]))
     assert "1 run, 1 tool call in 1.0 s" in shown
+
+
+def test_a_run_of_the_requirement_suite_says_the_level_of_each_protocol_in_a_line() -> None:
+    judged = item("WR-003.modbus", "requirements", "Modbus", "Write once.", [1.0], failing=1)
+    shown = text(run([judged]), width=200)
+    assert re.search(
+        r"^level: Modbus: no level; for Bronze: 1 row not met \(RD-001\); 45 rows not shown ", shown, re.MULTILINE
+    )
+    assert len(re.findall(r"^level: ", shown, re.MULTILINE)) == 3
+    assert "level:" not in text(run([item("M3", "normal", "Modbus", "Write.", [1.0])]))

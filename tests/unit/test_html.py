@@ -561,3 +561,13 @@ def test_a_browser_shows_the_page_runs_nothing_and_complains_about_nothing(tmp_p
     )
     _, console = browse(path)
     assert any("Content Security Policy" in line for line in console)
+
+
+def test_a_run_of_the_requirement_suite_has_a_section_about_levels() -> None:
+    judged = item("WR-001.modbus", "requirements", "Modbus", "Write.", [1.0])
+    shown = Page(page(run([written_twice(), judged])))
+    assert "levels" in shown.values("id")
+    assert "#levels" in shown.values("href")
+    assert "Modbus: no level; for Bronze: 46 rows not shown (" in shown.text
+    assert "Not yet judged: KEY-001 (" in shown.text
+    assert "levels" not in Page(page(run([M1]))).values("id")

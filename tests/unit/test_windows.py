@@ -26,7 +26,7 @@ class Scripted(Rig):
         super().__init__("modbus", "rw", JournalCursor("modbus"))
         self._answers: Iterator[tuple[bool, float, float]] = iter(answers)
 
-    async def _perform(self, operation: str, inputs: Any) -> Reply:
+    async def _perform(self, operation: str, inputs: Any, altered: Any = None) -> Reply:
         success, sent, received = next(self._answers)
         exchange = Exchange(
             tool=operation,
