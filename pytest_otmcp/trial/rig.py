@@ -15,7 +15,7 @@ from ..core.finding import Finding
 from ..protocols.journal import ADAPTER, judged
 from ..protocols.protocol import Declared
 from ..protocols.registry import protocols
-from ..record.schema import DeviceEntry, Footprint, Role
+from ..record.schema import DeviceEntry, Footprint, Role, ToolListing
 from ..subject.model import READ_WRITE, Binding
 from .alteration import Alteration
 from .cursor import JournalCursor, Oracle
@@ -75,6 +75,11 @@ class Rig(WriteGate):
     @abstractmethod
     def max_age_s(self, operation: str) -> float | None:
         """Return how old the operation's answer may be, as the subject declares; None when it must come from the device."""
+
+    @property
+    @abstractmethod
+    def native(self) -> bool:
+        """The adapter claims to answer in envelopes of its own."""
 
     @property
     @abstractmethod
@@ -273,6 +278,10 @@ class Rig(WriteGate):
     @abstractmethod
     async def footprint(self) -> Footprint:
         """Return what the processes of the session take of the machine."""
+
+    @abstractmethod
+    async def tool_list(self) -> Mapping[str, ToolListing]:
+        """Return the tools that the session listed at its start, name to entry."""
 
     @abstractmethod
     async def listed_tools(self) -> str:
