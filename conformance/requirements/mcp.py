@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from typing import Any
 
 from pytest_otmcp.core.finding import Finding
-from pytest_otmcp.record.schema import ToolListing
 from pytest_otmcp.trial.alteration import Alteration
 from pytest_otmcp.trial.check import Checks
 from pytest_otmcp.trial.repetition import Repetition
@@ -144,7 +143,7 @@ def _listing_faults(name: str, schema: object) -> list[Finding]:
     ]
 
 
-def _schema(listed: Mapping[str, ToolListing], tool: str | None) -> object:
+def _schema(listed: Mapping[str, Mapping[str, Any]], tool: str | None) -> object:
     return listed[tool]["inputSchema"] if tool is not None and tool in listed else None
 
 
@@ -160,7 +159,9 @@ def _invalid(schema: Mapping[str, Any]) -> str | None:
     return None
 
 
-def _unbounded(at: Rig, listed: Mapping[str, ToolListing], operation: str, inputs: Mapping[str, Any]) -> list[Finding]:
+def _unbounded(
+    at: Rig, listed: Mapping[str, Mapping[str, Any]], operation: str, inputs: Mapping[str, Any]
+) -> list[Finding]:
     tool = at.tool_of(operation, **inputs)
     declared = generated.properties(_schema(listed, tool))
     arguments = at.arguments_of(operation, **inputs) or {}
@@ -190,13 +191,13 @@ async def the_list_stays(run: Repetition, at: Rig) -> None:
     """List the tools; again after reads and a write, after refusals, after the device has said what looks like an instruction, and in a
     fresh session.
 
-    Said: the same list, to the byte.
+    Said: the same entries, to the byte, and they should be in the same order.
     Why: a description that holds a name from the device is a way into the assistant.
     """
     first = await at.listed_tools()
     await a_read_works(run, at)
     await a_write_works(run, at)
-    await refused_by_the_adapter(run, at, requirement="MCP-004")
+    await refused_by_the_adapter(run, at)
     await refused_by_the_device(run, at, requirement="ERR-001")
     _same_list(run, at, first, await at.listed_tools(), "after six calls")
     await _meet_hostile_names(run, at)
@@ -227,8 +228,17 @@ async def _meet_hostile_names(run: Repetition, at: Rig) -> None:
 
 
 def _same_list(run: Repetition, at: Rig, first: str, now: str, when: str) -> None:
-    if now != first:
-        run.finding("tools_changed", f"{at.protocol}: tools/list says something else {when}", requirement="MCP-010")
+    # The digest of the entries, then that of their order.
+    same = now.partition(" ")[0] == first.partition(" ")[0]
+    if not same or now != first:
+        what = "has another order" if same else "says something else"
+        finding = Finding(
+            code="tools_changed",
+            message=f"{at.protocol}: tools/list {what} {when}",
+            requirement="MCP-010",
+            strength="SHOULD" if same else "MUST",
+        )
+        run.witnessed([finding])
 
 
 # -- arguments --------------------------------------------------------------------------------------------------------
@@ -236,18 +246,22 @@ def _same_list(run: Repetition, at: Rig, first: str, now: str, when: str) -> Non
 
 @TASKS.every_protocol("MCP-004", "An argument that the tool does not have is refused, not ignored.", writes=True)
 async def unknown_arguments_are_refused(run: Repetition, at: Rig) -> None:
-    """Write with one argument too many; then write the same without it.
+    """Write with one argument too many, and with a misspelt one; then write as it should be.
 
-    Said: a failure with `invalid_input` and the outcome `not_sent`; then success.
+    Said: a failure with `invalid_input` and the outcome `not_sent` both times; then success.
     Seen: no request that changes the plant; then one.
     Why: an assistant that spells `unit` for `slave_id` would command another device than it meant.
     """
     asked = exercise(at).write(run.rng)
     if at.tool_of(asked.operation, **asked.inputs) is None:
         run.not_applicable(f"{asked.operation} is not performed by one tool call")
-    altered = Alteration(given={UNKNOWN_ARGUMENT: 7})
-    reply = await at.call_altered(asked.operation, altered, **asked.inputs)
-    await refused_before_the_wire(run, at, reply, "invalid_input", requirement="MCP-004")
+    changes = [Alteration(given={UNKNOWN_ARGUMENT: 7})]
+    arguments = at.arguments_of(asked.operation, **asked.inputs) or {}
+    for name, argument in sorted(arguments.items())[:1]:
+        changes.append(Alteration(left_out=(argument,), given={f"{argument}_": asked.inputs[name]}))
+    for altered in changes:
+        reply = await at.call_altered(asked.operation, altered, **asked.inputs)
+        await refused_before_the_wire(run, at, reply, "invalid_input", requirement="MCP-004")
     await a_write_works(run, at)
 
 

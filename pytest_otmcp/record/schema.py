@@ -397,7 +397,7 @@ class Observation(TypedDict):
     milliseconds; ``start``: it was started, its journal counts from 0 again. ``fresh_session``: the session was replaced.
     ``garbled``: number of the entry at which a session with a write switch that means nothing began; None where there was none.
     ``end``: the slice ends before this number, the next one begins there. ``process``: figures of the adapter's processes.
-    ``tools``: digest of what the adapter lists. ``line_sent``: whether a line could be written to its standard input as it is.
+    ``tools``: digests of the tools that the adapter lists, and of their order. ``line_sent``: whether a line could be written to its standard input as it is.
     ``stderr``: the adapter's newest lines there. ``listed``: the tools of the session, name to entry.
     """
 

@@ -179,14 +179,24 @@ class Rig(WriteGate):
         cases = self.bindings(operation)
         return next((case.tool for case in cases or () if case.fits(inputs) and not case.resource), None)
 
-    async def call_until_success(self, operation: str, *, window_s: float, **inputs: Any) -> list[Reply]:
+    async def call_until_success(
+        self, operation: str, *, window_s: float, from_first: bool = False, **inputs: Any
+    ) -> list[Reply]:
         """Call until the adapter succeeds or the window, counted from the moment the device accepts connections,
         is over. Only the last call has the repetition's role; the calls before it have the role ``recovery``.
+
+        Args:
+            operation, inputs: as of :meth:`call`.
+            window_s: length of the window.
+            from_first: it is not counted before the first call: the device was there all the time, the connection was not.
         """
-        end = self.accepting_ns + int(window_s * self._ledger.time_scale * 1e9)
-        replies = []
+        begun_ns = self.accepting_ns
+        replies: list[Reply] = []
         while True:
             reply = await self.call(operation, **inputs)
+            if from_first and not replies:
+                begun_ns = max(begun_ns, reply.exchange.sent_ns)
+            end = begun_ns + int(window_s * self._ledger.time_scale * 1e9)
             replies.append(reply)
             # A call may begin too early and answer late: only a call that began after the window is the last.
             if reply.success or (len(replies) > 1 and reply.exchange.sent_ns >= end):
@@ -285,7 +295,7 @@ class Rig(WriteGate):
 
     @abstractmethod
     async def listed_tools(self) -> str:
-        """Ask for the list of tools again, and return its digest.
+        """Ask for the list of tools again, and return the digest of its entries, and after a blank that of their order.
 
         Raises:
             SubjectError: there is no answer.
