@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from pytest_otmcp.core.finding import Finding
-from pytest_otmcp.protocols.journal import ADAPTER
 from pytest_otmcp.trial.alteration import Alteration
+from pytest_otmcp.trial.call_windows import from_adapter
 from pytest_otmcp.trial.check import Checks
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
@@ -140,7 +140,7 @@ async def attempts_are_counted(run: Repetition, at: Rig) -> None:
         asked, reply = await step(run, at)
         run.succeeds(reply, **asked.outputs)
         # What is asked for here is answered within the call, so everything that was sent for it has been seen by now.
-        seen = [entry for entry in reply.during(await at.journal()) if entry["request"] and entry["origin"] == ADAPTER]
+        seen = from_adapter(reply.during(await at.journal()))
         stated = _meta(reply).get("attempts")
         if isinstance(stated, int) and stated > len(seen):
             message = f"meta.attempts says {stated}, the device saw {len(seen)} request(s) during the call"

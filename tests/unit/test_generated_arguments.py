@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 from jsonschema import Draft202012Validator
-
 from pytest_otmcp.conformance.requirements import generated
 
 SCHEMAS: list[dict[str, Any]] = [
