@@ -46,6 +46,7 @@ async def every_result_is_an_envelope(run: Repetition, at: Rig) -> None:
     """Read, write, have a call refused by the adapter, by the device and by a connection that breaks.
 
     Said: `{success, data, error, meta}` each time, with the declared types and nothing else.
+    Seen: what each call asks for.
     Why: what an assistant has to look for in another place each time it will not find.
     """
     needs_envelopes(run, at)
@@ -57,6 +58,7 @@ async def success_or_error(run: Repetition, at: Rig, guarded: Rig) -> None:
     """Read, write, have a call refused by the adapter, by the device, by a connection that breaks, and by the write guard.
 
     Said: success without an error, or an error without data, and never both or neither.
+    Seen: what each call asks for; nothing of the write through the guard.
     Why: an answer that is both is read as what the reader hoped for.
     """
     needs_envelopes(run, at)
@@ -72,6 +74,7 @@ async def answers_are_strict_json(run: Repetition, at: Rig) -> None:
     JSON does not have: NaN, both infinities, minus zero.
 
     Said: whatever fits, as JSON that a strict parser takes: no NaN, no line break within the frame.
+    Seen: the special values, which the device really holds.
     Why: a parser that stops at one answer loses the session with it.
     """
     asked = exercise(at).read(run.rng)
@@ -190,6 +193,7 @@ async def meta_is_complete(run: Repetition, at: Rig) -> None:
 
     Said: the same members of `meta` as in a success, the endpoint that was contacted, without credentials; messages of at most 500
         characters without traceback, path or representation of an object.
+    Seen: the connection to the endpoint that is stated.
     Why: the answers to failures are read when there is a failure, and are tested least.
     """
     needs_envelopes(run, at)

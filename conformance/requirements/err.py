@@ -50,6 +50,7 @@ async def codes_are_stable(run: Repetition, at: Rig) -> None:
     """Three times each: write without any argument, and read while the device refuses it.
 
     Said: a failure each time, with a code of the registry or one that begins with `x_`, and the same code for the same failure.
+    Seen: the refusals of the device.
     Why: whoever reacts to a code cannot react to one that changes with the version of a library.
     """
     await a_read_works(run, at)
@@ -321,6 +322,7 @@ async def validation_comes_first(run: Repetition, at: Rig) -> None:
     """Write without any argument; the same while the device is down.
 
     Said: the same code both times.
+    Seen: no request on account of the invalid calls.
     Why: an assistant that is told of the connection repeats what can never work.
     """
     await a_read_works(run, at)

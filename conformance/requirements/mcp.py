@@ -104,6 +104,7 @@ async def schemas_say_what_is_taken(run: Repetition, at: Rig) -> None:
 
     Said: every name is a legal one, every `inputSchema` is a valid JSON Schema of the type object; what is refused for a missing
         argument says that it requires it. Bounds of addresses, counts and QoS should be declared.
+    Seen: no write of a call that lacks an argument.
     Why: an assistant that is not told the bounds finds them by failing at the plant.
     """
     listed = await at.tool_list()
@@ -192,6 +193,7 @@ async def the_list_stays(run: Repetition, at: Rig) -> None:
     fresh session.
 
     Said: the same entries, to the byte, and they should be in the same order.
+    Seen: the calls in between.
     Why: a description that holds a name from the device is a way into the assistant.
     """
     first = await at.listed_tools()
@@ -310,6 +312,7 @@ async def bad_arguments_are_answered(run: Repetition, at: Rig) -> None:
     that the tool states; call a tool that does not exist; then read as it should be.
 
     Said: a failure each time, as the result of a tool, or for the unknown tool as an error of the protocol; then success.
+    Seen: the last read.
     Why: one misspelt argument must not end the session with the plant.
     """
     asked = exercise(at).read(run.rng)
@@ -352,6 +355,7 @@ async def renderings_agree(run: Repetition, at: Rig) -> None:
 
     Said: `isError` where and only where there is no success; text and `structuredContent` say the same; what the tool's `outputSchema`
         lets through.
+    Seen: what each call asks for.
     Why: a client believes `isError`: a failure that does not say so is taken for done.
     """
     await every_kind(run, at, requirement="MCP-006")
