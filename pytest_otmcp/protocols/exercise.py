@@ -36,7 +36,7 @@ class Asked:
 
     operation: str
     inputs: Mapping[str, Any]
-    outputs: Mapping[str, object] = field(default_factory=dict)
+    outputs: Mapping[str, Any] = field(default_factory=dict)
     pokes: tuple[Poke, ...] = ()
     points: Mapping[str, object] = field(default_factory=dict)
 
@@ -54,6 +54,7 @@ class Exercise:
         done: returns the requests among entries that ask the device for what a write asks for.
         silent: rules with which the device takes every request and never answers.
         reset: rules with which the device resets the connection instead of answering.
+        refused: rules with which the device refuses what is read, by an answer of the protocol.
     """
 
     reading: str
@@ -64,6 +65,7 @@ class Exercise:
     done: Callable[[Entries, Asked], list[JournalEntry]]
     silent: tuple[Rule, ...]
     reset: tuple[Rule, ...]
+    refused: tuple[Rule, ...]
 
 
 def every_change(entries: Entries, asked: Asked) -> list[JournalEntry]:

@@ -397,8 +397,8 @@ class Observation(TypedDict):
     milliseconds; ``start``: it was started, its journal counts from 0 again. ``fresh_session``: the session was replaced.
     ``garbled``: number of the entry at which a session with a write switch that means nothing began; None where there was none.
     ``end``: the slice ends before this number, the next one begins there. ``process``: figures of the adapter's processes.
-    ``tools``: digest of what the adapter lists. ``line_sent``: whether a line could be written to its standard input as it is.
-    ``stderr``: the adapter's newest lines there.
+    ``tools``: digests of the tools that the adapter lists, and of their order. ``line_sent``: whether a line could be written to its standard input as it is.
+    ``stderr``: the adapter's newest lines there. ``listed``: the tools of the session, name to entry.
     """
 
     at: str
@@ -420,6 +420,7 @@ class Observation(TypedDict):
     tools: NotRequired[str]
     line_sent: NotRequired[bool]
     stderr: NotRequired[list[str]]
+    listed: NotRequired[dict[str, ToolListing]]
 
 
 class Phases(TypedDict):

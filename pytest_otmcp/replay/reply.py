@@ -101,7 +101,8 @@ def recorded_reply(
         answering=Answering(form="text") if binding is None else binding.answering,
         outputs={} if binding is None else binding.outputs,
         # Only the read-only variant may do without a tool.
-        listed=call["variant"] == READ_WRITE or call["listed"],
+        # Of its own tools a variant that may write lists each; of another tool that the steps name the record says it.
+        listed=call["listed"] or (call["variant"] == READ_WRITE and (altered is None or altered.tool is None)),
     )
     reply = observe(exchange, expected)
     return replace_outputs(reply, call["outputs"], _refusal(call)) if binding is None else reply

@@ -11,7 +11,7 @@ from typing import Any, cast
 from ..core.strict_json import same_json
 from ..protocols.protocol import Declared
 from ..record.images import Images, restore_image
-from ..record.schema import AdapterFacts, Call, DeviceEntry, Footprint, ItemDevice, Observation
+from ..record.schema import AdapterFacts, Call, DeviceEntry, Footprint, ItemDevice, Observation, ToolListing
 from ..subject.claims import Claims
 from ..subject.model import READ_WRITE, Binding
 from ..trial.alteration import Alteration
@@ -184,6 +184,10 @@ class ReplayRig(Rig):
         return self._state.adapter.facts["cached"].get(operation)
 
     @property
+    def native(self) -> bool:
+        return self._state.adapter.facts["envelope"] == "native"
+
+    @property
     def recovery_s(self) -> float:
         return self._state.adapter.facts["recovery_s"]
 
@@ -296,6 +300,9 @@ class ReplayRig(Rig):
 
     async def footprint(self) -> Footprint:
         return self._seen("process")["process"]
+
+    async def tool_list(self) -> Mapping[str, ToolListing]:
+        return self._seen("listed")["listed"]
 
     async def listed_tools(self) -> str:
         return self._seen("tools")["tools"]

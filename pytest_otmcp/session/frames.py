@@ -110,7 +110,10 @@ class FrameRecorder:
             if measurement is not None:
                 measurement.response = frame
                 measurement.received_ns = now
-            if message.id not in self._known_ids:
+            if message.id is None:
+                # JSON-RPC 2.0, section 5: the error of a request whose id could not be read.
+                pass
+            elif message.id not in self._known_ids:
                 _keep(self.unknown_ids, message.id)
             elif message.id in self._answered:
                 _keep(self.repeated_ids, message.id)

@@ -209,21 +209,21 @@ class McpSession:
         )
 
     async def list_anew(self, *, timeout_s: float) -> str:
-        """Ask for the list of tools again and return its digest; every page counts, and the order of the tools.
+        """Ask for the list of tools again and return the digest of its entries, and after a blank that of their order.
 
         Raises:
             SubjectError: there is no answer.
         """
-        entries: list[object] = []
+        entries: list[str] = []
         cursor: str | None = None
         try:
             async with asyncio.timeout(timeout_s):
                 while self._client is not None:
                     page = await self._client.list_tools(cursor=cursor)
-                    entries += [tool.model_dump(by_alias=True, mode="json", exclude_none=True) for tool in page.tools]
+                    entries += [tool.model_dump_json(by_alias=True, exclude_none=True) for tool in page.tools]
                     cursor = page.next_cursor
                     if cursor is None:
-                        return f"sha256:{hashlib.sha256(json.dumps(entries).encode()).hexdigest()}"
+                        return f"{_digest(sorted(entries))} {_digest(entries)}"
         except (MCPError, TimeoutError, RuntimeError, ValueError) as error:
             raise SubjectError("session_lost", f"tools/list was not answered: {error}") from None
         raise SubjectError("session_lost", await self.death_note())
@@ -377,6 +377,10 @@ class McpSession:
             return f"the command cannot be executed ({error.strerror or error}): {self._command_line()}"
         reason = str(error).splitlines()[0][:300] if str(error) else type(error).__name__
         return f"the adapter's handshake failed: {reason} ({self._command_line()}){self._stderr_excerpt()}"
+
+
+def _digest(entries: Sequence[str]) -> str:
+    return f"sha256:{hashlib.sha256(json.dumps(entries).encode()).hexdigest()}"
 
 
 async def _unchecked(name: str, result: CallToolResult) -> None:

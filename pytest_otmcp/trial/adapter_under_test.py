@@ -433,6 +433,8 @@ class AdapterUnderTest:
             exchange = await session.call(tool, expanded(arguments), timeout_s=timeout_s, cancel=cancel)
             exchange = replace(exchange, arguments=arguments)
         listed = self.variant == READ_WRITE or binding.resource or binding.tool in session.tools
+        if altered is not None and altered.tool is not None:
+            listed = altered.tool in session.tools
         expected = self._expectation(operation, binding.answering, binding.outputs, listed=listed)
         if not binding.answering.native:
             self._note_unmet(exchange)

@@ -15,7 +15,7 @@ from ..plant.device import Journal
 from ..protocols.journal import ADAPTER
 from ..protocols.protocol import Declared
 from ..record.images import Images, keep_image
-from ..record.schema import Footprint, ItemDevice, Observation, SessionStart
+from ..record.schema import Footprint, ItemDevice, Observation, SessionStart, ToolListing
 from ..session.footprint import footprint
 from ..session.session import McpSession
 from ..subject.addressing import addressed_by
@@ -119,6 +119,10 @@ class LiveRig(Rig):
 
     def max_age_s(self, operation: str) -> float | None:
         return self.under_test.adapter.cached.get(operation)
+
+    @property
+    def native(self) -> bool:
+        return self.under_test.adapter.answering.native
 
     @property
     def recovery_s(self) -> float:
@@ -329,6 +333,13 @@ class LiveRig(Rig):
         found = footprint(None if session is None else session.pid)
         self._noted({"process": found}, asked_ns)
         return found
+
+    async def tool_list(self) -> Mapping[str, ToolListing]:
+        asked_ns = time.monotonic_ns()
+        names = self._session.tools
+        listed = {name: entry for name in names if (entry := self.under_test.listing(name)) is not None}
+        self._noted({"listed": listed}, asked_ns)
+        return listed
 
     async def listed_tools(self) -> str:
         asked_ns = time.monotonic_ns()

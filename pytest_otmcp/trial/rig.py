@@ -15,7 +15,7 @@ from ..core.finding import Finding
 from ..protocols.journal import ADAPTER, judged
 from ..protocols.protocol import Declared
 from ..protocols.registry import protocols
-from ..record.schema import DeviceEntry, Footprint, Role
+from ..record.schema import DeviceEntry, Footprint, Role, ToolListing
 from ..subject.model import READ_WRITE, Binding
 from .alteration import Alteration
 from .cursor import JournalCursor, Oracle
@@ -75,6 +75,11 @@ class Rig(WriteGate):
     @abstractmethod
     def max_age_s(self, operation: str) -> float | None:
         """Return how old the operation's answer may be, as the subject declares; None when it must come from the device."""
+
+    @property
+    @abstractmethod
+    def native(self) -> bool:
+        """The adapter claims to answer in envelopes of its own."""
 
     @property
     @abstractmethod
@@ -174,14 +179,24 @@ class Rig(WriteGate):
         cases = self.bindings(operation)
         return next((case.tool for case in cases or () if case.fits(inputs) and not case.resource), None)
 
-    async def call_until_success(self, operation: str, *, window_s: float, **inputs: Any) -> list[Reply]:
+    async def call_until_success(
+        self, operation: str, *, window_s: float, from_first: bool = False, **inputs: Any
+    ) -> list[Reply]:
         """Call until the adapter succeeds or the window, counted from the moment the device accepts connections,
         is over. Only the last call has the repetition's role; the calls before it have the role ``recovery``.
+
+        Args:
+            operation, inputs: as of :meth:`call`.
+            window_s: length of the window.
+            from_first: it is not counted before the first call: the device was there all the time, the connection was not.
         """
-        end = self.accepting_ns + int(window_s * self._ledger.time_scale * 1e9)
-        replies = []
+        begun_ns = self.accepting_ns
+        replies: list[Reply] = []
         while True:
             reply = await self.call(operation, **inputs)
+            if from_first and not replies:
+                begun_ns = max(begun_ns, reply.exchange.sent_ns)
+            end = begun_ns + int(window_s * self._ledger.time_scale * 1e9)
             replies.append(reply)
             # A call may begin too early and answer late: only a call that began after the window is the last.
             if reply.success or (len(replies) > 1 and reply.exchange.sent_ns >= end):
@@ -275,8 +290,12 @@ class Rig(WriteGate):
         """Return what the processes of the session take of the machine."""
 
     @abstractmethod
+    async def tool_list(self) -> Mapping[str, ToolListing]:
+        """Return the tools that the session listed at its start, name to entry."""
+
+    @abstractmethod
     async def listed_tools(self) -> str:
-        """Ask for the list of tools again, and return its digest.
+        """Ask for the list of tools again, and return the digest of its entries, and after a blank that of their order.
 
         Raises:
             SubjectError: there is no answer.

@@ -28,7 +28,7 @@ from paho.mqtt.reasoncodes import ReasonCode
 
 from ..core import AdapterError
 
-__all__ = ["Connection", "ConnectionLostError", "Delivery", "Endpoint", "Message", "Will"]
+__all__ = ["Connection", "ConnectionLostError", "Delivery", "Endpoint", "Message", "Will", "refusal_code"]
 
 # A half-open connection is detected after two of these periods.
 KEEPALIVE_S = 5
@@ -40,16 +40,32 @@ _CATCH_UP = 100
 _ABORT = struct.pack("ii", 1, 0)
 _PROTOCOL_ERROR = 0x82
 
-# CONNACK return codes of 3.1.1 as paho names them (MQTT 5.0, section 3.2.2.2).
+# Reason codes of MQTT 5 (section 2.4), by which paho also names the CONNACK return codes of 3.1.1.
 _REFUSALS = {
+    0x81: "protocol_error",
+    0x82: "protocol_error",
     0x84: "config_error",
     0x85: "config_error",
     0x86: "auth_failed",
     0x87: "access_denied",
-    0x88: "connect_failed",
+    0x89: "device_busy",
+    0x8A: "access_denied",
+    0x8C: "auth_failed",
+    0x8F: "invalid_input",
+    0x90: "invalid_input",
+    0x95: "limit_exceeded",
+    0x97: "rate_limited",
+    0x9E: "unsupported_operation",
+    0x9F: "rate_limited",
+    0xA2: "unsupported_operation",
 }
 
 log = logging.getLogger(__name__)
+
+
+def refusal_code(reason: int, *, otherwise: str) -> str:
+    """Return the error code for a reason code with which a broker refuses."""
+    return _REFUSALS.get(reason, otherwise)
 
 
 class ConnectionLostError(Exception):
@@ -187,7 +203,7 @@ class Connection:
             raise
         if reason.is_failure:
             self.abort()
-            code = _REFUSALS.get(reason.value, "connect_failed")
+            code = refusal_code(reason.value, otherwise="connect_failed")
             raise AdapterError(code, "the broker refuses the connection", outcome="not_sent")
         self._housekeeping = asyncio.create_task(self._keep_alive())
 
@@ -384,15 +400,15 @@ class Connection:
         finally:
             self._answers.pop(mid, None)
 
-    async def subscribe(self, filters: Mapping[str, int]) -> list[int | None]:
-        """Subscribe to filters with the QoS asked for; return the granted QoS of each, None where it is refused.
+    async def subscribe(self, filters: Mapping[str, int]) -> list[int]:
+        """Subscribe to filters with the QoS asked for; return the reason code of each: the granted QoS, or 0x80 and above.
 
         Raises:
             ConnectionLostError: the connection broke.
             AdapterError: ``timeout``.
         """
         reasons = await self._answered(self._client.subscribe(list(filters.items())))
-        return [None if reason.is_failure else int(reason.value) for reason in reasons]
+        return [int(reason.value) for reason in reasons]
 
     async def unsubscribe(self, text: str) -> None:
         """Unsubscribe and wait for the UNSUBACK; the broker answers it for a filter that was never subscribed, too.

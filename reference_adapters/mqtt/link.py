@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from ..core import AdapterError, Call
-from .connection import Connection, ConnectionLostError, Endpoint, Message
+from .connection import Connection, ConnectionLostError, Endpoint, Message, refusal_code
 from .edge_node import EdgeNode
 from .inbox import Inbox
 from .nodes import NodeTracker
@@ -26,6 +26,8 @@ __all__ = ["Link", "Subscription"]
 
 T = TypeVar("T")
 
+# Reason codes from here on are refusals (MQTT 5, section 2.4; the SUBACK of 3.1.1 has only this one).
+_REFUSED = 0x80
 _FIRST_RETRY_S, _LAST_RETRY_S = 0.05, 0.2
 # A connection that keeps ending at once is probably taken over by another client with the same identifier [MQTT-3.1.4-2].
 # Two adapters must not disconnect each other endlessly.
@@ -157,10 +159,16 @@ class Link:
             AdapterError: as :meth:`exchange`, or the broker refuses.
         """
         asked = max(qos, self.needed.get(text, 0))
-        (granted,) = await self.exchange(call, lambda connection: connection.subscribe({text: asked}))
-        if granted is None:
+
+        async def request(connection: Connection) -> list[int]:
+            call.trace.update(topic=text, qos=asked)
+            return await connection.subscribe({text: asked})
+
+        (granted,) = await self.exchange(call, request)
+        if granted >= _REFUSED:
             # If there was a subscription with this filter, the broker has kept it (MQTT 3.1.1, section 3.8.4).
-            raise _refused(call, "the broker refuses the subscription")
+            raise _refused(call, granted, "the broker refuses the subscription")
+        call.trace["granted_qos"] = granted
         self.subscriptions[text] = Subscription(qos=qos, granted=granted)
         return granted
 
@@ -186,8 +194,8 @@ class Link:
         if not missing:
             return
         granted = await self.exchange(call, lambda connection: connection.subscribe(missing))
-        if None in granted:
-            raise _refused(call, "the broker refuses a subscription that this tool needs")
+        if refusals := [reason for reason in granted if reason >= _REFUSED]:
+            raise _refused(call, refusals[0], "the broker refuses a subscription that this tool needs")
         self.needed.update(missing)
 
     # -- connecting ---------------------------------------------------------------------------------------
@@ -241,7 +249,8 @@ class Link:
         for text, subscription in self.subscriptions.items():
             filters[text] = max(subscription.qos, filters.get(text, 0))
         if filters:
-            granted = dict(zip(filters, await connection.subscribe(filters), strict=True))
+            answers = zip(filters, await connection.subscribe(filters), strict=True)
+            granted = {text: None if reason >= _REFUSED else reason for text, reason in answers}
             for text, subscription in self.subscriptions.items():
                 subscription.granted = granted.get(text, subscription.granted)
             for text in [text for text in self.needed if granted.get(text, 0) is None]:
@@ -306,6 +315,9 @@ class Link:
                 await connection.delivered([connection.send(birth) for birth in self.edge_node.births()])
 
 
-def _refused(call: Call, message: str) -> AdapterError:
+def _refused(call: Call, reason: int, message: str) -> AdapterError:
+    call.trace["reason_code"] = reason
     outcome = "not_sent" if call.writes else "not_applicable"
-    return AdapterError("access_denied", message, outcome=outcome, details={"by": "device"})
+    # The refusal of 3.1.1 gives no reason.
+    code = refusal_code(reason, otherwise="access_denied")
+    return AdapterError(code, message, outcome=outcome, details={"by": "device"})

@@ -303,7 +303,9 @@ def test_nothing_is_received_after_the_end_of_a_subscription(adapter: Any, broke
 @pytest.mark.parametrize("code", [0, 1, 2])
 def test_the_granted_qos_is_the_brokers(adapter: Any, broker: Any, code: int) -> None:
     broker.fault({"packet": "SUBSCRIBE", "client_id": CLIENT, "action": {"reason_code": code}})
-    assert adapter.call("subscribe_topic", topic="granted/x", qos=2).data["granted_qos"] == code
+    reply = adapter.call("subscribe_topic", topic="granted/x", qos=2)
+    assert reply.data["granted_qos"] == code
+    assert reply.meta["trace"] == {"topic": "granted/x", "qos": 2, "granted_qos": code}
     listed = adapter.call("list_subscriptions").data["subscriptions"]
     assert {"topic": "granted/x", "qos": 2, "granted_qos": code, "active": True} in listed
     adapter.call("unsubscribe_topic", topic="granted/x")
@@ -313,6 +315,7 @@ def test_a_refused_subscription_is_a_failure_and_not_listed(adapter: Any, broker
     broker.fault({"packet": "SUBSCRIBE", "client_id": CLIENT, "action": {"reason_code": 0x80}})
     reply = adapter.call("subscribe_topic", topic="denied/x")
     assert (reply.error["code"], reply.error["class"]) == ("access_denied", "device")
+    assert reply.meta["trace"] == {"topic": "denied/x", "qos": 0, "reason_code": 0x80}
     listed = adapter.call("list_subscriptions").data["subscriptions"]
     assert "denied/x" not in [one["topic"] for one in listed]
 

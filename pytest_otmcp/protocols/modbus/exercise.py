@@ -42,4 +42,5 @@ EXERCISE = Exercise(
     done=every_change,
     silent=({"action": {"drop": True}},),
     reset=({"action": {"reset": True}},),
+    refused=({"action": {"exception": 4}},),
 )

@@ -39,4 +39,5 @@ EXERCISE = Exercise(
     done=_published,
     silent=tuple({"packet": packet, "action": {"no_answer": True}} for packet in ("SUBSCRIBE", "PUBLISH")),
     reset=tuple({"packet": packet, "action": {"reset": True}} for packet in ("SUBSCRIBE", "PUBLISH")),
+    refused=({"packet": "SUBSCRIBE", "action": {"reason_code": 0x80}},),
 )

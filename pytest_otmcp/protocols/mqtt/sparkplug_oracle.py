@@ -257,6 +257,9 @@ class SparkplugSequence(SessionOracle):
         connection = packet["connection"]
         if packet["kind"] == "DISCONNECTED":
             self._connections.pop(connection, None)
+        elif packet["kind"] == "lost":
+            # What the network has swallowed may have been a CONNECT, which counts.
+            self._uncertain.update(self._deaths)
         elif packet["direction"] != "in":
             return
         elif packet["kind"] == "CONNECT":
@@ -297,7 +300,7 @@ class _Session:
 
         Args:
             deaths: bdSeq of the last will, by its topic.
-            uncertain: topics whose last will may have been a later one, which went down with the broker.
+            uncertain: topics whose last will may have been a later one, which went down with the broker or was lost on the way.
         """
         topic = self.will.get("topic")
         if not isinstance(topic, str) or "/NDEATH/" not in topic or not isinstance(self.bd_seq, int):

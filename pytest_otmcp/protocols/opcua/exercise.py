@@ -38,4 +38,5 @@ EXERCISE = Exercise(
     done=every_change,
     silent=tuple({"service": service, "action": {"drop": True}} for service in ("Read", "Write")),
     reset=tuple({"service": service, "action": {"reset": True}} for service in ("Read", "Write")),
+    refused=({"service": "Read", "action": {"status": "BadDeviceFailure"}},),
 )

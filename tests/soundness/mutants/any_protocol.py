@@ -16,7 +16,19 @@ from tests.soundness.defective import Handler, wrap
 
 from .mutant import Bend, Data, Mutant, each, failing
 
-__all__ = ["MUTANTS", "answers_twice_from_one_exchange"]
+__all__ = [
+    "MUTANTS",
+    "answers_twice_from_one_exchange",
+    "banner",
+    "complains",
+    "error_is_a_word",
+    "extra_member",
+    "is_error_never_set",
+    "named_after_exceptions",
+    "result",
+    "stays",
+    "text_says_otherwise",
+]
 
 _GONE = ("connect_failed", "connection_lost")
 

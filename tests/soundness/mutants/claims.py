@@ -12,7 +12,15 @@ from pytest_otmcp.reference_adapters.core import call as core_call
 
 from .mutant import Bend, Data, Mutant
 
-__all__ = ["MUTANTS"]
+__all__ = [
+    "MUTANTS",
+    "bare_schema",
+    "constant_latency",
+    "invented_trace",
+    "latency_in_seconds",
+    "meta",
+    "one_attempt",
+]
 
 _EVERY_ITEM = "M1 M2 M3 M4 X1 X2 X1p X2p FM1 FM2 FX1 S1 S4 S7 S10"
 

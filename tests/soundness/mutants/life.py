@@ -16,7 +16,7 @@ from tests.soundness.defective import Handler
 
 from .mutant import Data, Mutant, each, failing
 
-__all__ = ["MUTANTS"]
+__all__ = ["MUTANTS", "exits_without_a_device"]
 
 
 def address_of(server: AdapterServer) -> tuple[str, int]:

@@ -10,7 +10,7 @@ from tests.soundness.defective import Handler, wrap
 
 from .mutant import Bend, Data, Mutant, also, each, failing, told
 
-__all__ = ["MUTANTS"]
+__all__ = ["MUTANTS", "heartbeat"]
 
 _READ_INPUT, _READ_HOLDING, _WRITE = "read_input_registers", "read_multiple_holding_registers", "write_register"
 _HEARTBEAT = 50
@@ -109,7 +109,7 @@ def write_only_remembered(server: AdapterServer) -> None:
     each(_READ_HOLDING, change=remembering)(server)
 
 
-async def _heartbeat(server: AdapterServer, call: Call) -> None:
+async def heartbeat(server: AdapterServer, call: Call) -> None:
     write = server._tools[_WRITE]
     await write.handler(call, write.model(address=_HEARTBEAT, value=1))
 
@@ -195,7 +195,7 @@ MUTANTS = (
         id="MU-53a",
         protocol="modbus",
         sentence="The tool that asks whether the device is reachable writes a heartbeat.",
-        bend=also("ping", action=_heartbeat),
+        bend=also("ping", action=heartbeat),
         items="M1",
         requirements="MCP-008",
     ),
@@ -203,7 +203,7 @@ MUTANTS = (
         id="MU-53b",
         protocol="modbus",
         sentence="The tool that reads input registers writes a heartbeat.",
-        bend=also(_READ_INPUT, action=_heartbeat),
+        bend=also(_READ_INPUT, action=heartbeat),
         items="M2 M4 X1 X1p FX1 S1 S7 S10",
         requirements="MCP-008 WR-004 WR-010",
     ),
@@ -211,7 +211,7 @@ MUTANTS = (
         id="MU-53c",
         protocol="modbus",
         sentence="The tool that reads holding registers writes a heartbeat.",
-        bend=also(_READ_HOLDING, action=_heartbeat),
+        bend=also(_READ_HOLDING, action=heartbeat),
         items="M3 M4 FM1 S4",
         requirements="MCP-008 WR-003 WR-004",
     ),

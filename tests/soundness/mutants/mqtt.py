@@ -109,7 +109,7 @@ def equal_topics_only(server: AdapterServer) -> None:
     inbox.matches = lambda text, topic: text == topic
 
 
-async def _heartbeat(server: AdapterServer, call: Call) -> None:
+async def heartbeat(server: AdapterServer, call: Call) -> None:
     publish = server._tools[_PUBLISH]
     await publish.handler(call, publish.model(topic="control/heartbeat", payload="1"))
 
@@ -188,7 +188,7 @@ MUTANTS = (
         id="MU-53q",
         protocol="mqtt",
         sentence="The tool that tells the broker's status publishes a heartbeat below control/.",
-        bend=also("get_broker_info", action=_heartbeat),
+        bend=also("get_broker_info", action=heartbeat),
         items="Q1 Q2 Q3 Q4 X1 X1p S2 S5 S8 S11",
         requirements="MCP-008 WR-003 WR-004 WR-010",
     ),

@@ -14,7 +14,7 @@ from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Ca
 
 from tests.soundness.defective import Handler, wrap
 
-__all__ = ["Bend", "Data", "Mutant", "also", "catalogue_id", "each", "failing", "number", "told"]
+__all__ = ["Bend", "Data", "Mutant", "also", "catalogue_id", "each", "failing", "number", "on", "told"]
 
 Bend = Callable[[AdapterServer], None]
 Data = dict[str, Any]
@@ -62,6 +62,11 @@ def catalogue_id(identifier: str) -> str:
 def number(identifier: str) -> tuple[int, str]:
     """Return what ids are sorted by: the number of the defect, then the letter of the variant."""
     return int(catalogue_id(identifier).removeprefix("MU-")), identifier
+
+
+def on(protocol: str, rows: str) -> str:
+    """Return the ids of the checks of these rows on a protocol."""
+    return " ".join(f"{row}.{protocol}" for row in rows.split())
 
 
 def each(*names: str, change: Callable[[Handler], Handler]) -> Bend:

@@ -1,0 +1,148 @@
+"""Arguments made from a tool's own JSON Schema: good ones, and each kind of bad ones. Pure.
+
+The generator is ours and small: a library's makes other values in its next version, and then no stored run could be judged again.
+Every random choice comes from the repetition's numbers.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+__all__ = ["beyond", "good", "of_other_types", "properties", "required", "types"]
+
+_DEEPEST = 5
+_ANY = frozenset({"boolean", "number", "string", "null", "array", "object"})
+_WAITING = ("timeout", "wait", "second", "duration", "delay", "interval")
+"""Parts of the names of arguments that say how long a call may take."""
+
+
+def properties(schema: object) -> Mapping[str, Any]:
+    """Return the schemas of the arguments that a tool's ``inputSchema`` names at its top."""
+    found = schema.get("properties") if isinstance(schema, Mapping) else None
+    return found if isinstance(found, Mapping) else {}
+
+
+def required(schema: object) -> list[str]:
+    """Return the names of the arguments that a tool's ``inputSchema`` requires."""
+    found = schema.get("required") if isinstance(schema, Mapping) else None
+    return [name for name in found if isinstance(name, str)] if isinstance(found, list) else []
+
+
+def types(argument: object, whole: object = None, depth: int = 0) -> frozenset[str]:
+    """Return the JSON types that a schema lets through; an ``integer`` counts as a ``number``.
+
+    Args:
+        argument: the schema.
+        whole: the schema that it is a part of, where its references lead.
+        depth: of the references and alternatives that led here.
+    """
+    if not isinstance(argument, Mapping) or depth > _DEEPEST:
+        return _ANY
+    argument = _resolved(argument, whole)
+    stated = argument.get("type")
+    if isinstance(stated, str | list):
+        names = [stated] if isinstance(stated, str) else stated
+        return frozenset("number" if name == "integer" else str(name) for name in names) & _ANY
+    if isinstance(values := argument.get("enum"), list):
+        return frozenset(map(_type, values))
+    if "const" in argument:
+        return frozenset({_type(argument["const"])})
+    for word in ("anyOf", "oneOf"):
+        if isinstance(members := argument.get(word), list) and members:
+            return frozenset().union(*(types(member, whole, depth + 1) for member in members))
+    return _ANY
+
+
+def of_other_types(rng: random.Random, argument: object, whole: object = None, *, number: bool = False) -> list[Any]:
+    """Return values of every JSON type that an argument does not have; of texts, those that look like its values.
+
+    Args:
+        number: the argument has to be a number, though its schema may let everything through.
+    """
+    allowed = types(argument, whole)
+    if allowed >= _ANY and number:
+        allowed = frozenset({"number"})
+    digits = rng.randrange(2, 100)
+    values = [True, str(digits), "nan", "Infinity", None, [], [digits], {}, {"value": digits}, digits]
+    return [value for value in values if _type(value) not in allowed]
+
+
+def beyond(rng: random.Random, argument: object) -> Iterator[Any]:
+    """Return values of the right type just outside what the schema of an argument states."""
+    if not isinstance(argument, Mapping):
+        return
+    for word, step in (("minimum", -1), ("maximum", 1), ("exclusiveMinimum", 0), ("exclusiveMaximum", 0)):
+        bound = argument.get(word)
+        if isinstance(bound, int | float) and not isinstance(bound, bool):
+            yield bound + step
+    if types(argument) == {"string"}:
+        if isinstance(argument.get("enum"), list):
+            yield f"otmcp-{rng.getrandbits(32):08x}"
+        longest = argument.get("maxLength")
+        if isinstance(longest, int) and not isinstance(longest, bool) and 0 <= longest < 10_000:
+            yield "x" * (longest + 1)
+
+
+def good(rng: random.Random, schema: object, known: Mapping[str, Any]) -> dict[str, Any]:
+    """Return arguments that a tool's ``inputSchema`` lets through, as far as it says.
+
+    Args:
+        known: values for arguments with these names, which mean something to the device.
+    """
+    asked = set(required(schema))
+    found = {}
+    for name, argument in properties(schema).items():
+        if name in asked or name in known:
+            found[name] = known[name] if name in known else _value(rng, argument, schema)
+        elif any(part in name.lower() for part in _WAITING) and "number" in types(argument, schema):
+            # A call that may wait is to wait for the shortest time.
+            found[name] = _value(rng, argument, schema)
+    return found
+
+
+def _value(rng: random.Random, argument: object, whole: object, depth: int = 0) -> Any:
+    if not isinstance(argument, Mapping) or depth > _DEEPEST:
+        return 1
+    argument = _resolved(argument, whole)
+    if isinstance(values := argument.get("enum"), list) and values:
+        return values[0]
+    if "const" in argument:
+        return argument["const"]
+    for word in ("anyOf", "oneOf"):
+        if isinstance(members := argument.get(word), list) and members:
+            return _value(rng, members[0], whole, depth + 1)
+    allowed = types(argument, whole)
+    if "number" in allowed:
+        lowest = argument.get("minimum", argument.get("exclusiveMinimum", 0))
+        return lowest + 1 if isinstance(lowest, int) and not isinstance(lowest, bool) else 1
+    if "string" in allowed:
+        shortest = argument.get("minLength")
+        return "otmcp".ljust(shortest if isinstance(shortest, int) else 0, "x")
+    if "array" in allowed:
+        return [_value(rng, argument.get("items"), whole, depth + 1)]
+    if "object" in allowed:
+        return {name: _value(rng, properties(argument).get(name), whole, depth + 1) for name in required(argument)}
+    return False if "boolean" in allowed else None
+
+
+def _resolved(argument: Mapping[str, Any], whole: object) -> Mapping[str, Any]:
+    name = argument.get("$ref")
+    definitions = whole.get("$defs") if isinstance(whole, Mapping) else None
+    if isinstance(name, str) and name.startswith("#/$defs/") and isinstance(definitions, Mapping):
+        found = definitions.get(name.removeprefix("#/$defs/"))
+        return found if isinstance(found, Mapping) else {}
+    return argument
+
+
+def _type(value: object) -> str:
+    if isinstance(value, bool):
+        return "boolean"
+    if isinstance(value, int | float):
+        return "number"
+    if isinstance(value, str):
+        return "string"
+    if value is None:
+        return "null"
+    return "array" if isinstance(value, list) else "object"

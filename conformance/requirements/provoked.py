@@ -1,0 +1,128 @@
+"""Calls that provoke every kind of answer: success, refusal by the adapter, refusal by the device, a broken connection."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pytest_otmcp.core.finding import Finding
+from pytest_otmcp.trial.alteration import Alteration
+from pytest_otmcp.trial.repetition import Repetition
+from pytest_otmcp.trial.reply import Reply
+from pytest_otmcp.trial.rig import Rig
+
+from .steps import CONNECTION_FAULTS, a_read_works, a_write_works, exercise, read, write
+
+__all__ = [
+    "UNKNOWN_ARGUMENT",
+    "VALIDATION",
+    "broken",
+    "every_kind",
+    "expect_failure",
+    "met",
+    "needs_envelopes",
+    "refused_by_the_adapter",
+    "refused_by_the_device",
+    "works_again",
+    "wrongly_asked",
+]
+
+UNKNOWN_ARGUMENT = "otmcp_no_such_argument"
+
+VALIDATION = ("invalid_input", "type_mismatch", "range_overflow", "limit_exceeded")
+"""Codes for arguments that an adapter refuses by itself."""
+
+
+def needs_envelopes(run: Repetition, at: Rig) -> None:
+    """End the repetition for a subject that does not claim to answer in envelopes."""
+    if not at.native:
+        run.not_applicable("the subject does not claim to answer in envelopes")
+
+
+async def wrongly_asked(run: Repetition, at: Rig) -> Reply | None:
+    """Write without any argument; return None where no tool call is known that could be changed."""
+    asked = exercise(at).write(run.rng)
+    arguments = at.arguments_of(asked.operation, **asked.inputs)
+    if not arguments:
+        return None
+    altered = Alteration(left_out=tuple(sorted(arguments.values())))
+    return await at.call_altered(asked.operation, altered, **asked.inputs)
+
+
+async def refused_by_the_adapter(run: Repetition, at: Rig) -> Reply | None:
+    """Write without any argument, and expect a failure, whatever its code."""
+    reply = await wrongly_asked(run, at)
+    if reply is not None:
+        expect_failure(run, reply, requirement="MCP-007")
+    return reply
+
+
+async def refused_by_the_device(run: Repetition, at: Rig, *, requirement: str) -> Reply:
+    """Read while the device refuses it, and expect a failure, whatever its code.
+
+    An adapter may get at its data in another way, which the device does not refuse: then nothing is expected.
+    """
+    await at.fault(*exercise(at).refused)
+    _, reply = await read(run, at)
+    await at.fault()
+    if await met(at, reply):
+        expect_failure(run, reply, requirement=requirement)
+    return reply
+
+
+async def met(at: Rig, reply: Reply) -> bool:
+    """Tell whether the device applied a fault to a request of this call."""
+    return any("fault" in entry for entry in reply.during(await at.journal()))
+
+
+async def broken(run: Repetition, at: Rig, *, requirement: str) -> Reply:
+    """Write while the device resets the connection instead of answering, once; afterwards a read works again.
+
+    An adapter that delivers the message again, where the protocol lets it, may succeed.
+    """
+    await at.fault(*({**rule, "times": 1} for rule in exercise(at).reset))
+    _, reply = await write(run, at)
+    await at.fault()
+    if not reply.success:
+        run.fails(reply, *CONNECTION_FAULTS, requirement=requirement)
+    await works_again(run, at)
+    return reply
+
+
+async def works_again(run: Repetition, at: Rig) -> None:
+    """Read until the adapter has its connection back, in a fresh session where it does not claim to connect again by itself."""
+    if not (at.claims("recovery") and at.reconnects):
+        await at.fresh_session()
+        await a_read_works(run, at)
+        return
+    asked = exercise(at).read(run.rng)
+    for poke in asked.pokes:
+        await at.poke(**poke)
+    replies = await at.call_until_success(asked.operation, window_s=at.recovery_s, from_first=True, **asked.inputs)
+    run.succeeds(replies[-1], requirement="REC-001", **asked.outputs)
+
+
+async def every_kind(run: Repetition, at: Rig, *, requirement: str) -> Sequence[Reply]:
+    """Provoke every kind of answer; each envelope is judged as such. Return the failures.
+
+    Args:
+        requirement: id of the requirement that a success breaks where there was none.
+    """
+    await a_read_works(run, at)
+    await a_write_works(run, at)
+    refused = await refused_by_the_adapter(run, at)
+    by_device = await refused_by_the_device(run, at, requirement=requirement)
+    lost = await broken(run, at, requirement=requirement)
+    return [reply for reply in (refused, by_device, lost) if reply is not None and not reply.success]
+
+
+def expect_failure(run: Repetition, reply: Reply, *, requirement: str) -> bool:
+    """Expect that a call is answered by a failure, in whatever form; return whether it was."""
+    if reply.success is False:
+        return run.judge(reply, [])
+    finding = Finding(
+        code="not_refused",
+        message=f"{reply.label}: it should have failed, "
+        + ("it claims success" if reply.success else "there is no answer that says so"),
+        requirement=requirement,
+    )
+    return run.judge(reply, [finding])

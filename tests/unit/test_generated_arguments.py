@@ -1,0 +1,83 @@
+"""The arguments that checks make from a tool's schema: each bad one is bad, and the same numbers make the same ones."""
+
+from __future__ import annotations
+
+import random
+from typing import Any
+
+import pytest
+from jsonschema import Draft202012Validator
+from pytest_otmcp.conformance.requirements import generated
+
+SCHEMAS: list[dict[str, Any]] = [
+    {"type": "integer", "minimum": 0, "maximum": 65535},
+    {"type": "number", "exclusiveMinimum": 0},
+    {"type": "string", "minLength": 1, "maxLength": 20},
+    {"type": ["string", "null"]},
+    {"enum": ["a", "b"]},
+    {"const": 5},
+    {"anyOf": [{"type": "integer"}, {"type": "null"}]},
+    {"type": "array", "items": {"type": "integer"}},
+    {"type": "object", "required": ["a"], "properties": {"a": {"type": "boolean"}}},
+    {"type": "boolean"},
+]
+
+
+@pytest.mark.parametrize("schema", SCHEMAS, ids=str)
+def test_a_value_of_another_type_is_never_let_through(schema: dict[str, Any]) -> None:
+    made = generated.of_other_types(random.Random(1), schema)
+    assert made
+    assert not any(map(Draft202012Validator(schema).is_valid, made))
+
+
+@pytest.mark.parametrize("schema", SCHEMAS, ids=str)
+def test_a_value_beyond_the_bounds_is_never_let_through(schema: dict[str, Any]) -> None:
+    assert not any(map(Draft202012Validator(schema).is_valid, generated.beyond(random.Random(1), schema)))
+
+
+def test_bounds_are_overstepped_by_one() -> None:
+    assert [*generated.beyond(random.Random(1), SCHEMAS[0])] == [-1, 65536]
+    assert [len(text) for text in generated.beyond(random.Random(1), SCHEMAS[2])] == [21]
+
+
+@pytest.mark.parametrize("schema", SCHEMAS, ids=str)
+def test_a_good_value_is_let_through(schema: dict[str, Any]) -> None:
+    whole = {"type": "object", "required": ["x"], "properties": {"x": schema}}
+    made = generated.good(random.Random(1), whole, {})
+    assert Draft202012Validator(whole).is_valid(made)
+
+
+def test_references_lead_to_their_definitions() -> None:
+    whole = {
+        "type": "object",
+        "required": ["x"],
+        "properties": {"x": {"$ref": "#/$defs/Item"}},
+        "$defs": {"Item": {"type": "object", "required": ["n"], "properties": {"n": {"type": "integer"}}}},
+    }
+    assert Draft202012Validator(whole).is_valid(generated.good(random.Random(1), whole, {}))
+    assert generated.types(generated.properties(whole)["x"], whole) == {"object"}
+
+
+def test_what_is_known_is_given_and_waiting_is_kept_short() -> None:
+    properties = {"address": {"type": "integer"}, "wait_s": {"type": "number"}, "note": {"type": "string"}}
+    made = generated.good(random.Random(1), {"type": "object", "properties": properties}, {"address": 20})
+    assert made == {"address": 20, "wait_s": 1}
+
+
+def test_a_number_may_be_asked_for_where_the_schema_says_nothing() -> None:
+    assert generated.of_other_types(random.Random(1), {}) == []
+    made = generated.of_other_types(random.Random(1), {}, number=True)
+    assert True in made
+    assert not any(isinstance(value, int) and not isinstance(value, bool) for value in made)
+
+
+def test_the_same_numbers_make_the_same_arguments() -> None:
+    first, again = (generated.of_other_types(random.Random("seed"), SCHEMAS[0]) for _ in range(2))
+    assert first == again
+    assert first != generated.of_other_types(random.Random("other"), SCHEMAS[0])
+
+
+@pytest.mark.parametrize("schema", [None, [], "x", {"properties": []}, {"properties": {"x": 5}, "required": "x"}])
+def test_a_schema_that_is_none_is_survived(schema: object) -> None:
+    assert isinstance(generated.good(random.Random(1), schema, {}), dict)
+    assert generated.required(schema) == []
