@@ -1,7 +1,9 @@
 """Fault plans: rules that say which fault a device applies to which request. The first rule that fits applies.
 
-A rule arrives as ``{condition: value, …, "times": n, "action": {action: value, …}}``. A protocol describes its conditions and
-actions as tables of fields; reading and counting is the same for all.
+A rule arrives as ``{condition: value, …, "skip": k, "times": n, "action": {action: value, …}}``. A protocol describes its
+conditions and actions as tables of fields; reading and counting is the same for all. Where a table has the condition ``skip``, so
+many requests that fit pass the rule first; then it applies ``times`` times (without it: to all that follow). A request that
+passes a rule, or finds it used up, is offered to the next one.
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
-__all__ = ["FLAG", "TEXT", "Field", "Plan", "Table", "integer", "number", "one_of"]
+__all__ = ["FLAG", "SKIP", "TEXT", "Field", "Plan", "Table", "integer", "number", "one_of"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,6 +51,9 @@ def one_of(*names: str) -> Field:
 
 FLAG = Field(accepts=lambda value: isinstance(value, bool), expected="true or false")
 TEXT = Field(accepts=lambda value: isinstance(value, str), expected="a string")
+
+SKIP = integer(0)
+"""The condition ``skip``: how many requests that fit pass before the rule applies."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,14 +119,20 @@ class Plan(Generic[R]):
     def __init__(self, rules: Sequence[R]) -> None:
         self._rules = list(rules)
         self.hits = [0] * len(self._rules)
+        self._skipped = [0] * len(self._rules)
 
     def __bool__(self) -> bool:
         return bool(self._rules)
 
     def first(self, fits: Callable[[R], bool]) -> R | None:
-        """Return the first rule that fits and has not been applied too often yet, and count it."""
+        """Return the first rule that fits, has let enough requests pass and has not been applied too often yet; count it."""
         for index, rule in enumerate(self._rules):
-            if (rule.times is None or self.hits[index] < rule.times) and fits(rule):
-                self.hits[index] += 1
-                return rule
+            if (rule.times is not None and self.hits[index] >= rule.times) or not fits(rule):
+                continue
+            # Rules of other packages need not have it.
+            if self._skipped[index] < getattr(rule, "skip", 0):
+                self._skipped[index] += 1
+                continue
+            self.hits[index] += 1
+            return rule
         return None

@@ -58,7 +58,7 @@ Entry = dict[str, Any]
 _CAPACITY = 200_000
 """A limit against floods. Entries that were read are to be released with :meth:`Journal.forget`."""
 
-_NO_MESSAGES = frozenset({"CONNECTED", "DISCONNECTED", "malformed"})
+_NO_MESSAGES = frozenset({"CONNECTED", "DISCONNECTED", "malformed", "lost"})
 
 
 @dataclass(slots=True, kw_only=True)

@@ -10,16 +10,20 @@ import asyncio
 import socket
 import struct
 from collections.abc import Mapping
+from dataclasses import asdict
 from functools import partial
 from typing import Any
 
 from ..device import Device
 from ..endpoint import OpenEndpoint
 from ..journal import Direction
+from ..network import Link, Network
 from ..peer import process_of
+from .answers import Answer, falsified
 from .faults import FaultPlan, Rule
-from .image import UnitImage, poke
-from .pdu import READS, IllegalRequest, describe, execute, read_response, values_read
+from .image import UnitImage
+from .pdu import MASK_WRITE, WRITE_REGISTER, WRITE_REGISTERS, IllegalRequest, describe, execute, values_read
+from .pokes import Restless, poke_cells, poke_identification, poke_units, restless_cells
 
 __all__ = ["ModbusDevice"]
 
@@ -38,6 +42,8 @@ class ModbusDevice(Device):
         super().__init__()
         self.units = {1: UnitImage()}
         self.faults = FaultPlan([])
+        self.restless: list[Restless] = []
+        self.network = Network(self.journal)
         self._server: asyncio.Server | None = None
         self.connections = 0
 
@@ -45,14 +51,18 @@ class ModbusDevice(Device):
         listener = endpoints["modbus"]
         assert isinstance(listener, socket.socket)
         loop = asyncio.get_running_loop()
-        self._server = await loop.create_server(lambda: _Connection(self), sock=listener, backlog=128)
+        self._server = await loop.create_server(
+            self.network.protocol(lambda: _Connection(self)), sock=listener, backlog=128
+        )
 
     async def aclose(self) -> None:
         if self._server is not None:
             self._server.close()
+        self.network.close()
 
     def image(self) -> dict[str, Any]:
-        """Return ``units``: unit to table to list of cells; and ``points``, such as ``1/holding_registers/30``."""
+        """Return ``units``: unit to table to list of cells; and ``points``, such as ``1/holding_registers/30``.
+        With cells that change by themselves also ``restless``: those cells, and how often each has changed."""
         units = {str(number): unit.dump() for number, unit in self.units.items()}
         points = {
             f"{number}/{table}/{address}": cell
@@ -60,10 +70,21 @@ class ModbusDevice(Device):
             for table, cells in tables.items()
             for address, cell in enumerate(cells)
         }
-        return {"units": units, "points": points}
+        image = {"units": units, "points": points}
+        return image | ({"restless": [asdict(cell) for cell in self.restless]} if self.restless else {})
 
     async def poke(self, params: Mapping[str, Any]) -> None:
-        poke(self.units, params)
+        """Change the device past the protocol: see :mod:`.pokes`, and :mod:`..network` for ``{"network": …}``."""
+        if self.network.poke(params):
+            return
+        if "units" in params:
+            poke_units(self.units, params["units"])
+        elif "identification" in params:
+            poke_identification(self.units, params)
+        elif "restless" in params:
+            self.restless = restless_cells(self.units, params["restless"])
+        else:
+            poke_cells(self.units, params)
 
     def fault(self, rules: list[dict[str, Any]]) -> list[int]:
         plan = FaultPlan(rules)
@@ -73,10 +94,18 @@ class ModbusDevice(Device):
     async def reset(self) -> None:
         self.units = {1: UnitImage()}
         self.faults = FaultPlan([])
+        self.restless = []
+        self.network.become("open")
 
     async def tick(self) -> None:
         for unit in self.units.values():
             unit.tick()
+
+    def stir(self, unit: int) -> None:
+        """Change the cells of a unit that change by themselves."""
+        for cell in self.restless:
+            if cell.unit == unit and unit in self.units:
+                cell.move(self.units[unit])
 
 
 class _Connection(asyncio.Protocol):
@@ -85,13 +114,13 @@ class _Connection(asyncio.Protocol):
     def __init__(self, device: ModbusDevice) -> None:
         self._device = device
         self._buffer = bytearray()
-        self._transport: asyncio.Transport
+        self._transport: Link
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        assert isinstance(transport, asyncio.Transport)
+        assert isinstance(transport, Link)
         self._transport = transport
         self._device.connections += 1
-        self._number = self._device.connections
+        self._number = transport.number = self._device.connections
         peer = transport.get_extra_info("peername")[1]
         self._device.journal.connected(self._number, process_of(transport), peer=peer)
 
@@ -133,10 +162,21 @@ class _Connection(asyncio.Protocol):
 
     def _request(self, transaction: int, unit: int, pdu: bytes) -> None:
         fields = describe(pdu)
-        asked = self._record(
-            "in", "request", request=True, unit=unit, transaction_id=transaction, **fields, pdu=pdu.hex()
-        )
         rule = self._device.faults.match(unit, fields)
+        asked = self._record(
+            "in",
+            "request",
+            request=True,
+            unit=unit,
+            transaction_id=transaction,
+            **fields,
+            pdu=pdu.hex(),
+            **({} if rule is None else {"fault": rule.action}),
+        )
+        if rule is not None and rule.manner.half_open:
+            self._transport.die()
+            return
+        self._device.stir(unit)
         memory = self._device.units.get(unit)
         try:
             if memory is None:
@@ -144,39 +184,46 @@ class _Connection(asyncio.Protocol):
             if rule is not None and rule.exception is not None:
                 raise IllegalRequest(rule.exception)
             response = execute(memory, pdu, apply=rule is None or not rule.ack_only)
+            if rule is not None and rule.clamp is not None and not rule.ack_only:
+                _clamp(memory, fields, rule.clamp)
         except IllegalRequest as refusal:
             response = bytes([pdu[0] | 0x80, refusal.code])
         if rule is None:
-            self._send(asked, fields, transaction, unit, response)
+            self._send(asked, fields, Answer.to(transaction, unit, response))
         else:
             self._misbehave(rule, asked, fields, transaction, unit, response)
 
-    def _send(
-        self,
-        asked: int,
-        request: Mapping[str, Any],
-        transaction: int,
-        unit: int,
-        response: bytes,
-        cut: int | None = None,
-    ) -> None:
-        """Answer the request that has the sequence number ``asked``."""
+    def _send(self, asked: int, request: Mapping[str, Any], answer: Answer, rule: Rule | None = None) -> None:
+        """Answer the request that has the sequence number ``asked``, in the manner of a rule."""
         if self._transport.is_closing():
             return
-        frame = struct.pack(">HHHB", transaction, 0, len(response) + 1, unit) + response
+        response = answer.pdu
         fields: dict[str, Any] = {
-            "unit": unit,
-            "transaction_id": transaction,
+            "unit": answer.unit,
+            "transaction_id": answer.transaction,
             "function": response[0] & 0x7F,
             "exception": response[1] if response[0] & 0x80 else None,
         }
         values = values_read(request, response)
         if values is not None:
             fields["values"] = values
-        if cut is not None:
-            fields["truncate"] = cut
+        cut = None
+        if rule is not None:
+            cut = rule.truncate
+            changed = {"truncate": cut, "protocol_id": answer.protocol or None, "drip_s": rule.manner.drip_s or None}
+            fields |= {name: value for name, value in changed.items() if value is not None}
+            if rule.length:
+                fields["length"] = answer.length
         self._record("out", "response", answers=asked, **fields, pdu=response.hex())
-        self._transport.write(frame[:cut])
+        if rule is None:
+            self._transport.write(answer.frame())
+            return
+        with self._transport.sending(rule.manner):
+            self._transport.write(answer.frame()[:cut])
+        if rule.manner.duplicate:
+            self._record("out", "response", answers=asked, **fields, duplicate=True, pdu=response.hex())
+            with self._transport.sending(rule.manner):
+                self._transport.write(answer.frame()[:cut])
 
     def _misbehave(
         self, rule: Rule, asked: int, request: Mapping[str, Any], transaction: int, unit: int, response: bytes
@@ -187,28 +234,23 @@ class _Connection(asyncio.Protocol):
             self._transport.close()
             return
         if rule.reset:
-            # With SO_LINGER 0 the kernel sends RST instead of FIN.
-            sock = self._transport.get_extra_info("socket")
-            sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-            self._transport.abort()
+            self._transport.reset()
             return
         if rule.garbage:
             # The entry answers no request: no client can tell which request the bytes are for.
             self._record("out", "garbage", bytes=_GARBAGE.hex())
             self._transport.write(_GARBAGE)
             return
-        if rule.answer_values is not None and response[0] in READS:
-            response = read_response(response[0], rule.answer_values)
-        send = partial(
-            self._send,
-            asked,
-            request,
-            (transaction + rule.transaction_id) & 0xFFFF,
-            unit if rule.answer_unit is None else rule.answer_unit,
-            response,
-            rule.truncate,
-        )
+        send = partial(self._send, asked, request, falsified(rule, transaction, unit, response), rule)
         if rule.delay_s:
             asyncio.get_running_loop().call_later(rule.delay_s, send)
         else:
             send()
+
+
+def _clamp(memory: UnitImage, request: Mapping[str, Any], bounds: tuple[int, int]) -> None:
+    """Bring the registers that a request has written between two bounds."""
+    if request["function"] not in (WRITE_REGISTER, WRITE_REGISTERS, MASK_WRITE):
+        return
+    for address in range(request["address"], request["address"] + request["quantity"]):
+        memory.holding_registers[address] = min(max(memory.holding_registers[address], bounds[0]), bounds[1])

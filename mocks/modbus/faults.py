@@ -3,23 +3,48 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
-from ..fault_rules import FLAG, Field, Plan, Table, integer, number
+from ..fault_rules import FLAG, SKIP, Field, Plan, Table, integer, number
+from ..network import AT_ONCE, MANNERS, Manner
 
 __all__ = ["FaultPlan", "Rule"]
 
 _REGISTER = integer(0, 0xFFFF)
+_ECHOES = ("value", "address", "count")
 _TABLE = Table(
-    conditions={"function": integer(0, 0xFF), "address": integer(0, 0xFFFF), "unit": integer(0, 0xFF)},
+    conditions={"function": integer(0, 0xFF), "address": integer(0, 0xFFFF), "unit": integer(0, 0xFF), "skip": SKIP},
     actions={
         "exception": integer(0, 0xFF),
         "delay_s": number(0, 3600),
         "drop": FLAG,
         "garbage": FLAG,
         "transaction_id": integer(-0xFFFF, 0xFFFF),
+        "answer_transaction": integer(0, 0xFFFF),
         "answer_unit": integer(0, 0xFF),
+        "answer_function": integer(0, 0xFF),
+        "protocol_id": integer(0, 0xFFFF),
+        "length": integer(-260, 260),
+        "byte_count": integer(-255, 255),
+        "echo": Field(
+            accepts=lambda value: (
+                isinstance(value, dict)
+                and bool(value)
+                and value.keys() <= set(_ECHOES)
+                and all(map(_REGISTER.accepts, value.values()))
+            ),
+            expected=f"an object with {', '.join(_ECHOES)}, each an integer from 0 to 65535",
+        ),
+        "clamp": Field(
+            accepts=lambda value: (
+                isinstance(value, list)
+                and len(value) == 2
+                and all(map(_REGISTER.accepts, value))
+                and value[0] <= value[1]
+            ),
+            expected="a list of two integers from 0 to 65535, the lower one first",
+        ),
         "truncate": integer(0, 260),
         "close": FLAG,
         "reset": FLAG,
@@ -28,6 +53,7 @@ _TABLE = Table(
             accepts=lambda value: isinstance(value, list) and len(value) <= 125 and all(map(_REGISTER.accepts, value)),
             expected="a list of at most 125 integers from 0 to 65535",
         ),
+        **MANNERS,
     },
     example="{'drop': true}",
 )
@@ -38,34 +64,56 @@ class Rule:
     """One rule: conditions (None matches everything), how often it applies, and what happens.
 
     Attributes:
+        skip: so many requests that fit pass first.
         times: applied at most this often, None without limit.
+        action: the action as it was given, for the journal.
         exception: answer with this exception code; the request is not executed.
         delay_s: answer this many seconds later; later requests are not delayed by it.
         drop: execute, but do not answer.
         garbage: execute, answer with bytes that are no MBAP frame.
         transaction_id: added to the transaction identifier of the answer.
+        answer_transaction: transaction identifier of the answer.
         answer_unit: unit identifier of the answer.
+        answer_function: function code of the answer, with the bit that marks an exception.
+        protocol_id: protocol identifier of the answer, which is 0 in Modbus.
+        length: added to the length field of the answer; its bytes stay.
+        byte_count: added to the byte count of the answer to a read; its data stays.
+        echo: what the answer to a write names instead of what was written: ``value`` (functions 5 and 6), ``count`` (15 and 16),
+            ``address``.
+        clamp: registers that functions 6, 16 and 22 write are stored not lower and not higher than these two numbers; the answer
+            echoes the request.
         truncate: send only this many bytes of the answer.
         close, reset: execute, then close the connection, or reset it.
         ack_only: acknowledge a write without doing it.
         answer_values: registers or bits that a successful read answers with, however many were asked for.
+        manner: how the answer travels, see :class:`~..network.Manner`.
     """
 
     function: int | None = None
     address: int | None = None
     unit: int | None = None
+    skip: int = 0
     times: int | None = None
+    action: Mapping[str, Any] = field(default_factory=dict)
     exception: int | None = None
     delay_s: float = 0.0
     drop: bool = False
     garbage: bool = False
     transaction_id: int = 0
+    answer_transaction: int | None = None
     answer_unit: int | None = None
+    answer_function: int | None = None
+    protocol_id: int = 0
+    length: int = 0
+    byte_count: int = 0
+    echo: Mapping[str, int] = field(default_factory=dict)
+    clamp: tuple[int, int] | None = None
     truncate: int | None = None
     close: bool = False
     reset: bool = False
     ack_only: bool = False
     answer_values: tuple[int, ...] | None = None
+    manner: Manner = AT_ONCE
 
 
 class FaultPlan(Plan[Rule]):
@@ -91,6 +139,7 @@ class FaultPlan(Plan[Rule]):
 
 def _read(source: Mapping[str, Any]) -> Rule:
     values = _TABLE.read(source)
-    if "answer_values" in values:
-        values["answer_values"] = tuple(values["answer_values"])
-    return Rule(**values)
+    for name in ("answer_values", "clamp"):
+        if name in values:
+            values[name] = tuple(values[name])
+    return Rule(action=dict(source["action"]), manner=Manner.of(values), **values)

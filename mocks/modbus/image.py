@@ -10,10 +10,10 @@ are free for use.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
-__all__ = ["SIZE", "TABLES", "UnitImage"]
+__all__ = ["IDENTIFICATION", "SIZE", "TABLES", "UnitImage"]
 
 SIZE = 100
 TABLES = ("holding_registers", "input_registers", "coils", "discrete_inputs")
@@ -22,6 +22,17 @@ VALVE, HEATER, FAN, CONVEYOR, RATE, MODE, START, STOP, E_STOP, RESET = range(10)
 TEMPERATURE, PRESSURE, FLOW, LEVEL, VIBRATION, PH, HUMIDITY, MOTOR, PRODUCED = range(9)
 PUMP, ALARM = 0, 1
 E_STOPPED, RUNNING = 0, 1
+
+IDENTIFICATION = {
+    0: b"pytest-otmcp",
+    1: b"MOCK-MB-1",
+    2: b"1.0",
+    3: b"https://github.com/pytest-otmcp",
+    4: b"Modbus TCP mock plant",
+    5: b"MOCK-MB",
+    6: b"conformance",
+}
+"""Objects of Read Device Identification (section 6.21) that a unit starts with."""
 
 _STOPPED_MODE, _RUNNING_MODE, _E_STOP_MODE = 0, 1, 2
 _AMBIENT = 20.0
@@ -32,9 +43,13 @@ class UnitImage:
     """The memory of one unit.
 
     Scales: temperature, tank level and humidity x10, vibration and pH x100; percentages 0 to 100; the rest as is.
+
+    Attributes:
+        identification: objects of Read Device Identification by object id.
     """
 
     def __init__(self) -> None:
+        self.identification = dict(IDENTIFICATION)
         self.holding_registers = [0] * SIZE
         self.input_registers = [0] * SIZE
         self.coils = [False] * SIZE
@@ -135,18 +150,3 @@ class UnitImage:
             round(min(registers[CONVEYOR], 100) * 15) if running else 0,
             round(self._produced) & 0xFFFF,
         ]
-
-
-def poke(units: Mapping[int, UnitImage], params: Mapping[str, Any]) -> None:
-    """Apply the parameters of a ``poke``: unit (default 1), table, address, values.
-
-    Raises:
-        ValueError: no such cell or value.
-        KeyError: a parameter is missing.
-    """
-    unit, table, address, values = params.get("unit", 1), params["table"], params["address"], params["values"]
-    if type(address) is not int or not isinstance(values, list):
-        raise ValueError(f"a poke has an integer address and a list of values, found {address!r} and {values!r}")
-    if type(unit) is not int or unit not in units:
-        raise ValueError(f"unit {unit} is not configured; configured are {', '.join(map(str, units))}")
-    units[unit].poke(table, address, values)

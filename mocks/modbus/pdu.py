@@ -13,8 +13,13 @@ from typing import Any
 from .image import SIZE, UnitImage
 
 __all__ = [
+    "MASK_WRITE",
     "READS",
     "STATE_CHANGING",
+    "WRITE_COIL",
+    "WRITE_COILS",
+    "WRITE_REGISTER",
+    "WRITE_REGISTERS",
     "IllegalRequest",
     "describe",
     "execute",
@@ -35,15 +40,6 @@ READS = frozenset({READ_COILS, READ_DISCRETE, READ_HOLDING, READ_INPUT, READ_WRI
 _ADDRESSED = STATE_CHANGING | READS
 _COIL_STATES = {0x0000: False, 0xFF00: True}
 
-_IDENTIFICATION = {
-    0: b"pytest-otmcp",
-    1: b"MOCK-MB-1",
-    2: b"1.0",
-    3: b"https://github.com/pytest-otmcp",
-    4: b"Modbus TCP mock plant",
-    5: b"MOCK-MB",
-    6: b"conformance",
-}
 _CATEGORY_LAST = {1: 2, 2: 6, 3: 6}
 _MAX_PDU = 253
 
@@ -100,7 +96,7 @@ def values_read(request: Mapping[str, Any], response: bytes) -> list[Any] | None
     if function in (READ_HOLDING, READ_INPUT, READ_WRITE):
         return _registers(response[2:])
     if function in (READ_COILS, READ_DISCRETE):
-        return _bits(response[2:], request["quantity"])
+        return _bits(response[2:], request.get("quantity", 0))
     return None
 
 
@@ -164,7 +160,7 @@ def execute(unit: UnitImage, pdu: bytes, *, apply: bool = True) -> bytes:
     if function == READ_WRITE:
         return _read_write(unit, body, apply)
     if function == ENCAPSULATED:
-        return identify(_IDENTIFICATION, body)
+        return identify(unit.identification, body)
     raise IllegalRequest(ILLEGAL_FUNCTION)
 
 

@@ -132,6 +132,23 @@ class Broker:
             session.will_delay_s = connect.will.properties.get(Property.WILL_DELAY_INTERVAL, 0)
         return session, present
 
+    def disconnect(self, client_id: str | None, reason_code: int) -> None:
+        """End the connection of one client, or of all clients from outside, with a reason for those of MQTT 5.
+
+        Raises:
+            ValueError: there is no such client.
+        """
+        found = [
+            session.outlet
+            for session in self.sessions.values()
+            if session.outlet is not None
+            and (session.outlet.origin == "client" if client_id is None else session.client_id == client_id)
+        ]
+        if client_id is not None and not found:
+            raise ValueError(f"no client {client_id!r} is connected")
+        for outlet in found:
+            outlet.end("poke", reason_code)
+
     def detach(self, session: Session, *, publish_will: bool) -> None:
         """Take the connection from a session; its will and its expiry become due (5: section 3.1.2.5, 3.1.2.11.2)."""
         session.outlet = None

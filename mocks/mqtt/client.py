@@ -91,6 +91,10 @@ class Client(asyncio.Protocol):
         """
         await self._ask(Pingreq(), PacketType.PINGRESP)
 
+    def cut(self) -> None:
+        """End the connection without DISCONNECT: the broker publishes the will."""
+        self._transport.abort()
+
     async def aclose(self) -> None:
         """Disconnect in an orderly way."""
         self._send(Disconnect())

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import socket
-import struct
 from dataclasses import replace
 from typing import Any
 
 from ..journal import Direction, Origin
+from ..network import AT_ONCE, Link
 from ..peer import process_of
 from .broker import Broker
 from .codec import UnsupportedProtocol, decode, encode
 from .describe import REQUESTS, describe, describe_content, describe_publish
 from .faults import Rule
 from .packet_handlers import Afterwards, accept, handle, refusal, supervised_keepalive
-from .packets import MQTT_5, MQTT_311, Connack, Connect, Disconnect, Packet, PacketType, Publish, Subscribe
+from .packets import MQTT_5, MQTT_311, Connack, Connect, Disconnect, Packet, PacketType, Publish, Suback, Subscribe
 from .properties import PROTOCOL_ERROR, Property
 from .session import Delivery, Session
 from .wire import Framer, ProtocolViolation
@@ -39,7 +38,7 @@ class Connection(asyncio.Protocol):
     def __init__(self, broker: Broker, origin: Origin = "client") -> None:
         self._broker = broker
         self.origin = origin
-        self._transport: asyncio.Transport
+        self._transport: Link
         self._framer = Framer(broker.limits.maximum_packet_size)
         self._level = MQTT_311
         self._client_id: str | None = None
@@ -58,9 +57,9 @@ class Connection(asyncio.Protocol):
     # -- network ------------------------------------------------------------------------------------------
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        assert isinstance(transport, asyncio.Transport)
+        assert isinstance(transport, Link)
         self._transport = transport
-        self.number = self._broker.opened(transport)
+        self.number = transport.number = self._broker.opened(transport)
         self._loop = asyncio.get_running_loop()
         if self.origin == "client":
             self._broker.journal.heard_of(self.number, process_of(transport))
@@ -118,10 +117,19 @@ class Connection(asyncio.Protocol):
 
     # -- what the session asks for ------------------------------------------------------------------------
 
-    def send(self, packet: Packet, *, answers: int | None = None) -> None:
-        """Send any packet but a PUBLISH; ``answers`` is the sequence number of the request that it answers."""
-        if self._end_reason is None:
-            self._write(packet, encode(packet, self._level), describe(packet), answers)
+    def send(self, packet: Packet, *, answers: int | None = None, rule: Rule | None = None) -> None:
+        """Send any packet but a PUBLISH.
+
+        Args:
+            answers: sequence number of the request that it answers.
+            rule: fault that says how it travels.
+        """
+        manner = AT_ONCE if rule is None else rule.manner
+        fields = {"drip_s": manner.drip_s} if manner.drip_s else {}
+        for again in ({}, {"duplicate": True}) if manner.duplicate else ({},):
+            if self._end_reason is None:
+                with self._transport.sending(manner):
+                    self._write(packet, encode(packet, self._level), describe(packet) | fields | again, answers)
 
     def publish(self, delivery: Delivery, *, dup: bool) -> bool:
         """Send a PUBLISH; return False when the packet is larger than the client accepts [MQTT-3.1.2-24]."""
@@ -219,6 +227,10 @@ class Connection(asyncio.Protocol):
             self._client_id = packet.client_id
         asks = packet.type in REQUESTS
         from_outside = self.origin == "client"
+        again = isinstance(packet, Connect) and self._session is not None
+        rule = None if again else self._broker.faults.match(packet, self._client_id or "")
+        if rule is not None:
+            fields["fault"] = rule.action
         seq = self._record(
             "in",
             packet.type.name,
@@ -227,18 +239,24 @@ class Connection(asyncio.Protocol):
             **fields,
         )
         asked = seq if asks else None
-        if isinstance(packet, Connect) and self._session is not None:
+        if again:
             raise ProtocolViolation("a second CONNECT", PROTOCOL_ERROR)
-        rule = self._broker.faults.match(packet, self._client_id or "")
-        if isinstance(packet, Connect):
+        if rule is not None and rule.manner.half_open:
+            self._transport.die()
+        elif isinstance(packet, Connect):
             self._connect(packet, rule, seq)
         elif isinstance(packet, Disconnect):
             self._disconnect(packet)
         else:
             assert self._session is not None
+            if rule is not None and rule.ack_only:
+                assert isinstance(packet, Publish)
+                if packet.qos == 2:
+                    self._session.incoming.add(packet.packet_id)
+                self._misbehave(rule, asked, refusal(packet, 0), None)
+                return
             if rule is not None and rule.refuses:
-                assert rule.reason_code is not None
-                self._misbehave(rule, asked, refusal(packet, rule.reason_code), None)
+                self._misbehave(rule, asked, *self._refused(packet, rule))
                 return
             if rule is not None and rule.reason_code is not None and isinstance(packet, Subscribe):
                 packet = _granting(packet, rule.reason_code)
@@ -248,9 +266,26 @@ class Connection(asyncio.Protocol):
             else:
                 self._misbehave(rule, asked, answer, afterwards)
 
-    def _answer(self, asked: int | None, answer: Packet | None, afterwards: Afterwards) -> None:
+    def _refused(self, packet: Packet, rule: Rule) -> tuple[Packet | None, Afterwards]:
+        """Return the answer that refuses a packet; the other filters of a SUBSCRIBE than the rule's are granted."""
+        assert self._session is not None
+        assert rule.reason_code is not None
+        if isinstance(packet, Subscribe) and rule.topic is not None:
+            others = tuple(one for one in packet.requests if one.filter != rule.topic)
+            if others:
+                granted = replace(packet, requests=others)
+                suback, afterwards = handle(self._broker, self._session, self._level, granted, {})
+                assert isinstance(suback, Suback)
+                left = iter(suback.reason_codes)
+                codes = tuple(rule.reason_code if one.filter == rule.topic else next(left) for one in packet.requests)
+                return replace(suback, reason_codes=codes), afterwards
+        return refusal(packet, rule.reason_code), None
+
+    def _answer(
+        self, asked: int | None, answer: Packet | None, afterwards: Afterwards, rule: Rule | None = None
+    ) -> None:
         if answer is not None:
-            self.send(answer, answers=asked)
+            self.send(answer, answers=asked, rule=rule)
         if afterwards is not None and self._end_reason is None:
             afterwards()
 
@@ -260,15 +295,14 @@ class Connection(asyncio.Protocol):
             self._cut(reset=rule.reset)
         elif rule.delay_s:
             self._loop.call_later(rule.delay_s, self._answer, asked, answer, afterwards)
+        elif rule.disconnect is not None:
+            self.end("fault plan", rule.disconnect)
         elif not rule.no_answer:
-            self._answer(asked, answer, afterwards)
+            self._answer(asked, answer, afterwards, rule)
 
     def _cut(self, *, reset: bool) -> None:
         if reset:
-            # With SO_LINGER 0 the kernel sends RST instead of FIN.
-            sock = self._transport.get_extra_info("socket")
-            sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-            self._transport.abort()
+            self._transport.reset()
         else:
             self._transport.close()
         self._leave("fault plan", publish_will=True)
@@ -289,15 +323,15 @@ class Connection(asyncio.Protocol):
             # Packets that the client sends before its CONNACK wait; they wait for ever when there is no CONNACK.
             self._held = True
             if not rule.no_answer:
-                self._loop.call_later(rule.delay_s, self._accept_late, packet, asked)
+                self._loop.call_later(rule.delay_s, self._accept_late, packet, asked, rule)
 
-    def _accept_late(self, packet: Connect, asked: int) -> None:
+    def _accept_late(self, packet: Connect, asked: int, rule: Rule) -> None:
         if self._end_reason is None:
             self._held = False
-            self._accept(packet, asked)
+            self._accept(packet, asked, rule)
             self._advance()
 
-    def _accept(self, packet: Connect, asked: int) -> None:
+    def _accept(self, packet: Connect, asked: int, rule: Rule | None = None) -> None:
         session, connack = accept(self._broker, packet)
         if session is None:
             self.send(connack, answers=asked)
@@ -311,7 +345,7 @@ class Connection(asyncio.Protocol):
         self._keepalive_s = supervised_keepalive(self._broker, packet)
         if self._keepalive_s:
             self._supervise()
-        self.send(connack, answers=asked)
+        self.send(connack, answers=asked, rule=rule)
         session.resume(self)
 
     def _disconnect(self, packet: Disconnect) -> None:

@@ -70,7 +70,9 @@ def describe_content(topic: str, payload: bytes) -> dict[str, Any]:
 
     A host's STATE is JSON, not a Sparkplug payload (Sparkplug 3.0, section 6.4.27).
     """
-    content: dict[str, Any] = {"topic": topic, "payload": base64.b64encode(payload).decode()}
+    # A poke may publish on a topic that is no UTF-8; JSON can show it with its bytes escaped only.
+    shown = topic.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
+    content: dict[str, Any] = {"topic": shown, "payload": base64.b64encode(payload).decode()}
     if topic.startswith("spBv1.0/") and not topic.startswith("spBv1.0/STATE/"):
         content["sparkplug"] = decode_message(topic, payload)
     return content

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import asyncio
 import base64
-import binascii
 import socket
 from collections.abc import Mapping
 from typing import Any
 
 from ..device import Device
 from ..endpoint import OpenEndpoint
+from ..network import Network
 from .broker import Broker
 from .connection import Connection
 from .describe import describe_content, describe_publish
 from .edge_node import EdgeNode
 from .faults import FaultPlan
 from .packets import Publish
-from .topics import check_name
-from .wire import ProtocolViolation
+from .pokes import BURST_TURN, Burst, command, disconnection, message
 
 __all__ = ["MqttDevice"]
 
@@ -34,6 +33,9 @@ class MqttDevice(Device):
         super().__init__()
         self.broker = Broker(self.journal)
         self.edge_node = EdgeNode()
+        self.network = Network(self.journal)
+        # What happens to the clients' network does not happen to the plant's.
+        self._private = Network(self.journal)
         self._servers: list[asyncio.Server] = []
 
     async def serve(self, endpoints: Mapping[str, OpenEndpoint]) -> None:
@@ -43,10 +45,14 @@ class MqttDevice(Device):
 
         # The plant has a listener of its own and publishes its births before clients are accepted: what clients find
         # does not depend on who is faster, and they do not wait for the births.
-        private = await loop.create_server(lambda: Connection(self.broker, origin="plant"), "127.0.0.1", 0)
+        private = await loop.create_server(
+            self._private.protocol(lambda: Connection(self.broker, origin="plant")), "127.0.0.1", 0
+        )
         host, port = private.sockets[0].getsockname()
         await self.edge_node.start(host, port)
-        public = await loop.create_server(lambda: Connection(self.broker), sock=listener, backlog=128)
+        public = await loop.create_server(
+            self.network.protocol(lambda: Connection(self.broker)), sock=listener, backlog=128
+        )
         self._servers = [private, public]
 
     async def aclose(self) -> None:
@@ -54,6 +60,7 @@ class MqttDevice(Device):
         for server in self._servers:
             server.close()
         await self.broker.aclose()
+        self.network.close()
 
     def image(self) -> dict[str, Any]:
         """Return the ``retained`` messages (topic to base64), the ``clients`` and their subscriptions, the
@@ -77,13 +84,39 @@ class MqttDevice(Device):
         }
 
     async def poke(self, params: Mapping[str, Any]) -> None:
-        """Publish a message of the kit; the journal has it as received on connection 0: ``{"publish": {"topic",
-        "payload" (base64), "qos", "retain"}}``."""
-        packet = _publish(params)
+        """Do something past the clients: see :mod:`.pokes`, :mod:`.edge_node_pokes` and :mod:`..network`."""
+        if self.network.poke(params):
+            return
+        if len(params) != 1:
+            raise ValueError(f"an MQTT poke has one member, found {sorted(params)}")
+        if "burst" in params:
+            await self._burst(Burst.of(params["burst"]))
+        elif "command" in params:
+            self._publish(command(params["command"]))
+        elif "disconnect" in params:
+            client_id, code = disconnection(params["disconnect"])
+            self.broker.disconnect(client_id, code)
+        elif "edge_node" in params:
+            await self.edge_node.poke(params["edge_node"])
+        else:
+            self._publish(message(params.get("publish")))
+
+    def _publish(self, packet: Publish) -> None:
+        """Publish a message of the kit; the journal has it as received on connection 0."""
         content = describe_content(packet.topic, packet.payload)
         fields = describe_publish(packet, content)
         self.journal.append(connection=0, direction="in", kind="PUBLISH", origin="kit", client_id=KIT, **fields)
         self.broker.publish(packet, KIT, content)
+
+    async def _burst(self, burst: Burst) -> None:
+        loop = asyncio.get_running_loop()
+        began = loop.time()
+        for number in range(burst.count):
+            self._publish(burst.message(number))
+            if burst.rate_per_s:
+                await asyncio.sleep(max(0.0, began + (number + 1) / burst.rate_per_s - loop.time()))
+            elif number % BURST_TURN == BURST_TURN - 1:
+                await asyncio.sleep(0)
 
     def fault(self, rules: list[dict[str, Any]]) -> list[int]:
         plan = FaultPlan(rules)
@@ -92,24 +125,9 @@ class MqttDevice(Device):
 
     async def reset(self) -> None:
         self.broker.faults = FaultPlan([])
+        self.network.become("open")
         self.broker.forget()
         await self.edge_node.reset()
 
     async def tick(self) -> None:
         await self.edge_node.tick()
-
-
-def _publish(params: Mapping[str, Any]) -> Publish:
-    source = params.get("publish")
-    if not isinstance(source, Mapping) or not {"topic", "payload"} <= source.keys():
-        raise ValueError("an MQTT poke is {'publish': {'topic': …, 'payload': base64, 'qos': 0, 'retain': false}}")
-    qos = source.get("qos", 0)
-    if qos not in (0, 1, 2):
-        raise ValueError(f"qos: expected 0, 1 or 2, found {qos!r}")
-    try:
-        topic = str(source["topic"])
-        check_name(topic)
-        payload = base64.b64decode(source["payload"], validate=True)
-    except (ProtocolViolation, binascii.Error) as error:
-        raise ValueError(str(error)) from None
-    return Publish(topic=topic, payload=payload, qos=qos, retain=bool(source.get("retain", False)))

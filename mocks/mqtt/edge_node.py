@@ -19,9 +19,11 @@ from typing import Any
 
 from ..journal import Direction
 from .client import Client, Observer
+from .edge_node_pokes import Births, EdgeNodePoke, read_poke
 from .packets import MQTT_311, Connect, Packet, Publish, Will
 from .plant import Plant, Tag
 from .sparkplug import DATATYPES, decode_message, encode_payload
+from .sparkplug_values import json_safe
 
 __all__ = ["CLIENT_ID", "EdgeNode"]
 
@@ -50,6 +52,9 @@ class EdgeNode:
         self.seq = 0
         self.bd_seq = -1
         self.controls: dict[str, str] = {}
+        self._births_have = Births()
+        self._online = asyncio.Event()
+        self._online.set()
         self._address = ("", 0)
         self._client: Client | None = None
         self._keeper: asyncio.Task[None] | None = None
@@ -103,6 +108,7 @@ class EdgeNode:
                 await self._client.closed.wait()
                 self._client = None
                 self._born.clear()
+            await self._online.wait()
             await asyncio.sleep(_RECONNECT_S)
             with contextlib.suppress(OSError):
                 await self._connect()
@@ -115,6 +121,8 @@ class EdgeNode:
         """
         self.plant = Plant()
         self.controls.clear()
+        self._births_have = Births()
+        self._online.set()
         await asyncio.wait_for(self._born.wait(), 5.0)
         assert self._client is not None
         self._births()
@@ -133,10 +141,53 @@ class EdgeNode:
         with contextlib.suppress(OSError):
             await self._client.ping()
 
+    async def poke(self, params: Any) -> None:
+        """Do what a poke of the node asks for, see :mod:`.edge_node_pokes`; return when the broker has handled it.
+
+        Raises:
+            ValueError: it is not understood, or the node is offline.
+        """
+        poke = read_poke(params, self.plant)
+        if poke.offline is False:
+            self._online.set()
+            await asyncio.wait_for(self._born.wait(), 5.0)
+        client = self._client
+        if client is None:
+            if poke.offline:
+                return
+            raise ValueError("the edge node is offline")
+        self.seq = (self.seq + poke.skip_seq) % 256
+        await self._announce(poke)
+        if poke.death is not None:
+            self._publish("DDEATH", poke.death, {})
+        if poke.offline:
+            self._online.clear()
+        if poke.cut or poke.offline:
+            client.cut()
+            await client.closed.wait()
+            self._client = None
+            self._born.clear()
+            if poke.cut:
+                await asyncio.wait_for(self._born.wait(), 5.0)
+        else:
+            await client.ping()
+
+    async def _announce(self, poke: EdgeNodePoke) -> None:
+        """Take over metrics and the form of births, and publish what follows from them."""
+        if poke.births is not None:
+            self._births_have = poke.births
+        for device, name, tag in poke.metrics:
+            self.plant.devices.setdefault(device, {})[name] = tag
+        if poke.births is not None or poke.new:
+            self._births()
+        elif poke.metrics:
+            for device in dict.fromkeys(device for device, _, _ in poke.metrics):
+                self._publish("DDATA", device, {name: tag for owner, name, tag in poke.metrics if owner == device})
+
     def points(self) -> dict[str, Any]:
         """Return the value of every tag as ``edge_node/<device>/<tag>``."""
         return {
-            f"edge_node/{device}/{name}": tag.value
+            f"edge_node/{device}/{name}": json_safe(tag.value)
             for device, tags in self.plant.devices.items()
             for name, tag in tags.items()
         }
@@ -151,7 +202,8 @@ class EdgeNode:
             "seq": self.seq,
             "bd_seq": self.bd_seq,
             "devices": {
-                device: {name: tag.value for name, tag in tags.items()} for device, tags in self.plant.devices.items()
+                device: {name: json_safe(tag.value) for name, tag in tags.items()}
+                for device, tags in self.plant.devices.items()
             },
             "controls": dict(self.controls),
         }
@@ -170,12 +222,20 @@ class EdgeNode:
         return {"name": "bdSeq", "datatype": "Int64", "value": self.bd_seq}
 
     def _publish(self, kind: str, device: str | None, tags: Mapping[str, Tag]) -> None:
-        metrics = [{"name": name, "datatype": tag.datatype, "value": tag.value} for name, tag in tags.items()]
+        metrics = [self._metric(kind, device, name, tag) for name, tag in tags.items()]
         if kind == "NBIRTH":
             metrics.insert(0, self._bd_seq())
         self.seq = 0 if kind == "NBIRTH" else (self.seq + 1) % 256
         assert self._client is not None
         self._client.publish(self._topic(kind, device), encode_payload(metrics, timestamp=_now(), seq=self.seq))
+
+    def _metric(self, kind: str, device: str | None, name: str, tag: Tag) -> dict[str, Any]:
+        metric = {"name": name, "datatype": tag.datatype, "value": tag.value}
+        if device is None or not self._births_have.aliases:
+            return metric
+        # The name is in the birth alone (tck-id-payloads-alias-data-cmd-requirement).
+        alias = self._births_have.alias(device, name)
+        return {**metric, "alias": alias} if kind == "DBIRTH" else {**metric, "name": None, "alias": alias}
 
     def _births(self) -> None:
         self._publish("NBIRTH", None, {"Node Control/Rebirth": Tag(datatype="Boolean", value=False)})
@@ -196,10 +256,13 @@ class EdgeNode:
             return
         done: dict[str, Tag] = {}
         for one in metrics:
+            name = one["name"]
+            if name is None:
+                name = self._births_have.name(message["device"], one["alias"])
             datatype = None if one["datatype"] is None else _DATATYPE_NAMES.get(one["datatype"], "unknown")
-            tag = self.plant.command(message["device"], one["name"], datatype, one["value"])
+            tag = self.plant.command(message["device"], name, datatype, one["value"])
             if tag is not None:
-                done[one["name"]] = tag
+                done[name] = tag
         if done:
             self._publish("DDATA", message["device"], done)
 

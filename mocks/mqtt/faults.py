@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
-from ..fault_rules import FLAG, TEXT, Plan, Table, integer, number, one_of
+from ..fault_rules import FLAG, SKIP, TEXT, Plan, Table, integer, number, one_of
+from ..network import AT_ONCE, MANNERS, Manner
 from .packets import Packet, Publish, Subscribe, Unsubscribe
 
 __all__ = ["OWN_CLIENTS", "FaultPlan", "Rule"]
@@ -23,13 +24,16 @@ _CODES = {
     "UNSUBSCRIBE": _REFUSALS,
 }
 _TABLE = Table(
-    conditions={"packet": one_of(*_PACKETS), "client_id": TEXT, "topic": TEXT},
+    conditions={"packet": one_of(*_PACKETS), "client_id": TEXT, "topic": TEXT, "skip": SKIP},
     actions={
         "no_answer": FLAG,
         "delay_s": number(0, 3600),
         "reason_code": integer(0, 0xFF),
         "close": FLAG,
         "reset": FLAG,
+        "ack_only": FLAG,
+        "disconnect": integer(0x80, 0xFF),
+        **MANNERS,
     },
     example="{'no_answer': true}",
     required=("packet",),
@@ -44,23 +48,35 @@ class Rule:
     Attributes:
         packet: name of the control packet received.
         topic: topic of a PUBLISH, or one of the filters of a SUBSCRIBE or UNSUBSCRIBE.
+        skip: so many packets that fit pass first.
         times: applied at most this often, None without limit.
         no_answer: handle the packet, but do not answer it; a CONNECT is not handled either.
         delay_s: handle it and answer this many seconds later; a CONNECT is handled later.
-        reason_code: refuse with this code and do not handle it; a SUBSCRIBE with 0 to 2 is granted that QoS instead. 3.1.1
-            cannot refuse a PUBLISH or UNSUBSCRIBE: they are acknowledged and not handled.
+        action: the action as it was given, for the journal.
+        reason_code: refuse with this code and do not handle it; a SUBSCRIBE with 0 to 2 is granted that QoS instead. A rule with
+            a topic refuses that filter alone and handles the others of the same SUBSCRIBE. 3.1.1 cannot refuse a PUBLISH or
+            UNSUBSCRIBE: they are acknowledged and not handled.
         close, reset: handle it, then close the connection, or reset it; a CONNECT is not handled.
+        ack_only: acknowledge a PUBLISH as delivered, and deliver it to nobody.
+        disconnect: handle it; then, instead of an answer, an MQTT 5 client gets a DISCONNECT with this reason code and the
+            connection is closed. 3.1.1 has no such packet: there the connection is closed.
+        manner: how the answer travels, see :class:`~..network.Manner`.
     """
 
     packet: str
     client_id: str | None = None
     topic: str | None = None
+    skip: int = 0
     times: int | None = None
+    action: Mapping[str, Any] = field(default_factory=dict)
     no_answer: bool = False
     delay_s: float = 0.0
     reason_code: int | None = None
     close: bool = False
     reset: bool = False
+    ack_only: bool = False
+    disconnect: int | None = None
+    manner: Manner = AT_ONCE
 
     def applies(self, packet: Packet, client_id: str) -> bool:
         """Tell whether the conditions hold."""
@@ -104,7 +120,12 @@ class FaultPlan(Plan[Rule]):
 
 
 def _read(source: Mapping[str, Any]) -> Rule:
-    rule = Rule(**_TABLE.read(source))
+    values = _TABLE.read(source)
+    rule = Rule(action=dict(source["action"]), manner=Manner.of(values), **values)
     if rule.reason_code is not None and rule.reason_code not in _CODES.get(rule.packet, ()):
         raise ValueError(f"reason_code {rule.reason_code!r} is no answer to {rule.packet}")
+    if rule.ack_only and rule.packet != "PUBLISH":
+        raise ValueError(f"ack_only is about PUBLISH, not {rule.packet}")
+    if rule.disconnect is not None and rule.packet == "CONNECT":
+        raise ValueError("a CONNECT is refused with a reason_code, not with a DISCONNECT")
     return rule

@@ -68,10 +68,10 @@ class Plant:
             "humidity": {"value": round(45 + 10 * self._wave(), 3), "unit": "%"},
         }
 
-    def command(self, device: str, name: str, datatype: str | None, value: Any) -> Tag | None:
+    def command(self, device: str, name: str | None, datatype: str | None, value: Any) -> Tag | None:
         """Execute a command; return the tag with its new value, or None when there is no such tag, or it is not
         writable or of another type."""
-        tag = self.devices.get(device, {}).get(name)
+        tag = None if name is None else self.devices.get(device, {}).get(name)
         if tag is None or not tag.writable or datatype not in (None, tag.datatype) or not tag.accepts(value):
             return None
         tag.value = value

@@ -102,6 +102,9 @@ class Outlet(Protocol):
     def take_over(self) -> None:
         """End this connection because the same client has opened another one."""
 
+    def end(self, reason: str, reason_code: int | None = None) -> None:
+        """Close the connection and tell an MQTT 5 client the reason."""
+
 
 class Session:
     """One client's session.

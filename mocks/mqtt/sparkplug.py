@@ -8,13 +8,15 @@ messages are left out: their content is kept as unknown fields.
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from google.protobuf.message import DecodeError
 
-__all__ = ["DATATYPES", "decode_message", "encode_payload", "topic_parts"]
+__all__ = ["DATATYPES", "DataSet", "decode_message", "encode_payload", "topic_parts"]
 
 _SCALARS = (
     ("int_value", "uint32"),
@@ -111,6 +113,39 @@ _MEMBERS = {
 _BITS = {"int_value": 32, "long_value": 64}
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DataSet:
+    """A table of values.
+
+    Attributes:
+        types: a name of :data:`DATATYPES` for each column.
+    """
+
+    columns: tuple[str, ...]
+    types: tuple[str, ...]
+    rows: tuple[tuple[Any, ...], ...]
+
+    @classmethod
+    def of(cls, source: Mapping[str, Any], read: Callable[[str, Any], Any]) -> DataSet:
+        """Read it from JSON; ``read`` returns a value of a datatype.
+
+        Raises:
+            ValueError: it is not understood.
+        """
+        columns, types, rows = (source.get(name) for name in ("columns", "types", "rows"))
+        if not (isinstance(columns, list) and isinstance(types, list) and isinstance(rows, list)):
+            raise ValueError(f"a DataSet has lists of columns, types and rows, found {source!r}")
+        if len(columns) != len(types) or any(not isinstance(row, list) or len(row) != len(types) for row in rows):
+            raise ValueError("a DataSet has as many types, and values in each row, as columns")
+        cells = tuple(tuple(map(read, types, row)) for row in rows)
+        return cls(columns=tuple(map(str, columns)), types=tuple(types), rows=cells)
+
+    def as_json(self, shown: Callable[[Any], Any]) -> dict[str, Any]:
+        """Return it as JSON; ``shown`` makes a value JSON-safe."""
+        rows = [[shown(cell) for cell in row] for row in self.rows]
+        return {"columns": list(self.columns), "types": list(self.types), "rows": rows}
+
+
 def _build() -> Any:
     package = "otmcp.mock.sparkplug"
     kinds = descriptor_pb2.FieldDescriptorProto
@@ -142,7 +177,8 @@ def encode_payload(metrics: list[dict[str, Any]], *, timestamp: int, seq: int | 
     """Return the bytes of a payload.
 
     Args:
-        metrics: each with name, datatype (a key of :data:`DATATYPES`) and value.
+        metrics: each with name, datatype (a key of :data:`DATATYPES`) and value, and optionally an alias. None for a name leaves
+            it out, None for a value makes the metric null.
         timestamp: milliseconds since the epoch, of the payload and of every metric.
         seq: sequence number, None for NDEATH.
     """
@@ -150,15 +186,41 @@ def encode_payload(metrics: list[dict[str, Any]], *, timestamp: int, seq: int | 
     if seq is not None:
         payload.seq = seq
     for source in metrics:
-        datatype, value = source["datatype"], source["value"]
-        member = _MEMBERS[datatype]
-        if member in _BITS:
-            # Negative numbers travel as two's complement in an unsigned field (section 6.4.16).
-            value &= (1 << _BITS[member]) - 1
-        fields = {"name": source["name"], "timestamp": timestamp, "datatype": DATATYPES[datatype], member: value}
-        payload.metrics.add(**fields)
+        added = payload.metrics.add(timestamp=timestamp)
+        if source.get("name") is not None:
+            added.name = source["name"]
+        if source.get("alias") is not None:
+            added.alias = source["alias"]
+        if source["datatype"] is not None:
+            added.datatype = DATATYPES[source["datatype"]]
+        if source["value"] is None:
+            added.is_null = True
+        elif isinstance(source["value"], DataSet):
+            _add_data_set(added.dataset_value, source["value"])
+        else:
+            _set_value(added, source["datatype"], source["value"])
     data: bytes = payload.SerializeToString()
     return data
+
+
+def _set_value(message: Any, datatype: str, value: Any) -> None:
+    member = _MEMBERS[datatype]
+    if member in _BITS:
+        # Negative numbers travel as two's complement in an unsigned field (section 6.4.16).
+        value &= (1 << _BITS[member]) - 1
+    setattr(message, member, value)
+
+
+def _add_data_set(message: Any, table: DataSet) -> None:
+    message.num_of_columns = len(table.columns)
+    message.columns.extend(table.columns)
+    message.types.extend(DATATYPES[name] for name in table.types)
+    for row in table.rows:
+        added = message.rows.add()
+        for datatype, value in zip(table.types, row, strict=True):
+            cell = added.elements.add()
+            if value is not None:
+                _set_value(cell, datatype, value)
 
 
 def topic_parts(topic: str) -> tuple[str, str, str, str | None] | None:
@@ -208,7 +270,7 @@ def _text(value: str | bytes) -> str:
 
 
 def _value(metric: Any) -> Any:
-    """Return a value JSON-safe: bytes as base64, data sets and templates as text."""
+    """Return a value JSON-safe: bytes as base64, data sets and templates as text, and NaN and infinities by name."""
     member = metric.WhichOneof("value")
     if member is None:
         return None
@@ -219,6 +281,8 @@ def _value(metric: Any) -> Any:
         return base64.b64encode(value).decode()
     if member in ("dataset_value", "template_value"):
         return str(value)
+    if isinstance(value, float) and not math.isfinite(value):
+        return "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"
     if metric.datatype in _SIGNED and member in _BITS and value >> (_BITS[member] - 1):
         return value - (1 << _BITS[member])
     return value

@@ -127,8 +127,8 @@ def binary(data: bytes) -> bytes:
 
 
 def string(text: str) -> bytes:
-    """Return a UTF-8 Encoded String."""
-    return binary(text.encode())
+    """Return a UTF-8 Encoded String. Lone surrogates stand for bytes that are no UTF-8, which a poke may want to be sent."""
+    return binary(text.encode("utf-8", "surrogateescape"))
 
 
 class Framer:

@@ -19,6 +19,7 @@ from paho.mqtt.subscribeoptions import SubscribeOptions
 from pytest_otmcp.mocks.journal import Entry, Journal
 from pytest_otmcp.mocks.mqtt.broker import Broker, Limits
 from pytest_otmcp.mocks.mqtt.connection import Connection
+from pytest_otmcp.mocks.network import Network
 
 PATIENCE_S = 40.0
 """Seconds that a test waits for something that must happen; each wait ends as soon as it has happened."""
@@ -40,7 +41,11 @@ class RunningBroker:
         self._thread.start()
         try:
             self.broker = self.call(lambda: Broker(self.journal, limits))
-            self._server = self._run(self._loop.create_server(lambda: Connection(self.broker), "127.0.0.1", 0))
+            self._server = self._run(
+                self._loop.create_server(
+                    Network(self.journal).protocol(lambda: Connection(self.broker)), "127.0.0.1", 0
+                )
+            )
         except BaseException:
             self._end()
             raise

@@ -1,0 +1,309 @@
+"""The way between a TCP device and its clients, below every protocol: what a network does wrong, and how an answer travels.
+
+A device hands its listener the factory :meth:`Network.protocol` instead of its own; its connections then get a :class:`Link` as
+their transport. Links behave like the transports that they stand for until a fault plan or a poke says otherwise.
+
+==============  ============================================================================================================
+``open``        everything passes
+``black_hole``  connections are accepted; what clients send is lost (and journalled as ``lost``, with the number of bytes), what
+                the device sends, also the end of a connection, is lost too
+``stalled``     connections are accepted; nothing is read and nothing sent, until the network is open again: then everything
+                that was held back goes on, late
+==============  ============================================================================================================
+
+A connection that lost bytes in either direction stays dead when the network is open again: no client and no server can go on
+in the middle of a stream. A new connection works.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+import struct
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from .fault_rules import FLAG, number, one_of
+from .journal import Journal
+
+__all__ = ["AT_ONCE", "CONDITIONS", "MANNERS", "Link", "Manner", "Network"]
+
+CONDITIONS = ("open", "black_hole", "stalled")
+
+MANNERS = {"drip_s": number(0, 60), "duplicate": FLAG, "half_open": FLAG}
+"""Actions of a fault rule that every TCP device has; see :class:`Manner`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Manner:
+    """How one answer travels.
+
+    Attributes:
+        drip_s: its bytes are sent one by one, so many seconds apart; what is sent afterwards waits behind them.
+        duplicate: it is sent twice. The protocols do that themselves, so that the journal has both.
+        half_open: the request is not executed, and from then on this connection is dead without an end: everything is lost, in
+            both directions. Other connections are served.
+    """
+
+    drip_s: float = 0.0
+    duplicate: bool = False
+    half_open: bool = False
+
+    @classmethod
+    def of(cls, values: dict[str, Any]) -> Manner:
+        """Take the values of these fields out of the values of a rule."""
+        return cls(**{name: values.pop(name) for name in MANNERS if name in values})
+
+
+AT_ONCE = Manner()
+
+
+class Network:
+    """The way between one device and its clients."""
+
+    def __init__(self, journal: Journal) -> None:
+        self._journal = journal
+        self.condition = "open"
+        self.links: set[Link] = set()
+
+    def protocol(self, factory: Callable[[], asyncio.Protocol]) -> Callable[[], asyncio.Protocol]:
+        """Return the factory for a listener whose connections this factory serves."""
+        return lambda: _Below(self, factory())
+
+    def poke(self, params: Mapping[str, Any]) -> bool:
+        """Apply the parameters of a poke that are about the network: ``{"network": "black_hole"}``; tell whether it was one.
+
+        Raises:
+            ValueError: there is no such condition, or the poke has other members.
+        """
+        if "network" not in params:
+            return False
+        condition, field = params["network"], one_of(*CONDITIONS)
+        if not field.accepts(condition) or len(params) > 1:
+            raise ValueError(f"a poke of the network is {{'network': …}} with {field.expected}, found {dict(params)!r}")
+        self.become(condition)
+        return True
+
+    def become(self, condition: str) -> None:
+        """Change the condition, for connections that exist and for new ones; the journal has every change."""
+        if condition == self.condition:
+            return
+        self.condition = condition
+        self._journal.append(connection=0, direction="out", kind="network", origin="kit", condition=condition)
+        for link in list(self.links):
+            link.changed()
+
+    def lost(self, link: Link, count: int) -> None:
+        """Record bytes that a client sent and that never reached the device."""
+        self._journal.append(connection=link.number, direction="in", kind="lost", count=count)
+
+    def close(self) -> None:
+        """End every connection, also those whose device has forgotten them."""
+        for link in list(self.links):
+            link.cut()
+
+
+class _Below(asyncio.Protocol):
+    """What the event loop knows as the protocol of a connection."""
+
+    def __init__(self, network: Network, above: asyncio.Protocol) -> None:
+        self._network = network
+        self._above = above
+        self._link: Link
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        self._link = Link(self._network, transport, self._above)
+        self._network.links.add(self._link)
+        self._above.connection_made(self._link)
+        self._link.changed()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._network.links.discard(self._link)
+        self._link.forget(exc)
+
+    def data_received(self, data: bytes) -> None:
+        self._link.received(data)
+
+    def eof_received(self) -> bool | None:
+        return None if self._link.dead else self._above.eof_received()
+
+    def pause_writing(self) -> None:
+        self._above.pause_writing()
+
+    def resume_writing(self) -> None:
+        self._above.resume_writing()
+
+
+class Link(asyncio.Transport):
+    """The transport of a connection, as its device sees it.
+
+    Attributes:
+        number: number of the connection in the journal; the device sets it.
+        dead: nothing passes any more, although neither side has been told of an end.
+    """
+
+    def __init__(self, network: Network, transport: asyncio.Transport, above: asyncio.Protocol) -> None:
+        super().__init__()
+        self.number = 0
+        self.dead = False
+        self._network = network
+        self._transport = transport
+        self._above: asyncio.Protocol | None = above
+        self._manner = AT_ONCE
+        # What waits behind a drip, or until the network is open; None stands for the end of the connection.
+        self._waiting: deque[tuple[bytes, float] | None] = deque()
+        self._timer: asyncio.TimerHandle | None = None
+        self._stalled = False
+        self._closing = False
+
+    # -- what the network does ----------------------------------------------------------------------------
+
+    def changed(self) -> None:
+        """Follow the condition of the network."""
+        stalled = self._network.condition == "stalled"
+        if stalled != self._stalled:
+            self._stalled = stalled
+            if stalled:
+                self._transport.pause_reading()
+            else:
+                self._transport.resume_reading()
+                self._go_on()
+
+    def received(self, data: bytes) -> None:
+        """Hand over bytes of the client, or lose them."""
+        if self._network.condition == "black_hole":
+            self.dead = True
+        if self.dead:
+            self._network.lost(self, len(data))
+        elif self._above is not None:
+            self._above.data_received(data)
+
+    def die(self) -> None:
+        """Lose everything from now on, in both directions."""
+        self.dead = True
+        self._waiting.clear()
+
+    def forget(self, exc: Exception | None) -> None:
+        """Tell the device that the connection has ended, unless it ended it itself."""
+        if self._timer is not None:
+            self._timer.cancel()
+        above, self._above = self._above, None
+        if above is not None:
+            above.connection_lost(exc)
+
+    def cut(self) -> None:
+        """End the connection for the client too."""
+        self._transport.abort()
+
+    # -- how an answer travels ----------------------------------------------------------------------------
+
+    @contextlib.contextmanager
+    def sending(self, manner: Manner) -> Iterator[None]:
+        """Write everything inside this context in this manner."""
+        self._manner = manner
+        try:
+            yield
+        finally:
+            self._manner = AT_ONCE
+
+    def write(self, data: Any) -> None:
+        if self._network.condition == "black_hole":
+            self.dead = True
+        if self.dead:
+            return
+        if self._manner.drip_s or self._waiting or self._timer is not None or self._stalled:
+            self._waiting.append((bytes(data), self._manner.drip_s))
+            self._go_on()
+        else:
+            self._transport.write(data)
+
+    def _go_on(self) -> None:
+        """Send what waits, until a byte has to wait for its time."""
+        if self._timer is not None or self._stalled:
+            return
+        while self._waiting:
+            first = self._waiting.popleft()
+            if first is None:
+                self._transport.close()
+                return
+            data, drip_s = first
+            if not drip_s:
+                self._transport.write(data)
+                continue
+            self._transport.write(data[:1])
+            if data[1:]:
+                self._waiting.appendleft((data[1:], drip_s))
+            self._timer = asyncio.get_running_loop().call_later(drip_s, self._next_byte)
+            return
+
+    def _next_byte(self) -> None:
+        self._timer = None
+        self._go_on()
+
+    # -- the rest of a transport --------------------------------------------------------------------------
+
+    def get_extra_info(self, name: str, default: Any = None) -> Any:
+        return self._transport.get_extra_info(name, default)
+
+    def is_closing(self) -> bool:
+        return self._closing or self._transport.is_closing()
+
+    def close(self) -> None:
+        if self._lost_end():
+            return
+        self._closing = True
+        if self._waiting or self._timer is not None or self._stalled:
+            self._waiting.append(None)
+        else:
+            self._transport.close()
+
+    def abort(self) -> None:
+        if not self._lost_end():
+            self._closing = True
+            self._transport.abort()
+
+    def reset(self) -> None:
+        """End the connection with RST: with SO_LINGER 0 the kernel sends that instead of FIN."""
+        if not self.dead:
+            sock = self._transport.get_extra_info("socket")
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        self.abort()
+
+    def _lost_end(self) -> bool:
+        """End the connection for the device alone, if the end does not reach the client; tell whether that is so."""
+        if self._network.condition == "black_hole":
+            self.dead = True
+        if self.dead and not self._closing:
+            self._closing = True
+            asyncio.get_running_loop().call_soon(self.forget, None)
+        return self.dead
+
+    def can_write_eof(self) -> bool:
+        return True
+
+    def write_eof(self) -> None:
+        if not self.dead and self._network.condition != "black_hole":
+            self._transport.write_eof()
+
+    def pause_reading(self) -> None:
+        self._transport.pause_reading()
+
+    def resume_reading(self) -> None:
+        if not self._stalled:
+            self._transport.resume_reading()
+
+    def is_reading(self) -> bool:
+        return self._transport.is_reading()
+
+    def get_write_buffer_size(self) -> int:
+        return self._transport.get_write_buffer_size()
+
+    def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
+        self._transport.set_write_buffer_limits(high, low)
+
+    def get_protocol(self) -> asyncio.BaseProtocol:
+        return self._transport.get_protocol()
