@@ -118,6 +118,8 @@ def _adapter(protocol: str, facts: AdapterFacts, run: Run, tasks: Tasks) -> dict
     earned, not_exercised, not_claimed = {}, [], {}
     for name in protocols()[protocol].facets:
         facet = f"{protocol}.{name}"
+        if claims.is_silent(facet):
+            continue
         behind = [item for item in run["items"] if facet in exercised(tasks[item["id"]], claims)]
         applying = [item for item in behind if item["status"] != Status.NOT_APPLICABLE]
         if (reason := claims.why_not(facet)) is not None:

@@ -116,8 +116,8 @@ def _inputs(name: str, operation: Operation, words: Sequence[str]) -> dict[str, 
         key, found, value = word.partition("=")
         if not found:
             raise UsageError(f"{name}: expected KEY=VALUE, found {word!r}")
-        if key not in operation.inputs:
-            raise UsageError(f"{name}: {describe_unknown('input', key, operation.inputs)}")
+        if key not in operation.accepted:
+            raise UsageError(f"{name}: {describe_unknown('input', key, operation.accepted)}")
         if key in inputs:
             raise UsageError(f"{name}: {key} is given twice")
         inputs[key] = _value(value)
@@ -140,7 +140,8 @@ def _check_filling(adapter: Adapter, operation: str, inputs: Mapping[str, object
         raise UsageError(f"{adapter.protocol}: the subject binds no tool to {operation} with these inputs")
     if binding.resource:
         return
-    if lacking := sorted(placeholders(binding.arguments) - set(inputs)):
+    voluntary = protocols()[adapter.protocol].operations[operation].voluntary_inputs
+    if lacking := sorted(placeholders(binding.arguments) - {*inputs, *voluntary}):
         raise UsageError(f"{operation}: {binding.tool} needs {' and '.join(lacking)}, as {lacking[0]}=VALUE")
     try:
         binding.fill(inputs, {})

@@ -122,7 +122,8 @@ def write_document(draft: Draft, *, into: bool = False) -> str:
     # The file cannot be read without this table, even an empty one.
     lines += ["", f"[adapter.{draft.protocol}.bind]"]
     for operation in protocols()[draft.protocol].operations:
-        lines += ["", *_binding(draft, operation, form)]
+        if operation in draft.proposals or not protocols()[draft.protocol].operations[operation].voluntary:
+            lines += ["", *_binding(draft, operation, form)]
     # A comment may repeat the adapter's words: it stays one line, of characters that TOML allows in a comment.
     return "\n".join(printable(line) if line.startswith("#") else line for line in lines) + "\n"
 
@@ -205,11 +206,17 @@ def _binding(draft: Draft, operation: str, form: str) -> list[str]:
     lacking = [name for name in asked.needed if name not in proposal.outputs]
     comments = [
         f"# {asked.meaning}",
-        *(f"# {'proven' if proposal.proven else 'seen'}: {line}" for line in proposal.evidence),
+        *(
+            f"# {'proven' if proposal.proven else 'seen' if proposal.tried else 'likely'}: {line}"
+            for line in proposal.evidence
+        ),
     ]
     if proposal.proven and not lacking:
         return [*comments, head, *body]
-    if proposal.proven:
+    if asked.voluntary:
+        comments.append("# Who binds it claims it. Take the comment signs away when it is right.")
+        body += [f'# result = {{ {name} = "JMESPath" }}' for name in lacking[:1]]
+    elif proposal.proven:
         draft.left.append(f"{operation}: where {' and '.join(lacking)} is in the answer of {guess.tool!r}")
         body.append(f'# result = {{ {lacking[0]} = "JMESPath" }}')
     else:

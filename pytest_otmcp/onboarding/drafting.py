@@ -18,7 +18,7 @@ from .document import Draft
 from .experimenter import Experimenter
 from .matching import guess_connect, guess_tools
 from .pack import Pack
-from .proposal import Proposal
+from .proposal import Proposal, by_name
 from .status import look_without_device
 
 __all__ = ["describe_launch", "draft"]
@@ -128,11 +128,14 @@ async def _try_operations(
         for operation, known in operations.items():
             if known.writes != writes:
                 continue
-            guesses = guess_tools(pack, operation, tools)
-            proposal = await experimenter.best(guesses, pack.operations[operation].experiment, writes=writes)
+            guesses, experiment = guess_tools(pack, operation, tools), pack.operations[operation].experiment
+            if experiment is not None:
+                proposal = await experimenter.best(guesses, experiment, writes=writes)
+            else:
+                proposal = by_name(guesses)
             if proposal is not None:
                 proposals[operation] = proposal
-            if not known.status:
+            if not known.status and (proposal is not None or not known.voluntary):
                 say(_line(operation, proposal))
     await look_without_device(experimenter, proposals)
     for operation, known in operations.items():
@@ -172,5 +175,5 @@ def _refuse_unreached(url: str, tried: Iterable[Proposal], entries: Entries) -> 
 def _line(operation: str, proposal: Proposal | None) -> str:
     if proposal is None:
         return f"  {operation:<15} no tool found"
-    mark = "proven" if proposal.proven else "not proven"
+    mark = "proven" if proposal.proven else "not proven" if proposal.tried else "likely"
     return f"  {operation:<15} {proposal.guess.tool} ({mark}: {proposal.evidence[0]})"

@@ -93,6 +93,8 @@ def _guess(pack: Pack, operation: str, name: str, tool: Mapping[str, Any]) -> Gu
     words, likely = _words(name), set(hints.likely.split())
     if hints.needed and not words & set(hints.needed.split()):
         return None
+    if hints.named is not None and hints.named.fullmatch(name) is None:
+        return None
     if _is_foreign(pack.protocol, name, tool) or (not asked.writes and _may_write(words, tool)):
         return None
     schema = resolved(tool, hints.choice)
@@ -106,6 +108,9 @@ def _guess(pack: Pack, operation: str, name: str, tool: Mapping[str, Any]) -> Gu
         if argument not in arguments and (values := _trials(pack, hints, argument))
     }
     missing = tuple(name for name in required(schema) if name not in arguments and name not in trials)
+    if asked.voluntary and (missing or trials or not set(asked.inputs) <= placed):
+        # What nobody has to have is only proposed where nothing is open.
+        return None
     score = 2.0 * len(words & likely) + 0.25 * len(_words(str(tool.get("description") or "")[:400]) & likely)
     if asked.waits not in placed:
         # A tool that waits for what it answers may be called after the other half of its work.

@@ -23,15 +23,17 @@ class Hints:
         likely: words of a tool's name or description that speak for the operation.
         unlikely: words of a tool's name that speak against it.
         needed: words of which a tool's name must have one; empty when it may have any.
-        experiment: tries a guess at the mock device.
+        experiment: tries a guess at the mock device; None for a voluntary operation that is proposed by name and arguments alone.
+        named: matches the whole names of the tools that are considered; None for any.
         choice: matches the value of an enumerated argument that names what the operation is about, such as a table.
         trials: pattern of a required argument's name, to the values that are tried when its schema does not say any.
     """
 
     likely: str
     unlikely: str
-    experiment: Experiment
+    experiment: Experiment | None
     needed: str = ""
+    named: re.Pattern[str] | None = None
     choice: re.Pattern[str] | None = None
     trials: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from ..protocols.journal import JournalEntry
 from .guess import Guess
 
-__all__ = ["Proposal", "Shown"]
+__all__ = ["Proposal", "Shown", "by_name"]
 
 
 @dataclass(slots=True, kw_only=True)
@@ -26,6 +26,7 @@ class Proposal:
         blocking: the call waits for what it answers.
         returned: a random value came from the mock device through the tool, or to it.
         whole: False when it is only right as long as there is no tool that does more.
+        tried: False when no call was made, because its name and its arguments are all there is to go by.
     """
 
     guess: Guess
@@ -39,6 +40,14 @@ class Proposal:
     blocking: bool = False
     returned: bool = False
     whole: bool = True
+    tried: bool = True
+
+
+def by_name(guesses: Sequence[Guess]) -> Proposal | None:
+    """Return the proposal for the likeliest guess without calling anything; None where there is no guess."""
+    if not guesses:
+        return None
+    return Proposal(guess=guesses[0], proven=False, tried=False, evidence=["by its name and its arguments; not called"])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

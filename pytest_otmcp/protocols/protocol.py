@@ -64,6 +64,10 @@ class Operation:
         requirement: id of the requirement that a call breaks which should succeed and does not, or whose outputs are wrong.
             Default: that the device holds what was written, that the status is true, or that the answer is what the device holds.
         tells: the output that says whether the device can be reached; where it says ``false``, the device could not.
+        voluntary: a subject claims the operation by binding it; one that does not bind it says nothing about it.
+        voluntary_inputs: further names that an argument template may refer to, each a facet that is claimed by referring to it.
+            Where a call does not give one, the argument that stands for it is left out.
+        voluntary_outputs: further outputs, each a facet that is claimed by saying where it is.
     """
 
     meaning: str
@@ -76,10 +80,23 @@ class Operation:
     waits: str | None = None
     requirement: str = ""
     tells: str | None = None
+    voluntary: bool = False
+    voluntary_inputs: tuple[str, ...] = ()
+    voluntary_outputs: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.requirement:
             object.__setattr__(self, "requirement", "WR-001" if self.writes else "REC-002" if self.status else "RD-001")
+
+    @property
+    def accepted(self) -> tuple[str, ...]:
+        """All names that an argument template may refer to."""
+        return (*self.inputs, *self.voluntary_inputs)
+
+    @property
+    def readable(self) -> tuple[str, ...]:
+        """All outputs that a binding may say the place of."""
+        return (*self.outputs, *self.voluntary_outputs)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -260,7 +277,18 @@ class OtProtocol:
         names = [GUARD, RECOVERY]
         for name, operation in self.operations.items():
             names += [name, *(f"{name}.{optional}" for optional in operation.optional)]
+            names += (
+                f"{name}.{voluntary}" for voluntary in (*operation.voluntary_inputs, *operation.voluntary_outputs)
+            )
         return tuple(names)
+
+    def is_voluntary(self, facet: str) -> bool:
+        """Tell whether only a binding claims this facet: nothing is said of a subject that does not have one."""
+        name, _, part = facet.partition(".")
+        operation = self.operations.get(name)
+        if operation is None:
+            return False
+        return operation.voluntary or part in (*operation.voluntary_inputs, *operation.voluntary_outputs)
 
     def required_facets(self, facet: str, waiting: Collection[str]) -> tuple[str, ...]:
         """Resolve a facet that a task needs into the facets that a subject claims or not.

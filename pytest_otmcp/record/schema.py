@@ -190,7 +190,8 @@ class AdapterFacts(TypedDict):
     ``recovery_s``: the time within which work goes on after an outage. ``call_limit``: the most calls that the adapter takes.
     ``lists``: the lists of the protocol's own keys.
     ``cached``: operations whose answers may come from a cache, and how old they may be, in seconds.
-    ``lacks``: optional inputs that no tool takes. ``probes``: what is asked for where something must be refused.
+    ``lacks``: optional inputs that no tool takes. ``offered``: voluntary facets that bindings claim; absent where there are none.
+    ``probes``: what is asked for where something must be refused.
     ``bindings``: every operation that was used; None for one that a Python function performs. ``unmet``: requirements of the
     envelope that its own answers do not meet. ``listing``: every tool that was called by a binding. ``unjudged``: outputs that the
     subject file does not say where to find. The members of the server are None when no session was ever opened.
@@ -208,6 +209,7 @@ class AdapterFacts(TypedDict):
     unclaimed: dict[str, str]
     blocking: list[str]
     lacks: list[str]
+    offered: NotRequired[list[str]]
     probes: dict[str, Any]
     bindings: dict[str, list[StoredBinding] | None]
     unjudged: list[str]

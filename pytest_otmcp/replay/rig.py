@@ -5,7 +5,7 @@ Each call or observation that the steps ask for must be the next one in the hist
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, cast
 
 from ..core.strict_json import same_json
@@ -198,8 +198,9 @@ class ReplayRig(Rig):
     def reconnects(self) -> bool:
         return self._state.adapter.facts["recovery"] != "connect_step"
 
-    def accepts_input(self, operation: str, name: str) -> bool:
-        return f"{operation}.{name}" not in self._state.adapter.facts["lacks"]
+    @property
+    def lacks(self) -> Collection[str]:
+        return self._state.adapter.facts["lacks"]
 
     @property
     def addresses(self) -> list[tuple[str, int]]:

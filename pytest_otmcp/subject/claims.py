@@ -16,6 +16,7 @@ __all__ = ["Claims"]
 class _AdapterClaims:
     unclaimed: Mapping[str, str]
     waiting: Collection[str]
+    offered: Collection[str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,12 +28,22 @@ class Claims:
     @classmethod
     def of_subject(cls, adapters: Mapping[str, Adapter]) -> Claims:
         """Return the claims of a subject file."""
-        return cls({key: _AdapterClaims(adapter.unclaimed, adapter.blocking) for key, adapter in adapters.items()})
+        return cls(
+            {
+                key: _AdapterClaims(adapter.unclaimed, adapter.blocking, adapter.offered)
+                for key, adapter in adapters.items()
+            }
+        )
 
     @classmethod
     def of_record(cls, adapters: Mapping[str, AdapterFacts]) -> Claims:
         """Return the claims that a run record states in ``subject.adapters``."""
-        return cls({key: _AdapterClaims(facts["unclaimed"], facts["blocking"]) for key, facts in adapters.items()})
+        return cls(
+            {
+                key: _AdapterClaims(facts["unclaimed"], facts["blocking"], facts.get("offered", ()))
+                for key, facts in adapters.items()
+            }
+        )
 
     def has_adapter(self, protocol: str) -> bool:
         """Tell whether the subject has an adapter for this protocol."""
@@ -43,8 +54,19 @@ class Claims:
         protocol, _, name = facet.partition(".")
         if protocol not in self._adapters:
             return f"the subject has no adapter for {protocols()[protocol].name}"
-        unclaimed = self._adapters[protocol].unclaimed
-        return unclaimed.get(name, unclaimed.get(name.partition(".")[0]))
+        adapter = self._adapters[protocol]
+        operation, _, part = name.partition(".")
+        reason = adapter.unclaimed.get(name, adapter.unclaimed.get(operation))
+        if reason is None and protocols()[protocol].is_voluntary(name) and name not in adapter.offered:
+            return f"no binding of {operation!r} has {part!r}" if part else "no tool is bound to it"
+        return reason
+
+    def is_silent(self, facet: str) -> bool:
+        """Tell whether the subject says nothing of a facet: neither a binding that claims it nor a reason why it is not claimed."""
+        protocol, _, name = facet.partition(".")
+        adapter = self._adapters[protocol]
+        stated = not adapter.unclaimed.keys().isdisjoint((name, name.partition(".")[0]))
+        return protocols()[protocol].is_voluntary(name) and name not in adapter.offered and not stated
 
     def has(self, facet: str) -> bool:
         """Tell whether the facet is claimed."""

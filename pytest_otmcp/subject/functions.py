@@ -123,8 +123,15 @@ def named_functions(path: Path, protocol: str, key: str) -> dict[str, Function]:
     except (OSError, SyntaxError, ValueError, RecursionError) as error:
         raise UsageError(f"{key}: {path} cannot be read: {type(error).__name__}: {error}") from None
     known = protocols()[protocol].operations
-    names = [node.name for node in ast.walk(tree) if isinstance(node, ast.AsyncFunctionDef) and node.name in known]
-    return {name: Function(name=name, call=_never_called) for name in names}
+    nodes = [node for node in ast.walk(tree) if isinstance(node, ast.AsyncFunctionDef) and node.name in known]
+    return {
+        node.name: Function(
+            name=node.name,
+            call=_never_called,
+            parameters=frozenset(argument.arg for argument in (*node.args.args, *node.args.kwonlyargs)),
+        )
+        for node in nodes
+    }
 
 
 async def _never_called(*_: object) -> Mapping[str, Any]:
@@ -146,7 +153,7 @@ def _checked(name: str, function: Callable[..., object], protocol: str, where: s
         inputs = ", ".join(asked)
         expected = f"{name}(tools{', *, ' + inputs if inputs else ''})"
         raise UsageError(f"{where}: {name} must be callable as {expected}") from None
-    return Function(name=name, call=function)
+    return Function(name=name, call=function, parameters=frozenset(inspect.signature(function).parameters))
 
 
 def checked_outputs(function: Function, protocol: str, returned: object) -> Mapping[str, Any]:

@@ -209,9 +209,9 @@ def adapter_table(protocol: OtProtocol) -> Table:
 
 def binding_table(operation: Operation) -> Table:
     """Return the grammar of one table that binds a tool to the operation."""
-    inputs = operation.inputs
+    inputs = operation.accepted
     result = Table(
-        {name: Key(_OUTPUT, f"Where '{name}' is.") for name in operation.outputs},
+        {name: Key(_OUTPUT, f"Where '{name}' is.") for name in operation.readable},
         rules=tuple(map(_judged, operation.needed)),
     )
     known = ", ".join(f"${name}" for name in inputs) or "none"

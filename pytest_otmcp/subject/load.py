@@ -11,6 +11,7 @@ import os
 import tomllib
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache
 from importlib import resources
 from pathlib import Path, PurePosixPath
@@ -145,7 +146,7 @@ def _check_placeholders(
     known = protocols()[key.rpartition(".")[2]].operations
     for name, bound in operations.items():
         for binding in bound if not isinstance(bound, Function) else ():
-            check_placeholders(binding.arguments, f"{key}.bind.{name}.arguments", known[name].inputs)
+            check_placeholders(binding.arguments, f"{key}.bind.{name}.arguments", known[name].accepted)
 
 
 def _unclaimed(protocol: str, table: Mapping[str, Any]) -> dict[str, str]:
@@ -214,5 +215,25 @@ def _operations(
     if not {"bind", "bindings"} & table.keys():
         if not answering.native:
             raise Refusal(key, "expected 'bind' tables, which say what tool performs which operation")
-        operations |= reference_subject().adapters[protocol].operations
+        operations |= _without_voluntary(protocol, reference_subject().adapters[protocol].operations)
     return operations
+
+
+def _without_voluntary(
+    protocol: str, operations: Mapping[str, tuple[Binding, ...] | Function]
+) -> dict[str, tuple[Binding, ...] | Function]:
+    """Return what every adapter with these operations claims, whether it says so or not."""
+    known, found = protocols()[protocol].operations, dict[str, tuple[Binding, ...] | Function]()
+    for name, bound in operations.items():
+        if known[name].voluntary or isinstance(bound, Function):
+            continue
+        inputs = [f"${voluntary}" for voluntary in known[name].voluntary_inputs]
+        found[name] = tuple(
+            replace(
+                binding,
+                arguments={key: value for key, value in binding.arguments.items() if value not in inputs},
+                outputs={key: rule for key, rule in binding.outputs.items() if key in known[name].outputs},
+            )
+            for binding in bound
+        )
+    return found

@@ -169,9 +169,10 @@ class Binding:
     max_age_s: float | None = None
 
     def fill(self, inputs: Mapping[str, object], endpoint: Mapping[str, str]) -> dict[str, Any]:
-        """Return the tool's arguments for these inputs."""
+        """Return the tool's arguments for these inputs; the argument for an input that is not given is left out."""
         prepared = {name: self._prepared(name, value) for name, value in inputs.items()}
-        filled: dict[str, Any] = replace_template(self.arguments, prepared, endpoint)
+        template = _without(self.arguments, placeholders(self.arguments) - prepared.keys())
+        filled: dict[str, Any] = replace_template(template, prepared, endpoint)
         return filled
 
     def _prepared(self, name: str, value: Any) -> Any:
@@ -220,6 +221,19 @@ def replace_template(template: object, inputs: Mapping[str, object], endpoint: M
     return template
 
 
+def _without(template: Any, absent: set[str]) -> Any:
+    """Return a template without its places for these inputs."""
+    if isinstance(template, Mapping):
+        return {key: _without(value, absent) for key, value in template.items() if not _stands_for(value, absent)}
+    if isinstance(template, list):
+        return [_without(value, absent) for value in template if not _stands_for(value, absent)]
+    return template
+
+
+def _stands_for(template: object, names: set[str]) -> bool:
+    return isinstance(template, str) and template.startswith("$") and template[1:] in names
+
+
 def placeholders(template: object) -> set[str]:
     """Return the names of the inputs that a template has a place for."""
     if isinstance(template, str):
@@ -237,10 +251,12 @@ class Function:
 
     Attributes:
         call: ``async def operation(tools, **inputs) -> outputs``; see :mod:`pytest_otmcp.subject.functions`.
+        parameters: names of its parameters.
     """
 
     name: str
     call: Callable[..., Awaitable[Mapping[str, Any]]]
+    parameters: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -396,9 +412,29 @@ class Adapter:
             if case.max_age_s is not None
         }
 
+    @property
+    def offered(self) -> tuple[str, ...]:
+        """The voluntary facets that bindings claim."""
+        known = protocols()[self.protocol]
+        return tuple(
+            facet for facet in known.facets if known.is_voluntary(facet) and self._has_place(*facet.partition(".")[::2])
+        )
+
+    def _has_place(self, operation: str, part: str) -> bool:
+        bound = self.operations.get(operation)
+        if bound is None:
+            return False
+        if not part:
+            return True
+        if isinstance(bound, Function):
+            return part in bound.parameters
+        return any(binding.mentions(part) or part in binding.outputs for binding in bound)
+
     def facts(self) -> AdapterFacts:
         """Return what ``run.json`` says about the test of this adapter; its server's facts are added later."""
+        offered: dict[str, Any] = {"offered": list(self.offered)} if self.offered else {}
         return {
+            **offered,  # type: ignore[typeddict-item]
             "command": list(self.variants["rw"].command),
             "envelope": "native" if self.answering.native else "synthesised",
             "recovery": self.recovery,

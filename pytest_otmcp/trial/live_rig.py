@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict
 from typing import Any, cast
@@ -135,8 +135,9 @@ class LiveRig(Rig):
     def reconnects(self) -> bool:
         return self.under_test.adapter.recovery != "connect_step"
 
-    def accepts_input(self, operation: str, name: str) -> bool:
-        return f"{operation}.{name}" not in self.under_test.adapter.missing_inputs()
+    @property
+    def lacks(self) -> Collection[str]:
+        return self.under_test.adapter.missing_inputs()
 
     @property
     def addresses(self) -> list[tuple[str, int]]:

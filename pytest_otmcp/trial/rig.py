@@ -7,13 +7,14 @@ which uses a running adapter and device, and by ``replay.rig``, which reads the 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar, cast
 
 from ..core.finding import Finding
 from ..protocols.journal import ADAPTER, judged
 from ..protocols.protocol import Declared
+from ..protocols.registry import protocols
 from ..record.schema import DeviceEntry, Footprint, Role
 from ..subject.model import READ_WRITE, Binding
 from .alteration import Alteration
@@ -94,9 +95,16 @@ class Rig(WriteGate):
     def reconnects(self) -> bool:
         """After an outage the adapter connects again without being asked to."""
 
+    @property
     @abstractmethod
+    def lacks(self) -> Collection[str]:
+        """The optional inputs that no binding has a place for, such as ``subscribe.qos``."""
+
     def accepts_input(self, operation: str, name: str) -> bool:
-        """Tell whether the operation can be given this optional input."""
+        """Tell whether the operation can be given this optional or voluntary input."""
+        if name in protocols()[self.protocol].operations[operation].voluntary_inputs:
+            return self.claims(f"{operation}.{name}")
+        return f"{operation}.{name}" not in self.lacks
 
     def expected_if_accepted(self, operation: str, name: str, value: T) -> T | None:
         """Return ``value`` if the tool accepts this optional input, else None: the device may have seen any value."""

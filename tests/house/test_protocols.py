@@ -36,6 +36,9 @@ def test_every_protocol_is_complete(protocol: OtProtocol) -> None:
         assert operation.meaning, name
         assert set(operation.needed) <= set(operation.outputs), name
         assert set(operation.optional) <= set(operation.inputs), name
+        voluntary = (*operation.voluntary_inputs, *operation.voluntary_outputs)
+        assert len({*operation.inputs, *voluntary}) == len(operation.inputs) + len(voluntary), name
+        assert not set(operation.outputs) & set(voluntary), name
         assert operation.waits is None or operation.waits in operation.inputs, name
     assert any(operation.writes for operation in protocol.operations.values())
 
@@ -49,6 +52,7 @@ def test_every_code_of_a_protocol_becomes_a_code_of_the_registry(protocol: OtPro
 def test_every_operation_is_bound_by_the_reference_subject_and_asked_for_by_a_task(protocol: OtProtocol) -> None:
     adapter = reference_subject().adapters[protocol.key]
     assert set(adapter.operations) == set(protocol.operations)
+    assert set(adapter.offered) == {facet for facet in protocol.facets if protocol.is_voluntary(facet)}
     needed = {
         real
         for task in all_tasks().values()
@@ -56,7 +60,7 @@ def test_every_operation_is_bound_by_the_reference_subject_and_asked_for_by_a_ta
         if need.partition(".")[0] == protocol.key
         for real in protocol.required_facets(need.partition(".")[2], ())
     }
-    assert set(protocol.operations) <= needed
+    assert {name for name, operation in protocol.operations.items() if not operation.voluntary} <= needed
 
 
 def test_every_protocol_has_a_mock_and_a_reference_adapter(protocol: OtProtocol) -> None:

@@ -156,7 +156,16 @@ def test_every_tool_of_a_reference_adapter_is_found_and_proven(
     assert "no tool found" not in done.stdout
     written = load_subject(tmp_path / "otmcp.toml").adapters[protocol]
     assert written.answering.native
-    assert set(written.operations) == set(protocols()[protocol].operations)
+    # What nobody has to have is proposed as well: proven where a call of it only reads, else as a comment.
+    text = (tmp_path / "otmcp.toml").read_text(encoding="utf-8")
+    operations = protocols()[protocol].operations
+    assert {name for name in operations if f"[adapter.{protocol}.bind.{name}]" in text} == set(operations)
+    assert set(written.operations) == {
+        name
+        for name, known in operations.items()
+        if not known.voluntary or name in ("read_coils", "read_discrete_inputs")
+    }
+    assert "(likely: by its name and its arguments; not called)" in done.stdout
 
 
 def test_a_call_that_waits_is_proposed_as_one(otmcp: Otmcp, tmp_path: Path, warm_start: WarmStart) -> None:

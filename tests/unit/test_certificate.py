@@ -18,6 +18,7 @@ from pytest_otmcp.certificate.badge import badge, badge_svg
 from pytest_otmcp.certificate.eligibility import objections
 from pytest_otmcp.certificate.statement import certificate, differences
 from pytest_otmcp.cli import Refusal, main
+from pytest_otmcp.record.schema import AdapterFacts
 from pytest_otmcp.suite.catalogue import tasks_by_id
 
 from ..examined import verify
@@ -110,6 +111,20 @@ def test_a_claimed_facet_that_no_applying_item_needs_is_not_earned() -> None:
     assert "device_data" in facets["claimed_not_exercised"]
     assert "device_data" not in facets["earned"]
     assert "publish" in facets["earned"]
+
+
+def test_of_what_is_claimed_by_a_binding_only_what_is_bound_is_mentioned() -> None:
+    def mentioned(facts: AdapterFacts) -> set[str]:
+        facets = told(certificate(conformant_run({"mqtt": facts}), FILE, TASKS))["adapters"]["mqtt"]["facets"]
+        return {*facets["earned"], *facets["claimed_not_exercised"], *facets["not_claimed"]}
+
+    silent = adapter("acme-mqtt", "2026-07-28")
+    without = mentioned(silent)
+    assert not without & {"unsubscribe", "publish.retain"}
+    assert mentioned({**silent, "offered": ["unsubscribe", "publish.retain"]}) == without | {
+        "unsubscribe",
+        "publish.retain",
+    }
 
 
 def test_messages_can_be_received_without_subscribing_by_a_call_that_waits_for_them() -> None:

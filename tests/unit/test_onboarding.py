@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -9,11 +10,13 @@ from typing import Any
 import pytest
 
 from pytest_otmcp.core.errors import UsageError
+from pytest_otmcp.onboarding.document import Draft, write_document
 from pytest_otmcp.onboarding.evidence import failure_rules, find, lists_in, turned_false
 from pytest_otmcp.onboarding.guess import Guess
 from pytest_otmcp.onboarding.known_causes import find_advice
 from pytest_otmcp.onboarding.matching import guess_connect, guess_tools
 from pytest_otmcp.onboarding.pack import load_pack
+from pytest_otmcp.onboarding.proposal import by_name
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.subject.answers import extract, read_answer
 from pytest_otmcp.subject.model import OutputRule
@@ -259,6 +262,61 @@ def test_a_pack_has_hints_for_every_operation_and_names_for_what_is_put_in(proto
         *pack.arguments,
         "value",
     }
+
+
+@pytest.mark.parametrize("protocol", ["modbus", "mqtt", "opcua"])
+def test_a_voluntary_operation_that_writes_is_never_called_to_try_it(protocol: str) -> None:
+    hints = load_pack(protocol).operations
+    for name, operation in protocols()[protocol].operations.items():
+        if operation.voluntary:
+            assert hints[name].named is not None, name
+            assert hints[name].experiment is None or not operation.writes, name
+
+
+@pytest.mark.parametrize(
+    ("operation", "name", "arguments", "expected"),
+    [
+        ("write_coils", "write_coils", "address values", True),
+        ("write_coils", "write_coils", "address values why", False),
+        ("write_coils", "write_coils", "address", False),
+        ("write_coil", "write_coils", "address value", False),
+        ("write_registers", "write_register", "address values", False),
+        ("mask_write", "mask_write_register", "address and_mask or_mask", True),
+        ("read_tag", "read_tag_history", "tag", False),
+        ("read_coils", "read_discrete_inputs", "address count", False),
+    ],
+)
+def test_a_voluntary_operation_is_proposed_for_a_tool_that_plainly_matches(
+    operation: str, name: str, arguments: str, expected: bool
+) -> None:
+    assert bool(guesses("modbus", operation, {name: tool(arguments)})) is expected
+
+
+def test_a_voluntary_operation_is_proposed_as_a_comment_and_is_no_work_for_the_user() -> None:
+    found = by_name(guesses("modbus", "mask_write", {"mask_write": tool("address and_mask or_mask")}))
+    assert found is not None
+    draft = Draft(
+        protocol="modbus",
+        name="x",
+        server_version="1",
+        command=["x"],
+        env={},
+        files={},
+        era=None,
+        transport_url=None,
+        native=True,
+        proposals={"mask_write": found},
+        connect=None,
+        tools=["mask_write"],
+        longest_s=0.1,
+        errors={},
+    )
+    text = write_document(draft)
+    assert "# likely: by its name and its arguments; not called\n" in text
+    assert '# tool = "mask_write"\n' in text
+    assert tomllib.loads(text)["adapter"]["modbus"]["bind"] == {}
+    assert not any("mask_write" in sentence for sentence in draft.left)
+    assert "read_coils" not in text
 
 
 def test_a_protocol_without_a_pack_is_refused_in_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,7 @@ import json
 import tomllib
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import jsonschema
 import pytest
@@ -58,7 +58,12 @@ def test_the_reference_adapters_are_described_completely() -> None:
 
 def test_an_adapter_that_says_nothing_of_its_tools_has_those_of_the_reference_adapter(tmp_path: Path) -> None:
     adapter = load(tmp_path, LAUNCH).adapters["modbus"]
-    assert adapter.operations == reference_subject().adapters["modbus"].operations
+    reference = reference_subject().adapters["modbus"].operations
+    assert adapter.operations.keys() == {"ping", "read_input", "read_holding", "write_holding"}
+    for name, bound in adapter.operations.items():
+        (binding,), (whole,) = cast("Any", bound), cast("Any", reference[name])
+        assert (binding.tool, binding.outputs) == (whole.tool, whole.outputs)
+        assert binding.arguments.items() <= whole.arguments.items()
     assert adapter.variants["rw"].command == ("adapter",)
 
 

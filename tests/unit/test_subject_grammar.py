@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -14,6 +14,7 @@ from typing import Any
 import jsonschema
 import pytest
 
+from pytest_otmcp.protocols.modbus.tags import TAGS
 from pytest_otmcp.protocols.protocol import Choice, Operation, OtProtocol
 from pytest_otmcp.protocols.registry import OWN, protocols
 from pytest_otmcp.subject.grammar import OUTPUT_TABLE, adapter_table, binding_table, subject_file
@@ -176,9 +177,41 @@ def test_the_documentation_has_every_operation_with_its_inputs_and_outputs() -> 
     for key, protocol in own().items():
         expected = []
         for name, operation in protocol.operations.items():
-            outputs = ", ".join(
-                f"**{output}**" if output in operation.needed else output for output in operation.outputs
-            )
-            inputs = ", ".join(operation.inputs)
-            expected.append(f"`{name}`" + (f": {inputs}" if inputs else "") + (f" → {outputs}" if outputs else ""))
+            if not operation.voluntary:
+                expected.append(documented(name, operation.inputs, outputs_of(operation)))
         assert re.sub(r" \([^)]*\)", "", listed[key]) == " · ".join(expected)
+
+
+def documented(name: str, inputs: Sequence[str], outputs: Sequence[str]) -> str:
+    text = f"`{name}`" + (f": {', '.join(inputs)}" if inputs else "")
+    return text + (f" → {', '.join(outputs)}" if outputs else "")
+
+
+def outputs_of(operation: Operation) -> list[str]:
+    return [f"**{output}**" if output in operation.needed else output for output in operation.outputs]
+
+
+def test_the_documentation_has_what_is_claimed_by_binding_it() -> None:
+    header = (
+        "protocol | further operations (operation: inputs → outputs; needed outputs in bold, "
+        "further inputs and outputs in brackets)"
+    )
+    listed = rows("What it claims", header)
+    for key, protocol in own().items():
+        expected = []
+        for name, operation in protocol.operations.items():
+            inputs = [f"[{one}]" for one in operation.voluntary_inputs]
+            outputs = [f"[{one}]" for one in operation.voluntary_outputs]
+            if operation.voluntary:
+                inputs, outputs = [*operation.inputs, *inputs], [*outputs_of(operation), *outputs]
+            if operation.voluntary or inputs or outputs:
+                expected.append(documented(name, inputs, outputs))
+        assert listed[key] == " · ".join(expected)
+
+
+def test_the_documentation_has_the_tags_of_a_launch() -> None:
+    listed = rows("What it claims", "tag | table, address | type, order | scale, offset | writable")
+    for name, tag in TAGS.items():
+        cells = f"{tag.table} {tag.address} | {tag.type} {tag.order} | {tag.scale}, {tag.offset} | "
+        assert listed[f"`{name}`"] == cells + ("yes" if tag.writable else "no")
+    assert len(listed) == len(TAGS)

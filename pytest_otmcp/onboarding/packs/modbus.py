@@ -8,7 +8,7 @@ from typing import Any
 
 from ...protocols.journal import Entries
 from ...protocols.modbus.entries import ModbusEntry, as_modbus
-from ..experimenter import Experimenter
+from ..experimenter import Experiment, Experimenter
 from ..guess import Guess
 from ..known_causes import KnownCause
 from ..pack import Hints, Pack
@@ -17,6 +17,8 @@ from ..status import reach
 
 __all__ = ["PACK"]
 
+_READ_COILS, _READ_DISCRETE_INPUTS = 1, 2
+_BITS = 40
 _READ_HOLDING, _READ_INPUT, _WRITE_SINGLE, _WRITE_MULTIPLE = 3, 4, 6, 16
 _VALUES = range(2000, 0x10000)
 """Values that cannot be mistaken for an address, a count or a default."""
@@ -49,6 +51,31 @@ async def _read(
     experimenter.locate(proposal, "values", values)
     if proven:
         await experimenter.provoke(proposal, "illegal_address", address=9999, count=1)
+    return proposal
+
+
+async def _read_coils(experimenter: Experimenter, guess: Guess) -> Proposal:
+    return await _read_bits(experimenter, guess, "coils", _READ_COILS)
+
+
+async def _read_discrete_inputs(experimenter: Experimenter, guess: Guess) -> Proposal:
+    return await _read_bits(experimenter, guess, "discrete_inputs", _READ_DISCRETE_INPUTS)
+
+
+async def _read_bits(experimenter: Experimenter, guess: Guess, table: str, function: int) -> Proposal:
+    # As many as no two random rows of bits have in common.
+    values = [experimenter.random.random() < 0.5 for _ in range(_BITS)]
+    await experimenter.device.poke(unit=1, table=table, address=10, values=values)
+    offsets = (10001, 10000, 1)
+    shown, asked, offset = await _call_at(
+        experimenter, guess, _requests(function), offsets, address=10, count=len(values)
+    )
+    proven = asked is not None and asked["address"] == 10 and asked["quantity"] == len(values)
+    seen = _others(shown.entries)
+    if asked is not None:
+        seen = f"function {function} for address {asked['address']}, quantity {asked['quantity']}"
+    proposal = experimenter.propose(guess, shown, proven=proven, seen=seen, offset=offset)
+    experimenter.locate(proposal, "values", values)
     return proposal
 
 
@@ -109,6 +136,11 @@ def _requests(*functions: int) -> Find:
     return find
 
 
+def _plain(words: str, names: str, experiment: Experiment | None = None) -> Hints:
+    """Return the hints for a voluntary operation, which is proposed for tools with such a name alone."""
+    return Hints(likely=words, unlikely="", experiment=experiment, named=re.compile(names, re.IGNORECASE))
+
+
 PACK = Pack(
     protocol="modbus",
     operations={
@@ -142,11 +174,35 @@ PACK = Pack(
             choice=re.compile(r"^(?!.*discrete).*holding", re.IGNORECASE),
             trials={_TABLE: ("holding", "hr", "holding_register", "holding_registers")},
         ),
+        "read_coils": _plain("coil coils", r"(read|get)\w*coils?(_?(status|states?|values?))?", _read_coils),
+        "read_discrete_inputs": _plain(
+            "discrete input inputs",
+            r"(read|get)\w*discrete(_?inputs?)?(_?(status|states?|values?))?",
+            _read_discrete_inputs,
+        ),
+        "read_typed": _plain("typed holding", r"(?!\w*input)(read|get)\w*typed\w*"),
+        "read_typed_input": _plain("typed input", r"(read|get)\w*(input\w*typed|typed\w*input)\w*"),
+        "read_device_information": _plain(
+            "device information identification",
+            r"(read|get)_?device_?(information|info|identification|id)|identify(_?device)?",
+        ),
+        "read_tag": _plain("tag", r"(read|get)_?tag(_?value)?"),
+        "write_registers": _plain("registers", r"(write|set)_?(multiple_?)?(holding_?)?registers(_?bulk)?"),
+        "write_coil": _plain("coil", r"(write|set|force)_?(single_?)?coil"),
+        "write_coils": _plain("coils", r"(write|set|force)_?(multiple_?)?coils(_?bulk)?"),
+        "mask_write": _plain("mask write register", r"mask_?write(_?(holding_?)?register)?"),
+        "write_tag": _plain("tag", r"(write|set)_?tag(_?value)?"),
     },
     arguments={
         "address": "address addr start start_address starting_address register register_address offset index",
+        "values": "values data states",
+        "type": "data_type type datatype dtype",
+        "name": "tag tag_name name",
+        "and_mask": "and_mask",
+        "or_mask": "or_mask",
         "count": "count quantity num number length size qty num_registers register_count n",
     },
+    lists=frozenset({"values"}),
     # The mock device's unit identifier.
     constants={r"^(unit|unit_id|unitid|slave|slave_id|slaveid)$": 1},
     names=("modbus", "modbus-tcp", "modbus_tcp", "tcp"),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 from ...protocols.opcua.oracle import children_of, folder_id, some_service
 from ..evidence import lists_in
 from ..experimenter import Experimenter
@@ -121,12 +123,28 @@ PACK = Pack(
             needed="all variables variable enumerate",
             experiment=_variables,
         ),
+        "write_many": Hints(
+            likely="write multiple nodes",
+            unlikely="",
+            experiment=None,
+            named=re.compile(r"(opcua_?)?write_?(multiple|many|batch)_?(opcua_?)?(nodes|values)?", re.IGNORECASE),
+        ),
+        "call_method": Hints(
+            likely="call method",
+            unlikely="",
+            experiment=None,
+            named=re.compile(r"(opcua_?)?call_?(opcua_?)?method", re.IGNORECASE),
+        ),
     },
     arguments={
         "node": "node_id nodeid node id node_ids nodes address",
         "nodes": "node_ids nodes nodeids ids",
+        "items": "items nodes_to_write writes",
+        "object": "object_id object object_node_id parent_id",
+        "method": "method_id method method_node_id",
+        "arguments": "arguments input_arguments args inputs",
     },
-    lists=frozenset({"nodes"}),
+    lists=frozenset({"nodes", "items", "arguments"}),
     names=("opcua", "opc-ua", "opc_ua"),
     errors={
         "illegal_address": (r"BadNodeIdUnknown|BadNodeIdInvalid|0x8034",),
