@@ -11,13 +11,12 @@ from ..core.digest import files_digest
 from ..core.matrix import BENCHMARK, REQUIREMENTS
 from ..protocols.registry import protocols
 from ..trial.task import Task
+from .package import SUITE
+from .requirements import cited
 
 __all__ = ["SUITE", "all_tasks", "kit_digest", "suite_digest", "task_modules", "tasks_by_id"]
 
 _PACKAGE = __package__.partition(".")[0]
-
-SUITE = f"{_PACKAGE}.conformance"
-"""The package of the shipped suite."""
 
 _MOCKS = f"{_PACKAGE}.mocks"
 _ADAPTERS = f"{_PACKAGE}.reference_adapters"
@@ -34,9 +33,16 @@ def task_modules() -> tuple[str, ...]:
 
 
 def all_tasks() -> dict[str, Task]:
-    """Return every task by id in the suite's order, also the tasks that run only for a subject with their protocol."""
+    """Return every task by id in the suite's order, also the tasks that run only for a subject with their protocol.
+
+    Raises:
+        ValueError: a task cites a requirement that the catalogue does not have; one sentence.
+    """
     benchmark, requirements = _declarations()
-    return {task.id: task for task in (*benchmark.tasks(), *requirements.checks())}
+    tasks = {task.id: task for task in (*benchmark.tasks(), *requirements.checks())}
+    for task in tasks.values():
+        cited(task.id, task.requirements)
+    return tasks
 
 
 def tasks_by_id(adapters: Collection[str] = (), suites: Collection[str] = BENCHMARK) -> dict[str, Task]:

@@ -16,7 +16,7 @@ from ..trial.explanation import explanation
 from ..trial.task import Task
 from .catalogue import all_tasks
 from .keys import keys_of_code, keys_of_task
-from .requirements import Requirement, requirements
+from .requirements import Requirement, catalogue, requirements
 
 __all__ = ["Explained", "Part", "error_code", "explained", "finding_code", "findings", "item", "near", "requirement"]
 
@@ -108,12 +108,16 @@ def requirement(row: Requirement) -> Explained:
     strength = row.strength + (", and the kit asks for more than the source does" if row.stricter else "")
     source = row.source + ("" if row.checked else " (the text was not at hand: check the section before you quote it)")
     lost = f"The grade for {_words(row.capabilities)}, whichever item the finding is in"
+    profiles = _list([f"{name} ({catalogue().profiles[name].meaning})" for name in row.profiles])
+    only = f", for {_list([protocols()[key].name for key in row.protocols])} only" if row.protocols else ""
     return _explained(
         row.id,
         "requirement",
         row.statement,
         ("Strength", (strength,)),
+        ("Level", (f"{row.level.capitalize()} and above; profile {profiles}{only}; since version {row.since}",)),
         ("How it is judged", (row.judged,)),
+        ("Not yet judged", (row.not_yet or "",)),
         ("Source", (source,)),
         ("What it takes away", (lost if row.capabilities else "",)),
         ("Items about it", (_list([task.id for task in all_tasks().values() if row.id in task.requirements]),)),

@@ -11,7 +11,7 @@ from ..core.error_registry import registry
 from ..core.matrix import BENCHMARK, REQUIREMENTS
 from .catalogue import all_tasks
 from .explanations import Explained, error_code, finding_code, findings, item, requirement
-from .requirements import requirements
+from .requirements import Level, Requirement, catalogue, requirements
 
 __all__ = ["PAGES", "page"]
 
@@ -45,10 +45,36 @@ def _requirements() -> Iterator[str]:
     yield "# The requirements"
     yield _HEAD.format(name="requirements", origin="`conformance/requirements.toml`")
     yield (
-        "These are the rows of the requirement catalogue that a task, an oracle or a check of the envelope cites today. Only a MUST "
-        "that is not met turns an item red. `otmcp explain WR-003` prints the same."
+        "These are the rows of the requirement catalogue: what an adapter between assistants and a plant has to do. Only a MUST that is "
+        "not met turns an item red. A row that is not yet judged says why, and counts for no level. `otmcp explain WR-003` prints "
+        "the same."
     )
-    yield from _sections(map(requirement, requirements().values()), "##")
+    yield "## Levels and profiles"
+    yield (
+        "A level is earned for each protocol apart. It needs every MUST of its own profiles and of those of the levels below, as far as "
+        "the subject claims what the row is about. Gold cannot be earned yet: rows that it needs are not yet judged."
+    )
+    yield _table(("level", "what its adapter is good for"), ((level.capitalize(), level.meaning) for level in Level))
+    profiles = catalogue().profiles.values()
+    yield _table(
+        ("profile", "what it is about", "from level"),
+        ((f"`{profile.id}`", profile.meaning, profile.level.capitalize()) for profile in profiles),
+    )
+    for area, heading in catalogue().areas.items():
+        rows = [row for row in requirements().values() if row.area == area]
+        yield f"## {area}: {heading}"
+        yield _table(("id", "strength", "level", "what has to be done"), map(_cells, rows))
+        yield from _sections(map(requirement, rows))
+
+
+def _cells(row: Requirement) -> tuple[str, ...]:
+    first, _, _ = row.statement.partition(". ")
+    not_yet = " *Not yet judged.*" if row.not_yet else ""
+    return _linked(row.id), row.strength, row.level.capitalize(), f"{first.removesuffix('.')}.{not_yet}"
+
+
+def _table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in (head, ("---",) * len(head), *rows))
 
 
 def _codes() -> Iterator[str]:

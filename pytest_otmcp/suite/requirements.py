@@ -1,20 +1,70 @@
-"""The rows of the requirement catalogue that the suite cites (``requirements.toml`` beside the suite) as frozen data. Pure."""
+"""The requirement catalogue (``requirements.toml`` beside the suite) as frozen data. Pure.
+
+The file is read strictly: a key that is unknown, missing or of another type, and a level, profile or protocol that does not
+exist, end in one sentence.
+"""
 
 from __future__ import annotations
 
+import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from enum import StrEnum
 from functools import cache
 from importlib import resources
-from typing import Literal
+from typing import Any, Literal, cast
 
 from ..core.capability import Capability
-from .catalogue import SUITE
+from ..protocols.registry import protocol_keys
+from .package import SUITE
 
-__all__ = ["Requirement", "requirements"]
+__all__ = ["Catalogue", "Level", "Profile", "Requirement", "catalogue", "cited", "read", "requirements"]
 
 _FILE = "requirements.toml"
+_ID = re.compile(r"[A-Z]{2,3}-[0-9]{3}")
+_STRENGTHS = ("MUST", "SHOULD")
+
+
+class Level(StrEnum):
+    """A level of conformance; each needs what is below it."""
+
+    BRONZE = "bronze"
+    SILVER = "silver"
+    GOLD = "gold"
+
+    @property
+    def rank(self) -> int:
+        """0 for the lowest level."""
+        return list(Level).index(self)
+
+    @property
+    def meaning(self) -> str:
+        """What an adapter of this level is good for, as the end of a sentence about it."""
+        return _MEANINGS[self]
+
+
+_MEANINGS = {
+    Level.BRONZE: "may be connected to a plant for reading",
+    Level.SILVER: "may write there while a person watches",
+    Level.GOLD: "may be used by an assistant that decides by itself",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Profile:
+    """A part of an adapter that rows are about.
+
+    Attributes:
+        level: the lowest level that looks at this part.
+        meaning: the part in a few words.
+        protocol: key of the protocol that it belongs to; None where every adapter has it.
+    """
+
+    id: str
+    level: Level
+    meaning: str
+    protocol: str | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,38 +74,195 @@ class Requirement:
     Attributes:
         id: as findings cite it, such as ``WR-003``.
         strength: ``MUST`` or ``SHOULD``; only a MUST that is not met turns an item red.
+        level: the lowest level of conformance that needs the row.
+        profiles: ids of the parts of an adapter that it is about.
         statement: what an adapter has to do.
         judged: what the kit looks at, in the answer and at the device.
         source: where the rule comes from, with its section.
         checked: the authors of the row had the text of the source before them.
+        since: version of the kit that has the row.
         stricter: the kit asks for more than the source, which recommends it or gives the principle only.
+        protocols: keys of the protocols that it is about, where its profiles do not say that; empty for those of the profiles.
         capabilities: what a plant must not rely on after a finding about the row, whichever item the finding was in.
+        not_yet: why no check of the requirement suite judges it yet; None where one does.
     """
 
     id: str
     strength: Literal["MUST", "SHOULD"]
+    level: Level
+    profiles: tuple[str, ...]
     statement: str
     judged: str
     source: str
     checked: bool
+    since: str
     stricter: bool = False
+    protocols: tuple[str, ...] = ()
     capabilities: tuple[Capability, ...] = ()
+    not_yet: str | None = None
+
+    @property
+    def area(self) -> str:
+        """The letters of its id, such as ``WR``."""
+        return self.id.partition("-")[0]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Catalogue:
+    """The whole catalogue, in the order of the file.
+
+    Attributes:
+        areas: the letters with which ids begin, to a heading.
+        profiles: by id.
+        rows: by id.
+    """
+
+    areas: Mapping[str, str]
+    profiles: Mapping[str, Profile]
+    rows: Mapping[str, Requirement]
+
+    def needs(self, level: Level, protocol: str) -> list[Requirement]:
+        """Return the rows that an adapter for a protocol has to meet for a level, those of the levels below included.
+
+        Args:
+            level: the level that is asked for.
+            protocol: key of the protocol.
+        """
+        return [
+            row
+            for row in self.rows.values()
+            if row.level.rank <= level.rank
+            and (not row.protocols or protocol in row.protocols)
+            and any(
+                self.profiles[name].level.rank <= level.rank and self.profiles[name].protocol in (None, protocol)
+                for name in row.profiles
+            )
+        ]
+
+
+def read(text: str) -> Catalogue:
+    """Read a catalogue.
+
+    Raises:
+        ValueError: the text is no catalogue; one sentence.
+    """
+    try:
+        document = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"{_FILE}: {error}") from None
+    areas = _table(document, "areas")
+    profiles = {name: _profile(name, table) for name, table in _table(document, "profiles").items()}
+    rows = {name: _row(name, table, areas, profiles) for name, table in document.items()}
+    return Catalogue(areas=areas, profiles=profiles, rows=rows)
+
+
+def _profile(name: str, table: object) -> Profile:
+    fields = _fields(table, name, {"level": str, "meaning": str}, {"protocol": str})
+    protocol = fields.get("protocol")
+    if protocol is not None:
+        _known((protocol,), protocol_keys(), name, "protocol")
+    _known((fields["level"],), Level, name, "level")
+    return Profile(id=name, level=Level(fields["level"]), meaning=fields["meaning"], protocol=protocol)
+
+
+def _row(name: str, table: object, areas: Iterable[str], profiles: Iterable[str]) -> Requirement:
+    if _ID.fullmatch(name) is None:
+        raise ValueError(f"{_FILE}: {name!r} is no id of a requirement")
+    fields = _fields(
+        table,
+        name,
+        {
+            "strength": str,
+            "level": str,
+            "profiles": list,
+            "statement": str,
+            "judged": str,
+            "source": str,
+            "checked": bool,
+            "since": str,
+        },
+        {"stricter": bool, "protocols": list, "capabilities": list, "not_yet": str},
+    )
+    _known((name.partition("-")[0],), areas, name, "area")
+    _known((fields["strength"],), _STRENGTHS, name, "strength")
+    _known((fields["level"],), Level, name, "level")
+    _known(fields["profiles"], profiles, name, "profile")
+    _known(fields.get("protocols", ()), protocol_keys(), name, "protocol")
+    _known(fields.get("capabilities", ()), Capability, name, "capability")
+    if not fields["profiles"]:
+        raise ValueError(f"{_FILE}: {name} has no profile")
+    return Requirement(
+        id=name,
+        strength=cast(Literal["MUST", "SHOULD"], fields["strength"]),
+        level=Level(fields["level"]),
+        profiles=tuple(fields["profiles"]),
+        statement=fields["statement"],
+        judged=fields["judged"],
+        source=fields["source"],
+        checked=fields["checked"],
+        since=fields["since"],
+        stricter=fields.get("stricter", False),
+        protocols=tuple(fields.get("protocols", ())),
+        capabilities=tuple(map(Capability, fields.get("capabilities", ()))),
+        not_yet=fields.get("not_yet"),
+    )
+
+
+def _table(document: dict[str, Any], name: str) -> dict[str, Any]:
+    found = document.pop(name, None)
+    if not isinstance(found, dict):
+        raise ValueError(f"{_FILE}: there is no table [{name}]")
+    return found
+
+
+def _fields(table: object, name: str, required: Mapping[str, type], optional: Mapping[str, type]) -> dict[str, Any]:
+    """Return the keys of a row or profile, each of its type and none empty."""
+    if not isinstance(table, dict):
+        raise ValueError(f"{_FILE}: {name} is no table")
+    known = {**required, **optional}
+    for key, value in table.items():
+        if key not in known:
+            raise ValueError(f"{_FILE}: {name} has an unknown key {key!r}")
+        if type(value) is not known[key] or value == "":
+            raise ValueError(f"{_FILE}: {name}.{key} has to be of type {known[key].__name__} and not empty")
+    for key in required:
+        if key not in table:
+            raise ValueError(f"{_FILE}: {name} has no {key!r}")
+    return table
+
+
+def _known(values: Iterable[object], known: Iterable[str], name: str, what: str) -> None:
+    names = list(known)
+    seen: list[object] = []
+    for value in values:
+        if value not in names:
+            raise ValueError(f"{_FILE}: {name} has an unknown {what} {value!r}; there are {', '.join(names)}")
+        if value in seen:
+            raise ValueError(f"{_FILE}: {name} names the {what} {value!r} twice")
+        seen.append(value)
 
 
 @cache
+def catalogue() -> Catalogue:
+    """Return the catalogue of the shipped suite."""
+    return read((resources.files(SUITE) / _FILE).read_text(encoding="utf-8"))
+
+
 def requirements() -> Mapping[str, Requirement]:
-    """Return the rows, id to row, in the order of the file."""
-    rows = tomllib.loads((resources.files(SUITE) / _FILE).read_text(encoding="utf-8"))
-    return {
-        identifier: Requirement(
-            id=identifier,
-            strength=row["strength"],
-            statement=row["statement"],
-            judged=row["judged"],
-            source=row["source"],
-            checked=row["checked"],
-            stricter=row.get("stricter", False),
-            capabilities=tuple(map(Capability, row.get("capabilities", ()))),
-        )
-        for identifier, row in rows.items()
-    }
+    """Return its rows, id to row, in the order of the file."""
+    return catalogue().rows
+
+
+def cited(by: str, identifiers: Iterable[str]) -> None:
+    """Check that whatever cites requirements cites rows of the catalogue.
+
+    Args:
+        by: what cites them, such as the id of a task.
+        identifiers: what it cites.
+
+    Raises:
+        ValueError: the catalogue has no such row; one sentence.
+    """
+    for identifier in identifiers:
+        if identifier not in requirements():
+            raise ValueError(f"{by} cites {identifier!r}, which is no row of the requirement catalogue")

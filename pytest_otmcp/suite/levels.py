@@ -1,0 +1,239 @@
+"""The level of conformance that an adapter has earned, for each protocol. Pure: a function of the catalogue and a run's items.
+
+The rules of this file:
+
+1. A level needs every MUST that the catalogue has for it and the levels below, in the profiles of every adapter and of the
+   protocol. A row is met when its item of the requirement suite passed and no finding of any item is about it.
+2. A row whose item does not apply, because the subject does not claim what the row is about, is not asked for. A row without
+   an item, or whose item did not end, is not met.
+3. A level is about something: at least one of the rows that begin with it and belong to the protocol's own profiles is met.
+4. An adapter that may write has to show that its writes can be disabled, also where it does not claim that.
+5. A failure that is about no row of the catalogue denies every level.
+6. A row that is not yet judged is not asked for, but a finding about it counts. The highest level cannot be earned as long as
+   rows that begin with it are not yet judged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+from ..core.text import counted
+from ..core.verdict import Status
+from ..protocols.registry import protocols
+from ..record.schema import Item
+from ..record.warnings import failing, findings_of
+from .requirements import Catalogue, Level, Requirement
+
+__all__ = ["REQUIREMENT_SUITE", "Standing", "judged", "said", "shown", "standing"]
+
+REQUIREMENT_SUITE = "requirements"
+"""The suite whose items decide whether a row is met; each is named by its row and protocol, such as ``WR-003.KEY``."""
+
+_GUARD = "WR-004"
+"""The row by which writes that are disabled stay disabled."""
+
+
+class _State(StrEnum):
+    """What a run shows about a row, the worst first."""
+
+    VIOLATED = "violated"
+    OPEN = "open"
+    MET = "met"
+    UNCLAIMED = "unclaimed"
+
+
+_STATES = {
+    Status.PASS: _State.MET,
+    Status.FAIL: _State.VIOLATED,
+    Status.NOT_TESTABLE: _State.VIOLATED,
+    Status.NOT_APPLICABLE: _State.UNCLAIMED,
+    Status.KIT_ERROR: _State.OPEN,
+    Status.INTERRUPTED: _State.OPEN,
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Standing:
+    """The level of one protocol, and what is missing for the next one.
+
+    Attributes:
+        protocol: its key.
+        level: the level that is earned; None for none.
+        wanted: the next level.
+        attainable: whether that level can be earned with this catalogue.
+        failed: rows that it needs and that are not met, each with the items that show it.
+        unattributed: items with a failure that is about no row of the catalogue.
+        not_run: rows that it needs and that no item has decided.
+        unclaimed: rows that it would need of a subject that claims what they are about.
+        not_yet: rows that it will need once they are judged.
+        shown: whether a row of the protocol's own profiles that begins with that level is met.
+    """
+
+    protocol: str
+    level: Level | None
+    wanted: Level
+    attainable: bool
+    failed: Mapping[str, tuple[str, ...]]
+    unattributed: tuple[str, ...]
+    not_run: tuple[str, ...]
+    unclaimed: tuple[str, ...]
+    not_yet: tuple[str, ...]
+    shown: bool
+
+    @property
+    def earned(self) -> bool:
+        """Whether the wanted level is earned."""
+        return self.attainable and self.shown and not (self.failed or self.unattributed or self.not_run)
+
+
+def judged(items: Iterable[Item]) -> bool:
+    """Tell whether a run has items of the requirement suite; without them nothing is said about levels."""
+    return any(item["suite"] == REQUIREMENT_SUITE for item in items)
+
+
+def standing(catalogue: Catalogue, items: Sequence[Item], protocol: str) -> Standing:
+    """Return the level of one protocol.
+
+    Args:
+        catalogue: the requirement catalogue.
+        items: of the run, in any order; those of other suites count by their findings.
+        protocol: key of a protocol for which the subject has an adapter.
+    """
+    evidence = _Evidence(catalogue, items, protocol)
+    earned: Level | None = None
+    for level in Level:
+        found = evidence.standing(earned, level)
+        if not found.earned:
+            return found
+        earned = level
+    return replace(found, level=earned)
+
+
+class _Evidence:
+    """What the items of a run show about the rows, for one protocol."""
+
+    def __init__(self, catalogue: Catalogue, items: Sequence[Item], protocol: str) -> None:
+        self._catalogue = catalogue
+        self._protocol = protocol
+        self._states: dict[str, _State] = {}
+        self._blamed: dict[str, list[str]] = {}
+        self._unattributed: list[str] = []
+        for item in items:
+            if protocol in _protocols(item):
+                self._look_at(item)
+
+    def _look_at(self, item: Item) -> None:
+        row, state = item["id"].partition(".")[0], _STATES[Status(item["status"])]
+        cited = {finding["requirement"] for finding in failing(findings_of(item))}
+        decides = item["suite"] == REQUIREMENT_SUITE and row in self._catalogue.rows
+        if decides:
+            ranks = list(_State)
+            self._states[row] = min(state, self._states.get(row, _State.UNCLAIMED), key=ranks.index)
+            if state is _State.VIOLATED:
+                self._blame(row, item["id"])
+        if item["status"] == Status.KIT_ERROR:
+            # Nothing that was seen in it says anything about the adapter.
+            return
+        for name in cited:
+            if name in self._catalogue.rows:
+                self._blame(str(name), item["id"])
+            elif item["id"] not in self._unattributed:
+                self._unattributed.append(item["id"])
+        if state is _State.VIOLATED and not cited and not decides:
+            self._unattributed.append(item["id"])
+
+    def _blame(self, row: str, item: str) -> None:
+        if item not in (items := self._blamed.setdefault(row, [])):
+            items.append(item)
+
+    def standing(self, earned: Level | None, wanted: Level) -> Standing:
+        """Return what is missing for a level above the one that is earned."""
+        needed = [row for row in self._catalogue.needs(wanted, self._protocol) if row.strength == "MUST"]
+        judged = [row.id for row in needed if row.not_yet is None]
+        failed = {row.id: tuple(sorted(self._blamed[row.id])) for row in needed if row.id in self._blamed}
+        unclaimed = [name for name in judged if self._state(name) is _State.UNCLAIMED and name not in failed]
+        not_run = [name for name in judged if self._state(name) is _State.OPEN and name not in failed]
+        if _GUARD in unclaimed and not self._only_reads():
+            unclaimed.remove(_GUARD)
+            not_run.append(_GUARD)
+        return Standing(
+            protocol=self._protocol,
+            level=earned,
+            wanted=wanted,
+            attainable=wanted is not Level.GOLD or all(row.not_yet is None for row in needed if row.level is wanted),
+            failed=failed,
+            unattributed=tuple(sorted(self._unattributed)),
+            not_run=tuple(not_run),
+            unclaimed=tuple(unclaimed),
+            not_yet=tuple(row.id for row in needed if row.not_yet is not None and row.id not in failed),
+            shown=wanted is Level.GOLD
+            or any(self._state(row.id) is _State.MET and row.id not in failed for row in self._own(wanted)),
+        )
+
+    def _state(self, row: str) -> _State:
+        return self._states.get(row, _State.OPEN)
+
+    def _own(self, level: Level) -> list[Requirement]:
+        """Return the rows that begin with a level and belong to a profile of the protocol's own."""
+        return [
+            row
+            for row in self._catalogue.rows.values()
+            if row.level is level
+            and row.not_yet is None
+            and any(self._catalogue.profiles[name].protocol == self._protocol for name in row.profiles)
+        ]
+
+    def _only_reads(self) -> bool:
+        return all(self._state(row.id) is _State.UNCLAIMED for row in self._own(Level.SILVER))
+
+
+def _protocols(item: Item) -> set[str]:
+    """Return the keys of the protocols that an item is about; an item that does not say that is about every one."""
+    known = set(protocols())
+    if item["suite"] == REQUIREMENT_SUITE and (key := item["id"].partition(".")[2]) in known:
+        return {key}
+    named = {key for key in known if protocols()[key].name == item["family"]}
+    return named or {name.partition("@")[0] for name in item["devices"]} & known or known
+
+
+def said(found: Standing) -> str:
+    """Say in one line which level a protocol has, and how far the next one is."""
+    name = protocols()[found.protocol].name
+    level = "no level" if found.level is None else found.level.capitalize()
+    if not found.attainable:
+        return f"{name}: {level}; {found.wanted.capitalize()} cannot be earned yet"
+    lacking = [
+        f"{counted(len(names), noun)} {what} ({', '.join(names)})"
+        for names, noun, what in (
+            (tuple(found.failed), "row", "not met"),
+            (found.unattributed, "item", "failed for a cause of its own"),
+            (found.not_run, "row", "not shown"),
+        )
+        if names
+    ]
+    if not lacking:
+        lacking = ["nothing that belongs to it is claimed"]
+    return f"{name}: {level}; for {found.wanted.capitalize()}: {'; '.join(lacking)}"
+
+
+def shown(found: Standing, catalogue: Catalogue) -> list[str]:
+    """Say what is missing for the next level in sentences, the rows by id with the items that show it."""
+    wanted = found.wanted.capitalize()
+    told = [f"{row} is not met, as {', '.join(items)} shows." for row, items in found.failed.items()]
+    if found.unattributed:
+        told.append(f"{', '.join(found.unattributed)} failed for a cause that is no row of the catalogue.")
+    if found.not_run:
+        told.append(f"No item has shown {', '.join(found.not_run)}.")
+    if found.attainable and not found.shown:
+        told.append(f"Nothing that {wanted} is about has been shown to work.")
+    if found.unclaimed:
+        told.append(f"Not asked for, because the subject does not claim it: {', '.join(found.unclaimed)}.")
+    reasons: dict[str, list[str]] = {}
+    for name in found.not_yet:
+        reasons.setdefault(catalogue.rows[name].not_yet or "", []).append(name)
+    told += [f"Not yet judged: {', '.join(names)} ({reason})." for reason, names in reasons.items()]
+    if not found.attainable:
+        told.append(f"{wanted} cannot be earned yet: rows that begin with it are not yet judged.")
+    return told

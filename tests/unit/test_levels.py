@@ -1,0 +1,225 @@
+"""The level of an adapter is a function of the catalogue and of the items of a run."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterable
+from typing import Any, cast
+
+import pytest
+
+from pytest_otmcp.record.schema import Item
+from pytest_otmcp.suite.levels import REQUIREMENT_SUITE, Standing, judged, said, shown, standing
+from pytest_otmcp.suite.requirements import Catalogue, Level, catalogue, read
+
+from .samples import finding, item
+
+KEYS = ("modbus", "mqtt", "opcua")
+
+
+def check(row: str, protocol: str = "modbus", status: str = "PASS") -> dict[str, Any]:
+    """Return the item of the requirement suite that judges a row."""
+    entry = item(f"{row}.{protocol}", REQUIREMENT_SUITE, "", row, [])
+    return {**entry, "status": status, "requirements": [row]}
+
+
+def all_passed(protocol: str = "modbus", level: Level = Level.SILVER) -> dict[str, dict[str, Any]]:
+    """Return items that meet every row that a level needs and that is judged, by row."""
+    return {row.id: check(row.id, protocol) for row in catalogue().needs(level, protocol) if row.not_yet is None}
+
+
+def stands(items: Iterable[dict[str, Any]], protocol: str = "modbus", rows: Catalogue | None = None) -> Standing:
+    return standing(rows or catalogue(), cast(list[Item], list(items)), protocol)
+
+
+def rank(found: Standing) -> int:
+    return -1 if found.level is None else found.level.rank
+
+
+def blamed(entry: dict[str, Any], requirement: str | None, strength: str = "MUST") -> dict[str, Any]:
+    """Return an item with one more finding."""
+    told = {**finding("wrong_value", "values differ", requirement), "strength": strength}
+    return {**entry, "findings": [*entry["findings"], told]}
+
+
+@pytest.mark.parametrize("protocol", KEYS)
+def test_every_row_met_is_silver_and_gold_cannot_be_earned(protocol: str) -> None:
+    found = stands(all_passed(protocol).values(), protocol)
+    assert (found.level, found.wanted, found.attainable) == (Level.SILVER, Level.GOLD, False)
+    assert found.failed == {}
+    assert found.not_run == ()
+    assert {"SEC-001", "MCP-011", "WR-006", "KEY-001"} <= {*found.not_yet}
+    assert said(found).endswith(": Silver; Gold cannot be earned yet")
+    assert shown(found, catalogue())[-1] == "Gold cannot be earned yet: rows that begin with it are not yet judged."
+
+
+@pytest.mark.parametrize("protocol", KEYS)
+def test_the_rows_of_bronze_alone_are_bronze_when_nothing_else_is_claimed(protocol: str) -> None:
+    items = all_passed(protocol)
+    for row in items:
+        if catalogue().rows[row].level is not Level.BRONZE:
+            items[row] = check(row, protocol, "NOT_APPLICABLE")
+    found = stands(items.values(), protocol)
+    assert (found.level, found.wanted) == (Level.BRONZE, Level.SILVER)
+    assert not found.shown
+    assert "Nothing that Silver is about has been shown to work." in shown(found, catalogue())
+
+
+def test_a_run_without_items_earns_nothing() -> None:
+    found = stands([])
+    assert (found.level, found.wanted) == (None, Level.BRONZE)
+    assert len(found.not_run) == 46
+    assert not judged(cast(list[Item], [item("M1", "normal", "Modbus", "Ping.", [1.0])]))
+    assert judged(cast(list[Item], [check("WR-003")]))
+
+
+@pytest.mark.parametrize("status", ["FAIL", "NOT_TESTABLE"])
+def test_a_row_whose_item_failed_is_named_with_the_item(status: str) -> None:
+    found = stands({**all_passed(), "WR-003": check("WR-003", status=status)}.values())
+    assert (found.level, found.failed) == (Level.BRONZE, {"WR-003": ("WR-003.modbus",)})
+    assert said(found) == "Modbus: Bronze; for Silver: 1 row not met (WR-003)"
+    assert "WR-003 is not met, as WR-003.modbus shows." in shown(found, catalogue())
+
+
+@pytest.mark.parametrize("status", ["KIT_ERROR", "INTERRUPTED", None])
+def test_a_row_that_no_item_decided_is_missing(status: str | None) -> None:
+    items = all_passed()
+    del items["WR-003"]
+    if status is not None:
+        items["WR-003"] = check("WR-003", status=status)
+    found = stands(items.values())
+    assert (found.level, found.not_run) == (Level.BRONZE, ("WR-003",))
+    assert said(found) == "Modbus: Bronze; for Silver: 1 row not shown (WR-003)"
+
+
+def test_a_row_that_is_not_claimed_is_not_asked_for() -> None:
+    found = stands({**all_passed(), "WR-011": check("WR-011", status="NOT_APPLICABLE")}.values())
+    assert found.level is Level.SILVER
+    assert found.unclaimed == ("WR-011",)
+
+
+def test_a_finding_of_another_suites_item_denies_the_row() -> None:
+    found = stands([*all_passed().values(), blamed(item("M3", "normal", "Modbus", "Write.", [1.0]), "WR-001")])
+    assert (found.level, found.failed) == (Level.BRONZE, {"WR-001": ("M3",)})
+
+
+def test_a_finding_counts_for_the_protocol_of_its_item_alone() -> None:
+    elsewhere = blamed(item("Q3", "normal", "MQTT", "Publish.", [1.0]), "RD-004")
+    assert stands([*all_passed().values(), elsewhere]).level is Level.SILVER
+    across = blamed(item("X1", "normal", "Cross-protocol", "Read all.", [1.0]), "RD-004")
+    assert stands([*all_passed().values(), across]).level is None
+    across["devices"] = {"mqtt": {}, "opcua@ro": {}}
+    assert stands([*all_passed().values(), across]).level is Level.SILVER
+    assert stands([*all_passed("opcua").values(), across], "opcua").level is None
+
+
+def test_a_warning_and_a_finding_of_an_item_that_the_kit_broke_deny_nothing() -> None:
+    warned = blamed(check("RD-001"), "RD-001", "SHOULD")
+    broken = blamed({**item("M3", "normal", "Modbus", "Write.", [1.0]), "status": "KIT_ERROR"}, "RD-001")
+    assert stands([*{**all_passed(), "RD-001": warned}.values(), broken]).level is Level.SILVER
+
+
+def test_a_failure_that_is_about_no_row_denies_every_level() -> None:
+    dead = {**item("M1", "normal", "Modbus", "Ping.", []), "status": "FAIL"}
+    for entry in (dead, blamed(dead, None), blamed(dead, "ACME 7")):
+        found = stands([*all_passed().values(), entry])
+        assert (found.level, found.unattributed) == (None, ("M1",))
+        assert said(found) == "Modbus: no level; for Bronze: 1 item failed for a cause of its own (M1)"
+
+
+def test_a_finding_about_a_row_that_is_not_yet_judged_denies_the_level() -> None:
+    found = stands([*{**all_passed(), "ENV-006": blamed(check("ENV-006"), "KEY-001")}.values()])
+    assert (found.level, found.failed) == (None, {"KEY-001": ("ENV-006.modbus",)})
+    assert "KEY-001" not in found.not_yet
+
+
+def test_an_adapter_that_may_write_has_to_show_that_it_can_be_kept_from_it() -> None:
+    unguarded = {**all_passed(), "WR-004": check("WR-004", status="NOT_APPLICABLE")}
+    found = stands(unguarded.values())
+    assert (found.level, found.not_run) == (None, ("WR-004",))
+    own = [
+        row
+        for row in unguarded
+        if catalogue().rows[row].level is Level.SILVER and "mb-w" in catalogue().rows[row].profiles
+    ]
+    assert own == ["WR-001", "WR-002", "WR-008", "WR-009", "ADR-003", "ADR-004"]
+    reading = {**unguarded, **{row: check(row, status="NOT_APPLICABLE") for row in own}}
+    assert stands(reading.values()).level is Level.BRONZE
+    # That a row about writing did not run does not show that the adapter cannot write.
+    del reading[own[0]]
+    assert stands(reading.values()).level is None
+
+
+def test_a_protocol_without_profiles_of_its_own_earns_no_level() -> None:
+    text = '[areas]\nENV = "x"\n[profiles]\ncore = { level = "bronze", meaning = "x" }\n[ENV-001]\nstrength = "MUST"\n'
+    text += 'level = "bronze"\nprofiles = ["core"]\nstatement = "x"\njudged = "x"\nsource = "x"\nchecked = true\nsince = "0.2"\n'
+    found = stands([check("ENV-001")], rows=read(text))
+    assert (found.level, found.not_run, found.shown) == (None, (), False)
+    assert said(found) == "Modbus: no level; for Bronze: nothing that belongs to it is claimed"
+
+
+def test_gold_can_be_earned_once_its_rows_are_judged() -> None:
+    row = 'strength = "MUST"\nstatement = "x"\njudged = "x"\nsource = "x"\nchecked = true\nsince = "0.2"\n'
+    text = '[areas]\nRD = "x"\nWR = "x"\nSEC = "x"\n[profiles]\nmb-r = { level = "bronze", protocol = "modbus", meaning = "x" }\n'
+    text += 'mb-w = { level = "silver", protocol = "modbus", meaning = "x" }\nsec = { level = "gold", meaning = "x" }\n'
+    for name, level, profile in (
+        ("RD-001", "bronze", "mb-r"),
+        ("WR-001", "silver", "mb-w"),
+        ("SEC-001", "gold", "sec"),
+    ):
+        text += f'[{name}]\nlevel = "{level}"\nprofiles = ["{profile}"]\n{row}'
+    items = [check("RD-001"), check("WR-001"), check("SEC-001")]
+    assert stands(items, rows=read(text)).level is Level.GOLD
+    assert stands(items[:2], rows=read(text)).not_run == ("SEC-001",)
+
+
+def a_run(seed: int) -> list[dict[str, Any]]:
+    """Return items at random, most of which passed; some rows are judged twice, some not at all."""
+    rng = random.Random(seed)
+    rows = [row for row in all_passed() if rng.random() > rng.choice((0, 0, 0.01))]
+    bad = ["FAIL", "NOT_APPLICABLE", "KIT_ERROR", "NOT_TESTABLE"]
+    share = rng.choice((0, 0, 0.02, 0.3))
+    items = [check(row, status=rng.choice(bad) if rng.random() < share else "PASS") for row in [*rows, *rows[:3]]]
+    if rng.random() < 0.2:
+        items.append(blamed(item("M3", "normal", "Modbus", "Write.", [1.0]), rng.choice([*catalogue().rows])))
+    return items
+
+
+SEEDS = range(60)
+
+
+def test_the_runs_at_random_earn_each_level() -> None:
+    assert {rank(stands(a_run(seed))) for seed in SEEDS} == {-1, 0, 1}
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_order_of_the_items_does_not_matter(seed: int) -> None:
+    items = a_run(seed)
+    shuffled = items[:]
+    random.Random(seed).shuffle(shuffled)
+    assert stands(items) == stands(shuffled)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_what_is_worse_in_one_place_never_earns_more(seed: int) -> None:
+    rng = random.Random(seed)
+    items = a_run(seed)
+    before = rank(stands(items))
+    place = rng.randrange(len(items))
+    for worse in ("FAIL", "NOT_TESTABLE", "KIT_ERROR", None):
+        changed = [*items[:place], *([] if worse is None else [{**items[place], "status": worse}]), *items[place + 1 :]]
+        if items[place]["status"] in ("PASS", "NOT_APPLICABLE"):
+            assert rank(stands(changed)) <= before, (worse, items[place]["id"])
+    assert rank(stands([*items, blamed(check("RD-001"), rng.choice([*catalogue().rows, None]))])) <= before
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_level_lacks_something_exactly_when_it_is_not_earned(seed: int) -> None:
+    found = stands(a_run(seed))
+    below = -1 if found.level is None else found.level.rank
+    assert found.wanted.rank == below + 1
+    assert not found.earned
+    needed = {row.id for row in catalogue().needs(found.wanted, "modbus")}
+    assert {*found.failed, *found.not_run, *found.unclaimed, *found.not_yet} <= needed
+    assert not {*found.failed} & {*found.not_run}
+    assert "\n" not in said(found)
