@@ -144,12 +144,14 @@ class Link(asyncio.Transport):
     Attributes:
         number: number of the connection in the journal; the device sets it.
         dead: nothing passes any more, although neither side has been told of an end.
+        gone: set when the device has been told that the connection has ended.
     """
 
     def __init__(self, network: Network, transport: asyncio.Transport, above: asyncio.Protocol) -> None:
         super().__init__()
         self.number = 0
         self.dead = False
+        self.gone = asyncio.Event()
         self._network = network
         self._transport = transport
         self._above: asyncio.Protocol | None = above
@@ -194,6 +196,7 @@ class Link(asyncio.Transport):
         above, self._above = self._above, None
         if above is not None:
             above.connection_lost(exc)
+        self.gone.set()
 
     def cut(self) -> None:
         """End the connection for the client too."""

@@ -87,7 +87,7 @@ class MqttDevice(Device):
         """Do something past the clients: see :mod:`.pokes`, :mod:`.edge_node_pokes` and :mod:`..network`."""
         if self.network.poke(params):
             return
-        if len(params) != 1:
+        if len(params) > 1:
             raise ValueError(f"an MQTT poke has one member, found {sorted(params)}")
         if "burst" in params:
             await self._burst(Burst.of(params["burst"]))

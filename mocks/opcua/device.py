@@ -10,10 +10,13 @@ from asyncua import ua
 
 from ..device import Device
 from ..endpoint import OpenEndpoint
+from ..network import Network
 from .extra_nodes import ExtraNodes
 from .faults import FaultPlan
 from .limits import Limits
+from .namespaces import Namespaces
 from .plant import NAMESPACE, Plant
+from .sample_nodes import sample
 from .server import PlantServer
 from .state import DeviceState
 from .values import to_json
@@ -28,9 +31,10 @@ class OpcUaDevice(Device):
 
     def __init__(self, server: PlantServer, plant: Plant) -> None:
         super().__init__()
-        self._state = DeviceState(journal=self.journal, plant=plant)
+        self._state = DeviceState(journal=self.journal, plant=plant, network=Network(self.journal))
         self._server = server
         self._extra_nodes = ExtraNodes(server, plant)
+        self._namespaces = Namespaces(server, self._state)
 
     async def serve(self, endpoints: Mapping[str, OpenEndpoint]) -> None:
         listener = endpoints["opcua"]
@@ -69,13 +73,33 @@ class OpcUaDevice(Device):
         }
 
     async def poke(self, params: Mapping[str, Any]) -> None:
-        """Set a value: ``{"node": browse name or node id, "value", "status" (symbol, default Good)}``; or add nodes,
-        see :class:`ExtraNodes`: ``{"create": […]}``; or change the limits of the server: ``{"limits": {…}}``."""
+        """Change the plant past the protocol, by one of:
+
+        ==================================================  ===========================================================
+        ``{"node", "value", "status": "Good"}``             the value of a variable, by browse name or node id, as
+                                                            ``values.variant`` reads it
+        ``{"create": […]}``                                 more nodes: :class:`ExtraNodes`
+        ``{"nodes": "types"}``                              a set of nodes, or a list of sets: :mod:`.sample_nodes`
+        ``{"limits": {…}}``                                 the limits of the server: :class:`Limits`
+        ``{"subscriptions": "silent"}``                     what subscriptions send: :mod:`.state`
+        ``{"namespaces": ["urn:a"]}``                       namespaces before the plant's: :class:`Namespaces`
+        ``{"network": "black_hole"}``                       see :mod:`..network`
+        ==================================================  ===========================================================
+        """
+        if self._state.network.poke(params):
+            return
         if "limits" in params:
             self._state.limits = self._state.limits.changed(params["limits"])
             await self._advertise()
         elif "create" in params:
             await self._extra_nodes.create(params["create"])
+        elif "nodes" in params:
+            await self._extra_nodes.create(sample(params["nodes"]))
+        elif "subscriptions" in params:
+            self._state.subscribe(params["subscriptions"])
+        elif "namespaces" in params:
+            await self._extra_nodes.clear()
+            await self._namespaces.put_before(params["namespaces"])
         else:
             status = getattr(ua.StatusCodes, str(params.get("status", "Good")), None)
             if not isinstance(status, int):
@@ -90,8 +114,11 @@ class OpcUaDevice(Device):
     async def reset(self) -> None:
         self._state.faults = FaultPlan([])
         self._state.limits = Limits()
+        self._state.subscribe("normal")
+        self._state.network.become("open")
         await self._advertise()
         await self._extra_nodes.clear()
+        await self._namespaces.put_before([])
         await self._state.plant.restore()
 
     async def _advertise(self) -> None:

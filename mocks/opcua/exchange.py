@@ -50,33 +50,45 @@ class Exchange:
         self._asked: int | None = None
         _current.set(self)
 
-    def asked(self, **facts: Any) -> None:
-        """Record the request, the first time that this is called."""
-        if self._asked is None:
-            self._asked = self._device.journal.append(
-                connection=self._connection,
-                direction="in",
-                kind=self.service,
-                request=self.service not in SESSION_KEEPING,
-                state_changing=self.service in STATE_CHANGING,
-                **facts,
-            )
+    def asked(self, about: Sequence[str] | None = None, **facts: Any) -> None:
+        """Record the request, the first time that this is called, and find the fault that applies to it.
 
-    async def suffer(self, nodes: Sequence[str] = ()) -> Rule:
-        """Apply the fault plan to this call and return the rule.
+        Args:
+            about: node ids that the request names; None for a request to which no fault applies.
+            facts: what the journal has of it.
+        """
+        if self._asked is not None:
+            return
+        if about is not None:
+            self.rule = self._device.faults.match(self.service, about)
+        if self.rule is not NOTHING:
+            facts["fault"] = self.rule.action
+        self._asked = self._device.journal.append(
+            connection=self._connection,
+            direction="in",
+            kind=self.service,
+            request=self.service not in SESSION_KEEPING,
+            state_changing=self.service in STATE_CHANGING,
+            **facts,
+        )
+
+    async def suffer(self) -> Rule:
+        """Apply the fault to this call before it is executed, and return the rule.
 
         Raises:
-            UaStatusCodeError: the call is to be answered with this ServiceFault.
+            UaStatusCodeError: the call is to be answered with this ServiceFault; or, half open, not executed and not answered.
         """
-        self.rule = rule = self._device.faults.match(self.service, nodes)
+        rule = self.rule
+        if rule.manner.half_open:
+            raise ua.UaStatusCodeError(ua.StatusCodes.BadShutdown)
         if rule.delay_s:
             await asyncio.sleep(rule.delay_s)
         if rule.service_fault is not None:
             raise ua.UaStatusCodeError(getattr(ua.StatusCodes, rule.service_fault))
         return rule
 
-    def answered(self, result: ua.StatusCode) -> None:
-        """Record the answer."""
+    def answered(self, result: ua.StatusCode, **facts: Any) -> None:
+        """Record the answer; ``facts`` are those of its way."""
         self.asked()
         self._device.journal.append(
             connection=self._connection,
@@ -85,4 +97,5 @@ class Exchange:
             answers=self._asked,
             service_result=result.name,
             **self.answer,
+            **facts,
         )

@@ -7,21 +7,26 @@ them.
 ``folder``     name of a folder ``in`` another (default: the Plant folder)
 ``variable``   name of a variable ``in`` a folder or variable, with ``type`` (name of a built-in type), ``value``,
                and optionally ``rank`` and ``dimensions`` (default: those of the value), ``access`` (``read_write``,
-               ``read``, ``denied`` to this user, ``hidden`` from everybody), ``range`` ([low, high]), ``data_type``
-               (node id of the DataType attribute), ``property`` (true: HasProperty instead of HasComponent)
+               ``read``, ``denied`` to this user, ``denied_writing`` to this user, ``hidden`` from everybody), ``range`` ([low, high]), ``data_type``
+               (node id of the DataType attribute), ``property`` (true: HasProperty instead of HasComponent),
+               ``browse_name`` (default: the name; ``0:EURange`` is in namespace 0), ``type_definition`` (node id),
+               ``copies`` (so many more, equal to it but for the name, which gets a number from 1)
 ``method``     name of a method of the Methods folder that returns its ``inputs`` (names of built-in types)
 ``reference``  name of a folder that gets an Organizes reference ``to`` another
 =============  =======================================================================================
 
+Values are JSON as in ``values.variant``; null is the null variant, for which ``rank`` says what it stands for.
 ``namespace`` (an URI) puts a node into another namespace than the plant's.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from asyncua import Server, ua
+from asyncua.server.address_space import AttributeValue, NodeData
 
 from .plant import Method, Plant, Variable
 from .values import fits, shape_of, variant
@@ -30,7 +35,7 @@ __all__ = ["ExtraNodes"]
 
 _BITS = {"read": 1, "write": 2}
 # Access rights of all users, and of this user.
-_ACCESS = {"read_write": (3, 3), "read": (1, 1), "denied": (3, 0), "hidden": (0, 0)}
+_ACCESS = {"read_write": (3, 3), "read": (1, 1), "denied": (3, 0), "denied_writing": (3, 1), "hidden": (0, 0)}
 
 
 class ExtraNodes:
@@ -74,34 +79,40 @@ class ExtraNodes:
         """Remove everything that was added."""
         for node, reference in self._links:
             self._server.iserver.aspace[node].references.remove(reference)
+        # The library is not used here: for each node it searches the whole address space.
+        space = self._server.iserver.aspace
+        removed: set[ua.NodeId] = set()
+        neighbours: set[ua.NodeId] = set()
+        waiting = list(self._added)
+        while waiting:
+            node = waiting.pop()
+            if node in removed or node not in space:
+                continue
+            removed.add(node)
+            for reference in space[node].references:
+                neighbours.add(reference.NodeId)
+                if reference.IsForward and reference.ReferenceTypeId == ua.NodeId(ua.ObjectIds.HasProperty):
+                    waiting.append(reference.NodeId)
+            del space[node]
+        for node in neighbours - removed:
+            kept = space.get(node)
+            if kept is not None:
+                kept.references[:] = [each for each in kept.references if each.NodeId not in removed]
         for node in self._added:
-            self._remove(node)
-        for node in self._added:
-            for kept in (self._plant.variables, self._plant.methods, self._plant.calls):
-                kept.pop(node, None)
+            for known in (self._plant.variables, self._plant.methods, self._plant.calls):
+                known.pop(node, None)
         self._added.clear()
         self._names.clear()
         self._links.clear()
-
-    def _remove(self, node: ua.NodeId) -> None:
-        # The library is not used here: for each node it searches the whole address space.
-        space = self._server.iserver.aspace
-        if node not in space:
-            return
-        references = space[node].references
-        del space[node]
-        for reference in references:
-            other = space.get(reference.NodeId)
-            if other is not None:
-                other.references[:] = [each for each in other.references if each.NodeId != node]
-            if reference.IsForward and reference.ReferenceTypeId == ua.NodeId(ua.ObjectIds.HasProperty):
-                self._remove(reference.NodeId)
 
     async def _place(self, description: Mapping[str, Any], name: str) -> tuple[ua.NodeId, ua.QualifiedName]:
         index = self._plant.namespace
         if "namespace" in description:
             index = await self._server.register_namespace(str(description["namespace"]))
-        return ua.NodeId(name, index), ua.QualifiedName(name, index)
+        shown = description.get("browse_name")
+        return ua.NodeId(name, index), ua.QualifiedName(name, index) if shown is None else ua.QualifiedName.from_string(
+            shown
+        )
 
     def _known(self, name: str) -> ua.NodeId:
         found = self._names.get(name) or self._plant.folders.get(name)
@@ -123,7 +134,7 @@ class ExtraNodes:
         value = variant(description["value"], kind)
         shape = shape_of(description["value"])
         rank, dimensions = int(description.get("rank", len(shape) or -1)), tuple(description.get("dimensions", ()))
-        if not fits(value, kind, rank, list(dimensions)):
+        if value.Value is not None and not fits(value, kind, rank, list(dimensions)):
             raise ValueError(f"create: the value of {name!r} does not fit its rank and dimensions")
         everybody, user = _ACCESS[description.get("access", "read_write")]
         parent = self._server.get_node(self._known(description.get("in", "Plant")))
@@ -143,6 +154,8 @@ class ExtraNodes:
         await node.write_attribute(ua.AttributeIds.ArrayDimensions, ua.DataValue(lengths))
         # The library loses the information that a value is an array (asyncua 2.1), so the value is set again.
         await self._plant.hold(node.nodeid, value)
+        if "type_definition" in description:
+            self._define(node.nodeid, parent.nodeid, ua.NodeId.from_string(description["type_definition"]))
         if description.get("property"):
             return
         low, high = description.get("range", (None, None))
@@ -156,6 +169,43 @@ class ExtraNodes:
             dimensions=dimensions,
             range=(low, high),
         )
+        siblings = self._server.iserver.aspace[parent.nodeid].references
+        place = next(each for each in siblings if each.NodeId == node.nodeid)
+        for number in range(1, int(description.get("copies", 0)) + 1):
+            siblings.append(self._copy(place, f"{name}{number}"))
+
+    def _define(self, node: ua.NodeId, parent: ua.NodeId, kind: ua.NodeId) -> None:
+        """Change the type definition of a variable."""
+        space = self._server.iserver.aspace
+        for reference in space[node].references:
+            if reference.ReferenceTypeId == ua.NodeId(ua.ObjectIds.HasTypeDefinition):
+                reference.NodeId = kind
+        for reference in space[parent].references:
+            if reference.NodeId == node:
+                reference.TypeDefinition = kind
+
+    def _copy(self, place: ua.ReferenceDescription, name: str) -> ua.ReferenceDescription:
+        """Add a variable that is equal to the one at this place but for its name, and return its place.
+
+        The library would take a millisecond for each.
+        """
+        space, source = self._server.iserver.aspace, place.NodeId
+        node = ua.NodeId(name, source.NamespaceIndex)
+        browse_name, display_name = ua.QualifiedName(name, source.NamespaceIndex), ua.LocalizedText(name)
+        names = {
+            ua.AttributeIds.NodeId: ua.Variant(node, ua.VariantType.NodeId),
+            ua.AttributeIds.BrowseName: ua.Variant(browse_name, ua.VariantType.QualifiedName),
+            ua.AttributeIds.DisplayName: ua.Variant(display_name, ua.VariantType.LocalizedText),
+        }
+        data = NodeData(node)
+        for attribute, held in space[source].attributes.items():
+            value = held.value if attribute not in names else replace(held.value, Value=names[attribute])
+            data.attributes[attribute] = AttributeValue(value)
+        data.references = list(space[source].references)
+        space[node] = data
+        self._plant.variables[node] = replace(self._plant.variables[source], browse_name=name)
+        self._keep(name, node)
+        return replace(place, NodeId=node, BrowseName=browse_name, DisplayName=display_name)
 
     async def _method(self, description: Mapping[str, Any]) -> None:
         name = str(description["method"])

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 from asyncua import ua
 
-from ..fault_rules import FLAG, TEXT, Field, Plan, Table, number
+from ..fault_rules import FLAG, SKIP, TEXT, Field, Plan, Table, number
+from ..network import AT_ONCE, MANNERS, Manner
 
 __all__ = ["NOTHING", "FaultPlan", "Rule"]
 
@@ -17,16 +18,20 @@ _SYMBOL = Field(
     expected="the symbol of a status code",
 )
 _TABLE = Table(
-    conditions={"service": TEXT, "node": TEXT},
+    conditions={"service": TEXT, "node": TEXT, "skip": SKIP},
     actions={
         "status": _SYMBOL,
+        "with_status": _SYMBOL,
         "service_fault": _SYMBOL,
         "delay_s": number(0, 600),
         "ack_only": FLAG,
         "clamp": number(),
+        "refuse_timestamps": FLAG,
+        "refuse_status": FLAG,
         "drop": FLAG,
         "close": FLAG,
         "reset": FLAG,
+        **MANNERS,
     },
     example="{'status': 'BadDeviceFailure'}",
 )
@@ -39,27 +44,40 @@ class Rule:
     Attributes:
         service: name of the service as in the journal, for instance ``Read``.
         node: node id that the request must name among others.
+        skip: so many calls that fit pass first.
         times: applied at most this often, None without limit.
+        action: the action as it was given, for the journal.
         status: every item is answered with this status code, by symbol, and not executed.
+        with_status: a Read, Write or Call is executed, and what is Good is answered with this status code instead, such as
+            ``GoodCompletesAsynchronously`` or ``UncertainSensorNotAccurate``.
         service_fault: the whole call is answered with a ServiceFault of this symbol and not executed.
         delay_s: it is executed this many seconds later; later requests are not delayed by it.
         ack_only: a write is acknowledged with Good, and not done.
         clamp: the number that a write stores instead, acknowledged with GoodClamped.
+        refuse_timestamps, refuse_status: a Write of a value with a timestamp, or with a status code other than Good, is refused
+            with BadWriteNotSupported (OPC 10000-4, 5.11.4); other writes are executed.
         drop: executed, but not answered.
         close, reset: executed; then the connection is closed, or reset, without an answer.
+        manner: how the answer travels, see :class:`~..network.Manner`.
     """
 
     service: str | None = None
     node: str | None = None
+    skip: int = 0
     times: int | None = None
+    action: Mapping[str, Any] = field(default_factory=dict)
     status: str | None = None
+    with_status: str | None = None
     service_fault: str | None = None
     delay_s: float = 0.0
     ack_only: bool = False
     clamp: float | None = None
+    refuse_timestamps: bool = False
+    refuse_status: bool = False
     drop: bool = False
     close: bool = False
     reset: bool = False
+    manner: Manner = AT_ONCE
 
 
 NOTHING = Rule()
@@ -74,9 +92,14 @@ class FaultPlan(Plan[Rule]):
     """
 
     def __init__(self, rules: list[dict[str, Any]]) -> None:
-        super().__init__([Rule(**_TABLE.read(rule)) for rule in rules])
+        super().__init__([_read(rule) for rule in rules])
 
     def match(self, service: str, nodes: Sequence[str]) -> Rule:
         """Return the rule that applies to this call, or :data:`NOTHING`; count it."""
         found = self.first(lambda rule: rule.service in (None, service) and (rule.node is None or rule.node in nodes))
         return NOTHING if found is None else found
+
+
+def _read(source: Mapping[str, Any]) -> Rule:
+    values = _TABLE.read(source)
+    return Rule(action=dict(source["action"]), manner=Manner.of(values), **values)

@@ -6,6 +6,7 @@ Private parts of asyncua 2.1 are overridden here and nowhere else: it offers no 
 from __future__ import annotations
 
 import asyncio
+from functools import partial
 from typing import Any
 
 from asyncua import ua
@@ -16,6 +17,7 @@ from asyncua.server.internal_server import InternalServer
 from asyncua.server.uaprocessor import UaProcessor
 from asyncua.ua.ua_binary import struct_from_binary
 
+from ..network import Link
 from ..peer import process_of
 from .exchange import Exchange, current
 from .state import DeviceState
@@ -39,7 +41,7 @@ class _Processor(UaProcessor):  # type: ignore[misc]
     def __init__(
         self,
         internal_server: InternalServer,
-        transport: asyncio.Transport,
+        transport: Link,
         limits: TransportLimits,
         device: DeviceState,
         number: int,
@@ -75,7 +77,7 @@ class _Processor(UaProcessor):  # type: ignore[misc]
         service = _SERVICES.get(typeid.Identifier, typeid.to_string())
         exchange = Exchange(self._device, self._number, service, requesthdr.RequestHandle)
         if service not in _WITH_NODES:
-            exchange.asked()
+            exchange.asked(())
             await exchange.suffer()
         if service != "BrowseNext":
             return bool(await super()._process_message(typeid, requesthdr, seqhdr, body))
@@ -93,15 +95,27 @@ class _Processor(UaProcessor):  # type: ignore[misc]
         exchange = current()
         # A notification is sent when a value changes, not while a request is handled: it belongs to no exchange.
         if isinstance(response, ua.PublishResponse):
-            self._notified(response.Parameters)
-        else:
-            rule = exchange.rule
-            if rule.close or rule.reset:
-                self._transport.abort() if rule.reset else self._transport.close()
-            if rule.close or rule.reset or rule.drop:
-                return
-            exchange.answered(response.ResponseHeader.ServiceResult)
-        super().send_response(requesthandle, seqhdr, response, msgtype)
+            self._device.notify(
+                response.Parameters.NotificationMessage, partial(self._notify, requesthandle, seqhdr, response)
+            )
+            return
+        rule = exchange.rule
+        if rule.manner.half_open:
+            self._transport.die()
+        elif rule.reset:
+            self._transport.reset()
+        elif rule.close:
+            self._transport.close()
+        elif not rule.drop:
+            facts = {"drip_s": rule.manner.drip_s} if rule.manner.drip_s else {}
+            for again in ({}, {"duplicate": True}) if rule.manner.duplicate else ({},):
+                exchange.answered(response.ResponseHeader.ServiceResult, **facts, **again)
+                with self._transport.sending(rule.manner):
+                    super().send_response(requesthandle, seqhdr, response, msgtype)
+
+    def _notify(self, requesthandle: int, seqhdr: Any, response: ua.PublishResponse) -> None:
+        self._notified(response.Parameters)
+        super().send_response(requesthandle, seqhdr, response)
 
     def _notified(self, result: ua.PublishResult) -> None:
         """Journal the nodes whose values a notification has; one without values keeps the subscription alive."""
@@ -129,12 +143,14 @@ class PlantProtocol(OPCUAProtocol):  # type: ignore[misc]
         self._number = number
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, Link)
+        transport.number = self._number
         self._device.journal.connected(self._number, process_of(transport))
         super().connection_made(transport)
         if self.transport is None:
             # The library has refused it: there are as many connections as it serves at a time.
             return
-        self.processor = _Processor(self.iserver, self.transport, self.limits, self._device, self._number)
+        self.processor = _Processor(self.iserver, transport, self.limits, self._device, self._number)
         self.processor.set_policies(self.policies)
 
     def connection_lost(self, ex: BaseException | None) -> None:

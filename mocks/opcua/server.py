@@ -72,4 +72,4 @@ class PlantServer(Server):  # type: ignore[misc]
                 limits=server.limits,
             )
 
-        self._listener = await asyncio.get_running_loop().create_server(protocol, sock=listener)
+        self._listener = await asyncio.get_running_loop().create_server(owner.network.protocol(protocol), sock=listener)

@@ -64,15 +64,18 @@ class PlantSession(InternalSession):  # type: ignore[misc]
     async def read(self, params: ua.ReadParameters) -> list[ua.DataValue]:
         exchange, items = current(), params.NodesToRead or []
         exchange.asked(
-            nodes=[{"node_id": item.NodeId.to_string(), "attribute": _attribute(item.AttributeId)} for item in items]
+            _names(item.NodeId for item in items),
+            nodes=[{"node_id": item.NodeId.to_string(), "attribute": _attribute(item.AttributeId)} for item in items],
         )
         bounded(items, self.device.limits.nodes_per_read)
         if params.MaxAge < 0:
             raise ServiceError(Codes.BadMaxAgeInvalid)
         if params.TimestampsToReturn not in (Stamps.Source, Stamps.Server, Stamps.Both, Stamps.Neither):
             raise ServiceError(Codes.BadTimestampsToReturnInvalid)
-        rule = await exchange.suffer(_names(item.NodeId for item in items))
+        rule = await exchange.suffer()
         results = [_forced(rule) or self._read_one(item, params.TimestampsToReturn) for item in items]
+        if rule.with_status is not None:
+            results = [replace(result, StatusCode=_told(rule, result.StatusCode)) for result in results]
         exchange.answer["results"] = [
             {"status": result.StatusCode.name, "value": to_json(result.Value.Value)} for result in results
         ]
@@ -121,10 +124,10 @@ class PlantSession(InternalSession):  # type: ignore[misc]
 
     async def write(self, params: ua.WriteParameters) -> list[ua.StatusCode]:
         exchange, items = current(), params.NodesToWrite or []
-        exchange.asked(nodes=[_written(item) for item in items])
+        exchange.asked(_names(item.NodeId for item in items), nodes=[_written(item) for item in items])
         bounded(items, self.device.limits.nodes_per_write)
-        rule = await exchange.suffer(_names(item.NodeId for item in items))
-        results = [await self._write_one(item, rule) for item in items]
+        rule = await exchange.suffer()
+        results = [_told(rule, await self._write_one(item, rule)) for item in items]
         exchange.answer["results"] = [{"status": result.name} for result in results]
         return results
 
@@ -133,6 +136,9 @@ class PlantSession(InternalSession):  # type: ignore[misc]
             return ua.StatusCode(getattr(Codes, rule.status))
         if (refusal := self._refusal(item)) is not None:
             return ua.StatusCode(refusal)
+        given = _written(item)
+        if (rule.refuse_timestamps and given["has_timestamp"]) or (rule.refuse_status and given["has_status"]):
+            return ua.StatusCode(Codes.BadWriteNotSupported)
         if rule.ack_only:
             return ua.StatusCode()
         value, status = item.Value.Value, Codes.Good
@@ -171,18 +177,18 @@ class PlantSession(InternalSession):  # type: ignore[misc]
     async def browse(self, params: ua.BrowseParameters) -> list[ua.BrowseResult]:
         exchange, items = current(), params.NodesToBrowse or []
         nodes = _names(item.NodeId for item in items)
-        exchange.asked(nodes=nodes, most=params.RequestedMaxReferencesPerNode)
+        exchange.asked(nodes, nodes=nodes, most=params.RequestedMaxReferencesPerNode)
         bounded(items, self.device.limits.nodes_per_browse)
         if not params.View.ViewId.is_null():
             raise ServiceError(Codes.BadViewIdUnknown)
-        forced = _forced(await exchange.suffer(nodes))
+        forced = _forced(await exchange.suffer())
         if forced is not None:
             return self._browsed([ua.BrowseResult(StatusCode=forced.StatusCode) for _ in items])
         return self._browsed([self.browser.browse(item, params.RequestedMaxReferencesPerNode) for item in items])
 
     async def browse_next(self, parameters: ua.BrowseNextParameters) -> list[ua.BrowseResult]:
         exchange, points = current(), parameters.ContinuationPoints or []
-        exchange.asked(points=len(points), release=parameters.ReleaseContinuationPoints)
+        exchange.asked((), points=len(points), release=parameters.ReleaseContinuationPoints)
         bounded(points, 0)
         forced = _forced(await exchange.suffer())
         if forced is not None:
@@ -202,9 +208,9 @@ class PlantSession(InternalSession):  # type: ignore[misc]
     async def translate_browsepaths_to_nodeids(self, params: list[ua.BrowsePath]) -> list[ua.BrowsePathResult]:
         exchange = current()
         nodes = _names(path.StartingNode for path in params or [])
-        exchange.asked(nodes=nodes)
+        exchange.asked(nodes, nodes=nodes)
         bounded(params, 0)
-        await exchange.suffer(nodes)
+        await exchange.suffer()
         results: list[ua.BrowsePathResult] = await super().translate_browsepaths_to_nodeids(params)
         for path, result in zip(params, results, strict=True):
             if path.StartingNode not in self.aspace:
@@ -220,9 +226,10 @@ class PlantSession(InternalSession):  # type: ignore[misc]
         exchange, items = current(), params.ItemsToCreate or []
         asked = [item.ItemToMonitor for item in items]
         exchange.asked(
-            nodes=[{"node_id": item.NodeId.to_string(), "attribute": _attribute(item.AttributeId)} for item in asked]
+            _names(item.NodeId for item in asked),
+            nodes=[{"node_id": item.NodeId.to_string(), "attribute": _attribute(item.AttributeId)} for item in asked],
         )
-        await exchange.suffer(_names(item.NodeId for item in asked))
+        await exchange.suffer()
         for item in items:
             if item.ItemToMonitor.AttributeId == Ids.Value:
                 handle = item.RequestedParameters.ClientHandle
@@ -264,9 +271,10 @@ class PlantSession(InternalSession):  # type: ignore[misc]
             }
             for request in params or []
         ]
-        exchange.asked(nodes=nodes, methods=methods)
+        exchange.asked(nodes, nodes=nodes, methods=methods)
         bounded(params, self.device.limits.methods_per_call)
-        forced = _forced(await exchange.suffer(nodes))
+        rule = await exchange.suffer()
+        forced = _forced(rule)
         results = []
         for request in params:
             if forced is not None:
@@ -276,6 +284,7 @@ class PlantSession(InternalSession):  # type: ignore[misc]
                 results.append(await self._perform(request))
             except MethodRefusal as refusal:
                 results.append(refusal.result())
+            results[-1].StatusCode = _told(rule, results[-1].StatusCode)
         exchange.answer["results"] = [
             {"status": result.StatusCode.name, "outputs": [to_json(output.Value) for output in result.OutputArguments]}
             for result in results
@@ -325,6 +334,13 @@ def _bad(code: int) -> ua.DataValue:
 
 def _forced(rule: Rule) -> ua.DataValue | None:
     return None if rule.status is None else _bad(getattr(Codes, rule.status))
+
+
+def _told(rule: Rule, status: ua.StatusCode) -> ua.StatusCode:
+    """Return the status code that a client is told of something that has this one."""
+    if rule.with_status is None or not status.is_good():
+        return status
+    return ua.StatusCode(getattr(Codes, rule.with_status))
 
 
 def _written(item: ua.WriteValue) -> dict[str, Any]:

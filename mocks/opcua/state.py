@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from asyncua import ua
+
 from ..journal import Journal
+from ..network import Network
 from .browsing import Browser
 from .faults import FaultPlan
 from .limits import Limits
 from .plant import Plant
 
-__all__ = ["DeviceState"]
+__all__ = ["SUBSCRIPTIONS", "DeviceState"]
+
+SUBSCRIPTIONS = ("normal", "stale", "silent")
+"""What subscriptions send: everything; messages without data, as if nothing changed; nothing, until they are something else again."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -22,11 +29,39 @@ class DeviceState:
         plant: the nodes and their values.
         faults: the fault plan in force.
         limits: the limits of the server.
+        network: the way between the server and its clients.
+        subscriptions: one of :data:`SUBSCRIPTIONS`.
         browsers: the browsers of the open sessions of clients, one for each session.
     """
 
     journal: Journal
     plant: Plant
+    network: Network
+    subscriptions: str = "normal"
     faults: FaultPlan = field(default_factory=lambda: FaultPlan([]))
     limits: Limits = field(default_factory=Limits)
     browsers: set[Browser] = field(default_factory=set)
+    _held: list[Callable[[], None]] = field(default_factory=list)
+
+    def notify(self, message: ua.NotificationMessage, send: Callable[[], None]) -> None:
+        """Send a notification, or what the subscriptions make of it."""
+        if self.subscriptions == "silent":
+            self._held.append(send)
+            return
+        if self.subscriptions == "stale":
+            message.NotificationData = []
+        send()
+
+    def subscribe(self, condition: str) -> None:
+        """Change what subscriptions send; what they held back while they were silent is sent late.
+
+        Raises:
+            ValueError: there is no such condition.
+        """
+        if condition not in SUBSCRIPTIONS:
+            raise ValueError(f"subscriptions: expected one of {', '.join(SUBSCRIPTIONS)}, found {condition!r}")
+        self.subscriptions = condition
+        if condition != "silent":
+            held, self._held = self._held, []
+            for send in held:
+                send()

@@ -31,17 +31,30 @@ _FROM_TEXT: dict[ua.VariantType, Callable[[str], Any]] = {
     _Type.DateTime: lambda text: datetime.fromisoformat(text).astimezone(UTC),
     _Type.Guid: uuid.UUID,
     _Type.ByteString: lambda text: base64.b64decode(text, validate=True),
+    _Type.XmlElement: ua.XmlElement,
+    _Type.NodeId: ua.NodeId.from_string,
+    _Type.ExpandedNodeId: ua.ExpandedNodeId.from_string,
+    _Type.QualifiedName: ua.QualifiedName.from_string,
+    _Type.StatusCode: lambda symbol: ua.StatusCode(getattr(ua.StatusCodes, symbol)),
 }
+_NOT_IN_JSON = frozenset({"NaN", "Infinity", "-Infinity", "-0.0"})
+"""Numbers of Float and Double that JSON does not have, by name."""
+_STRUCTURES = {"Range": ua.Range, "EUInformation": ua.EUInformation, "Argument": ua.Argument}
 
 
 def variant(value: Any, kind: ua.VariantType) -> ua.Variant:
-    """Return a JSON value as a variant of this type; lists become arrays, lists of lists matrices.
+    """Return a JSON value as a variant of this type; lists become arrays, lists of lists matrices, and null the null variant.
+
+    ``"NaN"``, ``"Infinity"``, ``"-Infinity"`` and ``"-0.0"`` are numbers. An ExtensionObject is ``{"Range": {"Low": 0, "High": 1}}``; a
+    StatusCode is its symbol.
 
     Raises:
         ValueError: the value does not fit.
     """
     if isinstance(value, list):
         return ua.Variant(_members(value, kind), kind, is_array=True)
+    if value is None:
+        return ua.Variant(None, _Type.Null)
     return ua.Variant(_scalar(value, kind), kind)
 
 
@@ -52,8 +65,14 @@ def _members(value: list[Any], kind: ua.VariantType) -> list[Any]:
 def _scalar(value: Any, kind: ua.VariantType) -> Any:
     if kind in _FROM_TEXT and isinstance(value, str):
         return _FROM_TEXT[kind](value)
-    if kind in (_Type.Float, _Type.Double) and type(value) in (int, float):
+    if kind in (_Type.Float, _Type.Double) and (
+        type(value) in (int, float) or (isinstance(value, str) and value in _NOT_IN_JSON)
+    ):
         return float(value)
+    if kind == _Type.ExtensionObject and isinstance(value, dict) and len(value) == 1:
+        [(name, fields)] = value.items()
+        if name in _STRUCTURES and isinstance(fields, dict):
+            return _STRUCTURES[name](**fields)
     if kind == _Type.Boolean and isinstance(value, bool):
         return value
     low, high = _INTEGERS.get(kind, (1, 0))
@@ -92,7 +111,9 @@ def finite(value: Any) -> bool:
 
 
 def to_json(value: Any) -> Any:
-    """Return the value of a variant for journal and image."""
+    """Return the value of a variant for journal and image; NaN and infinities by name, because JSON does not have them."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"
     if value is None or isinstance(value, bool | int | float | str):
         return value
     if isinstance(value, list):

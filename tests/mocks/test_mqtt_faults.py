@@ -350,7 +350,7 @@ async def test_a_host_commands_the_clients_node(mqtt: MockProgram) -> None:
 async def test_pokes_that_are_not_understood_are_refused_in_a_sentence(mqtt: MockProgram) -> None:
     one = {"device": "d", "name": "m", "datatype": "Int8", "value": 1}
     for params, sentence in (
-        ({}, "has one member"),
+        ({"burst": {}, "disconnect": {}}, "has one member"),
         ({"burst": {"count": 3}}, "burst: expected an object with topic, count"),
         ({"burst": {"topic": "a", "count": 3, "speed": 1}}, "unknown member 'speed'"),
         ({"burst": {"topic": "a/#", "count": 3}}, "contains a wildcard"),
