@@ -308,6 +308,10 @@ class ReplayRig(Rig):
     async def listed_tools(self) -> str:
         return self._seen("tools")["tools"]
 
+    async def listing_took_s(self) -> float:
+        seen = self._seen("tools")
+        return (seen["seen_ns"] - seen["asked_ns"]) / 1e9
+
     async def send_line(self, line: str) -> bool:
         return self._seen("line_sent")["line_sent"]
 

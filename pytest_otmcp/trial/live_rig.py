@@ -344,6 +344,11 @@ class LiveRig(Rig):
         self._noted({"tools": digest}, asked_ns)
         return digest
 
+    async def listing_took_s(self) -> float:
+        await self.listed_tools()
+        seen = self._ledger.observations[-1]
+        return (seen["seen_ns"] - seen["asked_ns"]) / 1e9
+
     async def send_line(self, line: str) -> bool:
         asked_ns = time.monotonic_ns()
         sent = self._session.write_line(line.encode("utf-8", "surrogateescape"))

@@ -294,6 +294,10 @@ class Rig(WriteGate):
         """
 
     @abstractmethod
+    async def listing_took_s(self) -> float:
+        """Ask for the list of tools again, and return the seconds until it was there; raises as :meth:`listed_tools`."""
+
+    @abstractmethod
     async def send_line(self, line: str) -> bool:
         """Write a line to the adapter's standard input as it is; return whether there is such a stream."""
 
