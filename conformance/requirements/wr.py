@@ -602,3 +602,32 @@ async def bits_are_changed_in_one_step(run: Repetition, modbus: Rig) -> None:
             evidence=protocols()["modbus"].seen(seen),
         )
     run.witnessed(citing("WR-011", modbus_oracle.image_holds(image, "holding_registers", 30, [expected])))
+
+
+# -- WR-012 -------------------------------------------------------------------------------------------------
+
+
+@TASKS.check(
+    "WR-012", "A value that the server cuts off is not told as written.", needs="opcua.write opcua.write.clamped"
+)
+async def what_is_cut_off_is_said(run: Repetition, opcua: Rig) -> None:
+    """Write a variable while the server stores another value and says so; then while it stores what it is given.
+
+    Said: that the value was cut off, and the one that is held now, or a failure; then the value, and that it was not cut off.
+    Seen: the value that the server holds.
+    Why: an assistant that believes in the value it asked for works with a plant that does not exist.
+    """
+    await opcua.prove()
+    asked, stored = run.rng.uniform(70.0, 99.0), round(run.rng.uniform(1.0, 50.0), 3)
+    await opcua.fault({"service": "Write", "action": {"clamp": stored}})
+    reply = await opcua.call("write", node=_VALVE, value=asked)
+    await opcua.fault()
+    if reply.success and (reply.outputs.get("clamped") is not True or reply.outputs.get("value", stored) != stored):
+        message = f"{reply.label}: the server holds {stored} instead, which the reply should say; it says {dict(reply.outputs)}"
+        found = Finding(code="cut_off", message=message, requirement="WR-012", strength="SHOULD")
+        run.judge(reply, [found])
+    control = await opcua.call("write", node=_VALVE, value=stored + 1)
+    run.succeeds(control, requirement="WR-001")
+    if control.outputs.get("clamped"):
+        message = f"{control.label}: the server holds what was asked for, the reply says that it was cut off"
+        run.judge(control, [Finding(code="cut_off", message=message, requirement="WR-012", strength="SHOULD")])

@@ -28,7 +28,7 @@ class Stream:
 
     Args:
         patience_s: seconds for which it waits for the next part of an answer.
-        part: number of bytes in a part; 0 for a whole answer.
+        part: number of bytes in a part; 0 for a whole answer. With parts it makes a new connection when it has waited in vain.
         pipelined: requests are sent while others wait.
     """
 
@@ -58,6 +58,8 @@ class Stream:
                 try:
                     answer = await self._answer(reader, _HEADER + 2 * count)
                 except TimeoutError:
+                    if self._part:
+                        self._streams = None
                     raise AdapterError("timeout", "the device did not reply in time") from None
                 except OSError as error:
                     raise AdapterError("connection_lost", "the connection broke") from error

@@ -30,6 +30,11 @@ def patient(seconds: float, tool: str) -> Bend:
     return bend
 
 
+def patient_with_every_byte(server: AdapterServer) -> None:
+    server._deadline_s = 3600.0
+    over_a_stream(_READ, 3, part=1)(server)
+
+
 def nested_retries(server: AdapterServer) -> None:
     """Repeat a read in the library, which nobody counts, and in the adapter."""
     link = server._tools[_READ].handler.__self__._link
@@ -120,7 +125,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "MU-30d",
         "modbus",
         "Every byte of an answer begins the time limit anew.",
-        over_a_stream(_READ, 3, part=1),
+        patient_with_every_byte,
         "",
         "",
     ),

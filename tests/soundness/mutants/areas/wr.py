@@ -90,7 +90,7 @@ def unguarded(*names: str) -> Bend:
     """Return the defect that the guard has forgotten these tools."""
 
     def bend(server: AdapterServer) -> None:
-        for name in names:
+        for name in () if server.writes_enabled else names:
             wrap(server, name, lambda genuine: genuine, writes=False)
 
     return bend
@@ -205,6 +205,17 @@ def emulated_mask_write(server: AdapterServer) -> None:
     each(_MASK, change=emulated)(server)
 
 
+def clamping_ignored(server: AdapterServer) -> None:
+    def asked(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            data: Data = await genuine(call, arguments)
+            return {**{name: value for name, value in data.items() if name != "clamped"}, "value": arguments.value}
+
+        return handler
+
+    each("write_opcua_node", change=asked)(server)
+
+
 def _mutant(id: str, protocol: str, sentence: str, bend: Bend, items: str, requirements: str, **more: Any) -> Mutant:
     return Mutant(
         id=id,
@@ -241,6 +252,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "",
         "",
     ),
+    _mutant("MU-17", "opcua", "The server cuts a value off and says so, and nobody is told.", clamping_ignored, "", ""),
     _mutant("MU-18", "modbus", "With writes disabled a mask write is sent.", unguarded(_MASK), "", ""),
     _mutant(
         "MU-18c", "modbus", "With writes disabled coils are switched.", unguarded(_COIL, "write_coils_bulk"), "", ""
@@ -260,14 +272,6 @@ MUTANTS: tuple[Mutant, ...] = (
         "modbus",
         "With writes disabled the write is sent, and then denied.",
         guard_after_sending(_WRITE),
-        "",
-        "",
-    ),
-    _mutant(
-        "MU-20b",
-        "modbus",
-        "With writes disabled a block is sent, and then denied.",
-        guard_after_sending(_BLOCK),
         "",
         "",
     ),
