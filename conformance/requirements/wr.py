@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.journal import Entries, JournalEntry
@@ -50,20 +49,19 @@ _VALVE, _PUMP = "ns=2;s=ValvePosition", "ns=2;s=PumpEnabled"
 _METRICS = [{"name": "temperature", "datatype": "Double", "value": 20.0}]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Write:
+class _Write(NamedTuple):
     """A write whose effect is known.
 
     Attributes:
         operation, inputs: of the call.
+        points: what the device's image holds after it, by point.
         pokes: what the device holds before it.
-        points: what its image holds after it, by point.
     """
 
     operation: str
     inputs: Mapping[str, Any]
-    pokes: Sequence[Mapping[str, Any]] = ()
     points: Mapping[str, object]
+    pokes: Sequence[Mapping[str, Any]] = ()
 
 
 # -- what is written ----------------------------------------------------------------------------------------

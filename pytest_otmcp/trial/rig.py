@@ -185,15 +185,21 @@ class Rig(WriteGate):
         cases = self.bindings(operation)
         return next((case.tool for case in cases or () if case.fits(inputs) and not case.resource), None)
 
-    async def call_until_success(self, operation: str, *, window_s: float, **inputs: Any) -> list[Reply]:
+    async def call_until_success(
+        self, operation: str, *, window_s: float, from_first_call: bool = False, **inputs: Any
+    ) -> list[Reply]:
         """Call until the adapter succeeds or the window, counted from the moment the device accepts connections,
         is over. Only the last call has the repetition's role; the calls before it have the role ``recovery``.
+
+        Args:
+            from_first_call: the window is counted from the first of these calls: the device was there, and has worked badly.
         """
-        end = self.accepting_ns + int(window_s * self._ledger.time_scale * 1e9)
-        replies = []
+        window_ns = int(window_s * self._ledger.time_scale * 1e9)
+        replies: list[Reply] = []
         while True:
             reply = await self.call(operation, **inputs)
             replies.append(reply)
+            end = window_ns + (replies[0].exchange.sent_ns if from_first_call else self.accepting_ns)
             # A call may begin too early and answer late: only a call that began after the window is the last.
             if reply.success or (len(replies) > 1 and reply.exchange.sent_ns >= end):
                 return replies
