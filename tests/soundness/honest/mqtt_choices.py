@@ -412,7 +412,10 @@ class Publisher:
             reader, writer = await self._connect()
             call.sending()
             writer.write(self._message(topic, payload, dup=True))
-            await reader.readexactly(4)
+            try:
+                await reader.readexactly(4)
+            except (OSError, asyncio.IncompleteReadError):
+                raise AdapterError("connection_lost", "the connection broke; the broker may have the message") from None
             writer.write(b"\xe0\x00")
             writer.close()
             call.trace.update(topic=topic, qos=1, retain=False)

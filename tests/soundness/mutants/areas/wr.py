@@ -96,6 +96,11 @@ def unguarded(*names: str) -> Bend:
     return bend
 
 
+def denied_after_sending(server: AdapterServer) -> None:
+    if not server.writes_enabled:
+        guard_after_sending(_WRITE)(server)
+
+
 def split_blocks(server: AdapterServer) -> None:
     """Take blocks of any length, and write them in parts."""
     tools = server._tools[_BLOCK].handler.__self__
@@ -324,9 +329,9 @@ MUTANTS: tuple[Mutant, ...] = (
         "MU-20w",
         "modbus",
         "With writes disabled the write is sent, and then denied.",
-        guard_after_sending(_WRITE),
-        "WR-003.modbus WR-004.modbus WR-005.modbus WR-009.modbus",
-        "ERR-006 WR-003 WR-004 WR-005",
+        denied_after_sending,
+        "WR-004.modbus WR-005.modbus",
+        "WR-004 WR-005",
     ),
     _mutant(
         "MU-21w",
