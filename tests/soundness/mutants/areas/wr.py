@@ -292,8 +292,8 @@ MUTANTS: tuple[Mutant, ...] = (
         "opcua",
         "The server cuts a value off and says so, and nobody is told.",
         clamping_ignored,
-        "WR-012.opcua",
         "",
+        "WR-012",
     ),
     _mutant(
         "MU-18", "modbus", "With writes disabled a mask write is sent.", unguarded(_MASK), "WR-004.modbus", "WR-004"
