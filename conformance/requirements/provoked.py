@@ -97,7 +97,7 @@ async def works_again(run: Repetition, at: Rig) -> None:
     asked = exercise(at).read(run.rng)
     for poke in asked.pokes:
         await at.poke(**poke)
-    replies = await at.call_until_success(asked.operation, window_s=at.recovery_s, from_first=True, **asked.inputs)
+    replies = await at.call_until_success(asked.operation, window_s=at.recovery_s, from_first_call=True, **asked.inputs)
     run.succeeds(replies[-1], requirement="REC-001", **asked.outputs)
 
 

@@ -368,7 +368,7 @@ class Adapter:
         bound = self.operations.get(operation)
         if bound is None:
             return f"no tool is bound to the operation {operation!r}"
-        if optional and isinstance(bound, tuple) and not any(binding.mentions(optional) for binding in bound):
+        if optional and isinstance(bound, tuple) and not self._has_place(operation, optional):
             return f"no binding of {operation!r} has a place for ${optional}"
         return None
 

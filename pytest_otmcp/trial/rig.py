@@ -7,7 +7,8 @@ which uses a running adapter and device, and by ``replay.rig``, which reads the 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Any, TypeVar, cast
 
@@ -147,15 +148,25 @@ class Rig(WriteGate):
         return reply
 
     async def call_and_cancel(
-        self, operation: str, *, seen: Mapping[str, object], timeout_s: float, **inputs: object
+        self,
+        operation: str,
+        *,
+        seen: Mapping[str, object],
+        timeout_s: float,
+        meanwhile: Callable[[], Awaitable[object]] | None = None,
+        **inputs: object,
     ) -> Reply:
         """Perform an operation and cancel the call as soon as the device has seen an entry that matches, or after the timeout.
 
         The reply is ``cancelled``, unless the answer came first.
+
+        Args:
+            meanwhile: is done after that and before the call is cancelled; a look of this rig.
         """
         await self._before(operation)
-        reply = await self._perform_and_cancel(operation, inputs, {"origin": ADAPTER, **seen}, timeout_s)
-        self._ledger.add(reply, inputs)
+        with nullcontext() if meanwhile is None else self._ledger.one_group():
+            reply = await self._perform_and_cancel(operation, inputs, {"origin": ADAPTER, **seen}, timeout_s, meanwhile)
+            self._ledger.add(reply, inputs)
         return reply
 
     def arguments_of(self, operation: str, **inputs: object) -> dict[str, str] | None:
@@ -180,7 +191,7 @@ class Rig(WriteGate):
         return next((case.tool for case in cases or () if case.fits(inputs) and not case.resource), None)
 
     async def call_until_success(
-        self, operation: str, *, window_s: float, from_first: bool = False, **inputs: Any
+        self, operation: str, *, window_s: float, from_first_call: bool = False, **inputs: Any
     ) -> list[Reply]:
         """Call until the adapter succeeds or the window, counted from the moment the device accepts connections,
         is over. Only the last call has the repetition's role; the calls before it have the role ``recovery``.
@@ -188,16 +199,14 @@ class Rig(WriteGate):
         Args:
             operation, inputs: as of :meth:`call`.
             window_s: length of the window.
-            from_first: it is not counted before the first call: the device was there all the time, the connection was not.
+            from_first_call: the window is counted from the first of these calls: the device was there, and has worked badly.
         """
-        begun_ns = self.accepting_ns
+        window_ns = int(window_s * self._ledger.time_scale * 1e9)
         replies: list[Reply] = []
         while True:
             reply = await self.call(operation, **inputs)
-            if from_first and not replies:
-                begun_ns = max(begun_ns, reply.exchange.sent_ns)
-            end = begun_ns + int(window_s * self._ledger.time_scale * 1e9)
             replies.append(reply)
+            end = window_ns + (replies[0].exchange.sent_ns if from_first_call else self.accepting_ns)
             # A call may begin too early and answer late: only a call that began after the window is the last.
             if reply.success or (len(replies) > 1 and reply.exchange.sent_ns >= end):
                 return replies
@@ -302,6 +311,10 @@ class Rig(WriteGate):
         """
 
     @abstractmethod
+    async def listing_took_s(self) -> float:
+        """Ask for the list of tools again, and return the seconds until it was there; raises as :meth:`listed_tools`."""
+
+    @abstractmethod
     async def send_line(self, line: str) -> bool:
         """Write a line to the adapter's standard input as it is; return whether there is such a stream."""
 
@@ -384,7 +397,12 @@ class Rig(WriteGate):
 
     @abstractmethod
     async def _perform_and_cancel(
-        self, operation: str, inputs: Mapping[str, object], seen: Mapping[str, object], timeout_s: float
+        self,
+        operation: str,
+        inputs: Mapping[str, object],
+        seen: Mapping[str, object],
+        timeout_s: float,
+        meanwhile: Callable[[], Awaitable[object]] | None,
     ) -> Reply: ...
 
     @abstractmethod

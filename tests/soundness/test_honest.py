@@ -64,7 +64,7 @@ def test_an_honest_adapter_is_accused_of_nothing_in_the_requirement_suite(judge:
     checks = " ".join(task.id for task in all_tasks().values() if task.suite == REQUIREMENTS)
     results = judge(choice.protocol, "honest/adapter.py", name, described=choice.described, tasks=checks)
     assert failing(results) == set(), words(results)
-    assert set(warnings(results)) == choice.warnings, words(results)
+    assert set(warnings(results)) <= choice.warnings, words(results)
 
 
 def test_the_documentation_has_every_honest_adapter() -> None:

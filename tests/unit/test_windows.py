@@ -89,3 +89,9 @@ def test_an_answer_that_comes_late_is_not_taken_for_a_status_that_stays() -> Non
 def test_a_status_that_stays_after_the_window_is_final() -> None:
     scripted = at((True, 0.1, 0.2), (True, 1.9, 1.95), (True, 2.1, 2.2), (False, 2.3, 2.4))
     assert asyncio.run(scripted.call_until_failure("read_input", window_s=2.0)).success
+
+
+def test_a_window_from_the_first_call_is_not_over_because_the_device_has_been_there_for_long() -> None:
+    scripted = at((False, 20.0, 20.1), (False, 20.4, 20.5), (True, 20.8, 20.9))
+    replies = asyncio.run(scripted.call_until_success("read_input", window_s=1.0, from_first_call=True))
+    assert [reply.success for reply in replies] == [False, False, True]

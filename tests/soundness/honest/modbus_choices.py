@@ -27,6 +27,9 @@ REGISTERS = 100
 
 BLOCK = 20
 
+_NUMBERS = ("modbus.read_typed", "modbus.read_tag")
+"""Operations that read one number, which must not be read in parts."""
+
 
 def tools_of(server: AdapterServer) -> Tools:
     tools: Tools = server._tools["ping"].handler.__self__
@@ -42,6 +45,8 @@ def other_reads(server: AdapterServer, read: Callable[[Read], Read]) -> None:
 def in_parts(size: int) -> Callable[[Read], Read]:
     def parted(genuine: Read) -> Read:
         async def read(call: Call, arguments: Any, address: int, count: int) -> list[int]:
+            if call._operation in _NUMBERS:
+                return await genuine(call, arguments, address, count)
             values: list[int] = []
             while len(values) < count:
                 values += await genuine(call, arguments, address + len(values), min(size, count - len(values)))

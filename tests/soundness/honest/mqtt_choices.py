@@ -120,11 +120,20 @@ def node_data_of_its_own(server: AdapterServer) -> None:
     link = link_of(server)
     node = link.edge_node
     birth = server._tools["publish_node_birth"]
+    declared = [False]
 
     def born_before(genuine: Handler) -> Handler:
         async def handler(call: Call, arguments: Any) -> Any:
             if not node.alive:
                 await birth.handler(call, birth.model(metrics=[{"name": "uptime", "datatype": "Int64", "value": 0}]))
+                declared[0] = True
+            return await genuine(call, arguments)
+
+        return handler
+
+    def born_with_other_metrics(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Any:
+            declared[0] = False
             return await genuine(call, arguments)
 
         return handler
@@ -132,11 +141,12 @@ def node_data_of_its_own(server: AdapterServer) -> None:
     async def report() -> None:
         await asyncio.sleep(0.1)
         async with link.publishing:
-            if link.connected and node.alive:
+            if link.connected and node.alive and declared[0]:
                 with suppress(ConnectionLostError):
                     link._connection.send(node.numbered("NDATA", None, [UPTIME]))
 
     wrap(server, "publish_device_birth", born_before)
+    wrap(server, "publish_node_birth", born_with_other_metrics)
     in_background(server, report)
 
 
@@ -402,7 +412,10 @@ class Publisher:
             reader, writer = await self._connect()
             call.sending()
             writer.write(self._message(topic, payload, dup=True))
-            await reader.readexactly(4)
+            try:
+                await reader.readexactly(4)
+            except (OSError, asyncio.IncompleteReadError):
+                raise AdapterError("connection_lost", "the connection broke; the broker may have the message") from None
             writer.write(b"\xe0\x00")
             writer.close()
             call.trace.update(topic=topic, qos=1, retain=False)
