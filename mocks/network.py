@@ -177,9 +177,7 @@ class Link(asyncio.Transport):
 
     def received(self, data: bytes) -> None:
         """Hand over bytes of the client, or lose them."""
-        if self._network.condition == "black_hole":
-            self.dead = True
-        if self.dead:
+        if not self.carries():
             self._network.lost(self, len(data))
         elif self._above is not None:
             self._above.data_received(data)
@@ -213,10 +211,14 @@ class Link(asyncio.Transport):
         finally:
             self._manner = AT_ONCE
 
-    def write(self, data: Any) -> None:
+    def carries(self) -> bool:
+        """Tell whether what is written now is sent at all, so that a journal may say so."""
         if self._network.condition == "black_hole":
             self.dead = True
-        if self.dead:
+        return not self.dead
+
+    def write(self, data: Any) -> None:
+        if not self.carries():
             return
         if self._manner.drip_s or self._waiting or self._timer is not None or self._stalled:
             self._waiting.append((bytes(data), self._manner.drip_s))
@@ -278,18 +280,18 @@ class Link(asyncio.Transport):
 
     def _lost_end(self) -> bool:
         """End the connection for the device alone, if the end does not reach the client; tell whether that is so."""
-        if self._network.condition == "black_hole":
-            self.dead = True
-        if self.dead and not self._closing:
+        if self.carries():
+            return False
+        if not self._closing:
             self._closing = True
             asyncio.get_running_loop().call_soon(self.forget, None)
-        return self.dead
+        return True
 
     def can_write_eof(self) -> bool:
         return True
 
     def write_eof(self) -> None:
-        if not self.dead and self._network.condition != "black_hole":
+        if self.carries():
             self._transport.write_eof()
 
     def pause_reading(self) -> None:

@@ -195,7 +195,7 @@ class _Connection(asyncio.Protocol):
 
     def _send(self, asked: int, request: Mapping[str, Any], answer: Answer, rule: Rule | None = None) -> None:
         """Answer the request that has the sequence number ``asked``, in the manner of a rule."""
-        if self._transport.is_closing():
+        if self._transport.is_closing() or not self._transport.carries():
             return
         response = answer.pdu
         fields: dict[str, Any] = {
@@ -236,10 +236,11 @@ class _Connection(asyncio.Protocol):
         if rule.reset:
             self._transport.reset()
             return
-        if rule.garbage:
+        if rule.garbage and self._transport.carries():
             # The entry answers no request: no client can tell which request the bytes are for.
             self._record("out", "garbage", bytes=_GARBAGE.hex())
             self._transport.write(_GARBAGE)
+        if rule.garbage:
             return
         send = partial(self._send, asked, request, falsified(rule, transaction, unit, response), rule)
         if rule.delay_s:

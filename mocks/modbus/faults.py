@@ -9,11 +9,11 @@ from typing import Any
 from ..fault_rules import FLAG, SKIP, Field, Plan, Table, integer, number
 from ..network import AT_ONCE, MANNERS, Manner
 
-__all__ = ["FaultPlan", "Rule"]
+__all__ = ["TABLE", "FaultPlan", "Rule"]
 
 _REGISTER = integer(0, 0xFFFF)
 _ECHOES = ("value", "address", "count")
-_TABLE = Table(
+TABLE = Table(
     conditions={"function": integer(0, 0xFF), "address": integer(0, 0xFFFF), "unit": integer(0, 0xFF), "skip": SKIP},
     actions={
         "exception": integer(0, 0xFF),
@@ -138,7 +138,7 @@ class FaultPlan(Plan[Rule]):
 
 
 def _read(source: Mapping[str, Any]) -> Rule:
-    values = _TABLE.read(source)
+    values = TABLE.read(source)
     for name in ("answer_values", "clamp"):
         if name in values:
             values[name] = tuple(values[name])

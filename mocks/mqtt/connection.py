@@ -112,8 +112,9 @@ class Connection(asyncio.Protocol):
         )
 
     def _write(self, packet: Packet, data: bytes, fields: dict[str, Any], answers: int | None = None) -> None:
-        self._record("out", packet.type.name, answers=answers, **fields)
-        self._transport.write(data)
+        if self._transport.carries():
+            self._record("out", packet.type.name, answers=answers, **fields)
+            self._transport.write(data)
 
     # -- what the session asks for ------------------------------------------------------------------------
 

@@ -10,7 +10,7 @@ from ..fault_rules import FLAG, SKIP, TEXT, Plan, Table, integer, number, one_of
 from ..network import AT_ONCE, MANNERS, Manner
 from .packets import Packet, Publish, Subscribe, Unsubscribe
 
-__all__ = ["OWN_CLIENTS", "FaultPlan", "Rule"]
+__all__ = ["OWN_CLIENTS", "TABLE", "FaultPlan", "Rule"]
 
 OWN_CLIENTS = "otmcp-mock-"
 """Client ids with this prefix belong to the mock itself: only a rule that names them applies to them."""
@@ -23,7 +23,7 @@ _CODES = {
     "SUBSCRIBE": (0, 1, 2, *_REFUSALS),
     "UNSUBSCRIBE": _REFUSALS,
 }
-_TABLE = Table(
+TABLE = Table(
     conditions={"packet": one_of(*_PACKETS), "client_id": TEXT, "topic": TEXT, "skip": SKIP},
     actions={
         "no_answer": FLAG,
@@ -120,7 +120,7 @@ class FaultPlan(Plan[Rule]):
 
 
 def _read(source: Mapping[str, Any]) -> Rule:
-    values = _TABLE.read(source)
+    values = TABLE.read(source)
     rule = Rule(action=dict(source["action"]), manner=Manner.of(values), **values)
     if rule.reason_code is not None and rule.reason_code not in _CODES.get(rule.packet, ()):
         raise ValueError(f"reason_code {rule.reason_code!r} is no answer to {rule.packet}")

@@ -11,13 +11,13 @@ from asyncua import ua
 from ..fault_rules import FLAG, SKIP, TEXT, Field, Plan, Table, number
 from ..network import AT_ONCE, MANNERS, Manner
 
-__all__ = ["NOTHING", "FaultPlan", "Rule"]
+__all__ = ["NOTHING", "TABLE", "FaultPlan", "Rule"]
 
 _SYMBOL = Field(
     accepts=lambda value: isinstance(value, str) and isinstance(getattr(ua.StatusCodes, value, None), int),
     expected="the symbol of a status code",
 )
-_TABLE = Table(
+TABLE = Table(
     conditions={"service": TEXT, "node": TEXT, "skip": SKIP},
     actions={
         "status": _SYMBOL,
@@ -101,5 +101,5 @@ class FaultPlan(Plan[Rule]):
 
 
 def _read(source: Mapping[str, Any]) -> Rule:
-    values = _TABLE.read(source)
+    values = TABLE.read(source)
     return Rule(action=dict(source["action"]), manner=Manner.of(values), **values)

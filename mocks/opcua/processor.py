@@ -106,7 +106,7 @@ class _Processor(UaProcessor):  # type: ignore[misc]
             self._transport.reset()
         elif rule.close:
             self._transport.close()
-        elif not rule.drop:
+        elif not rule.drop and self._transport.carries():
             facts = {"drip_s": rule.manner.drip_s} if rule.manner.drip_s else {}
             for again in ({}, {"duplicate": True}) if rule.manner.duplicate else ({},):
                 exchange.answered(response.ResponseHeader.ServiceResult, **facts, **again)
@@ -114,8 +114,9 @@ class _Processor(UaProcessor):  # type: ignore[misc]
                     super().send_response(requesthandle, seqhdr, response, msgtype)
 
     def _notify(self, requesthandle: int, seqhdr: Any, response: ua.PublishResponse) -> None:
-        self._notified(response.Parameters)
-        super().send_response(requesthandle, seqhdr, response)
+        if self._transport.carries():
+            self._notified(response.Parameters)
+            super().send_response(requesthandle, seqhdr, response)
 
     def _notified(self, result: ua.PublishResult) -> None:
         """Journal the nodes whose values a notification has; one without values keeps the subscription alive."""

@@ -21,7 +21,7 @@ from __future__ import annotations
 import base64
 from typing import Any
 
-__all__ = ["sample"]
+__all__ = ["SETS", "sample"]
 
 _Node = dict[str, Any]
 
@@ -89,16 +89,16 @@ def sample(names: Any) -> list[_Node]:
         ValueError: there is no such set.
     """
     wanted = [names] if isinstance(names, str) else names
-    if not isinstance(wanted, list) or not wanted or any(name not in _SETS for name in wanted):
-        raise ValueError(f"nodes: expected one of {', '.join(_SETS)}, or a list of them, found {names!r}")
-    return [node for name in wanted for node in _SETS[name]]
+    if not isinstance(wanted, list) or not wanted or any(name not in SETS for name in wanted):
+        raise ValueError(f"nodes: expected one of {', '.join(SETS)}, or a list of them, found {names!r}")
+    return [node for name in wanted for node in SETS[name]]
 
 
 def _in(folder: str, name: str, kind: str, value: Any, **members: Any) -> _Node:
     return {"variable": name, "in": folder, "type": kind, "value": value, **members}
 
 
-_SETS: dict[str, list[_Node]] = {
+SETS: dict[str, list[_Node]] = {
     "types": [{"folder": "Types"}, *(_in("Types", kind, kind, value) for kind, value in _TYPES.items())],
     "special": [{"folder": "Special"}, *(_in("Special", name, kind, value) for name, kind, value in _SPECIAL)],
     "arrays": [

@@ -69,7 +69,10 @@ class SparkplugSimulator(Device):
         return {"edge_node": self._edge_node.image(), "points": self._edge_node.points()}
 
     async def poke(self, params: Mapping[str, Any]) -> None:
-        raise ValueError("an edge node has nothing to poke: publish a command at its broker")
+        """Make the node do something: ``{"edge_node": {…}}``, see ``mqtt.edge_node_pokes``."""
+        if set(params) != {"edge_node"}:
+            raise ValueError("a poke of an edge node is {'edge_node': {…}}; a command is published at its broker")
+        await self._edge_node.poke(params["edge_node"])
 
     def fault(self, rules: list[dict[str, Any]]) -> list[int]:
         if rules:

@@ -219,6 +219,17 @@ async def test_a_black_hole_accepts_and_never_answers(modbus: MockProgram, raw: 
         one.writer.close()
 
 
+async def test_a_late_answer_that_is_lost_is_not_in_the_journal(modbus: MockProgram, raw: Raw) -> None:
+    await fault(modbus, {"delay_s": 0.1})
+    raw.send(READ_THREE)
+    await modbus.control.wait(kind="request")
+    await poke(modbus, network="black_hole")
+    assert await raw.silent()
+    assert await modbus.control.journal(kind="response") == []
+    await poke(modbus, network="open")
+    assert await raw.silent()
+
+
 async def test_a_stalled_network_goes_on_late(modbus: MockProgram, raw: Raw) -> None:
     await poke(modbus, network="stalled")
     raw.send("06 000a 0005")

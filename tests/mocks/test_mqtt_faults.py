@@ -222,6 +222,7 @@ async def test_a_black_hole_swallows_clients_and_spares_the_plant(mqtt: MockProg
         assert await mqtt.control.journal(kind="CONNECT", client_id="raw") == []
         await mqtt.control.ask("tick", steps=1)
         await mqtt.control.ask("reset")
+        assert await mqtt.control.journal(origin="client", direction="out") == []
         raw.socket.settimeout(0.2)
         with pytest.raises(TimeoutError):
             raw.socket.recv(1)

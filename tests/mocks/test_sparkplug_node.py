@@ -18,7 +18,7 @@ from typing import Any
 
 import pytest
 import pytest_asyncio
-from mock_program import MockProgram
+from mock_program import MockProgram, RefusedError
 from mqtt_tools import PATIENCE_S, Peer
 from pytest_otmcp.mocks.journal import Entry
 from pytest_otmcp.mocks.mqtt.device import MqttDevice
@@ -417,6 +417,10 @@ async def test_the_simulator_lives_at_a_foreign_broker(
             for one in await program.control.journal()
         }
         assert roles == {("plant", False, False, None)}
+        await program.control.ask("poke", params={"edge_node": {"death": "device-2"}})
+        await program.control.wait(kind="PUBLISH", direction="out", topic=NODE.format("DDEATH") + "/device-2")
+        with pytest.raises(RefusedError, match="a poke of an edge node is"):
+            await program.control.ask("poke", params={"publish": {}})
         assert await program.end() == (0, "")
         last = host.next()
         while last.topic != NODE.format("NDEATH"):

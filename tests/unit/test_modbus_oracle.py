@@ -158,3 +158,36 @@ def test_the_image_is_asked_for_values_of_the_right_type() -> None:
     assert "1/coils/1 should hold 1, the device holds True" in words(oracle.image_holds(image(), "coils", 1, [1]))
     nowhere = oracle.image_holds(image(), "holding_registers", 1, [0], unit=9)
     assert "9/holding_registers/1 should hold 0, the device has no such point" in words(nowhere)
+
+
+COILS = "0F 0005 000A 02 0501 -> 0F 0005 000A"
+MASK = "16 0014 FF00 000F -> 16 0014 FF00 000F"
+
+
+def test_one_write_of_many_coils_is_judged_bit_by_bit() -> None:
+    wanted: list[object] = [True, False, True, *[False] * 5, True, False]
+    assert oracle.exactly_one_write(journal(COILS), "coils", address=5, values=wanted) == []
+    other = oracle.exactly_one_write(journal(COILS), "coils", address=5, values=[True, *[False] * 9])
+    assert "it saw a write of [True" in words(other)
+    assert "it saw 2" in words(oracle.exactly_one_write(journal(COILS, COILS), "coils", address=5, values=wanted))
+    assert "[ADR-001]" in words(oracle.exactly_one_write(journal(COILS), "coils", address=4, values=wanted))
+
+
+def test_a_mask_write_is_the_device_s_own_function_with_both_masks() -> None:
+    def judged(*exchanges: str, address: int = 20, or_mask: int = 15) -> list[Any]:
+        return oracle.exactly_one_mask_write(journal(*exchanges), address, and_mask=0xFF00, or_mask=or_mask)
+
+    assert judged(MASK) == []
+    assert "the masks 65280 and 15 [WR-001]" in words(judged(MASK, or_mask=16))
+    assert "it saw one of 20 [ADR-001]" in words(judged(MASK, address=21))
+    assert "it saw 2 [WR-003]" in words(judged(MASK, MASK))
+    assert "it saw 0 [WR-001]" in words(judged(READ))
+    read_modify_write = "06 0014 000F -> 06 0014 000F"
+    assert "it saw FC 06 address 20" in words(judged("03 0014 0001 -> 03 02 0000", read_modify_write))
+
+
+def test_an_identification_was_asked_for_and_answered() -> None:
+    request = "2B 0E 02 00"
+    assert oracle.identified(journal(f"{request} -> 2B 0E 02 82 00 00 01 00 01 41")) == []
+    assert "should have been asked for its identification" in words(oracle.identified(journal(f"{request} -> ?")))
+    assert oracle.identified(journal(READ)) != []

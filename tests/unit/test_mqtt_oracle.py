@@ -255,3 +255,30 @@ def test_a_long_session_leaves_no_more_behind_than_a_short_one() -> None:
         [len(value) for value in vars(one).values() if isinstance(value, dict | set | list)] for one in (short, long)
     ]
     assert sizes[0] == sizes[1]
+
+
+LEAVE = sent("UNSUBSCRIBE", packet_id=4, filters=[{"filter": "sensors/#"}])
+
+
+def test_a_subscription_has_ended_when_the_broker_was_asked_to_and_answered() -> None:
+    def left(*packets: Entry) -> list[Finding]:
+        entries = journal(*packets)
+        asked = {entry["packet_id"]: entry["seq"] for entry in entries if entry["kind"] == "UNSUBSCRIBE"}
+        for entry in entries:
+            if entry["kind"] == "UNSUBACK":
+                entry["answers"] = asked[entry["packet_id"]]
+        return oracle.unsubscribed(entries, "sensors/#")
+
+    assert left(LEAVE, answered("UNSUBACK", packet_id=4)) == []
+    assert "answered no such UNSUBSCRIBE [MQT-002]" in words(left(LEAVE))
+    other = {**LEAVE, "filters": [{"filter": "x"}]}
+    assert left(other, answered("UNSUBACK", packet_id=4)) != []
+
+
+def test_an_ended_subscription_is_one_that_no_open_connection_has() -> None:
+    def ended(*packets: Entry) -> list[Finding]:
+        return fed(oracle.Subscriptions(), journal(*SUBSCRIBED, *packets)).ended("sensors/#")
+
+    assert ended(LEAVE) == ended(answered("DISCONNECTED", reason="")) == []
+    assert "should have ended, the broker still has it [MQT-002]" in words(ended())
+    assert fed(oracle.Subscriptions(), journal(*SUBSCRIBED)).ended("x") == []

@@ -178,3 +178,47 @@ def test_an_enumeration_is_complete_and_without_repeats() -> None:
     )
     assert "ns=2;s=Ratio is listed twice" in words(oracle.complete_enumeration([*nodes, "ns=2;s=Ratio"], image()))
     assert "3 missing" in words(oracle.complete_enumeration("text", image()))
+
+
+SET_RATE, METHODS = "ns=2;s=SetProductionRate", "ns=2;s=Methods"
+
+
+def call(*arguments: Any, owner: str = METHODS, method: str = SET_RATE) -> Entry:
+    return asked("Call", method, methods=[{"object_id": owner, "method_id": method, "arguments": list(arguments)}])
+
+
+def test_a_method_is_called_once_with_the_arguments_that_were_asked_for() -> None:
+    def judged(*entries: Entry) -> list[Any]:
+        return oracle.exactly_one_call(journal(*entries), METHODS, SET_RATE, [12.5])
+
+    good = answer("Call", {"status": "Good", "outputs": [100.0]})
+    assert judged(call(12.5), good) == []
+    assert "it saw 2 [WR-003]" in words(judged(call(12.5), good, call(12.5), good))
+    assert "it saw 0 [WR-001]" in words(judged(read(VALVE)))
+    assert "it saw Call [[" in words(judged(call(13.5), good))
+    assert judged(call(12.5, owner="i=85"), good) != []
+    assert "it saw Write" in words(judged(write()))
+    refused = answer("Call", {"status": "BadInvalidState", "outputs": []})
+    assert "the server refused it with BadInvalidState" in words(judged(call(12.5), refused))
+
+
+def test_the_image_counts_how_often_a_method_was_performed() -> None:
+    assert oracle.performed({"points": {}, "methods": {SET_RATE: {"calls": 3}}}, SET_RATE) == 3
+
+
+def test_several_values_are_written_together() -> None:
+    def item(node: str, value: Any, **fields: Any) -> Entry:
+        return {"node_id": node, "attribute": "Value", "value": value, **fields}
+
+    def judged(*entries: Entry) -> list[Any]:
+        return oracle.written_together(journal(*entries), {VALVE: 25.0, "ns=2;s=FanSpeed": 1.5})
+
+    both, good = asked("Write", item("ns=2;s=FanSpeed", 1.5), item(VALVE, 25.0)), answer("Write", "Good", "Good")
+    assert judged(both, good) == []
+    assert "it saw 2 [WR-003]" in words(judged(write(25.0), write(1.5, "ns=2;s=FanSpeed")))
+    assert "it saw Write" in words(judged(asked("Write", item(VALVE, 25.0)), good))
+    assert judged(asked("Write", item("ns=2;s=FanSpeed", 1.5), item(VALVE, 26.0)), good) != []
+    assert judged(asked("Write", item("ns=2;s=FanSpeed", 1.5), item(VALVE, 25.0), item(VALVE, 25.0)), good) != []
+    assert "refused a part of it with BadNotWritable" in words(judged(both, answer("Write", "Good", "BadNotWritable")))
+    timed = asked("Write", item("ns=2;s=FanSpeed", 1.5, has_timestamp=True), item(VALVE, 25.0))
+    assert "[OUA-005]" in words(judged(timed, good))

@@ -345,3 +345,57 @@ def test_a_value_that_did_not_arrive_as_asked_is_found(entries: list[Entry], pro
     message = wrong(*entries)
     assert "the broker should have received one DDATA of d with temperature = 20.1, " in message
     assert problem in message
+
+
+SETPOINT = {"name": "setpoint", "datatype": "Double", "value": 42}
+SPEED = {"name": "speed", "datatype": "Int32", "value": -10}
+
+
+def command(*metrics: bytes, topic: str = "spBv1.0/g/DCMD/n/d", seq: int | None = None, **fields: Any) -> Entry:
+    data = base64.b64encode(payload(*metrics, seq=seq)).decode()
+    return entry("PUBLISH", topic=topic, qos=0, retain=False, payload=data, request=True, state_changing=True) | fields
+
+
+def commanded(*entries: Entry, device: str | None = "d", metrics: Any = (SETPOINT,)) -> str:
+    found = oracle.commanded_once(
+        numbered(*entries), group="g", node="n", device=device, metrics=metrics, aliases={7: "setpoint"}
+    )
+    return "" if not found else f"{found[0].message} [{found[0].requirement}]"
+
+
+DOUBLE = metric("setpoint", double(13, 42.0), datatype="Double")
+
+
+def test_a_command_is_the_one_that_was_asked_for() -> None:
+    assert commanded(command(DOUBLE)) == ""
+    assert commanded(command(DOUBLE, topic="spBv1.0/g/NCMD/n"), device=None) == ""
+    assert commanded(command(DOUBLE), ddata()) == ""
+
+
+def test_a_command_may_leave_out_types_and_names_and_choose_the_order() -> None:
+    untyped = metric("setpoint", double(13, 42.0))
+    slow = metric("speed", number(10, 2**32 - 10))
+    assert commanded(command(untyped)) == commanded(command(metric(None, double(13, 42.0), alias=7))) == ""
+    assert commanded(command(slow, untyped), metrics=(SETPOINT, SPEED)) == ""
+    assert commanded(command(metric("speed", number(10, 2**32 - 10), datatype="Int32")), metrics=(SPEED,)) == ""
+
+
+@pytest.mark.parametrize(
+    ("entries", "problem"),
+    [
+        ([], "it received 0 [SPB-010]"),
+        ([command(DOUBLE), command(DOUBLE)], "it received 2 [WR-003]"),
+        ([command(DOUBLE, topic="spBv1.0/g/DCMD/n/e")], "it came on spBv1.0/g/DCMD/n/e [SPB-010]"),
+        ([command(DOUBLE, topic="spBv1.0/g/NCMD/n")], "it came on spBv1.0/g/NCMD/n"),
+        ([command(DOUBLE, seq=3)], "it has the sequence number 3"),
+        ([command(DOUBLE, qos=1)], "it came with QoS 1"),
+        ([command(DOUBLE, retain=True)], "and retained"),
+        ([command()], "its metrics are []"),
+        ([command(metric(None, double(13, 42.0), alias=8))], "its metrics are [None]"),
+        ([command(metric("setpoint", double(13, 43.0)))], "setpoint is 43.0"),
+        ([command(metric("setpoint", single(12, 42.0), datatype="Float"))], "setpoint has the datatype Float"),
+        ([command(block(2, b"\xff"))], "a payload does not decode"),
+    ],
+)
+def test_a_command_that_is_another_is_found(entries: list[Entry], problem: str) -> None:
+    assert problem in commanded(*entries)

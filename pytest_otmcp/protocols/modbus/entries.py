@@ -32,6 +32,7 @@ class ModbusEntry(JournalEntry, total=False):
         function: function code, without the bit that marks an exception.
         address, quantity: first address, from 0 as in the PDU, and number of registers or bits.
         values: registers or bits written by a request, or read by a response.
+        and_mask, or_mask: of a mask write.
         exception: exception code of a response, or None.
         pdu: function code and data in hexadecimal digits.
     """
@@ -42,6 +43,8 @@ class ModbusEntry(JournalEntry, total=False):
     address: int
     quantity: int
     values: list[int] | list[bool]
+    and_mask: int
+    or_mask: int
     exception: int | None
     pdu: str
 

@@ -13,9 +13,11 @@ from ..oracle import Witness, requests
 from .entries import as_modbus, describe, points
 
 __all__ = [
+    "exactly_one_mask_write",
     "exactly_one_write",
     "exception_sent",
     "held",
+    "identified",
     "image_holds",
     "no_state_changing_request",
     "nothing_changed_by",
@@ -31,6 +33,7 @@ __all__ = [
 
 _WITNESS = Witness(noun="the device", describe=describe)
 _READS = (1, 2, 3, 4)
+_MASK_WRITE, _IDENTIFICATION = 22, 43
 
 some_exchange = _WITNESS.answered
 no_state_changing_request = _WITNESS.nothing_changed
@@ -100,6 +103,29 @@ def exactly_one_write(entries: Entries, table: str, *, address: int, values: lis
         return requirement, f"it saw a write of {written} to {at}"
 
     return _WITNESS.exactly_one_write(entries, f"write of {values} to {table} {address}", problem)
+
+
+def exactly_one_mask_write(entries: Entries, address: int, *, and_mask: int, or_mask: int) -> list[Finding]:
+    """Expect that exactly one request that may change the device reached it: this mask write, by the device's own function."""
+
+    def problem(entry: JournalEntry) -> tuple[str, str] | None:
+        write = as_modbus(entry)
+        if write["function"] != _MASK_WRITE:
+            return "WR-001", f"it saw {describe(entry)}"
+        if (write.get("and_mask"), write.get("or_mask")) != (and_mask, or_mask):
+            return "WR-001", f"it saw the masks {write.get('and_mask')} and {write.get('or_mask')}"
+        return None if write.get("address") == address else ("ADR-001", f"it saw one of {write.get('address')}")
+
+    what = f"mask write of holding_registers {address} with the masks {and_mask} and {or_mask}"
+    return _WITNESS.exactly_one_write(entries, what, problem)
+
+
+def identified(entries: Entries) -> list[Finding]:
+    """Expect that the device was asked for its identification during the call, and answered."""
+    asked = "its identification by function 43"
+    return _WITNESS.was_asked(
+        entries, asked, lambda seen: any(as_modbus(entry).get("function") == _IDENTIFICATION for entry in seen)
+    )
 
 
 def refused_nothing_else(entries: Entries, *, function: int, address: int, count: int) -> list[Finding]:

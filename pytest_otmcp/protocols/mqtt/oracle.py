@@ -17,13 +17,14 @@ from .commands import commands
 from .entries import FirstPackets, MqttEntry, adapter_packets, describe, payload_of, shown
 from .entries import messages as published
 from .sparkplug_decoder import parse_topic
-from .sparkplug_oracle import SparkplugSequence, ddata_metric
+from .sparkplug_oracle import SparkplugSequence, commanded_once, ddata_metric
 
 __all__ = [
     "Publications",
     "Refused",
     "SparkplugSequence",
     "Subscriptions",
+    "commanded_once",
     "ddata_metric",
     "delivered",
     "exchange",
@@ -36,6 +37,7 @@ __all__ = [
     "published_once",
     "session_stays_up",
     "subscription_lost",
+    "unsubscribed",
 ]
 
 _WITNESS = Witness(noun="the broker", describe=describe)
@@ -98,6 +100,38 @@ class Subscriptions(SessionOracle):
                 evidence=self._first.shown(),
             )
         ]
+
+    def ended(self, filter: str) -> list[Finding]:
+        """Expect that the adapter is not subscribed to this filter on any connection that is still open."""
+        if not any(code <= _HIGHEST_QOS for code in self._granted.get(filter, {}).values()):
+            return []
+        return [
+            Finding(
+                code="still_subscribed",
+                message=f"the subscription to {filter!r} should have ended, the broker still has it",
+                requirement="MQT-002",
+                evidence=self._first.shown(),
+            )
+        ]
+
+
+def unsubscribed(entries: Entries, filter: str) -> list[Finding]:
+    """Expect that the adapter sent an UNSUBSCRIBE of this filter, and that the broker answered it."""
+    answered = {entry["answers"] for entry in entries}
+    asked = adapter_packets(entries, "UNSUBSCRIBE", "in")
+    if any(
+        packet["seq"] in answered and filter in [unwanted.get("filter") for unwanted in packet["filters"]]
+        for packet in asked
+    ):
+        return []
+    return [
+        Finding(
+            code="still_subscribed",
+            message=f"the broker should have been asked to end {filter!r}, it answered no such UNSUBSCRIBE",
+            requirement="MQT-002",
+            evidence=shown(entries),
+        )
+    ]
 
 
 def not_granted(entries: Entries, filter: str) -> list[Finding]:

@@ -7,21 +7,24 @@ assertions of the specification; the wording is not the specification's.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 from ...core.finding import Finding
+from ...core.strict_json import same_json
 from ..journal import Entries, JournalEntry
 from ..session_oracle import SessionOracle
 from .entries import MqttEntry, adapter_packets, as_mqtt, payload_of, shown
 from .sparkplug_decoder import DATA_TYPES, NAMESPACE, Topic, decode_message, decode_payload, parse_topic
 
-__all__ = ["SparkplugSequence", "ddata_metric", "kept_or_executed"]
+__all__ = ["SparkplugSequence", "commanded_once", "ddata_metric", "kept_or_executed"]
 
 _BD_SEQ = "bdSeq"
 _REBIRTH = "Node Control/Rebirth"
 _FLOAT, _DOUBLE, _BOOLEAN = (DATA_TYPES.index(name) for name in ("Float", "Double", "Boolean"))
 _MOST_FINDINGS = 5
+_COMMANDS = ("NCMD", "DCMD")
 
 # Data type and name of the metrics that a birth declared, by name and by alias.
 Declared = dict[str | int, tuple[str, int | None]]
@@ -88,6 +91,84 @@ def _ddata_problem(found: list[Mapping[str, Any]], declared: Declared, name: str
     if metric["value"] != value and (datatype == _DOUBLE or metric["value"] != single):
         return f"its value is {metric['value']!r}"
     return None
+
+
+def commanded_once(
+    entries: Entries,
+    *,
+    group: str,
+    node: str,
+    device: str | None,
+    metrics: Sequence[Mapping[str, Any]],
+    aliases: Mapping[int, str] = MappingProxyType({}),
+    client_id: str | None = None,
+) -> list[Finding]:
+    """Expect that the adapter published one command, an NCMD to this node or a DCMD to this device of it, with these metrics.
+
+    Args:
+        metrics: each with ``name``, ``datatype`` and ``value``.
+        aliases: the names of metrics by the aliases of the target's birth, for a command that has no names.
+    """
+    found = [
+        (entry, message)
+        for entry, message in _messages(entries, client_id)
+        if "error" in message or message["type"] in _COMMANDS
+    ]
+    problem = _command_problem(found, (group, node, device), metrics, aliases)
+    if problem is None:
+        return []
+    kind = "NCMD" if device is None else "DCMD"
+    target = "/".join(part for part in (group, node, device) if part is not None)
+    return [
+        Finding(
+            code="wrong_command",
+            message=f"the broker should have received one {kind} to {target} with "
+            f"{', '.join(str(metric['name']) for metric in metrics)}, {problem}",
+            requirement="WR-003" if len(found) > 1 else "SPB-010",
+            evidence=shown(entries),
+        )
+    ]
+
+
+def _command_problem(
+    found: Sequence[tuple[MqttEntry, Mapping[str, Any]]],
+    target: tuple[str, str, str | None],
+    metrics: Sequence[Mapping[str, Any]],
+    aliases: Mapping[int, str],
+) -> str | None:
+    if broken := [message["error"] for _, message in found if "error" in message]:
+        return f"a payload does not decode: {broken[0]}"
+    if len(found) != 1:
+        return f"it received {len(found)}"
+    ((entry, message),) = found
+    if (message["group"], message["edge_node"], message["device"]) != target:
+        return f"it came on {entry['topic']}"
+    # tck-id-topics-ncmd-mqtt, tck-id-topics-dcmd-mqtt: QoS 0, not retained; tck-id-payloads-ncmd-seq: no sequence number.
+    if entry.get("qos") or entry.get("retain"):
+        return f"it came with QoS {entry.get('qos')}{' and retained' if entry.get('retain') else ''}"
+    if message["seq"] is not None:
+        return f"it has the sequence number {message['seq']}"
+    named = [(metric["name"] or aliases.get(metric["alias"]), metric) for metric in message["metrics"]]
+    if sorted(str(name) for name, _ in named) != sorted(metric["name"] for metric in metrics):
+        return f"its metrics are {[name for name, _ in named]}"
+    by_name = dict(named)
+    return next((problem for wanted in metrics if (problem := _metric_problem(by_name[wanted["name"]], wanted))), None)
+
+
+def _metric_problem(sent: Mapping[str, Any], wanted: Mapping[str, Any]) -> str | None:
+    # tck-id-payloads-metric-datatype-not-req: commands need not repeat the type.
+    if sent["datatype"] not in (None, 0) and _type_name(sent["datatype"]) != wanted["datatype"]:
+        return f"{wanted['name']} has the datatype {_type_name(sent['datatype'])}"
+    value = wanted["value"]
+    right = [value]
+    if wanted["datatype"] in ("Float", "Double") and isinstance(value, int | float):
+        right = [struct.unpack("<f", struct.pack("<f", value))[0] if wanted["datatype"] == "Float" else float(value)]
+    elif sent["datatype"] in (None, 0) and isinstance(value, int) and value < 0:
+        # Without its type a negative number is read as the two's complement that is on the wire.
+        right = [value % 2**32, value % 2**64]
+    if any(same_json(sent["value"], one) for one in right):
+        return None
+    return f"{wanted['name']} is {sent['value']!r}"
 
 
 def _type_name(datatype: int | None) -> str:

@@ -44,11 +44,13 @@ class OpcUaEntry(JournalEntry, total=False):
     Members:
         nodes: the nodes that a request names, or whose values a Publish notifies of; for other services than Read, Write,
             CreateMonitoredItems and Publish only their node ids.
+        methods: of a Call: for each method ``object_id``, ``method_id``, ``arguments`` and the ``types`` of these.
         results: of an answer, one for each item: a status code's symbol, or an object with ``status``.
         service_result: symbol of the status code of the service as a whole.
     """
 
     nodes: list[Any]
+    methods: list[Any]
     results: list[Any]
     service_result: str
 

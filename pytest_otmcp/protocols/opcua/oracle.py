@@ -6,7 +6,7 @@ the plant's data variables by node id, its folders by browse name.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ...core.finding import Finding
@@ -20,6 +20,7 @@ __all__ = [
     "browsed",
     "children_of",
     "complete_enumeration",
+    "exactly_one_call",
     "exactly_one_write",
     "folder_id",
     "held",
@@ -28,10 +29,12 @@ __all__ = [
     "no_state_changing_service",
     "nothing_changed_by",
     "only_changed",
+    "performed",
     "reached",
     "read_from_device",
     "refused_with",
     "some_service",
+    "written_together",
 ]
 
 _WITNESS = Witness(noun="the server", describe=describe, holds_value=holds_value)
@@ -155,6 +158,47 @@ def exactly_one_write(entries: Entries, node: str, value: object) -> list[Findin
         *_WITNESS.exactly_one_write(entries, f"Write of {value!r} to {node}", problem),
         *_timestamps_written(entries),
     ]
+
+
+def written_together(entries: Entries, values: Mapping[str, object]) -> list[Finding]:
+    """Expect that exactly one Write reached the server and was accepted: of these values, by node id, and nothing else."""
+
+    def problem(entry: JournalEntry) -> tuple[str, str] | None:
+        items = as_opcua(entry).get("nodes", [])
+        refused = [status for answer in answers(entries, "Write") for status in statuses(answer)]
+        written = {item["node_id"]: item.get("value") for item in items} if entry["kind"] == "Write" else {}
+        whole = len(items) == len(written) and all(item["attribute"] == "Value" for item in items)
+        if not whole or not same_json(written, dict(values)):
+            return "WR-001", f"it saw {entry['kind']} {written}"
+        bad = [status for status in refused if not status.startswith("Good")]
+        return ("WR-001", f"the server refused a part of it with {bad[0]}") if bad else None
+
+    return [
+        *_WITNESS.exactly_one_write(entries, f"Write of {len(values)} values together", problem),
+        *_timestamps_written(entries),
+    ]
+
+
+def exactly_one_call(entries: Entries, owner: str, method: str, arguments: Sequence[object]) -> list[Finding]:
+    """Expect that exactly one Call reached the server and was accepted: of this method of this object, with these arguments."""
+
+    def problem(entry: JournalEntry) -> tuple[str, str] | None:
+        called = [[one["object_id"], one["method_id"], one["arguments"]] for one in as_opcua(entry).get("methods", [])]
+        if entry["kind"] != "Call" or not same_json(called, [[owner, method, list(arguments)]]):
+            return "WR-001", f"it saw {entry['kind']} {called or ''}".rstrip()
+        bad = [status for reply in answers(entries, "Call") for status in statuses(reply) if status.startswith("Bad")]
+        return ("WR-001", f"the server refused it with {bad[0]}") if bad else None
+
+    return _WITNESS.exactly_one_write(entries, f"Call of {method} with {list(arguments)}", problem)
+
+
+def performed(image: Image, method: str) -> int:
+    """Return how often the server has performed a method.
+
+    Raises:
+        KeyError: it has no such method.
+    """
+    return int(image["methods"][method]["calls"])
 
 
 def _timestamps_written(entries: Entries) -> list[Finding]:
