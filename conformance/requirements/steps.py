@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.exercise import Asked, Exercise
@@ -19,10 +20,12 @@ __all__ = [
     "QUIET_S",
     "a_read_works",
     "a_write_works",
+    "exact_or_refused",
     "exercise",
     "nothing_arrived",
     "read",
     "refused_before_the_wire",
+    "works_again",
     "write",
     "written_once",
 ]
@@ -111,3 +114,19 @@ async def refused_before_the_wire(
     since = reply.exchange.sent_ns
     entries = [entry for entry in await at.journal() if entry["t_ns"] >= since]
     run.witnessed(nothing_arrived(at, entries, requirement=requirement))
+
+
+def exact_or_refused(run: Repetition, reply: Reply, *codes: str, requirement: str, **outputs: object) -> bool:
+    """Expect these outputs, or a refusal with one of these codes, and return whether it was success; for what an adapter need not offer."""
+    if reply.success:
+        return run.succeeds(reply, requirement=requirement, **outputs)
+    run.fails(reply, *codes, requirement=requirement, code_requirement="ERR-002")
+    return False
+
+
+async def works_again(run: Repetition, at: Rig, operation: str, **inputs: Any) -> None:
+    """Expect that a call works after the device has done something wrong; an adapter that has to be connected gets a new session."""
+    if not (at.claims("recovery") and at.reconnects):
+        await at.fresh_session()
+    replies = await at.call_until_success(operation, window_s=0.0, **inputs)
+    run.succeeds(replies[-1], requirement="REC-001")

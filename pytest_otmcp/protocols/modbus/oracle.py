@@ -19,6 +19,7 @@ __all__ = [
     "held",
     "identified",
     "image_holds",
+    "in_one_request",
     "no_state_changing_request",
     "nothing_changed_by",
     "only_changed",
@@ -77,6 +78,11 @@ def _misdirected(entries: Entries, function: int, address: int) -> str | None:
 def reached(entries: Entries, *, function: int, address: int, count: int) -> bool:
     """Tell whether requests by this function that cover these cells reached the device."""
     return _covered(requests(entries), function, address, count)
+
+
+def in_one_request(entries: Entries, *, function: int, address: int, count: int) -> bool:
+    """Tell whether one request by this function covers these cells."""
+    return any(_covered([request], function, address, count) for request in requests(entries))
 
 
 def _covered(asked: Sequence[JournalEntry], function: int, address: int, count: int) -> bool:
