@@ -455,7 +455,6 @@ async def _renumbered(run: Repetition, opcua: Rig) -> None:
 # -- any protocol -----------------------------------------------------------------------------------------------------
 
 _CHARACTERS = 10_000_000
-_SOON_S = 1.0
 
 
 @TASKS.every_protocol("ADR-009", "What is too large or too deep is refused, and the session goes on.", writes=True)
@@ -463,7 +462,6 @@ async def what_is_too_large_is_refused(run: Repetition, at: Rig) -> None:
     """Write a text of ten million characters, a list of a million elements, and one that is nested deeply; after each, a value that fits.
 
     Said: failures with `limit_exceeded`, `invalid_input`, `type_mismatch` or `range_overflow`, and the outcome `not_sent`; success after each.
-        A refusal that takes longer than a second is a warning.
     Seen: no request that changes the plant; after each refusal, one.
     Why: whatever an assistant is made to send, the adapter has to survive it, and the device must not have to.
     """
@@ -475,11 +473,4 @@ async def what_is_too_large_is_refused(run: Repetition, at: Rig) -> None:
     for size in (filler(_CHARACTERS), filler(1_000_000, ELEMENTS), filler(200, DEEP)):
         reply = await at.call_altered(asked.operation, Alteration(given={name: size}), **asked.inputs)
         await refused_before_the_wire(run, at, reply, "limit_exceeded", *_WRONG_KIND, requirement="ADR-009")
-        if reply.latency_ms is not None and reply.latency_ms > 1000 * _SOON_S * max(1.0, run.time_scale):
-            message = (
-                f"{reply.label}: a refusal should come within {_SOON_S:g} s, it came after {reply.latency_ms:.0f} ms"
-            )
-            run.judge(
-                reply, [Finding(code="deadline_missed", message=message, requirement="ADR-009", strength="SHOULD")]
-            )
         await a_write_works(run, at)
