@@ -146,8 +146,9 @@ async def what_does_not_fit_a_register_is_refused(run: Repetition, modbus: Rig) 
     for low, high in ((0, -1), (0xFFFF, 0x10000), (0, 70000), (0xFFFF, -(2**31))):
         await _bound(run, modbus, "write_holding", {"address": 1}, "value", low, high, (1, [low]))
         if modbus.claims("write_registers"):
-            inside, beyond = [7, low], [7, high]
-            await _bound(run, modbus, "write_registers", {"address": 1}, "values", inside, beyond, (1, inside))
+            await _bound(
+                run, modbus, "write_registers", {"address": 1}, "values", [7, low], [7, high], (1, [7, low])
+            )
     if modbus.claims("write_tag"):
         for inside, beyond in ((-(2**31), -(2**31) - 1), (2**31 - 1, 2**31)):
             await _bound_of_tag(run, modbus, "otmcp_swapped", inside, beyond)

@@ -73,7 +73,7 @@ async def byte_orders_are_kept(run: Repetition, modbus: Rig) -> None:
             for order in orders if kind in WIDE else ORDERS[:1]:
                 for value in values:
                     await _hold(modbus, operation, registers(value, kind, order))
-                    asked = {"byte_order": order} if len(orders) > 1 else {}
+                    asked: dict[str, Any] = {"byte_order": order} if len(orders) > 1 else {}
                     reply = await modbus.call(operation, address=_AT, type=kind, **asked)
                     if exact_or_refused(run, reply, *_NOT_OFFERED, requirement="ENC-001") and not _is_number(
                         reply.outputs.get("value"), value, kind
