@@ -91,7 +91,8 @@ def _values(run: Repetition) -> Iterator[tuple[str, object]]:
     yield "Boolean", False
     yield "Boolean", True
     for node, bits in (("Byte", 8), ("UInt16", 16), ("UInt32", 32)):
-        yield node, run.rng.randrange(2**bits)
+        # Read as a number with a sign, it would be another one.
+        yield node, run.rng.randrange(2 ** (bits - 1), 2**bits)
     for node, bits in (("SByte", 8), ("Int16", 16), ("Int32", 32), ("Int64", 50)):
         yield node, -run.rng.randrange(1, 2 ** (bits - 1))
     yield "Double", run.rng.uniform(-1e9, 1e9)
