@@ -22,6 +22,7 @@ __all__ = [
     "a_write_works",
     "exact_or_refused",
     "exercise",
+    "knows_node",
     "nothing_arrived",
     "read",
     "refused_before_the_wire",
@@ -122,6 +123,15 @@ def exact_or_refused(run: Repetition, reply: Reply, *codes: str, requirement: st
     if reply.success or not codes:
         return run.succeeds(reply, requirement=requirement, **outputs)
     run.fails(reply, *codes, requirement=requirement, code_requirement="ERR-002")
+    return False
+
+
+async def knows_node(run: Repetition, opcua: Rig, node: str) -> bool:
+    """Return whether the adapter reads a node that the kit has added; one with a list of its own nodes may not know it."""
+    reply = await opcua.call("read", node=node)
+    if reply.success or reply.error_code not in ("illegal_address", "invalid_input", "access_denied"):
+        return True
+    run.fails(reply, "illegal_address", "invalid_input", "access_denied", outcome=NOTHING_SENT)
     return False
 
 
