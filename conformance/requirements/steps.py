@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from typing import Any
 
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.exercise import Asked, Exercise
@@ -22,13 +23,16 @@ __all__ = [
     "a_write_works",
     "answers_again",
     "citing",
+    "exact_or_refused",
     "exercise",
     "faulty",
+    "knows_node",
     "nothing_arrived",
     "read",
     "refused_before_the_wire",
     "silence",
     "since",
+    "works_again",
     "write",
     "written_once",
 ]
@@ -153,3 +157,29 @@ async def refused_before_the_wire(
     since = reply.exchange.sent_ns
     entries = [entry for entry in await at.journal() if entry["t_ns"] >= since]
     run.witnessed(nothing_arrived(at, entries, requirement=requirement))
+
+
+def exact_or_refused(run: Repetition, reply: Reply, *codes: str, requirement: str, **outputs: object) -> bool:
+    """Expect these outputs, or a refusal with one of these codes, if there are any, and return whether it was success; for what an adapter
+    need not offer."""
+    if reply.success or not codes:
+        return run.succeeds(reply, requirement=requirement, **outputs)
+    run.fails(reply, *codes, requirement=requirement, code_requirement="ERR-002")
+    return False
+
+
+async def knows_node(run: Repetition, opcua: Rig, node: str) -> bool:
+    """Return whether the adapter reads a node that the kit has added; one with a list of its own nodes may not know it."""
+    reply = await opcua.call("read", node=node)
+    if reply.success or reply.error_code not in ("illegal_address", "invalid_input", "access_denied"):
+        return True
+    run.fails(reply, "illegal_address", "invalid_input", "access_denied", outcome=NOTHING_SENT)
+    return False
+
+
+async def works_again(run: Repetition, at: Rig, operation: str, **inputs: Any) -> None:
+    """Expect that a call works after the device has done something wrong; an adapter that has to be connected gets a new session."""
+    if not (at.claims("recovery") and at.reconnects):
+        await at.fresh_session()
+    replies = await at.call_until_success(operation, window_s=0.0, **inputs)
+    run.succeeds(replies[-1], requirement="REC-001")

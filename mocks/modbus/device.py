@@ -23,7 +23,7 @@ from .answers import Answer, falsified
 from .faults import FaultPlan, Rule
 from .image import UnitImage
 from .pdu import MASK_WRITE, WRITE_REGISTER, WRITE_REGISTERS, IllegalRequest, describe, execute, values_read
-from .pokes import Restless, poke_cells, poke_identification, poke_units, restless_cells
+from .pokes import Restless, poke_cells, poke_identification, poke_size, poke_units, restless_cells
 
 __all__ = ["ModbusDevice"]
 
@@ -79,6 +79,8 @@ class ModbusDevice(Device):
             return
         if "units" in params:
             poke_units(self.units, params["units"])
+        elif "cells" in params:
+            poke_size(self.units, params)
         elif "identification" in params:
             poke_identification(self.units, params)
         elif "restless" in params:

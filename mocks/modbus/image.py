@@ -65,6 +65,18 @@ class UnitImage:
         self.discrete_inputs[RUNNING] = True
         self._publish()
 
+    @property
+    def size(self) -> int:
+        """Number of cells of each table."""
+        return len(self.holding_registers)
+
+    def enlarge(self, size: int) -> None:
+        """Give every table so many cells; new ones hold 0."""
+        for name in TABLES:
+            cells = self.table(name)
+            empty: Any = False if name in ("coils", "discrete_inputs") else 0
+            cells.extend([empty] * (size - len(cells)))
+
     def table(self, name: str) -> list[Any]:
         """Return the cells of a table, to be read or changed in place.
 
@@ -83,8 +95,8 @@ class UnitImage:
             ValueError: no such table, address or value.
         """
         cells = self.table(table)
-        if address < 0 or address + len(values) > SIZE:
-            raise ValueError(f"{table} {address}..{address + len(values) - 1}: the device has 0..{SIZE - 1}")
+        if address < 0 or address + len(values) > self.size:
+            raise ValueError(f"{table} {address}..{address + len(values) - 1}: the device has 0..{self.size - 1}")
         bits = table in ("coils", "discrete_inputs")
         kind, highest = (bool, 1) if bits else (int, 0xFFFF)
         for value in values:

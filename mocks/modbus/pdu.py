@@ -10,7 +10,7 @@ import struct
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from .image import SIZE, UnitImage
+from .image import UnitImage
 
 __all__ = [
     "MASK_WRITE",
@@ -117,34 +117,34 @@ def execute(unit: UnitImage, pdu: bytes, *, apply: bool = True) -> bytes:
     """
     function, body = pdu[0], pdu[1:]
     if function in (READ_COILS, READ_DISCRETE):
-        address, quantity = _span(body, 2000)
+        address, quantity = _span(unit, body, 2000)
         cells = unit.coils if function == READ_COILS else unit.discrete_inputs
         return read_response(function, cells[address : address + quantity])
     if function in (READ_HOLDING, READ_INPUT):
-        address, quantity = _span(body, 125)
+        address, quantity = _span(unit, body, 125)
         registers = unit.holding_registers if function == READ_HOLDING else unit.input_registers
         return read_response(function, registers[address : address + quantity])
     if function == WRITE_COIL:
         address, value = _pair(body)
         if value not in _COIL_STATES:
             raise IllegalRequest(ILLEGAL_DATA_VALUE)
-        _within(address, 1)
+        _within(unit, address, 1)
         if apply:
             unit.coils[address] = _COIL_STATES[value]
         return pdu
     if function == WRITE_REGISTER:
         address, value = _pair(body)
-        _within(address, 1)
+        _within(unit, address, 1)
         if apply:
             unit.holding_registers[address] = value
         return pdu
     if function == WRITE_COILS:
-        address, quantity, data = _block(body, 1968, lambda count: (count + 7) // 8)
+        address, quantity, data = _block(unit, body, 1968, lambda count: (count + 7) // 8)
         if apply:
             unit.coils[address : address + quantity] = _bits(data, quantity)
         return pdu[:5]
     if function == WRITE_REGISTERS:
-        address, quantity, data = _block(body, 123, lambda count: 2 * count)
+        address, quantity, data = _block(unit, body, 123, lambda count: 2 * count)
         if apply:
             unit.holding_registers[address : address + quantity] = _registers(data)
         return pdu[:5]
@@ -152,7 +152,7 @@ def execute(unit: UnitImage, pdu: bytes, *, apply: bool = True) -> bytes:
         if len(body) != 6:
             raise IllegalRequest(ILLEGAL_DATA_VALUE)
         address, and_mask, or_mask = struct.unpack(">HHH", body)
-        _within(address, 1)
+        _within(unit, address, 1)
         if apply:
             current = unit.holding_registers[address]
             unit.holding_registers[address] = (current & and_mask) | (or_mask & ~and_mask & 0xFFFF)
@@ -171,27 +171,27 @@ def _pair(body: bytes) -> tuple[int, int]:
     return first, second
 
 
-def _span(body: bytes, limit: int) -> tuple[int, int]:
+def _span(unit: UnitImage, body: bytes, limit: int) -> tuple[int, int]:
     address, quantity = _pair(body)
     if not 1 <= quantity <= limit:
         raise IllegalRequest(ILLEGAL_DATA_VALUE)
-    _within(address, quantity)
+    _within(unit, address, quantity)
     return address, quantity
 
 
-def _within(address: int, quantity: int) -> None:
-    if address + quantity > SIZE:
+def _within(unit: UnitImage, address: int, quantity: int) -> None:
+    if address + quantity > unit.size:
         raise IllegalRequest(ILLEGAL_DATA_ADDRESS)
 
 
-def _block(body: bytes, limit: int, size: Callable[[int], int]) -> tuple[int, int, bytes]:
+def _block(unit: UnitImage, body: bytes, limit: int, size: Callable[[int], int]) -> tuple[int, int, bytes]:
     if len(body) < 5:
         raise IllegalRequest(ILLEGAL_DATA_VALUE)
     address, quantity, count = struct.unpack_from(">HHB", body)
     data = body[5:]
     if not 1 <= quantity <= limit or count != size(quantity) or len(data) != count:
         raise IllegalRequest(ILLEGAL_DATA_VALUE)
-    _within(address, quantity)
+    _within(unit, address, quantity)
     return address, quantity, data
 
 
@@ -202,8 +202,8 @@ def _read_write(unit: UnitImage, body: bytes, apply: bool) -> bytes:
     data = body[9:]
     if not 1 <= read_quantity <= 125 or not 1 <= quantity <= 121 or count != 2 * quantity or len(data) != count:
         raise IllegalRequest(ILLEGAL_DATA_VALUE)
-    _within(read_address, read_quantity)
-    _within(address, quantity)
+    _within(unit, read_address, read_quantity)
+    _within(unit, address, quantity)
     # Section 6.17: the write is performed before the read.
     if apply:
         unit.holding_registers[address : address + quantity] = _registers(data)

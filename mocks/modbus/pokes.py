@@ -5,6 +5,8 @@
 ``units``           ``{"units": [1, 2, 17, 247, 255]}``: the units that there are from now on. One that existed keeps its cells;
                     a new one has the plant of unit 1, and from address 10 on other contents than every other unit: registers
                     hold 100 times the unit and the address, bits those of the unit's number, over and over
+``cells``           ``{"unit": 1, "cells": 65536}``: so many cells has every table of the unit from now on, up to the last address;
+                    the new ones hold 0. The image then has all of them
 ``identification``  ``{"unit": 1, "identification": {"0": base64, "128": base64}}``: objects of Read Device Identification by
                     object id, of any bytes; null removes one
 ``restless``        ``{"restless": [{"unit": 1, "table", "address", "change": "increment" or "toggle", "bits": 0xFFFE}]}``: cells
@@ -25,9 +27,10 @@ from typing import Any
 from ..fault_rules import integer
 from .image import SIZE, TABLES, UnitImage
 
-__all__ = ["Restless", "poke_cells", "poke_identification", "poke_units", "restless_cells"]
+__all__ = ["Restless", "poke_cells", "poke_identification", "poke_size", "poke_units", "restless_cells"]
 
 _UNIT = integer(0, 0xFF)
+_ADDRESSES = 0x10000
 _FREE = 10
 """First address whose cells have no meaning in the plant."""
 
@@ -85,6 +88,18 @@ def poke_units(units: dict[int, UnitImage], numbers: Any) -> None:
     kept = {number: units.get(number) or _other(number) for number in numbers}
     units.clear()
     units.update(kept)
+
+
+def poke_size(units: Mapping[int, UnitImage], params: Mapping[str, Any]) -> None:
+    """Give the tables of a unit more cells.
+
+    Raises:
+        ValueError: no such unit or number.
+    """
+    memory, size = _memory(units, params.get("unit", 1)), params["cells"]
+    if type(size) is not int or not memory.size <= size <= _ADDRESSES:
+        raise ValueError(f"cells: expected an integer from {memory.size} to {_ADDRESSES}, found {size!r}")
+    memory.enlarge(size)
 
 
 def _other(number: int) -> UnitImage:
@@ -147,9 +162,9 @@ def _restless(units: Mapping[int, UnitImage], source: Mapping[str, Any]) -> Rest
         change=source.get("change", "increment"),
         bits=source.get("bits", 0xFFFF),
     )
-    _memory(units, cell.unit)
+    memory = _memory(units, cell.unit)
     bits = cell.table in ("coils", "discrete_inputs")
-    if cell.table not in TABLES or not integer(0, SIZE - 1).accepts(cell.address):
+    if cell.table not in TABLES or not integer(0, memory.size - 1).accepts(cell.address):
         raise ValueError(f"restless: there is no cell {cell.table} {cell.address!r}")
     if cell.change not in ("toggle",) + (() if bits else ("increment",)) or not integer(1, 0xFFFF).accepts(cell.bits):
         raise ValueError(f"restless: {cell.table} cannot change by {cell.change!r} with the bits {cell.bits!r}")

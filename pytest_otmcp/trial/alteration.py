@@ -8,14 +8,21 @@ from typing import Any
 
 from ..record.schema import Altered
 
-__all__ = ["Alteration", "expanded", "filler"]
+__all__ = ["DEEP", "ELEMENTS", "Alteration", "expanded", "filler"]
 
-_FILLER = "otmcp/filler"
+_TEXT = "otmcp/filler"
+ELEMENTS = "otmcp/elements"
+DEEP = "otmcp/depth"
 
 
-def filler(characters: int) -> dict[str, int]:
-    """Return a value that stands for a text of so many characters, so that no record holds megabytes."""
-    return {_FILLER: characters}
+def filler(size: int, kind: str = _TEXT) -> dict[str, int]:
+    """Return a value that stands for a large one, so that no record holds megabytes.
+
+    Args:
+        kind: a text of so many characters, without one; ``ELEMENTS`` for a list of so many numbers, ``DEEP`` for so many lists, each in
+            the one before.
+    """
+    return {kind: size}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,8 +49,18 @@ class Alteration:
 
 
 def expanded(arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Return arguments as they are sent: with the texts that fillers stand for."""
-    return {
-        name: "x" * value[_FILLER] if isinstance(value, dict) and _FILLER in value else value
-        for name, value in arguments.items()
-    }
+    """Return arguments as they are sent: with the values that fillers stand for."""
+    return {name: _expanded(value) for name, value in arguments.items()}
+
+
+def _expanded(value: Any) -> Any:
+    if not isinstance(value, dict) or len(value) != 1:
+        return value
+    if _TEXT in value:
+        return "x" * value[_TEXT]
+    if ELEMENTS in value:
+        return [0] * value[ELEMENTS]
+    nested: list[Any] = []
+    for _ in range(value.get(DEEP, 0)):
+        nested = [nested]
+    return nested if DEEP in value else value

@@ -23,6 +23,7 @@ _MAX_NAME = 100
 LEFT_OUT: Any = None
 """Default of an argument that was not given. An argument cannot be left out by null; null is refused."""
 _MAX_DEPTH = 20
+_MAX_ELEMENTS = 100_000
 
 
 class Arguments(BaseModel):
@@ -74,6 +75,8 @@ def _refuse_what_json_lacks(value: Any, pointer: str = "", depth: int = 0) -> No
         return
     if depth == _MAX_DEPTH:
         raise AdapterError("limit_exceeded", f"arguments may be nested {_MAX_DEPTH} deep", field=pointer[:_MAX_NAME])
+    if len(value) > _MAX_ELEMENTS:
+        raise AdapterError("limit_exceeded", f"{pointer}: at most {_MAX_ELEMENTS} elements", field=pointer)
     for name, member in value.items() if isinstance(value, dict) else enumerate(value):
         if isinstance(member, float | str | dict | list):
             _refuse_what_json_lacks(member, f"{pointer}/{_escaped(name)}", depth + 1)

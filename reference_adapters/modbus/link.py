@@ -16,7 +16,7 @@ from pymodbus.exceptions import ModbusException
 from pymodbus.pdu import ModbusPDU
 
 from ..core import AdapterError, Call
-from .wire import BadReply, Frame, reply_pdu, request_facts
+from .wire import BadReply, Frame, is_other_reply, reply_pdu, request_facts
 
 __all__ = ["Link", "Send"]
 
@@ -67,7 +67,8 @@ class _Connection:
         Raises:
             ModbusException: there is no reply that pymodbus understands.
             BadReply: the reply does not belong to the request.
-            TimeoutError: the connection ended. pymodbus would wait for the reply until its own timeout.
+            TimeoutError: the connection ended, or another frame than the reply came. pymodbus would wait for the reply until
+                its own timeout.
         """
         self._call, self.request, self.received, self.answered = call, None, b"", False
         try:
@@ -83,13 +84,19 @@ class _Connection:
         if connected:
             return
         self.lost = True
-        if self._call is not None and not self.answered and self._patience.when() is None:
+        if self._call is not None and not self.answered:
+            self._give_up()
+
+    def _give_up(self) -> None:
+        if self._patience.when() is None:
             self._patience.reschedule(0.0)
 
     def _packet(self, sending: bool, data: bytes) -> bytes:
         # pymodbus shows every byte that goes to the transport: the trace has what was on the wire, not what was asked.
         if not sending:
             self.received = data
+            if self._call is not None and self.request is not None and is_other_reply(self.request, data):
+                self._give_up()
         elif self._call is not None:
             self.request, facts = request_facts(data)
             trace = self._call.trace

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-__all__ = ["BadReply", "Frame", "reply_pdu", "request_facts"]
+__all__ = ["BadReply", "Frame", "is_other_reply", "reply_pdu", "request_facts"]
 
 _HEADER = struct.Struct(">HHHB")
 _EXCEPTION_BIT = 0x80
@@ -53,6 +53,17 @@ def request_facts(data: bytes) -> tuple[Frame, dict[str, Any]]:
         facts["address"] = address
         facts["count"] = second if frame.pdu[0] in (1, 2, 3, 4, 15, 16) else 1
     return frame, facts
+
+
+def is_other_reply(request: Frame, received: bytes) -> bool:
+    """Tell whether a whole frame has come that is neither the reply nor a late one to an earlier request, which may still be followed
+    by the reply. pymodbus numbers its requests from 1."""
+    try:
+        if any(not 0 < frame.transaction < request.transaction for frame in _frames(received)):
+            reply_pdu(request, received)
+    except BadReply:
+        return True
+    return False
 
 
 def reply_pdu(request: Frame, received: bytes) -> bytes:

@@ -251,6 +251,11 @@ def test_a_lone_surrogate_is_refused_in_words(toy: Any) -> None:
     assert (error["code"], error["field"]) == ("invalid_input", "/text")
 
 
+def test_a_long_list_is_a_limit_before_its_elements_are_looked_at(toy: Any) -> None:
+    error = toy.call("take", word=1, items=[0] * 100_001).error
+    assert (error["code"], error["field"]) == ("limit_exceeded", "/items")
+
+
 def test_deep_nesting_is_a_limit(toy: Any) -> None:
     deep: Any = 1
     for _ in range(900):

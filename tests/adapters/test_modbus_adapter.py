@@ -10,7 +10,7 @@ import struct
 from typing import Any
 
 import pytest
-from pytest_otmcp.reference_adapters.modbus.wire import BadReply, reply_pdu, request_facts
+from pytest_otmcp.reference_adapters.modbus.wire import BadReply, is_other_reply, reply_pdu, request_facts
 
 from .cases import MODBUS, MODBUS_TAGS
 
@@ -353,6 +353,15 @@ def test_only_the_reply_to_the_request_is_accepted(function: int) -> None:
     for data in wrong:
         with pytest.raises(BadReply):
             reply_pdu(request, data)
+
+
+def test_a_frame_that_can_not_be_followed_by_the_reply_is_not_waited_behind() -> None:
+    request, _ = request_facts(framed(REQUESTS[3]))
+    right = REPLIES[3]
+    for early in (framed(right), framed(right)[:-1], framed(right, transaction=6), b""):
+        assert not is_other_reply(request, early)
+    for other in (framed(right, transaction=0), framed(right, transaction=8), framed(right, unit=2)):
+        assert is_other_reply(request, other)
 
 
 # -- time and connections --------------------------------------------------------------------------------------

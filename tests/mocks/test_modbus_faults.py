@@ -270,10 +270,23 @@ async def test_units_have_contents_of_their_own(modbus: MockProgram, raw: Raw) -
     assert await raw.ask("03 000a 0001", unit=2) == "830b"
 
 
+async def test_a_unit_may_have_cells_up_to_the_last_address(modbus: MockProgram, raw: Raw) -> None:
+    assert await raw.ask("03 fffe 0002") == "8302"
+    await poke(modbus, unit=1, cells=0x10000)
+    await poke(modbus, unit=1, table="holding_registers", address=0xFFFF, values=[4711])
+    assert await raw.ask("03 fffe 0002") == "030400001267"
+    assert await raw.ask("03 ffff 0002") == "8302"
+    assert await raw.ask("06 fffe 0007") == "06fffe0007"
+    assert (await raw.ask("01 0064 07d0")).startswith("01fa")
+    await modbus.control.ask("reset")
+    assert await raw.ask("03 0064 0001") == "8302"
+
+
 async def test_pokes_that_are_not_understood_are_refused_in_a_sentence(modbus: MockProgram) -> None:
     for params, sentence in (
         ({"units": []}, "units: expected a list of integers from 0 to 255"),
         ({"units": [256]}, "units: expected a list of integers from 0 to 255"),
+        ({"cells": 99}, "cells: expected an integer from 100 to 65536, found 99"),
         ({"identification": {"256": ""}}, "expected object ids from 0 to 255"),
         ({"identification": {"0": "?"}}, "object 0 is no base64"),
         ({"identification": {"0": base64.b64encode(b"x" * 245).decode()}}, "245 bytes, and 244 fit"),

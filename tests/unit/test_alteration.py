@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pytest_otmcp.trial.alteration import Alteration, expanded, filler
+from pytest_otmcp.trial.alteration import DEEP, ELEMENTS, Alteration, expanded, filler
 
 
 def test_arguments_are_given_and_left_out() -> None:
@@ -16,3 +16,8 @@ def test_a_record_holds_no_megabytes() -> None:
     recorded = altered.applied({"topic": "a"})
     assert len(str(recorded)) < 100
     assert expanded(recorded) == {"topic": "a", "payload": "xxx"}
+
+
+def test_a_filler_is_sent_as_what_it_stands_for() -> None:
+    arguments = {"text": filler(3), "list": filler(2, ELEMENTS), "deep": filler(2, DEEP), "other": {"a": 1}, "value": 7}
+    assert expanded(arguments) == {"text": "xxx", "list": [0, 0], "deep": [[[]]], "other": {"a": 1}, "value": 7}

@@ -13,6 +13,7 @@ from ..oracle import Witness, requests
 from .entries import as_modbus, describe, points
 
 __all__ = [
+    "asked_of_unit",
     "exactly_one_mask_write",
     "exactly_one_write",
     "exception_sent",
@@ -20,6 +21,7 @@ __all__ = [
     "holds",
     "identified",
     "image_holds",
+    "in_one_request",
     "no_state_changing_request",
     "nothing_changed_by",
     "only_changed",
@@ -29,11 +31,15 @@ __all__ = [
     "refused_nothing_else",
     "some_exchange",
     "stored_otherwise",
+    "torn",
     "values_sent",
+    "within_limits",
 ]
 
 _WITNESS = Witness(noun="the device", describe=describe)
 _READS = (1, 2, 3, 4)
+_MOST = {1: 2000, 2: 2000, 3: 125, 4: 125}
+"""Reads to the number of bits or registers that one may ask for."""
 _MASK_WRITE, _IDENTIFICATION = 22, 43
 
 some_exchange = _WITNESS.answered
@@ -79,6 +85,37 @@ def _misdirected(entries: Entries, function: int, address: int) -> str | None:
 def reached(entries: Entries, *, function: int, address: int, count: int) -> bool:
     """Tell whether requests by this function that cover these cells reached the device."""
     return _covered(requests(entries), function, address, count)
+
+
+def asked_of_unit(entries: Entries, unit: int) -> list[Finding]:
+    """Expect that a request to this unit reached the device."""
+    asked = [as_modbus(entry).get("unit") for entry in requests(entries)]
+    if unit in asked:
+        return []
+    message = f"the device should have seen a request to unit {unit}, it saw requests to {asked or 'none'}"
+    return [Finding(code="read_elsewhere", message=message, requirement="RD-003", evidence=_WITNESS.seen(entries))]
+
+
+def within_limits(entries: Entries) -> list[Finding]:
+    """Expect that each read asks for at least one value, and for no more than one request may."""
+    for request in map(as_modbus, requests(entries)):
+        limit, quantity = _MOST.get(request["function"]), request.get("quantity", 1)
+        if limit is not None and not 1 <= quantity <= limit:
+            message = (
+                f"a read by function {request['function']} should ask for 1 to {limit} values, one asked for {quantity}"
+            )
+            return [Finding(code="over_limit", message=message, requirement="RD-007")]
+    return []
+
+
+def torn(what: str) -> Finding:
+    """Return the finding about a value that several requests have read, in these words."""
+    return Finding(code="torn_value", message=what, requirement="RD-007")
+
+
+def in_one_request(entries: Entries, *, function: int, address: int, count: int) -> bool:
+    """Tell whether one request by this function covers these cells."""
+    return any(_covered([request], function, address, count) for request in requests(entries))
 
 
 def _covered(asked: Sequence[JournalEntry], function: int, address: int, count: int) -> bool:

@@ -9,7 +9,7 @@ from typing import Any
 
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
 from pytest_otmcp.reference_adapters.modbus.link import Link
-from pytest_otmcp.reference_adapters.modbus.shapes import Unit
+from pytest_otmcp.reference_adapters.modbus.shapes import Registers, Unit
 from pytest_otmcp.reference_adapters.modbus.tools import Tools
 
 from tests.soundness.defective import Handler, wrap
@@ -27,7 +27,6 @@ REGISTERS = 100
 
 BLOCK = 20
 
-_NUMBERS = ("modbus.read_typed", "modbus.read_tag")
 """Operations that read one number, which must not be read in parts."""
 
 
@@ -45,7 +44,8 @@ def other_reads(server: AdapterServer, read: Callable[[Read], Read]) -> None:
 def in_parts(size: int) -> Callable[[Read], Read]:
     def parted(genuine: Read) -> Read:
         async def read(call: Call, arguments: Any, address: int, count: int) -> list[int]:
-            if call._operation in _NUMBERS:
+            # A number of several registers comes from one request (requirement RD-007).
+            if not isinstance(arguments, Registers):
                 return await genuine(call, arguments, address, count)
             values: list[int] = []
             while len(values) < count:
