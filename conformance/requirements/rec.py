@@ -16,7 +16,8 @@ TASKS = Checks()
 # -- REC-006 ------------------------------------------------------------------------------------------------
 
 _TEMPERATURE = "ns=2;s=Temperature"
-_LOSSES = 20
+_LOSSES, _CLOSED = 20, 6
+"""The number of losses, and how many of them, at first, are sessions that the server closes; that closes those left behind as well."""
 _IN_PASSING = 2
 """Sessions that an adapter may still be closing while it has opened another one."""
 
@@ -40,12 +41,11 @@ async def lost_sessions_are_made_anew(run: Repetition, opcua: Rig) -> None:
     run.must_succeed(last)
     before = _sessions(await opcua.image())
     for loss in range(_LOSSES):
-        if loss % 3 == 0:
+        if loss < _CLOSED:
             await opcua.poke(sessions="closed")
-        elif loss % 3 == 1:
-            await opcua.fault({"service": "Read", "times": 1, "action": {"service_fault": "BadSecureChannelIdInvalid"}})
         else:
-            await opcua.fault({"service": "Read", "times": 1, "action": {"close": True}})
+            action = {"service_fault": "BadSecureChannelIdInvalid"} if loss % 2 else {"close": True}
+            await opcua.fault({"service": "Read", "times": 1, "action": action})
         last = await _answered_again(run, opcua, last)
         if not last.success:
             return
