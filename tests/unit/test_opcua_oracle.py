@@ -255,3 +255,12 @@ def test_the_arguments_of_a_method_have_the_types_that_it_declares() -> None:
     call = asked("Call", methods=[{"types": ["Int32", "String"]}])
     assert oracle.called_with([call], ["Int32", "String"]) == []
     assert "Double, String, it got Int32, String [OUA-008]" in words(oracle.called_with([call], ["Double", "String"]))
+
+
+def test_every_node_is_listed_once_or_the_list_is_said_to_be_a_part() -> None:
+    wanted = {"ns=2;s=A", "ns=2;s=B"}
+    assert oracle.listed_once(["ns=2;s=B", "ns=2;s=A", "i=85"], wanted, part=False) == []
+    assert oracle.listed_once(["ns=2;s=A"], wanted, part=True) == []
+    assert "1 are missing, for instance ns=2;s=B" in words(oracle.listed_once(["ns=2;s=A"], wanted, part=False))
+    assert "1 are listed again" in words(oracle.listed_once(["ns=2;s=A"] * 2, wanted, part=True))
+    assert "2 are missing" in words(oracle.listed_once(None, wanted, part=False))

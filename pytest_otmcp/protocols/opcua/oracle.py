@@ -6,7 +6,7 @@ the plant's data variables by node id, its folders by browse name.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 from ...core.finding import Finding
@@ -26,6 +26,7 @@ __all__ = [
     "folder_id",
     "held",
     "image_holds",
+    "listed_once",
     "names_and_ids_agree",
     "no_state_changing_service",
     "nothing_changed_by",
@@ -331,6 +332,27 @@ def complete_enumeration(ids: object, image: Image) -> list[Finding]:
         Finding(
             code="enumeration_differs",
             message=f"all {len(image['variables'])} variables should be listed once: {problem}",
+            requirement="OUA-006",
+        )
+    ]
+
+
+def listed_once(ids: object, wanted: Collection[str], *, part: bool) -> list[Finding]:
+    """Expect that a list has each of these nodes, once.
+
+    Args:
+        part: the answer says that it is a part; then nodes may be missing.
+    """
+    listed = [str(node) for node in ids] if isinstance(ids, list) else []
+    missing = [] if part else sorted(set(wanted) - set(listed))
+    twice = len(listed) - len(set(listed))
+    if not missing and not twice:
+        return []
+    problem = f"{len(missing)} are missing, for instance {missing[0]}" if missing else f"{twice} are listed again"
+    return [
+        Finding(
+            code="browse_differs",
+            message=f"{len(wanted)} nodes should be listed once, or the answer should say that it is a part; {problem}",
             requirement="OUA-006",
         )
     ]
