@@ -20,7 +20,7 @@ from asyncua import ua
 from paho.mqtt.enums import CallbackAPIVersion
 from pymodbus.client import AsyncModbusTcpClient
 
-from .workload import INPUT_REGISTERS, PAYLOAD, TEMPERATURE, TOPIC
+from .workload import INPUT_REGISTERS, MANY_FOLDER, PAYLOAD, TEMPERATURE, TOPIC
 
 __all__ = ["EXCHANGES", "Exchange"]
 
@@ -87,12 +87,27 @@ async def _opcua(host: str, port: int) -> Exchange:
     return read
 
 
+async def _opcua_variables(host: str, port: int) -> Exchange:
+    # Decoding thousands of values keeps the loop from the library's watchdog, which would take the connection for lost.
+    client = OpcUaClient(f"opc.tcp://{host}:{port}", timeout=60, watchdog_intervall=600)
+    await client.connect()
+    folder = client.get_node(MANY_FOLDER)
+
+    async def enumerate_variables() -> None:
+        variables = await folder.get_children()
+        values = await client.read_values(variables)
+        assert len(values) == len(variables)
+
+    return enumerate_variables
+
+
 EXCHANGES: dict[str, Callable[[str, int], Awaitable[Exchange]]] = {
     "nothing": _nothing,
     "modbus": _modbus,
     "mqtt": _mqtt,
     "mqtt_exchange": _mqtt_exchange,
     "opcua": _opcua,
+    "opcua_variables": _opcua_variables,
 }
 """Functions that connect to a host and port, and return a function that makes one exchange."""
 

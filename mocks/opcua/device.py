@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Mapping
+from datetime import UTC, datetime
 from typing import Any
 
 from asyncua import ua
@@ -22,6 +23,9 @@ from .state import DeviceState
 from .values import to_json
 
 __all__ = ["OpcUaDevice"]
+
+_TIMESTAMPS = ("source_timestamp", "server_timestamp")
+_LARGEST_CODE = 2**32 - 1
 
 
 class OpcUaDevice(Device):
@@ -67,8 +71,8 @@ class OpcUaDevice(Device):
             "folders": {name: node.to_string() for name, node in plant.folders.items()},
             "methods": {node.to_string(): {"calls": calls} for node, calls in plant.calls.items()},
             "clients": {
-                "sessions": len(self._state.browsers),
-                "continuation_points": sum(browser.open_points for browser in self._state.browsers),
+                "sessions": len(self._state.sessions),
+                "continuation_points": sum(session.browser.open_points for session in self._state.sessions),
             },
         }
 
@@ -77,11 +81,14 @@ class OpcUaDevice(Device):
 
         ==================================================  ===========================================================
         ``{"node", "value", "status": "Good"}``             the value of a variable, by browse name or node id, as
-                                                            ``values.variant`` reads it
+                                                            ``values.variant`` reads it; ``status`` is a symbol or a number,
+                                                            ``source_timestamp`` and ``server_timestamp`` are times in ISO
+                                                            8601, null for none, otherwise the present time
         ``{"create": […]}``                                 more nodes: :class:`ExtraNodes`
         ``{"nodes": "types"}``                              a set of nodes, or a list of sets: :mod:`.sample_nodes`
         ``{"limits": {…}}``                                 the limits of the server: :class:`Limits`
         ``{"subscriptions": "silent"}``                     what subscriptions send: :mod:`.state`
+        ``{"sessions": "closed"}``                          every session is closed, the connections stay
         ``{"namespaces": ["urn:a"]}``                       namespaces before the plant's: :class:`Namespaces`
         ``{"network": "black_hole"}``                       see :mod:`..network`
         ==================================================  ===========================================================
@@ -97,14 +104,24 @@ class OpcUaDevice(Device):
             await self._extra_nodes.create(sample(params["nodes"]))
         elif "subscriptions" in params:
             self._state.subscribe(params["subscriptions"])
+        elif "sessions" in params:
+            await self._close_sessions(params["sessions"])
         elif "namespaces" in params:
             await self._extra_nodes.clear()
             await self._namespaces.put_before(params["namespaces"])
         else:
-            status = getattr(ua.StatusCodes, str(params.get("status", "Good")), None)
-            if not isinstance(status, int):
-                raise ValueError(f"unknown status code {params['status']!r}")
-            await self._state.plant.put(str(params["node"]), params["value"], status)
+            await self._state.plant.put(
+                str(params["node"]),
+                params["value"],
+                _status_code(params.get("status", "Good")),
+                **{name: _moment(name, params[name]) for name in _TIMESTAMPS if name in params},
+            )
+
+    async def _close_sessions(self, condition: Any) -> None:
+        if condition != "closed":
+            raise ValueError(f"sessions: expected closed, found {condition!r}")
+        for session in list(self._state.sessions):
+            await session.close_session()
 
     def fault(self, rules: list[dict[str, Any]]) -> list[int]:
         plan = FaultPlan(rules)
@@ -127,3 +144,18 @@ class OpcUaDevice(Device):
 
     async def tick(self) -> None:
         await self._state.plant.tick()
+
+
+def _status_code(given: Any) -> int:
+    """Return a status code by its symbol, or any number of 32 bits as it is."""
+    code = given if type(given) is int else getattr(ua.StatusCodes, str(given), None)
+    if not isinstance(code, int) or not 0 <= code <= _LARGEST_CODE:
+        raise ValueError(f"unknown status code {given!r}")
+    return code
+
+
+def _moment(name: str, text: Any) -> datetime | None:
+    try:
+        return None if text is None else datetime.fromisoformat(text).astimezone(UTC)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name}: expected a time in ISO 8601 or null, found {text!r}") from None

@@ -196,8 +196,10 @@ class Plant:
         """Return the value of a variable by its browse name."""
         return self.data_value(self._id(name)).Value.Value
 
-    async def put(self, name: str, value: Any, status: int = ua.StatusCodes.Good) -> None:
-        """Set a variable from inside, without a journal entry.
+    async def put(
+        self, name: str, value: Any, status: int = ua.StatusCodes.Good, **timestamps: datetime | None
+    ) -> None:
+        """Set a variable from inside, without a journal entry; ``timestamps`` as of :meth:`hold`.
 
         Raises:
             ValueError: there is no such variable, or the value does not fit its type.
@@ -207,12 +209,19 @@ class Plant:
         held = variant(value, variable.kind)
         if not fits(held, variable.kind, variable.rank, list(variable.dimensions)):
             raise ValueError(f"{name}: {value!r} does not fit the variable's rank and dimensions")
-        await self.hold(node, held, status)
+        await self.hold(node, held, status, **timestamps)
 
-    async def hold(self, node: ua.NodeId, value: ua.Variant, status: int = ua.StatusCodes.Good) -> None:
-        """Set a value without a check, with the present time."""
+    async def hold(
+        self, node: ua.NodeId, value: ua.Variant, status: int = ua.StatusCodes.Good, **timestamps: datetime | None
+    ) -> None:
+        """Set a value without a check; ``source_timestamp`` and ``server_timestamp`` are the present time if they are not given."""
         now = datetime.now(UTC)
-        data = ua.DataValue(value, ua.StatusCode(status), SourceTimestamp=now, ServerTimestamp=now)
+        data = ua.DataValue(
+            value,
+            ua.StatusCode(status),
+            SourceTimestamp=timestamps.get("source_timestamp", now),
+            ServerTimestamp=timestamps.get("server_timestamp", now),
+        )
         await self._server.iserver.write_attribute_value(node, data)
 
     async def restore(self) -> None:

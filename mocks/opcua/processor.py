@@ -14,6 +14,7 @@ from asyncua.common.connection import TransportLimits
 from asyncua.common.utils import Buffer, ServiceError
 from asyncua.server.binary_server_asyncio import OPCUAProtocol
 from asyncua.server.internal_server import InternalServer
+from asyncua.server.internal_session import SessionState
 from asyncua.server.uaprocessor import UaProcessor
 from asyncua.ua.ua_binary import struct_from_binary
 
@@ -35,6 +36,8 @@ _SERVICES = {
 _WITH_NODES = frozenset(
     {"Read", "Write", "Browse", "BrowseNext", "TranslateBrowsePaths", "Call", "CreateMonitoredItems"}
 )
+
+_WITHOUT_SESSION = frozenset({"CreateSession", "GetEndpoints", "FindServers"})
 
 
 class _Processor(UaProcessor):  # type: ignore[misc]
@@ -76,6 +79,10 @@ class _Processor(UaProcessor):  # type: ignore[misc]
     async def _process_message(self, typeid: ua.NodeId, requesthdr: Any, seqhdr: Any, body: Buffer) -> bool:
         service = _SERVICES.get(typeid.Identifier, typeid.to_string())
         exchange = Exchange(self._device, self._number, service, requesthdr.RequestHandle)
+        if self.session is not None and self.session.state is SessionState.Closed and service not in _WITHOUT_SESSION:
+            # The library serves a session that is closed.
+            exchange.asked(())
+            raise ServiceError(ua.StatusCodes.BadSessionIdInvalid)
         if service not in _WITH_NODES:
             exchange.asked(())
             await exchange.suffer()

@@ -47,15 +47,15 @@ class PlantSession(InternalSession):  # type: ignore[misc]
         self.monitored: dict[tuple[int, int], str] = {}
 
     async def create_session(self, params: ua.CreateSessionParameters, sockname: Any = None) -> Any:
-        if self.device.limits.sessions and len(self.device.browsers) >= self.device.limits.sessions:
+        if self.device.limits.sessions and len(self.device.sessions) >= self.device.limits.sessions:
             await super().close_session()
             raise ServiceError(Codes.BadTooManySessions)
-        self.device.browsers.add(self.browser)
+        self.device.sessions.add(self)
         return await super().create_session(params, sockname=sockname)
 
     async def close_session(self, delete_subs: bool = True) -> None:
         # It is also called when the connection has ended, so it is not journalled: the journal has client requests.
-        self.device.browsers.discard(self.browser)
+        self.device.sessions.discard(self)
         self.browser.close()
         await super().close_session(delete_subs)
 
@@ -202,6 +202,7 @@ class PlantSession(InternalSession):  # type: ignore[misc]
         current().answer |= {
             "counts": [len(result.References) for result in results],
             "results": [{"status": result.StatusCode.name} for result in results],
+            **({"open_points": self.browser.open_points} if self.browser.open_points else {}),
         }
         return results
 

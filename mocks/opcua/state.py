@@ -6,10 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from asyncua import ua
+from asyncua.server.internal_session import InternalSession
 
 from ..journal import Journal
 from ..network import Network
-from .browsing import Browser
 from .faults import FaultPlan
 from .limits import Limits
 from .plant import Plant
@@ -31,7 +31,7 @@ class DeviceState:
         limits: the limits of the server.
         network: the way between the server and its clients.
         subscriptions: one of :data:`SUBSCRIPTIONS`.
-        browsers: the browsers of the open sessions of clients, one for each session.
+        sessions: the open sessions of clients.
     """
 
     journal: Journal
@@ -40,7 +40,7 @@ class DeviceState:
     subscriptions: str = "normal"
     faults: FaultPlan = field(default_factory=lambda: FaultPlan([]))
     limits: Limits = field(default_factory=Limits)
-    browsers: set[Browser] = field(default_factory=set)
+    sessions: set[InternalSession] = field(default_factory=set)
     _held: list[Callable[[], None]] = field(default_factory=list)
 
     def notify(self, message: ua.NotificationMessage, send: Callable[[], None]) -> None:

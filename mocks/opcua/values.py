@@ -45,8 +45,8 @@ _STRUCTURES = {"Range": ua.Range, "EUInformation": ua.EUInformation, "Argument":
 def variant(value: Any, kind: ua.VariantType) -> ua.Variant:
     """Return a JSON value as a variant of this type; lists become arrays, lists of lists matrices, and null the null variant.
 
-    ``"NaN"``, ``"Infinity"``, ``"-Infinity"`` and ``"-0.0"`` are numbers. An ExtensionObject is ``{"Range": {"Low": 0, "High": 1}}``; a
-    StatusCode is its symbol.
+    ``"NaN"``, ``"Infinity"``, ``"-Infinity"`` and ``"-0.0"`` are numbers. An ExtensionObject is ``{"Range": {"Low": 0, "High": 1}}`` or,
+    of a type that nobody knows, its encoding's node id with its bytes: ``{"ns=2;i=4711": "AP8="}``. A StatusCode is its symbol.
 
     Raises:
         ValueError: the value does not fit.
@@ -73,6 +73,8 @@ def _scalar(value: Any, kind: ua.VariantType) -> Any:
         [(name, fields)] = value.items()
         if name in _STRUCTURES and isinstance(fields, dict):
             return _STRUCTURES[name](**fields)
+        if isinstance(fields, str):
+            return ua.ExtensionObject(TypeId=ua.NodeId.from_string(name), Body=base64.b64decode(fields, validate=True))
     if kind == _Type.Boolean and isinstance(value, bool):
         return value
     low, high = _INTEGERS.get(kind, (1, 0))

@@ -321,6 +321,46 @@ async def test_arrays_and_structures_have_their_shapes(plant: MockProgram, clien
     assert (await read(client, "EUInformation")).Value.Value.UnitId == 4408652
 
 
+async def test_a_structure_of_a_type_that_nobody_knows_comes_as_its_bytes(plant: MockProgram, client: Client) -> None:
+    unknown = {"ns=2;i=4711": "AP8="}
+    await poke(plant, create=[{"variable": "Odd", "type": "ExtensionObject", "value": unknown, "data_type": "i=22"}])
+    found = (await read(client, "Odd")).Value.Value
+    assert (found.TypeId.to_string(), found.Body) == ("ns=2;i=4711", b"\x00\xff")
+
+
+async def test_a_value_has_the_times_and_the_status_that_it_is_given(plant: MockProgram, client: Client) -> None:
+    item = ua.ReadValueId(NodeId=node("Temperature"), AttributeId=ua.AttributeIds.Value)
+    both = ua.ReadParameters(TimestampsToReturn=ua.TimestampsToReturn.Both, NodesToRead=[item])
+    source, server = "2026-01-02T03:04:05.678+00:00", "2026-01-02T03:04:06.789+00:00"
+    for given in ((source, server), (source, None), (None, server), (None, None)):
+        await poke(plant, node="Temperature", value=1.0, source_timestamp=given[0], server_timestamp=given[1])
+        (found,) = await client.uaclient.read(both)
+        times = (found.SourceTimestamp, found.ServerTimestamp)
+        assert times == tuple(None if text is None else datetime.fromisoformat(text) for text in given)
+    await poke(plant, node="Temperature", value=1.0, status=0xC0000000)
+    (found,) = await client.uaclient.read(both)
+    assert found.StatusCode.value == 0xC0000000
+    assert None not in (found.SourceTimestamp, found.ServerTimestamp)
+
+
+async def test_sessions_are_closed_and_their_connections_stay(plant: MockProgram, connect: Connect) -> None:
+    first, since = await connect(), await plant.control.next()
+    await poke(plant, sessions="closed")
+    assert (await plant.control.image())["clients"]["sessions"] == 0
+    with pytest.raises(ua.uaerrors.BadSessionIdInvalid):
+        await read(first, "Temperature")
+    assert await plant.control.journal(since, kind="DISCONNECTED") == []
+    assert (await read(await connect(), "Temperature")).Value.Value == 25.0
+
+
+async def test_an_answer_says_how_many_continuation_points_are_open(plant: MockProgram, client: Client) -> None:
+    await poke(plant, limits={"references_per_node": 4})
+    since = await plant.control.next()
+    await browse(client, "Actuators")
+    pages = await plant.control.journal(since, direction="out")
+    assert [page.get("open_points") for page in pages if page["kind"].startswith("Browse")] == [1, None]
+
+
 async def test_access_rights_differ(plant: MockProgram, client: Client) -> None:
     await poke(plant, nodes="access")
     assert {name: await write(client, name, 9.0) for name in ("ReadOnly", "Denied", "Hidden", "Writable")} == {
@@ -405,6 +445,9 @@ async def test_pokes_and_rules_that_are_not_understood_are_refused_in_a_sentence
         ({"namespaces": [URI]}, "expected a list of other URIs"),
         ({"network": "gone"}, "one of open, black_hole, stalled"),
         ({"node": "Temperature", "value": "warm"}, "'warm' does not fit into Double"),
+        ({"node": "Temperature", "value": 1.0, "status": 2**32}, "unknown status code 4294967296"),
+        ({"node": "Temperature", "value": 1.0, "server_timestamp": "noon"}, "expected a time in ISO 8601 or null"),
+        ({"sessions": "gone"}, "sessions: expected closed"),
     ):
         with pytest.raises(RefusedError) as refused:
             await poke(plant, **params)

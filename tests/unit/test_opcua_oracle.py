@@ -222,3 +222,45 @@ def test_several_values_are_written_together() -> None:
     assert "refused a part of it with BadNotWritable" in words(judged(both, answer("Write", "Good", "BadNotWritable")))
     timed = asked("Write", item("ns=2;s=FanSpeed", 1.5, has_timestamp=True), item(VALVE, 25.0))
     assert "[OUA-005]" in words(judged(timed, good))
+
+
+def test_a_value_is_written_with_the_type_that_its_node_has() -> None:
+    def judged(*entries: Entry) -> list[Any]:
+        return oracle.written_as(list(entries), VALVE, "UInt16", 5, same=lambda held, value: held == value)
+
+    assert judged(write(5, variant_type="UInt16")) == []
+    assert "5 to ns=2;s=ValvePosition as UInt16, it saw 5 as Double [OUA-001]" in words(
+        judged(write(5, variant_type="Double"))
+    )
+    assert "it saw 6 as UInt16" in words(judged(write(6, variant_type="UInt16")))
+    assert "it saw none" in words(judged(write(5, node="ns=2;s=X", variant_type="UInt16")))
+
+
+def test_a_status_that_is_written_is_a_fault_and_a_timestamp_a_warning() -> None:
+    assert oracle.written_with([write()]) == []
+    (status,) = oracle.written_with([write(has_status=True)])
+    (timestamp,) = oracle.written_with([write(has_timestamp=True)])
+    assert (status.code, status.is_must) == ("status_written", True)
+    assert (timestamp.code, timestamp.is_must) == ("timestamp_written", False)
+
+
+def test_a_continuation_point_must_not_be_left_open() -> None:
+    pages = [answer("Browse", open_points=1), answer("BrowseNext", open_points=1), answer("BrowseNext")]
+    assert oracle.points_left(pages) == []
+    assert oracle.points_left([read(VALVE)]) == []
+    assert "1 were left open [OUA-006]" in words(oracle.points_left(pages[:2]))
+
+
+def test_the_arguments_of_a_method_have_the_types_that_it_declares() -> None:
+    call = asked("Call", methods=[{"types": ["Int32", "String"]}])
+    assert oracle.called_with([call], ["Int32", "String"]) == []
+    assert "Double, String, it got Int32, String [OUA-008]" in words(oracle.called_with([call], ["Double", "String"]))
+
+
+def test_every_node_is_listed_once_or_the_list_is_said_to_be_a_part() -> None:
+    wanted = {"ns=2;s=A", "ns=2;s=B"}
+    assert oracle.listed_once(["ns=2;s=B", "ns=2;s=A", "i=85"], wanted, part=False) == []
+    assert oracle.listed_once(["ns=2;s=A"], wanted, part=True) == []
+    assert "1 are missing, for instance ns=2;s=B" in words(oracle.listed_once(["ns=2;s=A"], wanted, part=False))
+    assert "1 are listed again" in words(oracle.listed_once(["ns=2;s=A"] * 2, wanted, part=True))
+    assert "2 are missing" in words(oracle.listed_once(None, wanted, part=False))

@@ -28,12 +28,14 @@ class Item(TypedDict, total=False):
     Members:
         node_id, attribute: of the node.
         value: the value that is written.
+        variant_type: name of the built-in type with which it is written.
         has_status, has_timestamp: a status or a timestamp is written with it.
     """
 
     node_id: str
     attribute: str
     value: Any
+    variant_type: str
     has_status: bool
     has_timestamp: bool
 
@@ -46,12 +48,14 @@ class OpcUaEntry(JournalEntry, total=False):
             CreateMonitoredItems and Publish only their node ids.
         methods: of a Call: for each method ``object_id``, ``method_id``, ``arguments`` and the ``types`` of these.
         results: of an answer, one for each item: a status code's symbol, or an object with ``status``.
+        open_points: of an answer to Browse or BrowseNext: how many continuation points the session has open; missing for none.
         service_result: symbol of the status code of the service as a whole.
     """
 
     nodes: list[Any]
     methods: list[Any]
     results: list[Any]
+    open_points: int
     service_result: str
 
 

@@ -6,7 +6,7 @@ the plant's data variables by node id, its folders by browse name.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 from ...core.finding import Finding
@@ -18,6 +18,7 @@ from .entries import answers, as_opcua, describe, holds_value, node_ids, statuse
 __all__ = [
     "accepted_writes",
     "browsed",
+    "called_with",
     "children_of",
     "complete_enumeration",
     "exactly_one_call",
@@ -26,16 +27,20 @@ __all__ = [
     "held",
     "holds",
     "image_holds",
+    "listed_once",
     "names_and_ids_agree",
     "no_state_changing_service",
     "nothing_changed_by",
     "only_changed",
     "performed",
+    "points_left",
     "reached",
     "read_from_device",
     "refused_with",
     "some_service",
+    "written_as",
     "written_together",
+    "written_with",
 ]
 
 _WITNESS = Witness(noun="the server", describe=describe, holds_value=holds_value)
@@ -194,6 +199,20 @@ def exactly_one_call(entries: Entries, owner: str, method: str, arguments: Seque
     return _WITNESS.exactly_one_write(entries, f"Call of {method} with {list(arguments)}", problem)
 
 
+def called_with(entries: Entries, kinds: Sequence[str]) -> list[Finding]:
+    """Expect that every method that the server was asked to perform got arguments of these built-in types."""
+    types = [called["types"] for entry in requests(entries, kind="Call") for called in as_opcua(entry)["methods"]]
+    return [
+        Finding(
+            code="wrong_type",
+            message=f"the server should have got arguments of the types {', '.join(kinds)}, it got {', '.join(found)}",
+            requirement="OUA-008",
+        )
+        for found in types
+        if list(found) != list(kinds)
+    ]
+
+
 def performed(image: Image, method: str) -> int:
     """Return how often the server has performed a method.
 
@@ -215,6 +234,60 @@ def _timestamps_written(entries: Entries) -> list[Finding]:
         )
         for item in items
         if item.get("has_timestamp")
+    ]
+
+
+def written_as(
+    entries: Entries, node: str, kind: str, value: object, *, same: Callable[[object, Any], bool]
+) -> list[Finding]:
+    """Expect that the server was asked to write this value to the node, as a Variant of its own built-in type.
+
+    Args:
+        same: tells whether what was written is the value.
+    """
+    items = [item for entry in requests(entries, kind="Write") for item in as_opcua(entry)["nodes"]]
+    written = [(item.get("value"), item["variant_type"]) for item in items if item["node_id"] == node]
+    if any(found == kind and same(held, value) for held, found in written):
+        return []
+    shown = ", ".join(f"{held!r} as {found}" for held, found in written)
+    return [
+        Finding(
+            code="wrong_type",
+            message=f"the server should have seen a Write of {value!r} to {node} as {kind}, it saw {shown or 'none'}",
+            requirement="OUA-001",
+            evidence=_WITNESS.seen(entries),
+        )
+    ]
+
+
+def written_with(entries: Entries) -> list[Finding]:
+    """Expect that values are written alone: a status is a fault; a timestamp, which a server may refuse, is a warning."""
+    items = [item for entry in requests(entries, kind="Write") for item in as_opcua(entry).get("nodes", [])]
+    statuses_written = [
+        Finding(
+            code="status_written",
+            message=f"the value of {item['node_id']} should be written alone, a status was written with it",
+            requirement="OUA-005",
+        )
+        for item in items
+        if item.get("has_status")
+    ]
+    return [*statuses_written, *_timestamps_written(entries)]
+
+
+def points_left(entries: Entries) -> list[Finding]:
+    """Expect that the session has no continuation point open when the server has sent its last answer."""
+    pages = [entry for entry in entries if entry["direction"] == "out" and entry["kind"] in ("Browse", "BrowseNext")]
+    left = as_opcua(pages[-1]).get("open_points", 0) if pages else 0
+    if not left:
+        return []
+    return [
+        Finding(
+            code="points_left",
+            message=f"every continuation point should be used up or released, {left} were left open",
+            requirement="OUA-006",
+            evidence=_WITNESS.seen(entries),
+        )
     ]
 
 
@@ -261,6 +334,27 @@ def complete_enumeration(ids: object, image: Image) -> list[Finding]:
         Finding(
             code="enumeration_differs",
             message=f"all {len(image['variables'])} variables should be listed once: {problem}",
+            requirement="OUA-006",
+        )
+    ]
+
+
+def listed_once(ids: object, wanted: Collection[str], *, part: bool) -> list[Finding]:
+    """Expect that a list has each of these nodes, once.
+
+    Args:
+        part: the answer says that it is a part; then nodes may be missing.
+    """
+    listed = [str(node) for node in ids] if isinstance(ids, list) else []
+    missing = [] if part else sorted(set(wanted) - set(listed))
+    twice = len(listed) - len(set(listed))
+    if not missing and not twice:
+        return []
+    problem = f"{len(missing)} are missing, for instance {missing[0]}" if missing else f"{twice} are listed again"
+    return [
+        Finding(
+            code="browse_differs",
+            message=f"{len(wanted)} nodes should be listed once, or the answer should say that it is a part; {problem}",
             requirement="OUA-006",
         )
     ]
