@@ -27,8 +27,6 @@ REGISTERS = 100
 
 BLOCK = 20
 
-"""Operations that read one number, which must not be read in parts."""
-
 
 def tools_of(server: AdapterServer) -> Tools:
     tools: Tools = server._tools["ping"].handler.__self__
