@@ -241,7 +241,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "CON-002",
     ),
     _mutant(
-        "MU-41",
+        "MU-41c",
         "modbus",
         "The two registers of a number are read in two requests.",
         torn_numbers,

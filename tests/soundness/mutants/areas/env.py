@@ -215,7 +215,7 @@ MUTANTS: tuple[Mutant, ...] = (
         areas="env",
     ),
     Mutant(
-        id="MU-55",
+        id="MU-55e",
         protocol="opcua",
         sentence="NaN is in the JSON as a word of its own.",
         bend=leaves_nan,

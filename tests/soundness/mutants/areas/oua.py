@@ -334,7 +334,7 @@ MUTANTS: tuple[Mutant, ...] = (
         areas="oua",
     ),
     Mutant(
-        id="MU-83",
+        id="MU-83w",
         protocol="opcua",
         sentence="A single value is written into an array.",
         bend=single_values_into_arrays,

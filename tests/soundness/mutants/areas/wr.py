@@ -244,7 +244,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "WR-001 WR-002",
     ),
     _mutant(
-        "MU-05", "modbus", "Whatever unit is asked for, it is unit 1.", always_unit_1, "WR-002.modbus", "WR-001 WR-002"
+        "MU-05w", "modbus", "Whatever unit is asked for, it is unit 1.", always_unit_1, "WR-002.modbus", "WR-001 WR-002"
     ),
     _mutant(
         "MU-14w",
@@ -310,7 +310,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "MU-18t", "modbus", "With writes disabled a tag is written.", unguarded("write_tag"), "WR-004.modbus", "WR-004"
     ),
     _mutant(
-        "MU-19",
+        "MU-19w",
         "opcua",
         "With writes disabled a method is called.",
         unguarded("call_opcua_method"),
