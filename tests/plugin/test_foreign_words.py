@@ -88,7 +88,9 @@ def test_a_run_prints_nothing_raw(empty_repository: Repository, kind: str) -> No
 
 
 @LONG
-def test_an_own_test_of_a_vendor_prints_nothing_raw(empty_repository: Repository, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_own_test_of_a_vendor_prints_nothing_raw(
+    empty_repository: Repository, monkeypatch: pytest.MonkeyPatch
+) -> None:
     hostile(empty_repository, "forges-lines-at-the-start")
     empty_repository.write(test_own_py="def test_own(otmcp_session):\n    otmcp_session('modbus')\n")
     # On a service that runs tests, pytest's summary repeats the whole message.
