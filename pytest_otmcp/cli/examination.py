@@ -186,10 +186,15 @@ def _check_kit(path: Path, judged_by: Kit) -> None:
         _check_protocols(path, judged_by)
         return
     if found[0] == __version__:
-        why = f"a pytest-otmcp {__version__} with other files than this one (one of the two has been changed)"
+        why = (
+            f"another kit: a pytest-otmcp {__version__} with other files than this one (of another commit, or one of the two "
+            "has been changed)"
+        )
     else:
-        why = f"pytest-otmcp {found[0]}, and this is {__version__}; install that version to judge it again"
-    raise Refusal(cut(f"refused: {path} was judged by {why}"))
+        why = f"another kit: pytest-otmcp {cut(str(found[0]))}, and this is {__version__}"
+    raise Refusal(
+        f"refused: {path} was judged by {why}; only that kit can judge it again, `otmcp report` shows what the record says"
+    )
 
 
 def _check_protocols(path: Path, judged_by: Kit) -> None:

@@ -355,13 +355,16 @@ FORGERIES: dict[str, tuple[str, Change]] = {
         lambda run: run["items"].remove(item(run, "M2")),
     ),
     "an item that nobody knows": ("M99: the suite has no such task", lambda run: item(run, "M1").update(id="M99")),
-    "another kit": ("was judged by pytest-otmcp 9.9.9, and this is", lambda run: run["kit"].update(version="9.9.9")),
+    "another kit": (
+        "was judged by another kit: pytest-otmcp 9.9.9, and this is",
+        lambda run: run["kit"].update(version="9.9.9"),
+    ),
     "another suite": (
-        "with other files than this one (one of the two has been changed)",
+        "with other files than this one (of another commit, or one of the two has been changed)",
         lambda run: run["kit"].update(suite_digest="sha256:" + "0" * 64),
     ),
     "a changed kit": (
-        "with other files than this one (one of the two has been changed)",
+        "with other files than this one (of another commit, or one of the two has been changed)",
         lambda run: run["kit"].update(digest="sha256:" + "0" * 64),
     ),
     # time of day
