@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import re
 import shutil
 from collections.abc import Callable
@@ -19,6 +20,7 @@ from pytest_otmcp.certificate.statement import certificate
 from pytest_otmcp.record import RecordError, load
 from pytest_otmcp.suite.catalogue import tasks_by_id
 from tests.examined import verify
+from tests.keys import WHO, new_key, trusted
 from tests.once import once
 from tests.stored_runs import store
 
@@ -49,7 +51,8 @@ def certify(here: Path) -> str:
         "PYTHONOPTIMIZE": "2",
         "PYTHONWARNINGS": "error",
     }
-    done = otmcp("certify", cwd=here, environment=environment)
+    signing = ("--sign", str(new_key(here / "key"))) if shutil.which("ssh-keygen") else ()
+    done = otmcp("certify", *signing, cwd=here, environment=environment)
     assert done.returncode == 0, done.stdout + done.stderr
     (here / "told").write_text(done.stdout)
     return str(here)
@@ -71,6 +74,15 @@ def out(certified: Path) -> Path:
 def told(certified: Path) -> str:
     """The output of ``otmcp certify``."""
     return (certified / "told").read_text()
+
+
+@pytest.fixture
+def pair(out: Path, tmp_path: Path) -> tuple[Path, Path]:
+    """A copy of the certificate and the record, which a test may damage."""
+    names = ("certificate.json", "run.json")
+    for name in names:
+        shutil.copy(out / name, tmp_path / name)
+    return tmp_path / names[0], tmp_path / names[1]
 
 
 def test_a_certificate_is_written_whatever_the_directory_holds(out: Path, told: str) -> None:
@@ -101,23 +113,14 @@ def test_the_badge_says_what_was_certified(out: Path) -> None:
     assert ElementTree.parse(out / "badge.svg").getroot().tag.endswith("svg")
 
 
-def test_the_certificate_is_verified_by_judging_its_history_again(out: Path, tmp_path: Path) -> None:
-    done = otmcp("verify", str(out / "certificate.json"), str(out / "run.json"), cwd=tmp_path)
+def test_the_certificate_is_verified_by_judging_its_history_again(pair: tuple[Path, Path], tmp_path: Path) -> None:
+    done = otmcp("verify", *map(str, pair), cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert (
         "is CONFORMANT; 38 of 38 items applied, 870 of 870 repetitions passed, and judging them again found the same"
         in done.stdout
     )
     assert "not signed" in done.stdout
-
-
-@pytest.fixture
-def pair(out: Path, tmp_path: Path) -> tuple[Path, Path]:
-    """A copy of the certificate and the record, which a test may damage."""
-    names = ("certificate.json", "run.json")
-    for name in names:
-        shutil.copy(out / name, tmp_path / name)
-    return tmp_path / names[0], tmp_path / names[1]
 
 
 def refused(pair: tuple[Path, Path]) -> str:
@@ -142,6 +145,95 @@ def test_a_certificate_that_was_edited_is_refused(pair: tuple[Path, Path]) -> No
     pair[0].write_text(pair[0].read_text().replace('"awarded": null', '"awarded": "Gold"'))
     assert "predicate.otmcp.level.awarded is 'Gold', from the run follows None" in refused(pair)
 
+
+# -- signatures -----------------------------------------------------------------------------------------------------------
+
+SIGNED = pytest.mark.skipif(shutil.which("ssh-keygen") is None, reason="ssh-keygen is not installed")
+
+
+@pytest.fixture
+def signed(certified: Path, out: Path, pair: tuple[Path, Path]) -> list[str]:
+    """The arguments that verify a copy of the certificate with its signature."""
+    shutil.copy(out / "certificate.json.sig", pair[0].parent)
+    trust = trusted(certified / "key", pair[0].with_name("allowed_signers"))
+    return ["verify", "--trust", str(trust), *map(str, pair)]
+
+
+def altered_certificate(directory: Path) -> None:
+    path = directory / "certificate.json"
+    path.write_text(path.read_text() + "\n")
+
+
+def altered_record(directory: Path) -> None:
+    path = directory / "run.json"
+    path.write_text(path.read_text().replace('"duration_ms": ', '"duration_ms": 1', 1))
+
+
+def no_certificate(directory: Path, make: Callable[[Path], object]) -> None:
+    path = directory / "certificate.json"
+    path.unlink()
+    make(path)
+
+
+NOT_HELD = [
+    (altered_certificate, 1, f"refused: the signature of {WHO} does not hold for this certificate: "),
+    (altered_record, 1, "refused: {}run.json: the digest does not match: the file has been changed"),
+    (
+        lambda directory: trusted(new_key(directory / "other"), directory / "allowed_signers"),
+        1,
+        "refused: the signature of the certificate is of nobody whom {}allowed_signers trusts: ",
+    ),
+    (
+        lambda directory: (directory / "certificate.json.sig").unlink(),
+        2,
+        "{}certificate.json.sig: there is no such file",
+    ),
+    (lambda directory: no_certificate(directory, Path.mkdir), 2, "{}certificate.json: this is no regular file"),
+    (lambda directory: no_certificate(directory, os.mkfifo), 2, "{}certificate.json: this is no regular file"),
+    (
+        lambda directory: no_certificate(directory, lambda path: path.symlink_to("/dev/zero")),
+        2,
+        "{}certificate.json: this is no regular file",
+    ),
+    (
+        lambda directory: no_certificate(directory, lambda path: path.symlink_to("nowhere")),
+        2,
+        "{}certificate.json: there is no such file",
+    ),
+]
+
+
+@SIGNED
+def test_a_signed_certificate_is_verified_with_the_name_of_its_signer(
+    signed: list[str], told: str, tmp_path: Path
+) -> None:
+    assert "certificate.json.sig is the signature of " in told
+    # A link to a certificate is the certificate.
+    (tmp_path / "certificate.json").rename(tmp_path / "there")
+    (tmp_path / "certificate.json").symlink_to("there")
+    done = otmcp(*signed, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert f"the certificate is signed by {WHO}, whom {tmp_path / 'allowed_signers'} trusts" in done.stdout
+
+
+@SIGNED
+@pytest.mark.parametrize(
+    ("change", "code", "words"),
+    NOT_HELD,
+    ids=["certificate", "record", "key", "unsigned", "directory", "pipe", "device", "dangling"],
+)
+def test_what_is_not_what_was_signed_ends_in_one_sentence(
+    signed: list[str], tmp_path: Path, change: Callable[[Path], object], code: int, words: str
+) -> None:
+    change(tmp_path)
+    done = otmcp(*signed, cwd=tmp_path)
+    assert done.returncode == code
+    assert done.stdout == ""
+    assert sentence(done).startswith("otmcp: " + words.replace("{}", f"{tmp_path}/"))
+    assert done.stderr.count("\n") == 1
+
+
+# -- forgeries ------------------------------------------------------------------------------------------------------------
 
 Change = Callable[[dict[str, Any]], object]
 
