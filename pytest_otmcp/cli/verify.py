@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from ..core.errors import UsageError
-from ..core.text import printable
+from ..core.text import harmless
 
 __all__ = ["add_parser", "run"]
 
@@ -71,9 +71,9 @@ def run(args: argparse.Namespace) -> int:
     }
     found = confined("examination", asked, bounds, str(args.record))
     for sentence in found["said"]:
-        print(printable(sentence))
+        print(harmless(sentence))
     if certificate is not None:
-        print(printable(_about_signature(args.certificate, signed_by, args.trust)))
+        print(harmless(_about_signature(args.certificate, signed_by, args.trust)))
     return int(found["code"])
 
 

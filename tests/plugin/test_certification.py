@@ -9,7 +9,6 @@ import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 
 import pytest
@@ -25,6 +24,7 @@ from tests.once import once
 from tests.stored_runs import store
 
 from .command import otmcp, sentence
+from .places import Change, Record, call, item, journal, moved
 
 pytestmark = pytest.mark.long
 
@@ -235,74 +235,33 @@ def test_what_is_not_what_was_signed_ends_in_one_sentence(
 
 # -- forgeries ------------------------------------------------------------------------------------------------------------
 
-Change = Callable[[dict[str, Any]], object]
-
-
-def item(run: dict[str, Any], identifier: str) -> dict[str, Any]:
-    return next(entry for entry in run["items"] if entry["id"] == identifier)
-
-
-def first_call(run: dict[str, Any], identifier: str) -> dict[str, Any]:
-    call: dict[str, Any] = item(run, identifier)["samples"][0]["calls"][0]
-    return call
-
-
-def request(run: dict[str, Any], identifier: str) -> dict[str, Any]:
-    """Return the first request of an item, as the device noted it."""
-    entries = item(run, identifier)["samples"][0]["device"]
-    found: dict[str, Any] = next(entry for entry in entries if entry.get("kind") == "request")
-    return found
-
-
 HOUR = 3600 * 10**9
 
 
-def journal(run: dict[str, Any], identifier: str) -> list[dict[str, Any]]:
-    entries: list[dict[str, Any]] = item(run, identifier)["samples"][0]["device"]
-    return entries
+def request(run: Record, identifier: str) -> Record:
+    """Return the first request of an item, as the device noted it."""
+    return next(one for one in journal(run, identifier) if one.get("kind") == "request")
 
 
-def each_device(run: dict[str, Any], change: Change) -> None:
-    for entry in run["items"]:
-        for found in entry["devices"].values():
+def each_device(run: Record, change: Change) -> None:
+    for one in run["items"]:
+        for found in one["devices"].values():
             change(found)
 
 
-def swap_times(first: dict[str, Any], second: dict[str, Any]) -> None:
+def swap_times(first: Record, second: Record) -> None:
     first["t_ns"], second["t_ns"] = second["t_ns"], first["t_ns"]
-
-
-def moved(entry: dict[str, Any], *, seq: int = 0, ns: int = 0) -> None:
-    """Move an item, or some of its repetitions, in journal and time, as a forger would who is careful within it."""
-    for found in entry.get("devices", {}).values():
-        found["begin"] += seq
-        for name in ("asked_ns", "seen_ns"):
-            found[name] += ns
-    for name in {"began_ns", "ended_ns"} & entry.keys():
-        entry[name] += ns
-    for part in (*entry.get("around", ()), *entry["samples"]):
-        for call in part["calls"]:
-            call["sent_ns"] += ns
-            call["received_ns"] += ns
-        for one in part["device"]:
-            one["seq"] += seq
-            one["t_ns"] += ns
-        for seen in part["observations"]:
-            seen["asked_ns"] += ns
-            seen["seen_ns"] += ns
-            for what in {"journal", "end", "followed"} & seen.keys():
-                seen[what] += seq
 
 
 FORGERIES: list[tuple[str, Change]] = [
     (
         "a value that the adapter reported",
-        lambda run: first_call(run, "M2")["envelope"]["data"].update(values=[1, 2, 3, 4]),
+        lambda run: call(run, "M2")["envelope"]["data"].update(values=[1, 2, 3, 4]),
     ),
-    ("what the adapter was asked for", lambda run: first_call(run, "M2")["arguments"].update(address=1)),
-    ("whether a call was right", lambda run: first_call(run, "M2").update(ok=False)),
-    ("a refusal made a success", lambda run: first_call(run, "FM1")["envelope"].update(success=True, error=None)),
-    ("the code of an error", lambda run: first_call(run, "FM1").update(error_code="timeout")),
+    ("what the adapter was asked for", lambda run: call(run, "M2")["arguments"].update(address=1)),
+    ("whether a call was right", lambda run: call(run, "M2").update(ok=False)),
+    ("a refusal made a success", lambda run: call(run, "FM1")["envelope"].update(success=True, error=None)),
+    ("the code of an error", lambda run: call(run, "FM1").update(error_code="timeout")),
     ("which register the device was asked for", lambda run: request(run, "M2").update(address=7, pdu="0400070004")),
     ("a request that reached the device", lambda run: item(run, "M2")["samples"][0]["device"].clear()),
     ("a write at the read-only device", lambda run: item(run, "M4")["samples"][0]["device"].append(request(run, "M3"))),
