@@ -19,9 +19,10 @@ from ..core.exhaustion import exhausted
 from ..core.text import marked, one_line
 from ..core.verdict import ExitCode
 
-__all__ = ["Refusal", "main", "place_of", "tell"]
+__all__ = ["Refusal", "cut", "main", "place_of", "tell"]
 
 _COMMANDS = ("init", "doctor", "call", "certify", "verify", "explain", "report", "mock", "docs")
+_LONGEST = 2000
 
 
 class Refusal(Exception):
@@ -34,6 +35,11 @@ class Refusal(Exception):
     def __init__(self, message: str, code: ExitCode = ExitCode.NOT_CONFORMANT) -> None:
         super().__init__(message)
         self.code = code
+
+
+def cut(sentence: str) -> str:
+    """Return a sentence that repeats a file without what nobody reads: the file may hold a text of any length."""
+    return sentence if len(sentence) <= _LONGEST else f"{sentence[:_LONGEST]}…"
 
 
 def tell(text: str) -> None:

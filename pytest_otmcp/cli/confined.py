@@ -1,8 +1,9 @@
-"""A computation on an enemy's files in a process of its own, with bounded memory and time.
+"""Work on an enemy's files in a process of its own, with bounded memory and time.
 
 A record has regular expressions, images and counts that its author has chosen. Whatever they make the kit do, it ends: with the
 result, or with the sentence that the bounds were not enough. ``python -m pytest_otmcp.cli.confined`` is that process: it gets a
-JSON value on stdin and answers with one on stdout.
+JSON value on stdin and answers with one on stdout. The modules that it can do the work of are :mod:`pytest_otmcp.cli.examination`
+and :mod:`pytest_otmcp.cli.rendering`; each has a function ``answer``, from a JSON value to a JSON value.
 """
 
 from __future__ import annotations
@@ -14,22 +15,27 @@ import signal
 import subprocess
 import sys
 from dataclasses import dataclass
-from typing import Any
+from importlib import import_module
+from typing import Any, Literal
 
-from ..core.errors import KitError, UsageError
+from ..core.errors import ExhaustedError, KitError, UsageError
 from ..core.exhaustion import exhausted
+from ..core.verdict import ExitCode
 from . import Refusal, place_of
 
 __all__ = ["Bounds", "confined"]
 
 _MEGABYTE = 1 << 20
+_PROCESSOR_S = 60
+_PROCESSOR_S_PER_MB = 4
+"""Seconds of the processor: six times what a record needs that the kit has written."""
 _PATIENCE = 20
 """Seconds of the clock for each second of the processor: a machine may be busy, but not for ever."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bounds:
-    """What a computation may use.
+    """What the process may use.
 
     Attributes:
         memory_mb: megabytes of address space.
@@ -37,23 +43,31 @@ class Bounds:
     """
 
     memory_mb: int = 1024
-    processor_s: int = 60
+    processor_s: int = _PROCESSOR_S
+
+    @classmethod
+    def of(cls, size: int) -> Bounds:
+        """Return the bounds for records of this many bytes in all."""
+        return cls(processor_s=_PROCESSOR_S + _PROCESSOR_S_PER_MB * (size >> 20))
 
     def __str__(self) -> str:
         return f"{self.memory_mb} MB of memory and {self.processor_s} s of the processor"
 
 
-def confined(asked: dict[str, Any], bounds: Bounds, what: str) -> dict[str, Any]:
-    """Examine files as :func:`~pytest_otmcp.cli.examination.examine_again` does, within these bounds.
+def confined(
+    work: Literal["examination", "rendering"], asked: dict[str, Any], bounds: Bounds, what: str
+) -> dict[str, Any]:
+    """Return what the module ``work`` answers to ``asked`` within these bounds.
 
     Args:
-        asked: what is to be examined.
+        work: a module of this package.
+        asked: gets its function ``answer``.
         bounds: of the process.
-        what: the file that is to blame when they do not suffice.
+        what: the files that are to blame when they do not suffice.
 
     Raises:
-        UsageError, Refusal: those of the examination, and a refusal when it did not end within its bounds.
-        KitError: the examination failed by a fault of the kit.
+        UsageError, Refusal, ExhaustedError: those of the work, and a refusal when it did not end within its bounds.
+        KitError: the work failed by a fault of the kit.
     """
     command = [sys.executable, "-P", "-m", __name__, str(bounds.memory_mb), str(bounds.processor_s)]
     # Threads of a numerical library would reserve address space that this process does not have.
@@ -62,7 +76,7 @@ def confined(asked: dict[str, Any], bounds: Bounds, what: str) -> dict[str, Any]
     try:
         done = subprocess.run(
             command,
-            input=json.dumps(asked).encode(),
+            input=json.dumps({"work": work, "asked": asked, "what": what}).encode(),
             capture_output=True,
             timeout=bounds.processor_s * _PATIENCE,
             env=environment,
@@ -75,27 +89,32 @@ def confined(asked: dict[str, Any], bounds: Bounds, what: str) -> dict[str, Any]
         raise Refusal(beyond)
     answer: dict[str, Any] = json.loads(done.stdout)
     if "refused" in answer:
-        raise Refusal(beyond if answer["refused"] is None else answer["refused"])
-    if "wrong" in answer:
-        raise UsageError(answer["wrong"])
-    if "broken" in answer:
-        raise KitError(answer["broken"])
+        raise Refusal(answer["refused"], ExitCode(answer["code"]))
+    for name, error in (("wrong", UsageError), ("exhausted", ExhaustedError), ("broken", KitError)):
+        if name in answer:
+            raise error(answer[name])
+    if "beyond" in answer:
+        raise Refusal(beyond)
     return answer
 
 
-def _answer(asked: dict[str, Any]) -> dict[str, Any]:
-    from .examination import examine_again
-
+def _answer(work: str, asked: dict[str, Any], what: str) -> dict[str, Any]:
     try:
-        return examine_again(asked)
+        answer: dict[str, Any] = import_module(f".{work}", __package__).answer(asked)
+        return answer
     except Refusal as reason:
-        return {"refused": str(reason)}
+        return {"refused": str(reason), "code": reason.code}
     except UsageError as error:
         return {"wrong": str(error)}
+    except ExhaustedError as error:
+        return {"exhausted": str(error)}
     except MemoryError:
-        return {"refused": None}
+        return {"beyond": True}
     except OSError as error:
-        return {"wrong": f"{error.filename or asked['record']}: {exhausted(error) or error.strerror or error}"}
+        where = error.filename or what
+        if (cure := exhausted(error)) is not None:
+            return {"exhausted": f"{where}: {cure}"}
+        return {"wrong": f"{where}: {error.strerror or error}"}
     except Exception as error:
         return {"broken": f"{place_of(error)}: {error!r}"}
 
@@ -110,7 +129,7 @@ def main() -> None:
     asked, answering = json.load(sys.stdin), sys.stdout
     # A package of somebody else that judges a protocol may print.
     sys.stdout = sys.stderr
-    answering.write(json.dumps(_answer(asked)))
+    answering.write(json.dumps(_answer(**asked)))
 
 
 if __name__ == "__main__":

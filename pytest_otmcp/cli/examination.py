@@ -26,13 +26,11 @@ from ..replay.rejudge import rejudge
 from ..subject import comparison, load_subject
 from ..suite.catalogue import kit_digest, suite_digest, tasks_by_id
 from ..trial.task import Task
-from . import Refusal
+from . import Refusal, cut
 
-__all__ = ["Certificate", "Examined", "examine", "examine_again"]
+__all__ = ["Certificate", "Examined", "answer", "examine"]
 
 _SHOWN = 3
-_LONGEST = 2000
-"""Characters of a sentence at most: a record may hold a text of any length."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,7 +54,7 @@ class Examined:
     code: int
 
 
-def examine_again(asked: Mapping[str, Any]) -> dict[str, Any]:
+def answer(asked: Mapping[str, Any]) -> dict[str, Any]:
     """Examine the files that a JSON value names, and return the result as a JSON value; see :func:`examine`."""
     told = asked["certificate"]
     read = None if told is None else Certificate(name=told["name"], content=base64.b64decode(told["content"]))
@@ -85,10 +83,10 @@ def examine(record: Path, *, certificate: Certificate | None = None, subject: Pa
                 raise Refusal(f"refused: {certificate.name} is about another run.json than {record}")
             return _derived(run, record, certificate, told, subject)
     except RecordError as reason:
-        raise Refusal(_cut(f"refused: {reason}")) from None
+        raise Refusal(cut(f"refused: {reason}")) from None
     except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
         # A record that this kit wrote has everything that is read here: this one was not written by this kit.
-        raise Refusal(_cut(f"refused: {record} holds what no run of this kit has written ({error!r})")) from None
+        raise Refusal(cut(f"refused: {record} holds what no run of this kit has written ({error!r})")) from None
 
 
 def _derived(
@@ -121,7 +119,7 @@ def _derived(
     if judges:
         said.append(f"judged by other packages than the kit, too: {', '.join(judges)}")
     statuses = {item["id"]: Status(item["status"]) for item in run["items"]}
-    return Examined(said=[_cut(sentence) for sentence in said], code=int(exit_code(decide(statuses, tasks))))
+    return Examined(said=[cut(sentence) for sentence in said], code=int(exit_code(decide(statuses, tasks))))
 
 
 def _of_certificate(run: Run, tasks: Mapping[str, Task]) -> Iterator[str]:
@@ -166,7 +164,7 @@ def _statement(certificate: Certificate) -> Any:
     try:
         statement = parse_strict(certificate.content)
     except ValueError as reason:
-        raise Refusal(_cut(f"refused: {certificate.name}: not strict JSON: {reason}")) from None
+        raise Refusal(cut(f"refused: {certificate.name}: not strict JSON: {reason}")) from None
     types = (statement.get("_type"), statement.get("predicateType")) if isinstance(statement, dict) else None
     if types != (STATEMENT_TYPE, PREDICATE_TYPE):
         raise Refusal(f"refused: {certificate.name}: not an in-toto statement about a test result")
@@ -188,10 +186,15 @@ def _check_kit(path: Path, judged_by: Kit) -> None:
         _check_protocols(path, judged_by)
         return
     if found[0] == __version__:
-        why = f"a pytest-otmcp {__version__} with other files than this one (one of the two has been changed)"
+        why = (
+            f"another kit: a pytest-otmcp {__version__} with other files than this one (of another commit, or one of the two "
+            "has been changed)"
+        )
     else:
-        why = f"pytest-otmcp {found[0]}, and this is {__version__}; install that version to judge it again"
-    raise Refusal(_cut(f"refused: {path} was judged by {why}"))
+        why = f"another kit: pytest-otmcp {cut(str(found[0]))}, and this is {__version__}"
+    raise Refusal(
+        f"refused: {path} was judged by {why}; only that kit can judge it again, `otmcp report` shows what the record says"
+    )
 
 
 def _check_protocols(path: Path, judged_by: Kit) -> None:
@@ -202,16 +205,12 @@ def _check_protocols(path: Path, judged_by: Kit) -> None:
         package = f"the protocol {entry['key']!r} of {entry['distribution']} {entry['version']}"
         installed = protocols().get(entry["key"])
         if installed is None or installed.origin is None:
-            raise Refusal(_cut(f"refused: {path} was judged by {package}; install it to judge the run again"))
+            raise Refusal(cut(f"refused: {path} was judged by {package}; install it to judge the run again"))
         if installed.origin.digest != entry["digest"]:
-            raise Refusal(_cut(f"refused: {path} was judged by {package} with other files than those installed here"))
+            raise Refusal(cut(f"refused: {path} was judged by {package} with other files than those installed here"))
 
 
 def _refuse(what: str, reasons: list[str]) -> None:
     if reasons:
         more = f" (and {len(reasons) - _SHOWN} more)" if len(reasons) > _SHOWN else ""
-        raise Refusal(_cut(f"refused: {what}: {'; '.join(reasons[:_SHOWN])}") + more)
-
-
-def _cut(sentence: str) -> str:
-    return sentence if len(sentence) <= _LONGEST else f"{sentence[:_LONGEST]}…"
+        raise Refusal(cut(f"refused: {what}: {'; '.join(reasons[:_SHOWN])}") + more)

@@ -1,21 +1,17 @@
-"""``otmcp report``: every report of a run record, written again without measuring; several records are compared."""
+"""``otmcp report``: every report of a run record, written again without measuring; several records are compared.
+
+The records may be an enemy's: they are read, and the reports are made, in a process with bounded memory and time.
+"""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from ..core.errors import KitError, UsageError
-from . import Refusal
-
-if TYPE_CHECKING:
-    from ..record.schema import Run
+from ..core.text import harmless
 
 __all__ = ["add_parser", "run"]
-
-_SHOWN = 8
-"""Items with a change that the terminal names."""
 
 
 def add_parser(subparsers: Any) -> None:
@@ -37,51 +33,21 @@ def add_parser(subparsers: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the reports, also those of a run that is not complete.
+    """Have the reports written, and say where they are.
 
     Raises:
-        UsageError: there is no such file.
-        Refusal: the file is no record that can be believed.
-        KitError: a report could not be written; the others were.
+        UsageError: there is no such file, or no such directory can be.
+        Refusal: a file is no record that can be believed, or a report could not be made of it; the others were.
     """
-    runs = [_record(path) for path in args.records]
-    if len(runs) > 1:
-        return _compare(runs, args.out if args.out is not None else Path())
-    from ..report.render import write_all
+    from .confined import Bounds, confined
+    from .files import LARGEST_RECORD, size
 
-    (path,) = args.records
-    directory: Path = args.out if args.out is not None else path.parent
-    if failed := write_all(runs[0], directory):
-        raise KitError("; ".join(f"{directory / name} was not written: {reason}" for name, reason in failed.items()))
-    print(f"the reports of {path} are in {directory}")
-    return 0
-
-
-def _record(path: Path) -> Run:
-    from ..record.condensed import condensed
-    from ..record.reader import RecordError, open_record
-
-    if not path.is_file():
-        raise UsageError(f"{path}: there is no such file")
-    try:
-        with open_record(path, allow_incomplete=True) as stored:
-            return condensed(stored)
-    except RecordError as reason:
-        raise Refusal(f"no reports: {reason}") from None
-
-
-def _compare(runs: list[Run], directory: Path) -> int:
-    from ..core.text import counted, printable
-    from ..report.comparison_pages import NAMES, write_comparison
-
-    comparison = write_comparison(runs, directory)
-    width = max(len(printable(column.name)) for column in comparison.columns)
-    for column in comparison.columns:
-        print(f"{printable(column.name):<{width}}  {column.verdict.text}, {column.passed} runs passed")
-    changes, partial = comparison.changes, comparison.partial
-    shown = [*changes[:_SHOWN], *(["..."] if changes[_SHOWN:] else [])]
-    print(f"{counted(len(changes), 'item')} went differently{': ' if changes else ''}{'; '.join(shown)}")
-    if partial:
-        print(f"{counted(partial, 'item')} {'was' if partial == 1 else 'were'} judged in some of the runs only")
-    print(f"{' and '.join(str(directory / name) for name in NAMES)} have the matrix")
+    records: list[Path] = args.records
+    bounds = Bounds.of(sum(size(path, LARGEST_RECORD) for path in records))
+    given: Path | None = args.out
+    directory = given if given is not None else Path() if records[1:] else records[0].parent
+    asked = {"records": list(map(str, records)), "directory": str(directory)}
+    found = confined("rendering", asked, bounds, " or ".join(asked["records"]) if records[1:] else str(records[0]))
+    for sentence in found["said"]:
+        print(harmless(sentence))
     return 0

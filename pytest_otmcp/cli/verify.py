@@ -13,17 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from ..core.errors import UsageError
-from ..core.text import printable
-from . import Refusal
+from ..core.text import harmless
 
 __all__ = ["add_parser", "run"]
-
-_LARGEST_CERTIFICATE = 16 << 20
-_LARGEST_RECORD = 2 << 30
-"""Bytes. A run of 30 repetitions has 7 MB."""
-_PROCESSOR_S = 60
-_PROCESSOR_S_PER_MB = 4
-"""Seconds of the processor: six times what a record needs that the kit has written."""
 
 _SIGNATURE = ".sig"
 
@@ -60,15 +52,16 @@ def run(args: argparse.Namespace) -> int:
         Refusal: the certificate, its signature or the record does not hold.
     """
     from .confined import Bounds, confined
+    from .files import LARGEST_CERTIFICATE, LARGEST_RECORD, content, size
     from .signature import signer
 
     if args.trust is not None and args.certificate is None:
         raise UsageError("--trust: only a certificate is signed; give CERT and RUN")
-    certificate = None if args.certificate is None else _content(args.certificate, _LARGEST_CERTIFICATE)
-    size = _size(args.record, _LARGEST_RECORD)
+    certificate = None if args.certificate is None else content(args.certificate, LARGEST_CERTIFICATE)
+    bounds = Bounds.of(size(args.record, LARGEST_RECORD))
     signed_by = None
     if args.trust is not None and certificate is not None:
-        signed_by = signer(certificate, _content(_beside(args.certificate), _LARGEST_CERTIFICATE), args.trust)
+        signed_by = signer(certificate, content(_beside(args.certificate), LARGEST_CERTIFICATE), args.trust)
     asked = {
         "record": str(args.record),
         "subject": None if args.subject is None else str(args.subject),
@@ -76,12 +69,11 @@ def run(args: argparse.Namespace) -> int:
         if certificate is None
         else {"name": str(args.certificate), "content": base64.b64encode(certificate).decode()},
     }
-    bounds = Bounds(processor_s=_PROCESSOR_S + _PROCESSOR_S_PER_MB * (size >> 20))
-    found = confined(asked, bounds, str(args.record))
+    found = confined("examination", asked, bounds, str(args.record))
     for sentence in found["said"]:
-        print(printable(sentence))
+        print(harmless(sentence))
     if certificate is not None:
-        print(printable(_about_signature(args.certificate, signed_by, args.trust)))
+        print(harmless(_about_signature(args.certificate, signed_by, args.trust)))
     return int(found["code"])
 
 
@@ -97,27 +89,3 @@ def _about_signature(certificate: Path, signed_by: str | None, trust: Path | Non
 
 def _beside(certificate: Path) -> Path:
     return certificate.with_name(certificate.name + _SIGNATURE)
-
-
-def _size(path: Path, largest: int) -> int:
-    if not path.is_file():
-        raise UsageError(f"{path}: there is no such file")
-    size = path.stat().st_size
-    if size > largest:
-        raise Refusal(f"refused: {path} has {size} bytes, more than {largest}")
-    return size
-
-
-def _content(path: Path, largest: int) -> bytes:
-    """Return a file's content, read once.
-
-    Raises:
-        UsageError: there is no such file.
-        Refusal: it is larger than any of its kind.
-    """
-    _size(path, largest)
-    with path.open("rb") as file:
-        content = file.read(largest + 1)
-    if len(content) > largest:
-        raise Refusal(f"refused: {path} has more than {largest} bytes")
-    return content

@@ -18,7 +18,8 @@ from .identity import identity
 __all__ = ["Cell", "Column", "Comparison", "Row", "compared"]
 
 _NONE = "—"
-_NOT_JUDGED = ("n/a", "did not run")
+_NOT_APPLICABLE, _NOT_RUN = "n/a", "did not run"
+_NOT_JUDGED = (_NOT_APPLICABLE, _NOT_RUN)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,20 +91,30 @@ class Comparison:
 
 def compared(runs: Sequence[Run]) -> Comparison:
     """Compare runs; there are at least two."""
+    columns = [_column(run, name) for run, name in zip(runs, _names(runs), strict=True)]
     return Comparison(
-        columns=tuple(map(_column, runs)),
+        columns=tuple(columns),
         capabilities=tuple(_capabilities(runs)),
         items=tuple(_items(runs)),
         rules=tuple(_rules(runs)),
-        notes=tuple(_notes(runs)),
+        notes=tuple(_notes(runs, columns)),
     )
 
 
-def _column(run: Run) -> Column:
+def _names(runs: Sequence[Run]) -> list[str]:
+    """Return what the runs are called: name and version, and a number where that is not enough to tell them apart."""
+    names = [f"{run['subject'].get('name')} {run['subject'].get('version')}" for run in runs]
+    return [
+        f"{name} (run {names[:index].count(name) + 1})" if names.count(name) > 1 else name
+        for index, name in enumerate(names)
+    ]
+
+
+def _column(run: Run, name: str) -> Column:
     verdict = run["footer"].get("verdict", "INCOMPLETE")
     good, planned = tally(run["items"])
     return Column(
-        name=f"{run['subject'].get('name')} {run['subject'].get('version')}",
+        name=name,
         verdict=Cell(text=verdict, tone={"CONFORMANT": "good", "NOT CONFORMANT": "bad"}.get(verdict, "open")),
         applied=applied(run),
         passed=f"{good}/{planned}",
@@ -140,16 +151,16 @@ def _items(runs: Sequence[Run]) -> list[Row]:
     for name in _in_any(runs, lambda run: [item["id"] for item in run["items"]]):
         title = next(items[name]["title"] for items in found if name in items)
         cells = tuple(_item(items.get(name)) for items in found)
-        if any(cell.text != "n/a" for cell in cells):
+        if any(cell.text != _NOT_APPLICABLE for cell in cells):
             rows.append(Row(name=name, about=title, cells=cells))
     return rows
 
 
 def _item(item: Item | None) -> Cell:
     if item is None:
-        return Cell(text="did not run", tone="open")
+        return Cell(text=_NOT_RUN, tone="open")
     if item["status"] == "NOT_APPLICABLE":
-        return Cell(text="n/a", tone="open")
+        return Cell(text=_NOT_APPLICABLE, tone="open")
     good, planned = tally([item])
     passed = f"{good}/{planned}" + (", control failed" if control_failed(item, good) else "")
     tone = {"PASS": "good", "KIT_ERROR": "open", "INTERRUPTED": "open"}.get(item["status"], "bad")
@@ -171,14 +182,14 @@ def _rules(runs: Sequence[Run]) -> list[Row]:
     return rows
 
 
-def _notes(runs: Sequence[Run]) -> list[str]:
+def _notes(runs: Sequence[Run], columns: Sequence[Column]) -> list[str]:
     notes = []
     if len({run["kit"].get("suite_digest") for run in runs}) > 1:
         notes.append("The runs are of different suites: an item may ask for more in one than in the other.")
     reps = [run["settings"].get("reps") for run in runs]
     if len(set(reps)) > 1:
         notes.append(f"The repetitions differ (N = {', '.join(map(str, reps))}): more of them find what is rare.")
-    for run, column in zip(runs, map(_column, runs), strict=True):
+    for run, column in zip(runs, columns, strict=True):
         if not run["footer"]["complete"]:
             notes.append(f"The run of {column.name} is not complete: {run['footer'].get('reason')}.")
     return notes

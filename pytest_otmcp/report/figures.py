@@ -124,7 +124,7 @@ def _latency_boxplot(run: Run, axes: Axes) -> bool:
     axes.set_xscale("log")
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.xaxis.set_minor_formatter(lambda value, _: f"{value:g}" if value in (2, 5, 20, 50) else "")
-    axes.set_yticks(range(1, len(items) + 1), [item["id"] for item in items])
+    axes.set_yticks(range(1, len(items) + 1), [_label(item["id"]) for item in items])
     axes.tick_params(axis="y", length=0, labelsize=6)
     axes.set_xlabel("tool-call latency (ms), logarithmic")
     axes.grid(axis="x", which="both", linewidth=0.3, color="0.88")
@@ -147,7 +147,7 @@ def _legend(axes: Axes, entries: list[tuple[str, str]]) -> None:
     from matplotlib.patches import Patch
 
     axes.legend(
-        handles=[Patch(facecolor=colour, label=label) for label, colour in entries],
+        handles=[Patch(facecolor=colour, label=_label(label)) for label, colour in entries],
         loc="lower center",
         bbox_to_anchor=(0.5, 1.0),
         ncols=min(4, len(entries)),
@@ -165,8 +165,8 @@ def _colour(family: str, unknown: str = "0.6") -> str:
 
 
 def _label(text: str) -> str:
-    """Make a text safe for matplotlib: no mathematics, and only letters that its fonts have. Adapters invent codes."""
-    return ascii(text)[1:-1].replace("_", " ").replace("$", r"\$")[:40]
+    """Make a text safe for matplotlib: no mathematics, and only letters that its fonts have. Adapters invent codes, and records ids."""
+    return ascii(text[:40])[1:-1][:40].replace("_", " ").replace("$", r"\$")
 
 
 def _error_classes(run: Run, axes: Axes) -> bool:
@@ -197,7 +197,7 @@ def _error_classes(run: Run, axes: Axes) -> bool:
                 axes.text(column, row, str(value), ha="center", va="center", fontsize=6, color=ink_on(ground))
     axes.set_xlim(-0.5, len(items) - 0.5)
     axes.set_ylim(len(rows) - 0.5, -0.5)
-    axes.set_xticks(range(len(items)), [item["id"] for item in items])
+    axes.set_xticks(range(len(items)), [_label(item["id"]) for item in items])
     axes.set_yticks(range(len(rows)), list(rows))
     axes.tick_params(length=0, labelsize=6)
     for spine in axes.spines.values():

@@ -8,12 +8,13 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from ..core.exhaustion import exhausted
 from ..core.text import one_line
 from ..record.condensed import condensed
 from ..record.reader import RecordError, open_record
 from . import Run, whole
 
-__all__ = ["NAMES", "render", "write_all"]
+__all__ = ["NAMES", "reason", "render", "write_all"]
 
 _MARKUP = {"ok": {"green": True, "bold": True}, "bad": {"red": True, "bold": True}, "head": {"bold": True}, "plain": {}}
 
@@ -36,7 +37,7 @@ _OF_WHOLE_RUNS = ("tables", "figures")
 """Reports that compare items: a run of a few items does without, and whoever tries one item does not wait for them."""
 
 
-def write_all(run: Run, directory: Path, names: Collection[str] = NAMES) -> dict[str, str]:
+def write_all(run: Run, directory: Path, names: Collection[str] = NAMES) -> dict[str, Exception]:
     """Write every report of a run below ``directory``.
 
     A report that cannot be written does not prevent the others from being written. A report of that name from an earlier run
@@ -48,13 +49,13 @@ def write_all(run: Run, directory: Path, names: Collection[str] = NAMES) -> dict
         names: those to write; the others are removed.
 
     Returns:
-        The names of the reports that could not be written, each with the reason; empty when all were written.
+        The names of the reports that could not be written, each with its error; empty when all were written.
 
     Raises:
         OSError: ``directory`` cannot be made.
     """
     directory.mkdir(parents=True, exist_ok=True)
-    failed: dict[str, str] = {}
+    failed: dict[str, Exception] = {}
     for name, (module, function) in _WRITERS.items():
         path = directory / name
         if name not in names:
@@ -65,9 +66,18 @@ def write_all(run: Run, directory: Path, names: Collection[str] = NAMES) -> dict
             getattr(import_module(f".{module}", __package__), function)(run, path)
         except Exception as error:
             # A record may have any content, and the other reports are still wanted.
-            failed[name] = f"{type(error).__name__}: {error}"
+            failed[name] = error
             _remove(path)
     return failed
+
+
+def reason(error: Exception) -> str:
+    """Say why a report was not written."""
+    if (cure := exhausted(error)) is not None:
+        return cure
+    if isinstance(error, OSError):
+        return error.strerror or str(error)
+    return f"{type(error).__name__}: {error}"
 
 
 def _unlink(path: Path) -> None:
@@ -102,13 +112,13 @@ def render(path: Path, terminal: Any, root: Path) -> None:
     try:
         failed = write_all(run, path.parent, names)
     except OSError as error:
-        failed = dict.fromkeys(names, error.strerror or str(error))
+        failed = dict.fromkeys(names, error)
     verbosity, width = terminal.config.option.verbose, terminal._tw.fullwidth
     lines = summary(run, width, verbosity=verbosity, fold_verdict=terminal.isatty)
     for line, style in lines:
         terminal.write_line(line, **_MARKUP[style])
-    for name, reason in failed.items():
-        terminal.write_line(one_line(f"{name} was not written: {reason}"), red=True)
+    for name, why in failed.items():
+        terminal.write_line(one_line(f"{name} was not written: {reason(why)}"), red=True)
     if verbosity < -1:
         return
     where = path.parent.relative_to(root) if path.is_relative_to(root) else path.parent

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from pytest_otmcp.record import load
+from tests.plugin.test_fixtures_doc import EXAMPLES, TESTS
 
 from .conftest import CHECKOUT, FOLDERS
 
@@ -100,6 +101,15 @@ def test_bare_pytest_in_an_empty_directory_gives_a_verdict(empty: Path) -> None:
     record = load(empty / "reports" / "latest" / "run.json")
     assert record["settings"]["narrowed"] == []
     assert set(record["subject"]["adapters"]) == {"modbus", "mqtt", "opcua"}
+
+
+def test_the_examples_of_the_fixtures_run_as_printed(empty: Path) -> None:
+    files = [empty / f"test_example_{number}.py" for number in range(len(EXAMPLES))]
+    for file, example in zip(files, EXAMPLES, strict=True):
+        file.write_text(example)
+    done = run(empty, "python", "-m", "pytest", *(file.name for file in files))
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert f"{TESTS} passed" in done.stdout
 
 
 def test_a_subject_file_is_certified_and_the_certificate_verified(

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 
 import pytest
@@ -19,10 +19,12 @@ from pytest_otmcp.certificate.statement import certificate
 from pytest_otmcp.record import RecordError, load
 from pytest_otmcp.suite.catalogue import tasks_by_id
 from tests.examined import verify
+from tests.keys import WHO, new_key, trusted
 from tests.once import once
 from tests.stored_runs import store
 
 from .command import otmcp, sentence
+from .places import Change, Record, call, item, journal, moved
 
 pytestmark = pytest.mark.long
 
@@ -49,7 +51,8 @@ def certify(here: Path) -> str:
         "PYTHONOPTIMIZE": "2",
         "PYTHONWARNINGS": "error",
     }
-    done = otmcp("certify", cwd=here, environment=environment)
+    signing = ("--sign", str(new_key(here / "key"))) if shutil.which("ssh-keygen") else ()
+    done = otmcp("certify", *signing, cwd=here, environment=environment)
     assert done.returncode == 0, done.stdout + done.stderr
     (here / "told").write_text(done.stdout)
     return str(here)
@@ -71,6 +74,15 @@ def out(certified: Path) -> Path:
 def told(certified: Path) -> str:
     """The output of ``otmcp certify``."""
     return (certified / "told").read_text()
+
+
+@pytest.fixture
+def pair(out: Path, tmp_path: Path) -> tuple[Path, Path]:
+    """A copy of the certificate and the record, which a test may damage."""
+    names = ("certificate.json", "run.json")
+    for name in names:
+        shutil.copy(out / name, tmp_path / name)
+    return tmp_path / names[0], tmp_path / names[1]
 
 
 def test_a_certificate_is_written_whatever_the_directory_holds(out: Path, told: str) -> None:
@@ -101,23 +113,14 @@ def test_the_badge_says_what_was_certified(out: Path) -> None:
     assert ElementTree.parse(out / "badge.svg").getroot().tag.endswith("svg")
 
 
-def test_the_certificate_is_verified_by_judging_its_history_again(out: Path, tmp_path: Path) -> None:
-    done = otmcp("verify", str(out / "certificate.json"), str(out / "run.json"), cwd=tmp_path)
+def test_the_certificate_is_verified_by_judging_its_history_again(pair: tuple[Path, Path], tmp_path: Path) -> None:
+    done = otmcp("verify", *map(str, pair), cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert (
         "is CONFORMANT; 38 of 38 items applied, 870 of 870 repetitions passed, and judging them again found the same"
         in done.stdout
     )
     assert "not signed" in done.stdout
-
-
-@pytest.fixture
-def pair(out: Path, tmp_path: Path) -> tuple[Path, Path]:
-    """A copy of the certificate and the record, which a test may damage."""
-    names = ("certificate.json", "run.json")
-    for name in names:
-        shutil.copy(out / name, tmp_path / name)
-    return tmp_path / names[0], tmp_path / names[1]
 
 
 def refused(pair: tuple[Path, Path]) -> str:
@@ -143,74 +146,122 @@ def test_a_certificate_that_was_edited_is_refused(pair: tuple[Path, Path]) -> No
     assert "predicate.otmcp.level.awarded is 'Gold', from the run follows None" in refused(pair)
 
 
-Change = Callable[[dict[str, Any]], object]
+# -- signatures -----------------------------------------------------------------------------------------------------------
+
+SIGNED = pytest.mark.skipif(shutil.which("ssh-keygen") is None, reason="ssh-keygen is not installed")
 
 
-def item(run: dict[str, Any], identifier: str) -> dict[str, Any]:
-    return next(entry for entry in run["items"] if entry["id"] == identifier)
+@pytest.fixture
+def signed(certified: Path, out: Path, pair: tuple[Path, Path]) -> list[str]:
+    """The arguments that verify a copy of the certificate with its signature."""
+    shutil.copy(out / "certificate.json.sig", pair[0].parent)
+    trust = trusted(certified / "key", pair[0].with_name("allowed_signers"))
+    return ["verify", "--trust", str(trust), *map(str, pair)]
 
 
-def first_call(run: dict[str, Any], identifier: str) -> dict[str, Any]:
-    call: dict[str, Any] = item(run, identifier)["samples"][0]["calls"][0]
-    return call
+def altered_certificate(directory: Path) -> None:
+    path = directory / "certificate.json"
+    path.write_text(path.read_text() + "\n")
 
 
-def request(run: dict[str, Any], identifier: str) -> dict[str, Any]:
-    """Return the first request of an item, as the device noted it."""
-    entries = item(run, identifier)["samples"][0]["device"]
-    found: dict[str, Any] = next(entry for entry in entries if entry.get("kind") == "request")
-    return found
+def altered_record(directory: Path) -> None:
+    path = directory / "run.json"
+    path.write_text(path.read_text().replace('"duration_ms": ', '"duration_ms": 1', 1))
 
+
+def no_certificate(directory: Path, make: Callable[[Path], object]) -> None:
+    path = directory / "certificate.json"
+    path.unlink()
+    make(path)
+
+
+NOT_HELD = [
+    (altered_certificate, 1, f"refused: the signature of {WHO} does not hold for this certificate: "),
+    (altered_record, 1, "refused: {}run.json: the digest does not match: the file has been changed"),
+    (
+        lambda directory: trusted(new_key(directory / "other"), directory / "allowed_signers"),
+        1,
+        "refused: the signature of the certificate is of nobody whom {}allowed_signers trusts: ",
+    ),
+    (
+        lambda directory: (directory / "certificate.json.sig").unlink(),
+        2,
+        "{}certificate.json.sig: there is no such file",
+    ),
+    (lambda directory: no_certificate(directory, Path.mkdir), 2, "{}certificate.json: this is no regular file"),
+    (lambda directory: no_certificate(directory, os.mkfifo), 2, "{}certificate.json: this is no regular file"),
+    (
+        lambda directory: no_certificate(directory, lambda path: path.symlink_to("/dev/zero")),
+        2,
+        "{}certificate.json: this is no regular file",
+    ),
+    (
+        lambda directory: no_certificate(directory, lambda path: path.symlink_to("nowhere")),
+        2,
+        "{}certificate.json: there is no such file",
+    ),
+]
+
+
+@SIGNED
+def test_a_signed_certificate_is_verified_with_the_name_of_its_signer(
+    signed: list[str], told: str, tmp_path: Path
+) -> None:
+    assert "certificate.json.sig is the signature of " in told
+    # A link to a certificate is the certificate.
+    (tmp_path / "certificate.json").rename(tmp_path / "there")
+    (tmp_path / "certificate.json").symlink_to("there")
+    done = otmcp(*signed, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert f"the certificate is signed by {WHO}, whom {tmp_path / 'allowed_signers'} trusts" in done.stdout
+
+
+@SIGNED
+@pytest.mark.parametrize(
+    ("change", "code", "words"),
+    NOT_HELD,
+    ids=["certificate", "record", "key", "unsigned", "directory", "pipe", "device", "dangling"],
+)
+def test_what_is_not_what_was_signed_ends_in_one_sentence(
+    signed: list[str], tmp_path: Path, change: Callable[[Path], object], code: int, words: str
+) -> None:
+    change(tmp_path)
+    done = otmcp(*signed, cwd=tmp_path)
+    assert done.returncode == code
+    assert done.stdout == ""
+    assert sentence(done).startswith("otmcp: " + words.replace("{}", f"{tmp_path}/"))
+    assert done.stderr.count("\n") == 1
+
+
+# -- forgeries ------------------------------------------------------------------------------------------------------------
 
 HOUR = 3600 * 10**9
 
 
-def journal(run: dict[str, Any], identifier: str) -> list[dict[str, Any]]:
-    entries: list[dict[str, Any]] = item(run, identifier)["samples"][0]["device"]
-    return entries
+def request(run: Record, identifier: str) -> Record:
+    """Return the first request of an item, as the device noted it."""
+    return next(one for one in journal(run, identifier) if one.get("kind") == "request")
 
 
-def each_device(run: dict[str, Any], change: Change) -> None:
-    for entry in run["items"]:
-        for found in entry["devices"].values():
+def each_device(run: Record, change: Change) -> None:
+    for one in run["items"]:
+        for found in one["devices"].values():
             change(found)
 
 
-def swap_times(first: dict[str, Any], second: dict[str, Any]) -> None:
+def swap_times(first: Record, second: Record) -> None:
     first["t_ns"], second["t_ns"] = second["t_ns"], first["t_ns"]
-
-
-def moved(entry: dict[str, Any], *, seq: int = 0, ns: int = 0) -> None:
-    """Move an item, or some of its repetitions, in journal and time, as a forger would who is careful within it."""
-    for found in entry.get("devices", {}).values():
-        found["begin"] += seq
-        for name in ("asked_ns", "seen_ns"):
-            found[name] += ns
-    for name in {"began_ns", "ended_ns"} & entry.keys():
-        entry[name] += ns
-    for part in (*entry.get("around", ()), *entry["samples"]):
-        for call in part["calls"]:
-            call["sent_ns"] += ns
-            call["received_ns"] += ns
-        for one in part["device"]:
-            one["seq"] += seq
-            one["t_ns"] += ns
-        for seen in part["observations"]:
-            seen["asked_ns"] += ns
-            seen["seen_ns"] += ns
-            for what in {"journal", "end", "followed"} & seen.keys():
-                seen[what] += seq
 
 
 FORGERIES: list[tuple[str, Change]] = [
     (
         "a value that the adapter reported",
-        lambda run: first_call(run, "M2")["envelope"]["data"].update(values=[1, 2, 3, 4]),
+        lambda run: call(run, "M2")["envelope"]["data"].update(values=[1, 2, 3, 4]),
     ),
-    ("what the adapter was asked for", lambda run: first_call(run, "M2")["arguments"].update(address=1)),
-    ("whether a call was right", lambda run: first_call(run, "M2").update(ok=False)),
-    ("a refusal made a success", lambda run: first_call(run, "FM1")["envelope"].update(success=True, error=None)),
-    ("the code of an error", lambda run: first_call(run, "FM1").update(error_code="timeout")),
+    ("what the adapter was asked for", lambda run: call(run, "M2")["arguments"].update(address=1)),
+    ("whether a call was right", lambda run: call(run, "M2").update(ok=False)),
+    ("a refusal made a success", lambda run: call(run, "FM1")["envelope"].update(success=True, error=None)),
+    ("the code of an error", lambda run: call(run, "FM1").update(error_code="timeout")),
     ("which register the device was asked for", lambda run: request(run, "M2").update(address=7, pdu="0400070004")),
     ("a request that reached the device", lambda run: item(run, "M2")["samples"][0]["device"].clear()),
     ("a write at the read-only device", lambda run: item(run, "M4")["samples"][0]["device"].append(request(run, "M3"))),

@@ -16,9 +16,10 @@ import psutil
 import pytest
 
 import pytest_otmcp
-from pytest_otmcp import cli
+from pytest_otmcp import __version__, cli
 from pytest_otmcp.errors import KitError, UsageError
 from pytest_otmcp.record import load
+from pytest_otmcp.suite.catalogue import kit_digest
 from tests.stored_runs import store
 from tests.unit.certified import conformant_run
 
@@ -199,16 +200,12 @@ def test_reports_are_made_again_without_measuring(tmp_path: Path) -> None:
     assert {"tables/tab_results.tex", "figures/latency_boxplot.pdf", "report.html", "summary.md"} <= made
 
 
-def test_a_report_that_cannot_be_made_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("pytest_otmcp.report.figures.write_figures", lambda run, directory: None)
+@pytest.mark.long
+def test_a_report_that_cannot_be_made_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "out" / "summary.md" / "in the way").mkdir(parents=True)
-    assert cli.main(["report", str(SAMPLE), "--out", str(tmp_path / "out")]) == 3
-    told = capsys.readouterr().err
-    assert told.startswith("otmcp: ")
-    assert "summary.md was not written: " in told
-    assert told.count("\n") == 1
+    assert cli.main(["report", str(SAMPLE), "--out", str(tmp_path / "out")]) == 2
+    wanted = f"otmcp: {tmp_path / 'out' / 'summary.md'} was not written: Is a directory\n"
+    assert capsys.readouterr().err == wanted
     assert (tmp_path / "out" / "report.html").is_file()
 
 
@@ -219,6 +216,22 @@ def test_no_report_is_made_from_a_record_that_was_edited(tmp_path: Path) -> None
     assert done.returncode == 1
     assert sentence(done).startswith("otmcp: no reports: ")
     assert os.listdir(tmp_path) == ["run.json"]
+
+
+# -- verify -----------------------------------------------------------------------------------------------------
+
+
+def test_a_record_of_another_commit_is_refused_in_words_that_accuse_nobody(capsys: pytest.CaptureFixture[str]) -> None:
+    code = cli.main(["verify", str(SAMPLE)])
+    told = capsys.readouterr()
+    if load(SAMPLE)["kit"]["digest"] == kit_digest():
+        assert told.out.startswith("verified: ")
+        return
+    assert code == 1
+    assert told.err == (
+        f"otmcp: refused: {SAMPLE} was judged by another kit: a pytest-otmcp {__version__} with other files than this one (of another "
+        "commit, or one of the two has been changed); only that kit can judge it again, `otmcp report` shows what the record says\n"
+    )
 
 
 # -- certify ----------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""``otmcp verify`` of files that an enemy has made: it ends within its bounds, and nothing of them reaches a terminal as it is."""
+"""``otmcp verify`` and ``otmcp report`` of files that an enemy has made: it ends within its bounds, and nothing of them reaches a terminal as it is."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import json
 import os
 import re
 import resource
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -52,8 +53,22 @@ def ping(run: Record) -> Record:
     return rule
 
 
-def asked(path: Path) -> dict[str, Any]:
-    return {"record": str(path), "subject": None, "certificate": None}
+def verified(path: Path, bounds: Bounds) -> list[str]:
+    """Return what is said of a record that is examined within these bounds."""
+    asked = {"record": str(path), "subject": None, "certificate": None}
+    said: list[str] = confined("examination", asked, bounds, str(path))["said"]
+    return said
+
+
+def reported(path: Path, bounds: Bounds) -> list[str]:
+    """Return what is said of the reports of a record, which are made within these bounds."""
+    asked = {"records": [str(path)], "directory": str(path.parent / "out")}
+    said: list[str] = confined("rendering", asked, bounds, str(path))["said"]
+    return said
+
+
+Work = Callable[[Path, Bounds], list[str]]
+BOTH = pytest.mark.parametrize("work", [verified, reported])
 
 
 # -- time and memory ------------------------------------------------------------------------------------------------------
@@ -65,22 +80,50 @@ def test_a_regular_expression_that_never_ends_is_ended(run: Record, tmp_path: Pa
     with pytest.raises(
         Refusal, match=r"run\.json cannot be examined within 1024 MB of memory and 1 s of the processor"
     ):
-        confined(asked(forged), Bounds(processor_s=1), str(forged))
+        verified(forged, Bounds(processor_s=1))
 
 
-def test_a_record_that_needs_too_much_memory_is_refused(run: Record, tmp_path: Path) -> None:
-    # A text of twelve megabytes makes four million lists.
+def test_reports_that_take_too_long_are_ended(path: Path, tmp_path: Path) -> None:
+    copied = shutil.copy(path, tmp_path)
+    with pytest.raises(
+        Refusal, match=r"run\.json cannot be examined within 1024 MB of memory and 1 s of the processor"
+    ):
+        reported(Path(copied), Bounds(processor_s=1))
+
+
+def lists(run: Record, path: Path, number: int) -> Path:
+    """Store a record with this many lists; each takes 3 bytes of the file, and some sixty of memory."""
     run["settings"]["unknown"] = "here"
-    forged = store(tmp_path / "run.json", run, recount=True)
-    forged.write_bytes(forged.read_bytes().replace(b'"here"', b"[" + b"[]," * (1 << 22) + b"[]]"))
+    forged = store(path, run, recount=True)
+    forged.write_bytes(forged.read_bytes().replace(b'"here"', b"[" + b"[]," * number + b"[]]"))
+    return forged
+
+
+@BOTH
+def test_a_record_that_needs_too_much_memory_is_refused(run: Record, tmp_path: Path, work: Work) -> None:
+    forged = lists(run, tmp_path / "run.json", 1 << 22)
     with pytest.raises(Refusal, match=r"run\.json cannot be examined within 256 MB of memory"):
-        confined(asked(forged), Bounds(memory_mb=256), str(forged))
+        work(forged, Bounds(memory_mb=256))
 
 
-def test_the_bounds_are_plenty_for_a_genuine_record(path: Path) -> None:
+@pytest.mark.long
+@pytest.mark.parametrize("command", [["verify"], ["report"], ["report", "RUN"]])
+def test_every_command_that_reads_records_has_bounds(
+    run: Record, path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], command: list[str]
+) -> None:
+    forged = lists(run, tmp_path / "run.json", 1 << 24)
+    files = [str(path) if word == "RUN" else word for word in command]
+    assert main([*files, str(forged)]) == 1
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert re.fullmatch(r"otmcp: refused: .*run\.json cannot be examined within 1024 MB of memory .*\n", told.err)
+
+
+@pytest.mark.parametrize("work", [verified, pytest.param(reported, marks=pytest.mark.long)])
+def test_the_bounds_are_plenty_for_a_genuine_record(path: Path, tmp_path: Path, work: Work) -> None:
     before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
-    found = confined(asked(path), Bounds(memory_mb=512, processor_s=30), str(path))
-    assert found["said"][0].startswith("verified: ")
+    (found,) = work(Path(shutil.copy(path, tmp_path)), Bounds(memory_mb=512, processor_s=30))[:1]
+    assert found.startswith(("verified: ", "the reports of "))
     # A sixth of what a record of any size is given: it is the margin for slower machines.
     assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before < 10
 
@@ -141,26 +184,71 @@ def test_nesting_that_no_parser_follows_is_refused(run: Record, tmp_path: Path) 
         examine(forged)
 
 
+def a_long_name(run: Record) -> None:
+    run["items"][0]["id"] = "x" * 10**6
+
+
+def times_of_any_size(run: Record) -> None:
+    for sample, time in zip(run["items"][0]["samples"], (5e-324, 1.7e308), strict=True):
+        sample["duration_ms"] = time
+
+
+def many_findings(run: Record) -> None:
+    told = {"code": "wrong_value", "message": "m" * 1000, "evidence": "e" * 1000, "strength": "MUST", "cause": None}
+    findings = [{**told, "requirement": f"XX-{number}"} for number in range(1000)]
+    run["items"][0].update(status="FAIL", findings=findings)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("change", [many_images, deep_values, a_long_name, times_of_any_size, many_findings])
+def test_reports_of_any_record_end_soon_and_in_a_sentence(
+    run: Record, tmp_path: Path, capsys: pytest.CaptureFixture[str], change: Callable[[Record], None]
+) -> None:
+    change(run)
+    forged = str(store(tmp_path / "run.json", run, recount=True))
+    before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
+    for files in ([forged], [forged, forged]):
+        code = main(["report", *files, "--out", str(tmp_path / "out")])
+        told = capsys.readouterr()
+        if code == 0:
+            assert told.err == ""
+        else:
+            assert (code, told.out) == (3, "")
+            assert re.fullmatch(
+                r"otmcp: .* was not written: .*; if `otmcp verify` accepts the record, this is a fault of the kit.*\n",
+                told.err,
+            )
+        assert len(told.out + told.err) < 9000
+    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before < 20
+
+
 # -- files that are none --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("command", ["verify", "report"])
 def test_files_that_are_larger_than_any_are_not_read(
-    path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str
 ) -> None:
     large = tmp_path / "large.json"
     with large.open("wb") as file:
         file.truncate(1 << 42)
     for files in ([large], [large, path], [path, large]):
-        assert main(["verify", *map(str, files)]) == 1
+        assert main([command, *map(str, files)]) == 1
         assert re.fullmatch(r"otmcp: refused: \S+large\.json has \d+ bytes, more than \d+\n", capsys.readouterr().err)
 
 
-def test_what_is_no_file_is_not_opened(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("command", ["verify", "report"])
+def test_what_is_no_file_is_not_opened(
+    path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
     os.mkfifo(tmp_path / "pipe")
-    for other in (tmp_path / "pipe", tmp_path, Path("/dev/zero")):
+    (tmp_path / "nowhere").symlink_to(tmp_path / "none")
+    no_file, nothing = "this is no regular file", "there is no such file"
+    others = {tmp_path / "pipe": no_file, tmp_path: no_file, Path("/dev/zero"): no_file, tmp_path / "nowhere": nothing}
+    for other, why in others.items():
         for files in ([other], [other, path], [path, other]):
-            assert main(["verify", *map(str, files)]) == 2
-            assert capsys.readouterr().err == f"otmcp: {other}: there is no such file\n"
+            assert main([command, *map(str, files)]) == 2
+            assert capsys.readouterr().err == f"otmcp: {other}: {why}\n"
 
 
 # -- a terminal -----------------------------------------------------------------------------------------------------------
@@ -198,4 +286,17 @@ def test_a_name_of_marks_is_printed_without_them(run: Record, tmp_path: Path, ca
     assert main(["verify", str(store(tmp_path / "run.json", run, recount=True))]) == 1
     told = capsys.readouterr().out
     assert told.startswith("verified: acme \\u202egnitset 0.1.0 is INCOMPLETE; ")
+    assert not TERMINAL.search(told)
+
+
+def test_nothing_of_a_record_is_printed_as_it_is_with_its_reports(run: Record, tmp_path: Path, capsys: Shown) -> None:
+    run["subject"].update(name="acme \u202egnitset")
+    run["items"][0].update(id=HOSTILE)
+    other = store(tmp_path / "other.json", run, recount=True)
+    run["items"][0].update(status="FAIL")
+    forged = store(tmp_path / "run.json", run, recount=True)
+    assert main(["report", str(forged), str(other), "--out", str(tmp_path)]) == 0
+    told = capsys.readouterr().out
+    assert "acme \\u202egnitset" in told
+    assert "by TUV" in told
     assert not TERMINAL.search(told)

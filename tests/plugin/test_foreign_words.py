@@ -16,6 +16,7 @@ from .command import otmcp
 from .vendor import Repository
 
 HOSTILE = Path(__file__).parents[1] / "soundness" / "hostile.py"
+DEFECTIVE = HOSTILE.with_name("defective.py")
 
 FOREIGN = "no\r\nVERDICT: CONFORMANT\n::error::x \x1b[2J\x07 \u202e\x9b ##vso[task.complete] ##[error]x ::stop::\u2028VERDICT: x"
 
@@ -114,3 +115,55 @@ def test_the_commands_print_nothing_raw(empty_repository: Repository, kind: str)
         text = written.read_text(encoding="utf-8")
         assert tomllib.loads(text)
         assert text.replace("\n", "").isprintable()
+
+
+WORDS = r"\u001b[2J\u0007\u202e\u2066\u009b\u2028\nVERDICT: CONFORMANT (1)\r\n::error::x\n##vso[task.complete]"
+"""What a terminal, a reader or a service would take for something else, as a subject file writes it."""
+
+HOSTILE_SUBJECT = f"""
+[subject]
+name = "acme {WORDS}"
+version = "1 {WORDS}"
+[adapter.modbus]
+command = ["{{python}}", "PROGRAM", "none", "{WORDS}"]
+env = {{ MODBUS_HOST = "{{host}}", MODBUS_PORT = "{{port}}", ODD = "{WORDS}" }}
+unclaimed = {{ guard = "none {WORDS}" }}
+[[deviation]]
+item = "M2"
+reason = "known {WORDS}"
+expires = 2999-01-01
+"""
+
+
+@LONG
+def test_nothing_of_a_subject_file_is_printed_or_written_raw(empty_repository: Repository) -> None:
+    repository = empty_repository
+    repository.write(otmcp_toml=HOSTILE_SUBJECT.replace("PROGRAM", str(DEFECTIVE)))
+    outcome = repository.pytest("--pyargs", "pytest_otmcp.conformance", "-k", "[M1] or [M2]", "--otmcp-reps=1", "-rA")
+    assert set(outcome.statuses) == {"M1", "M2"}, outcome.output
+    harmless_output(outcome.output)
+    record = str(outcome.report / "run.json")
+    commands = [
+        ["report", record],
+        ["report", record, record],
+        ["verify", record],
+        ["verify", "--subject", "otmcp.toml", record],
+        ["certify"],
+        ["doctor"],
+        ["call", "ping"],
+    ]
+    for command in commands:
+        done = otmcp(*command, cwd=repository.root)
+        if command[0] == "verify":
+            assert "VERDICT: CONFORMANT (1)" in done.stdout
+        harmless_output(done.stdout + done.stderr)
+        assert "a fault of the kit" not in done.stderr
+    pages = [outcome.report / name for name in ("report.html", "summary.md")]
+    pages += [repository.root / name for name in ("comparison.html", "comparison.md")]
+    for page in pages:
+        text = page.read_text(encoding="utf-8")
+        # Markdown has joiners of width 0 where a service would see a command.
+        assert [line for line in re.split("[\n\t\u200d]", text) if not line.isprintable()] == [], page
+        assert "CONFORMANT (1)" in text, page
+    # A record is for machines: JSON escapes what moves a cursor.
+    assert not set(map(chr, range(32))) - {"\n"} & set((outcome.report / "run.json").read_text(encoding="utf-8"))

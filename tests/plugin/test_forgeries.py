@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import copy
 import json
-from collections.abc import Callable, Iterator
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -21,10 +19,8 @@ from pytest_otmcp.record import load
 from tests.stored_runs import store
 from tests.warm_start import WarmStart
 
+from .places import Change, Record, call, calls, entry, facts, item, journal, look, moved, parts, sample
 from .reference_run import reference_run
-
-Record = dict[str, Any]
-Change = Callable[[Record], object]
 
 HOUR_NS = 3600 * 10**9
 DAY_NS = 24 * HOUR_NS
@@ -68,88 +64,13 @@ def test_another_subject_file_is_refused(genuine: Record, path: Path, tmp_path: 
         examine(store(tmp_path / "run.json", genuine, recount=True), subject=changed)
 
 
-# -- places in a record ---------------------------------------------------------------------------------------------------
-
-
-def item(run: Record, identifier: str) -> Record:
-    return next(entry for entry in run["items"] if entry["id"] == identifier)
-
-
-def sample(run: Record, identifier: str, number: int = 0) -> Record:
-    found: Record = item(run, identifier)["samples"][number]
-    return found
-
-
-def call(run: Record, identifier: str, number: int = 0) -> Record:
-    found: Record = sample(run, identifier)["calls"][number]
-    return found
-
-
-def journal(run: Record, identifier: str) -> list[Record]:
-    found: list[Record] = sample(run, identifier)["device"]
-    return found
-
-
-def entry(run: Record, identifier: str, **members: Any) -> Record:
-    """Return the first entry of an item's journals with these members, in whichever part."""
-    parts = (*item(run, identifier)["around"], *item(run, identifier)["samples"])
-    entries = (one for part in parts for one in part["device"])
-    return next(one for one in entries if all(one.get(name) == value for name, value in members.items()))
-
-
-def look(run: Record, identifier: str, what: str) -> Record:
-    found: Record = next(seen for seen in sample(run, identifier)["observations"] if what in seen)
-    return found
+# -- changes ---------------------------------------------------------------------------------------------------------------
 
 
 def message(run: Record) -> Record:
     """Return a Sparkplug data message that the adapter has published."""
     entries = (one for part in item(run, "Q4")["samples"] for one in part["device"])
     return next(one for one in entries if "/DDATA/" in one.get("topic", "") and one["direction"] == "in")
-
-
-def facts(run: Record, protocol: str = "modbus") -> Record:
-    found: Record = run["subject"]["adapters"][protocol]
-    return found
-
-
-def parts(run: Record) -> Iterator[Record]:
-    for one in run["items"]:
-        yield from one["around"]
-        yield from one["samples"]
-
-
-def calls(run: Record) -> Iterator[Record]:
-    for part in parts(run):
-        yield from part["calls"]
-
-
-def moved(part: Record, *, seq: int = 0, ns: int = 0) -> None:
-    """Move an item, or a repetition, in journal and time, as a forger would who is careful within it."""
-    for found in part.get("devices", {}).values():
-        found["begin"] += seq
-        for name in ("asked_ns", "seen_ns", "accepting_ns"):
-            found[name] += ns
-        for one in found["before"]:
-            one["t_ns"] += ns
-    for name in {"began_ns", "ended_ns"} & part.keys():
-        part[name] += ns
-    for inner in [*part.get("around", []), *part.get("samples", [part])]:
-        for one in inner["calls"]:
-            for name in ("sent_ns", "received_ns"):
-                one[name] += ns
-        for one in inner["device"]:
-            one["seq"] += seq
-            one["t_ns"] += ns
-            if one["answers"] is not None:
-                one["answers"] += seq
-        for seen in inner["observations"]:
-            for name in ("asked_ns", "seen_ns"):
-                seen[name] += ns
-            for name in {"journal", "end", "followed"} & seen.keys():
-                seen[name] += seq
-            if "start" in seen:
-                seen["start"]["accepting_ns"] += ns
 
 
 def swap(one: Record, other: Record, name: str) -> None:
@@ -355,13 +276,16 @@ FORGERIES: dict[str, tuple[str, Change]] = {
         lambda run: run["items"].remove(item(run, "M2")),
     ),
     "an item that nobody knows": ("M99: the suite has no such task", lambda run: item(run, "M1").update(id="M99")),
-    "another kit": ("was judged by pytest-otmcp 9.9.9, and this is", lambda run: run["kit"].update(version="9.9.9")),
+    "another kit": (
+        "was judged by another kit: pytest-otmcp 9.9.9, and this is",
+        lambda run: run["kit"].update(version="9.9.9"),
+    ),
     "another suite": (
-        "with other files than this one (one of the two has been changed)",
+        "with other files than this one (of another commit, or one of the two has been changed)",
         lambda run: run["kit"].update(suite_digest="sha256:" + "0" * 64),
     ),
     "a changed kit": (
-        "with other files than this one (one of the two has been changed)",
+        "with other files than this one (of another commit, or one of the two has been changed)",
         lambda run: run["kit"].update(digest="sha256:" + "0" * 64),
     ),
     # time of day

@@ -480,7 +480,7 @@ def test_a_run_by_another_version_or_by_a_changed_kit_is_refused(
 ) -> None:
     record["kit"]["version"] = "9.9.9"
     forge(*files, record)
-    assert "was judged by pytest-otmcp 9.9.9" in refusal(*files)
+    assert "was judged by another kit: pytest-otmcp 9.9.9" in refusal(*files)
     record["kit"] |= {"version": __version__, "suite_digest": "sha256:" + "0" * 64}
     forge(*files, record)
     assert "with other files than this one" in refusal(*files)

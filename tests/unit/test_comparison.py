@@ -60,6 +60,11 @@ def test_the_runs_are_columns_of_one_matrix(versions: list[dict[str, Any]]) -> N
     ]
 
 
+def test_runs_of_the_same_version_can_be_told_apart(versions: list[dict[str, Any]]) -> None:
+    names = [column.name for column in compared([versions[0], versions[1], versions[0]]).columns]
+    assert names == ["acme-modbus 1 (run 1)", "acme-modbus 2", "acme-modbus 1 (run 2)"]
+
+
 def test_what_changed_is_said_and_what_only_some_have_is_counted(versions: list[dict[str, Any]]) -> None:
     found = compared(versions)
     assert found.changes == ["M3 FAIL, PASS, PASS"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 from pathlib import Path
 
 import pytest
@@ -62,6 +63,14 @@ def test_an_adapter_cannot_break_a_figure_with_the_codes_it_makes_up(tmp_path: P
     items = [item(f"F{index}", "fault", "Modbus", "x", [1.0], error_code=code) for index, code in enumerate(codes)]
     write_figures(run(items), tmp_path)
     assert (tmp_path / "error_classes.pdf").is_file()
+
+
+@pytest.mark.parametrize("name", ["$x^$", "x" * 10**6])
+def test_a_record_cannot_break_a_figure_with_the_names_it_makes_up(tmp_path: Path, name: str) -> None:
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_utime
+    write_figures(run([item(name, suite, name, "x", [1.0], error_code="x") for suite in ("normal", "fault")]), tmp_path)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_utime - before < 5
+    assert {path.stem for path in tmp_path.glob("*.png")} >= {"latency_boxplot", "error_classes"}
 
 
 def test_a_family_and_times_that_nobody_thought_of_are_drawn(tmp_path: Path) -> None:

@@ -10,16 +10,9 @@ import pytest
 
 from pytest_otmcp.cli import main
 from pytest_otmcp.cli.signature import NAMESPACE, sign, signer
+from tests.keys import WHO, new_key, trusted
 
 pytestmark = pytest.mark.skipif(shutil.which("ssh-keygen") is None, reason="ssh-keygen is not installed")
-
-WHO = "release@acme.example"
-
-
-def new_key(path: Path) -> Path:
-    command = ["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", str(path)]
-    subprocess.run(command, check=True, timeout=60)
-    return path
 
 
 @pytest.fixture
@@ -30,9 +23,7 @@ def key(tmp_path: Path) -> Path:
 @pytest.fixture
 def trust(tmp_path: Path, key: Path) -> Path:
     """A file of trusted signers that names the key."""
-    file = tmp_path / "allowed_signers"
-    file.write_text(f'{WHO} namespaces="{NAMESPACE}" {key.with_suffix(".pub").read_text()}')
-    return file
+    return trusted(key, tmp_path / "allowed_signers")
 
 
 @pytest.fixture
