@@ -24,7 +24,10 @@ def test_one_row_runs_on_every_protocol_and_is_judged_again(
 
 def test_one_check_runs_alone(empty_repository: Repository) -> None:
     empty_repository.reference_subject()
-    assert empty_repository.pytest(*SUITE, "--otmcp-only=MCP-004.modbus").statuses == {"MCP-004.modbus": "PASS"}
+    outcome = empty_repository.pytest(*SUITE, "--otmcp-only=MCP-004.modbus", "--otmcp-soak")
+    assert outcome.statuses == {"MCP-004.modbus": "PASS"}
+    # Judging again takes the same steps only if the record says which form they had.
+    assert outcome.record["settings"]["soak"] is True
 
 
 @pytest.mark.parametrize(
