@@ -1,9 +1,443 @@
-"""CON: several calls at a time."""
+"""CON: calls side by side."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from pytest_otmcp.core.finding import Finding
+from pytest_otmcp.core.strict_json import same_json
+from pytest_otmcp.protocols.journal import Entries
+from pytest_otmcp.protocols.modbus import oracle as modbus_oracle
+from pytest_otmcp.protocols.modbus.entries import as_modbus
+from pytest_otmcp.protocols.opcua import oracle as opcua_oracle
+from pytest_otmcp.protocols.opcua.entries import as_opcua
+from pytest_otmcp.protocols.oracle import state_changing
+from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.trial.check import Checks
+from pytest_otmcp.trial.repetition import Repetition
+from pytest_otmcp.trial.reply import Reply
+from pytest_otmcp.trial.rig import Rig
+
+from .steps import (
+    CONNECTION_FAULTS,
+    a_read_works,
+    answers_again,
+    exercise,
+    faulty,
+    silence,
+    written_once,
+)
 
 __all__ = ["TASKS"]
 
 TASKS = Checks()
+
+_PARALLEL = (4, 16, 64)
+_BUSY = ("rate_limited", "device_busy", "limit_exceeded", "timeout")
+"""Codes with which an adapter may refuse the last of many calls at the same time."""
+
+_LATE_S = 0.02
+_FIRST_LATE_S, _SECOND_LATE_S = 0.3, 0.6
+_ROUNDS = 5
+_MOST_OUTSTANDING = 16
+"""MODBUS Messaging on TCP/IP Implementation Guide V1.0b, section 4.4.1.2: NumberMaxOfClientTransaction."""
+
+_MOST_CONNECTIONS = 8
+"""Controllers have room for a few clients only."""
+
+_CONSECUTIVE = 50
+_HELD_UP_S = 1.0
+
+_NODES = ("Temperature", "Pressure", "FlowRate", "TankLevel", "Vibration", "PhLevel", "Humidity", "MotorSpeed")
+
+
+def _has_its_own(run: Repetition, reply: Reply, count: int, output: str, value: object) -> None:
+    """Expect the answer to this very call; of many calls at the same time an adapter may refuse some."""
+    if count > min(_PARALLEL) and reply.success is False:
+        run.fails(reply, *_BUSY, requirement="CON-001")
+        return
+    run.succeeds(reply, requirement="CON-001", **{output: value})
+
+
+# -- CON-001 ------------------------------------------------------------------------------------------------
+
+
+@TASKS.check("CON-001", "Each of several calls gets its own answer.", needs="modbus.read_input")
+async def each_read_of_registers_gets_its_own(run: Repetition, modbus: Rig) -> None:
+    """Read 4, 16 and 64 registers by as many calls at the same time, while the device gives every fourth answer late.
+
+    Said: in each answer the value of its own register; of 16 and 64 calls some may be refused.
+    Seen: no transaction identifier twice among the requests that wait for an answer.
+    Why: an answer that belongs to another call is a wrong value that looks right.
+    """
+    for count in _PARALLEL:
+        values = [run.rng.randrange(0x10000) for _ in range(count)]
+        late = run.rng.sample(range(count), count // 4)
+        await modbus.poke(unit=1, table="input_registers", address=0, values=values)
+        await modbus.fault(*({"function": 4, "address": address, "action": {"delay_s": _LATE_S}} for address in late))
+        replies = await run.together(*(modbus.call("read_input", address=i, count=1) for i in range(count)))
+        await modbus.fault()
+        for reply, value in zip(replies, values, strict=True):
+            _has_its_own(run, reply, count, "values", [value])
+    run.witnessed(_transactions(await modbus.journal()))
+
+
+def _transactions(entries: Entries) -> list[Finding]:
+    """Expect that no two requests of a connection that wait for an answer have the same identifier, and that not too many wait."""
+    waiting: dict[int, dict[int, int]] = {}
+    most = 0
+    findings = []
+    for entry in map(as_modbus, entries):
+        asked = waiting.setdefault(entry["connection"], {})
+        if entry["request"]:
+            identifier = entry["transaction_id"]
+            if identifier in asked.values():
+                findings.append(
+                    Finding(
+                        code="transaction_twice",
+                        message=f"two requests that waited for an answer at the same time had the transaction identifier {identifier}",
+                        requirement="CON-001",
+                    )
+                )
+            asked[entry["seq"]] = identifier
+            most = max(most, len(asked))
+        elif entry["answers"] is not None:
+            asked.pop(entry["answers"], None)
+    if most > _MOST_OUTSTANDING:
+        findings.append(
+            Finding(
+                code="many_outstanding",
+                message=f"on one connection {most} requests waited for an answer at the same time, more than {_MOST_OUTSTANDING}",
+                requirement="CON-005",
+            )
+        )
+    return findings[:1]
+
+
+@TASKS.check("CON-001", "Each of several calls gets its own answer.", needs="opcua.read")
+async def each_read_of_a_node_gets_its_own(run: Repetition, opcua: Rig) -> None:
+    """Read variables by 4, 16 and 64 calls at the same time, while the server answers late for every fourth variable.
+
+    Said: in each answer the value of its own variable; of 16 and 64 calls some may be refused.
+    Seen: nothing further.
+    Why: an answer that belongs to another call is a wrong value that looks right.
+    """
+    for count in _PARALLEL:
+        values = {name: round(run.rng.uniform(-50.0, 150.0), 6) for name in _NODES}
+        for name, value in values.items():
+            await opcua.poke(node=name, value=value)
+        late = run.rng.sample(_NODES, len(_NODES) // 4)
+        await opcua.fault(*({"node": f"ns=2;s={name}", "action": {"delay_s": _LATE_S}} for name in late))
+        asked = [_NODES[index % len(_NODES)] for index in range(count)]
+        replies = await run.together(*(opcua.call("read", node=f"ns=2;s={name}") for name in asked))
+        await opcua.fault()
+        for reply, name in zip(replies, asked, strict=True):
+            _has_its_own(run, reply, count, "value", values[name])
+
+
+@TASKS.check("CON-001", "Each of several calls gets its own answer.", needs="mqtt.subscribe mqtt.subscribe.qos")
+async def each_subscription_gets_its_own(run: Repetition, mqtt: Rig) -> None:
+    """Subscribe to 4, 16 and 64 filters, each with a quality of service drawn at random, by as many calls at the same time,
+    while the broker gives every fourth answer late.
+
+    Said: in each answer the quality of service of its own subscription; of 16 and 64 calls some may be refused.
+    Seen: nothing further.
+    Why: an answer that belongs to another call says that a subscription is there which is not.
+    """
+    for count in _PARALLEL:
+        asked = {f"otmcp/side/{run.rng.getrandbits(32):08x}": run.rng.randrange(3) for _ in range(count)}
+        late = run.rng.sample(sorted(asked), count // 4)
+        await mqtt.fault(*({"packet": "SUBSCRIBE", "topic": text, "action": {"delay_s": _LATE_S}} for text in late))
+        replies = await run.together(*(mqtt.call("subscribe", filter=text, qos=qos) for text, qos in asked.items()))
+        await mqtt.fault()
+        for reply, qos in zip(replies, asked.values(), strict=True):
+            _has_its_own(run, reply, count, "granted_qos", qos)
+        if mqtt.claims("unsubscribe"):
+            await run.together(*(mqtt.call("unsubscribe", filter=text) for text in asked))
+
+
+# -- CON-002 ------------------------------------------------------------------------------------------------
+
+
+async def _late(run: Repetition, at: Rig, operation: str, first: Mapping[str, Any], second: Mapping[str, Any]) -> Reply:
+    """Let a call time out at a device that stands still, and return the reply to the next one, during which the answer to the
+    first is sent."""
+    await at.poke(network="stalled")
+    reply = await at.call(operation, **first)
+    run.fails(reply, *CONNECTION_FAULTS, requirement="TMO-001", code_requirement="ERR-005")
+    await at.poke(network="open")
+    return await at.call(operation, **second)
+
+
+def _not_the_late_one(run: Repetition, reply: Reply, **outputs: object) -> None:
+    if reply.success:
+        run.succeeds(reply, requirement="CON-002", **outputs)
+    else:
+        run.fails(reply, "protocol_error", *CONNECTION_FAULTS, requirement="CON-002", code_requirement="ERR-005")
+
+
+@TASKS.check("CON-002", "A late answer is not the answer to a later call.", needs="modbus.read_holding")
+async def a_late_register_is_not_taken_for_another(run: Repetition, modbus: Rig) -> None:
+    """Read a register while the device stands still, until that times out; then another one, during which the answer to the first
+    is sent.
+
+    Said: a failure; then the value of the second register, or a failure.
+    Seen: the late answer, which has another value.
+    Why: after one slow moment of the device every answer would be that of the call before.
+    """
+    first, second = run.rng.sample(range(0x10000), 2)
+    await modbus.poke(unit=1, table="holding_registers", address=40, values=[first, 0, second])
+    await a_read_works(run, modbus)
+    await modbus.fault(
+        {"function": 3, "address": 40, "times": 1, "action": {"delay_s": _FIRST_LATE_S}},
+        {"function": 3, "address": 42, "times": 1, "action": {"delay_s": _SECOND_LATE_S}},
+    )
+    reply = await _late(run, modbus, "read_holding", {"address": 40, "count": 1}, {"address": 42, "count": 1})
+    _not_the_late_one(run, reply, values=[second])
+    await modbus.fault()
+    await answers_again(run, modbus)
+
+
+@TASKS.check("CON-002", "A late answer is not the answer to a later call.", needs="opcua.read")
+async def a_late_variable_is_not_taken_for_another(run: Repetition, opcua: Rig) -> None:
+    """Read a variable while the server stands still, until that times out; then another one, during which the answer to the first
+    is sent.
+
+    Said: a failure; then the value of the second variable, or a failure.
+    Seen: the late answer, which has another value.
+    Why: after one slow moment of the server every answer would be that of the call before.
+    """
+    first, second = (round(run.rng.uniform(-50.0, 150.0), 6) for _ in range(2))
+    await opcua.poke(node="Temperature", value=first)
+    await opcua.poke(node="Pressure", value=second)
+    await a_read_works(run, opcua)
+    one, other = "ns=2;s=Temperature", "ns=2;s=Pressure"
+    await opcua.fault(
+        {"service": "Read", "node": one, "times": 1, "action": {"delay_s": _FIRST_LATE_S}},
+        {"service": "Read", "node": other, "times": 1, "action": {"delay_s": _SECOND_LATE_S}},
+    )
+    reply = await _late(run, opcua, "read", {"node": one}, {"node": other})
+    _not_the_late_one(run, reply, value=second)
+    await opcua.fault()
+    await answers_again(run, opcua)
+
+
+# -- CON-004 ------------------------------------------------------------------------------------------------
+
+
+@TASKS.check(
+    "CON-004", "Reads beside writes give the old or a new value.", needs="modbus.read_holding modbus.write_holding"
+)
+async def registers_are_read_beside_writes(run: Repetition, modbus: Rig) -> None:
+    """Write a cell by two calls and read it by four, all at the same time, several times; where there are tools for it, a number
+    of 32 bits. Read such a number while both its registers change before every request.
+
+    Said: success for the writes; for each read the old value or one of the new ones, never parts of two.
+    Seen: each write once; the cell holds what was written last.
+    Why: half of an old number and half of a new one is a number that the plant never had.
+    """
+    wide = modbus.claims("write_registers") and modbus.claims("read_typed")
+    await modbus.prove()
+    for _ in range(_ROUNDS):
+        values = run.rng.sample(range(1, 0x100000000 if wide else 0x10000), 3)
+        old, *new = [[value >> 16, value & 0xFFFF] if wide else [value] for value in values]
+        await modbus.poke(unit=1, table="holding_registers", address=20, values=old)
+        if wide:
+            writes = [modbus.call("write_registers", address=20, values=words) for words in new]
+            reads = [modbus.call("read_typed", address=20, type="uint32") for _ in range(4)]
+        else:
+            writes = [modbus.call("write_holding", address=20, value=words[0]) for words in new]
+            reads = [modbus.call("read_holding", address=20, count=1) for _ in range(4)]
+        replies = await run.together(reads[0], writes[0], reads[1], reads[2], writes[1], reads[3])
+        for reply in (replies[0], replies[2], replies[3], replies[5]):
+            run.succeeds(reply, requirement="CON-004")
+            if wide:
+                run.one_of(reply, "value", *values)
+            else:
+                run.one_of(reply, "values", *([value] for value in values))
+        written = [replies[1], replies[4]]
+        for reply in written:
+            run.succeeds(reply, requirement="CON-004")
+        seen = [as_modbus(entry).get("values") for entry in _since(written, await modbus.journal())]
+        run.witnessed(_linear(modbus, written, new, seen))
+        if seen and all(reply.success for reply in written):
+            run.witnessed(
+                _kept(modbus_oracle.image_holds(await modbus.image(), "holding_registers", 20, list(seen[-1] or [])))
+            )
+    if modbus.claims("read_typed"):
+        await _a_moving_number_is_whole(run, modbus)
+
+
+async def _a_moving_number_is_whole(run: Repetition, modbus: Rig) -> None:
+    start = run.rng.randrange(1, 0x1000)
+    await modbus.poke(unit=1, table="holding_registers", address=22, values=[start, start])
+    cells = [
+        {"unit": 1, "table": "holding_registers", "address": address, "change": "increment"} for address in (22, 23)
+    ]
+    await modbus.poke(restless=cells)
+    reply = await modbus.call("read_typed", address=22, type="uint32")
+    await modbus.poke(restless=[])
+    run.succeeds(reply, requirement="CON-004")
+    value = reply.outputs.get("value")
+    if isinstance(value, int) and value >> 16 != value & 0xFFFF:
+        message = f"{reply.label}: both halves of the number change at the same time, the reply has {value >> 16} and {value & 0xFFFF}"
+        run.judge(reply, [Finding(code="wrong_value", message=message, requirement="CON-004")])
+
+
+def _since(replies: Sequence[Reply], entries: Entries) -> Entries:
+    """Return the requests that write, since these calls were made."""
+    begun = min(reply.exchange.sent_ns for reply in replies)
+    return [entry for entry in state_changing(entries) if entry["t_ns"] >= begun]
+
+
+def _linear(at: Rig, replies: Sequence[Reply], values: Sequence[object], seen: Sequence[object]) -> list[Finding]:
+    """Expect that each write that succeeded was seen once, with its value."""
+    findings = []
+    for reply, value in zip(replies, values, strict=True):
+        count = sum(same_json(value, found) for found in seen)
+        if reply.success and count != 1:
+            message = (
+                f"{reply.label}: beside others the device should have seen this write once, it saw it {count} times"
+            )
+            findings.append(
+                Finding(code="not_written_once", message=message, requirement="CON-004", evidence=f"it saw {seen}")
+            )
+    return findings
+
+
+def _kept(findings: Sequence[Finding]) -> list[Finding]:
+    return [Finding(code=finding.code, message=finding.message, requirement="CON-004") for finding in findings]
+
+
+@TASKS.check("CON-004", "Reads beside writes give the old or a new value.", needs="opcua.read opcua.write")
+async def variables_are_read_beside_writes(run: Repetition, opcua: Rig) -> None:
+    """Write a variable by two calls and read it by four, all at the same time, several times.
+
+    Said: success for the writes; for each read the old value or one of the new ones.
+    Seen: each write once; the variable holds what was written last.
+    Why: a lost write, or one that comes twice, shows only under load.
+    """
+    node = "ns=2;s=FanSpeed"
+    await opcua.prove()
+    for _ in range(_ROUNDS):
+        old, *new = (round(run.rng.uniform(1.0, 99.0), 6) for _ in range(3))
+        await opcua.poke(node="FanSpeed", value=old)
+        writes = [opcua.call("write", node=node, value=value) for value in new]
+        reads = [opcua.call("read", node=node) for _ in range(4)]
+        replies = await run.together(reads[0], writes[0], reads[1], reads[2], writes[1], reads[3])
+        for reply in (replies[0], replies[2], replies[3], replies[5]):
+            run.succeeds(reply, requirement="CON-004")
+            run.one_of(reply, "value", old, *new)
+        written = [replies[1], replies[4]]
+        for reply in written:
+            run.succeeds(reply, requirement="CON-004")
+        seen = [
+            item.get("value") for entry in _since(written, await opcua.journal()) for item in as_opcua(entry)["nodes"]
+        ]
+        run.witnessed(_linear(opcua, written, new, seen))
+        if seen and all(reply.success for reply in written):
+            run.witnessed(_kept(opcua_oracle.image_holds(await opcua.image(), node, seen[-1])))
+
+
+@TASKS.check("CON-004", "Messages beside each other are sent once each.", needs="mqtt.publish mqtt.subscribe")
+async def messages_are_published_beside_each_other(run: Repetition, mqtt: Rig) -> None:
+    """Publish on one topic by four calls while two others subscribe, all at the same time.
+
+    Said: success.
+    Seen: each message once.
+    Why: a lost command, or one that comes twice, shows only under load.
+    """
+    asks = exercise(mqtt)
+    await mqtt.prove()
+    asked = [asks.write(run.rng) for _ in range(4)]
+    reads = [asks.read(run.rng) for _ in range(2)]
+    replies = await run.together(*(mqtt.call(one.operation, **one.inputs) for one in (*asked, *reads)))
+    for reply in replies:
+        run.succeeds(reply, requirement="CON-004")
+    entries = await mqtt.journal()
+    for one, reply in zip(asked, replies, strict=False):
+        if reply.success:
+            run.witnessed(written_once(mqtt, one, entries, requirement="CON-004"))
+
+
+# -- CON-005, CON-006 ---------------------------------------------------------------------------------------
+
+
+@TASKS.every_protocol("CON-005", "A call that waits holds up nothing else.")
+async def a_call_that_waits_holds_up_nothing(run: Repetition, at: Rig) -> None:
+    """Read while the device is silent; ask for the list of tools meanwhile; then cancel the call.
+
+    Said: the list within a second.
+    Seen: the read, which is not answered.
+    Why: a device that stands still must not take the assistant's other devices, and the way to stop, away from it.
+    """
+    await a_read_works(run, at)
+    await at.fault(*faulty(exercise(at).reads, **silence(at)))
+    asked = exercise(at).read(run.rng)
+    took_s = []
+
+    async def listing() -> None:
+        took_s.append(await at.listing_took_s())
+
+    await at.call_and_cancel(asked.operation, seen={"request": True}, timeout_s=2.0, meanwhile=listing, **asked.inputs)
+    await at.fault()
+    if took_s[0] > _HELD_UP_S * max(1.0, run.time_scale):
+        message = f"{at.protocol}: while a call waited for the device, tools/list took {took_s[0]:.1f} s"
+        run.finding("held_up", message, "CON-005")
+    await answers_again(run, at)
+
+
+@TASKS.every_protocol("CON-006", "Many calls work, over few connections.")
+async def many_calls_need_few_connections(run: Repetition, at: Rig) -> None:
+    """Read fifty times, one call after the other; then by 32 calls at the same time.
+
+    Said: the right value in every answer; of the calls at the same time some may be refused.
+    Seen: a request for each of the fifty; never more than eight connections at the same time.
+    Why: a controller has room for a few clients; a connection for each call locks out the operator.
+    """
+    asked, replies = None, []
+    for _ in range(_CONSECUTIVE):
+        asked = exercise(at).read(run.rng)
+        for poke in asked.pokes:
+            await at.poke(**poke)
+        replies.append(await at.call(asked.operation, **asked.inputs))
+        run.succeeds(replies[-1], requirement="CON-006", **asked.outputs)
+    assert asked is not None
+    together = await run.together(*(at.call(asked.operation, **asked.inputs) for _ in range(32)))
+    for reply in together:
+        if reply.success is False:
+            run.fails(reply, *_BUSY, requirement="CON-006")
+        else:
+            run.succeeds(reply, requirement="CON-006", **asked.outputs)
+    entries = await at.journal()
+    silent = [
+        reply for reply in replies if reply.success and not any(entry["request"] for entry in reply.during(entries))
+    ]
+    if silent:
+        message = f"{silent[0].label}: the device should have been asked in each of {len(replies)} calls, it was not in {len(silent)}"
+        run.finding(
+            "no_exchange", message, "CON-006", evidence=protocols()[at.protocol].seen(silent[0].during(entries))
+        )
+    run.witnessed(_connections(at, await at.session_journal()))
+
+
+def _connections(at: Rig, entries: Entries) -> list[Finding]:
+    opened: set[int] = set()
+    most = 0
+    for entry in entries:
+        if entry["origin"] == "client" and entry["kind"] == "CONNECTED":
+            opened.add(entry["connection"])
+            most = max(most, len(opened))
+        elif entry["kind"] == "DISCONNECTED":
+            opened.discard(entry["connection"])
+    if most <= _MOST_CONNECTIONS:
+        return []
+    return [
+        Finding(
+            code="many_connections",
+            message=f"{at.protocol}: the adapter should have at most {_MOST_CONNECTIONS} connections to the device at the same "
+            f"time, it had {most}",
+            requirement="CON-006",
+        )
+    ]

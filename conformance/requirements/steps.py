@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 from pytest_otmcp.core.finding import Finding
@@ -19,10 +20,15 @@ __all__ = [
     "QUIET_S",
     "a_read_works",
     "a_write_works",
+    "answers_again",
+    "citing",
     "exercise",
+    "faulty",
     "nothing_arrived",
     "read",
     "refused_before_the_wire",
+    "silence",
+    "since",
     "write",
     "written_once",
 ]
@@ -41,6 +47,42 @@ def exercise(at: Rig) -> Exercise:
     found = protocols()[at.protocol].exercise
     assert found is not None, f"{at.protocol} has no exercise, so it has no such checks"
     return found
+
+
+def faulty(conditions: Iterable[Mapping[str, object]], **action: object) -> list[Mapping[str, object]]:
+    """Return the rules of a fault plan by which every request that meets one of the conditions gets this fault.
+
+    Args:
+        conditions: the ``reads`` or ``writes`` of an exercise.
+        action: of the rules.
+    """
+    return [{**condition, "action": action} for condition in conditions]
+
+
+def silence(at: Rig) -> Mapping[str, object]:
+    """Return the action of a fault rule with which the device of this protocol takes a request and never answers."""
+    action = exercise(at).silent[0]["action"]
+    assert isinstance(action, Mapping)
+    return action
+
+
+def citing(requirement: str, *findings: Iterable[Finding]) -> list[Finding]:
+    """Return findings as findings about this requirement."""
+    return [replace(finding, requirement=requirement) for group in findings for finding in group]
+
+
+def since(reply: Reply, entries: Entries) -> Entries:
+    """Return the entries that were made after the request of a call."""
+    return [entry for entry in entries if entry["t_ns"] >= reply.exchange.sent_ns]
+
+
+async def answers_again(run: Repetition, at: Rig, *, requirement: str = "REC-001") -> None:
+    """Read until that succeeds, at most for as long as the subject declares: the faults of the device are over."""
+    asked = exercise(at).read(run.rng)
+    for poke in asked.pokes:
+        await at.poke(**poke)
+    replies = await at.call_until_success(asked.operation, window_s=at.recovery_s, **asked.inputs)
+    run.succeeds(replies[-1], requirement=requirement, **asked.outputs)
 
 
 async def read(run: Repetition, at: Rig) -> tuple[Asked, Reply]:

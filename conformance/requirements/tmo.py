@@ -1,9 +1,206 @@
-"""TMO: deadlines, retries and cancellation."""
+"""TMO: time limits and cancellation."""
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
+
+from pytest_otmcp.core.finding import Finding
+from pytest_otmcp.protocols.exercise import Asked
+from pytest_otmcp.protocols.journal import Entries, JournalEntry
+from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.trial.check import Checks
+from pytest_otmcp.trial.expectations import failed
+from pytest_otmcp.trial.repetition import Repetition
+from pytest_otmcp.trial.reply import Reply
+from pytest_otmcp.trial.rig import Rig
+
+from .steps import (
+    CONNECTION_FAULTS,
+    QUIET_S,
+    a_read_works,
+    a_write_works,
+    answers_again,
+    citing,
+    exercise,
+    faulty,
+    silence,
+    since,
+)
 
 __all__ = ["TASKS"]
 
 TASKS = Checks()
+
+_DRIP_S = 1.5
+"""Seconds between two bytes of an answer, so that no answer is complete within a usual deadline."""
+
+_QUEUED_S, _QUEUED_BEHIND_S = 0.1, 0.4
+_SEEN_S = 2.0
+_WATCHED_S = 1.5
+_MOST_ATTEMPTS = 30
+"""Attempts to connect in a minute."""
+
+
+# -- time limits --------------------------------------------------------------------------------------------
+
+
+@TASKS.every_protocol("TMO-001", "Every call is answered within the deadline.")
+async def every_call_ends_in_time(run: Repetition, at: Rig) -> None:
+    """Read by two calls at the same time; the connection of the first dies without an end, and what is answered afterwards comes
+    byte by byte. Read again when that is over.
+
+    Said: failures of the connection within the deadline; then success.
+    Seen: the reads.
+    Why: an assistant that waits for ever cannot tell anybody that the plant is out of reach.
+    """
+    await a_read_works(run, at)
+    asks = exercise(at)
+    await at.fault(
+        *({**condition, "times": 1, "action": {"half_open": True}} for condition in asks.reads[:1]),
+        *faulty(asks.reads, drip_s=_DRIP_S),
+    )
+    asked = asks.read(run.rng)
+    for poke in asked.pokes:
+        await at.poke(**poke)
+    replies = await run.together(*(at.call(asked.operation, **asked.inputs) for _ in range(2)))
+    await at.fault()
+    for reply in replies:
+        # An adapter with a long deadline may have asked again, or waited for all the bytes.
+        if reply.success:
+            run.succeeds(reply, requirement="TMO-001", **asked.outputs)
+        else:
+            run.fails(reply, *CONNECTION_FAULTS, "protocol_error", requirement="TMO-001", code_requirement="ERR-005")
+    await answers_again(run, at)
+
+
+@TASKS.every_protocol("TMO-002", "A call to a silent device ends in time, and is repeated no more often than it says.")
+async def repetitions_are_bounded(run: Repetition, at: Rig) -> None:
+    """Read while the device is silent, and again when it is not.
+
+    Said: a failure of the connection within the deadline, with the number of attempts; then success.
+    Seen: the same request no more often than that.
+    Why: repetitions of the adapter and of its library multiply; a device that is slow already is asked twelve times.
+    """
+    await a_read_works(run, at)
+    await at.fault(*faulty(exercise(at).reads, **silence(at)))
+    asked = exercise(at).read(run.rng)
+    reply = await at.call(asked.operation, **asked.inputs)
+    await at.fault()
+    run.fails(reply, *CONNECTION_FAULTS, requirement="TMO-002", code_requirement="ERR-005")
+    attempts = _attempts(reply)
+    same = _repeated(at, reply.during(await at.journal()))
+    if attempts is not None and len(same) > attempts:
+        message = f"{reply.label}: meta.attempts says {attempts}, the device saw the same request {len(same)} times"
+        run.finding("repeated", message, "TMO-002", evidence=protocols()[at.protocol].seen(same))
+    await answers_again(run, at)
+
+
+def _attempts(reply: Reply) -> int | None:
+    meta = (reply.envelope or {}).get("meta")
+    attempts = meta.get("attempts") if reply.native and isinstance(meta, dict) else None
+    return attempts if isinstance(attempts, int) else None
+
+
+def _repeated(at: Rig, entries: Entries) -> list[JournalEntry]:
+    """Return the requests that read and are equal, of those that are there most often."""
+    kinds = {value for condition in exercise(at).reads for value in condition.values()}
+    reading = [entry for entry in entries if entry["request"] and kinds & {entry["kind"], entry.get("function")}]
+    describe = protocols()[at.protocol].describe
+    most = Counter(map(describe, reading)).most_common(1)
+    return [entry for entry in reading if most and describe(entry) == most[0][0]]
+
+
+# -- cancellation -------------------------------------------------------------------------------------------
+
+
+@TASKS.every_protocol("TMO-003", "A call that was cancelled ends.", writes=True)
+async def a_cancelled_call_ends(run: Repetition, at: Rig) -> None:
+    """Cancel a read, and a write, that the device has taken and does not answer; then a write that came while a read was waiting.
+    After each of them read; in the end write.
+
+    Said: success for the calls that are not cancelled.
+    Seen: for a call that was cancelled at most one request, and none afterwards.
+    Why: who cancels a command believes that it is over; a repetition moves the plant when nobody expects it.
+    """
+    asks = exercise(at)
+    await a_write_works(run, at)
+    await a_read_works(run, at)
+
+    await at.fault(*faulty(asks.reads, **silence(at)))
+    asked = asks.read(run.rng)
+    reply = await at.call_and_cancel(asked.operation, seen={"request": True}, timeout_s=_SEEN_S, **asked.inputs)
+    await at.fault()
+    await at.watch(QUIET_S)
+    _once(run, at, reply, _repeated(at, since(reply, await at.journal())))
+    await answers_again(run, at)
+
+    await at.fault(*faulty(asks.writes, **silence(at)))
+    asked = asks.write(run.rng)
+    reply = await at.call_and_cancel(asked.operation, seen={"state_changing": True}, timeout_s=_SEEN_S, **asked.inputs)
+    await _cancelled_write(run, at, asked, reply)
+
+    await at.fault(*faulty(asks.reads, **silence(at)))
+    reading, asked = asks.read(run.rng), asks.write(run.rng)
+    _, reply = await run.together(
+        at.call_and_cancel(reading.operation, seen={"kind": "none"}, timeout_s=_QUEUED_BEHIND_S, **reading.inputs),
+        at.call_and_cancel(asked.operation, seen={"state_changing": True}, timeout_s=_QUEUED_S, **asked.inputs),
+    )
+    await _cancelled_write(run, at, asked, reply)
+    await a_write_works(run, at)
+
+
+async def _cancelled_write(run: Repetition, at: Rig, asked: Asked, reply: Reply) -> None:
+    await at.fault()
+    await at.watch(QUIET_S)
+    await answers_again(run, at)
+    _once(run, at, reply, exercise(at).done(since(reply, await at.journal()), asked))
+
+
+def _once(run: Repetition, at: Rig, reply: Reply, found: Sequence[JournalEntry]) -> None:
+    if len(found) > 1:
+        message = f"{reply.label}: of a call that was cancelled the device should have seen at most one request, it saw {len(found)}"
+        run.finding("repeated", message, "TMO-003", evidence=protocols()[at.protocol].seen(found))
+
+
+@TASKS.every_protocol("TMO-004", "A write whose answer did not come has an unknown outcome.", writes=True)
+async def the_outcome_is_unknown(run: Repetition, at: Rig) -> None:
+    """Write while the device takes the request and does not answer.
+
+    Said: a failure of the connection with the outcome `unknown`; or success where the adapter has found out that it was done.
+    Seen: the write, which was carried out.
+    Why: an assistant that reads "not sent" sends the command again, and the valve moves twice.
+    """
+    asks = exercise(at)
+    await a_write_works(run, at)
+    await at.fault(*faulty(asks.writes, **silence(at)))
+    asked = asks.write(run.rng)
+    reply = await at.call(asked.operation, **asked.inputs)
+    await at.fault()
+    if asks.done(since(reply, await at.journal()), asked) and not reply.success:
+        found = failed(reply, *CONNECTION_FAULTS, outcome="unknown", code_requirement="ERR-005")
+        run.judge(reply, citing("TMO-004", found))
+    await answers_again(run, at)
+
+
+# -- connecting again ---------------------------------------------------------------------------------------
+
+
+@TASKS.check("TMO-005", "A lost connection is made anew with growing pauses.", needs="mqtt.subscribe mqtt.recovery")
+async def connecting_again_has_pauses(run: Repetition, mqtt: Rig) -> None:
+    """End the connection and reset every new one for a while.
+
+    Said: success when that is over.
+    Seen: fewer attempts to connect than are allowed in a whole minute.
+    Why: a broker that comes back and is stormed by its clients goes down again.
+    """
+    await a_read_works(run, mqtt)
+    await mqtt.fault({"packet": "CONNECT", "action": {"reset": True}})
+    await mqtt.poke(disconnect={"client_id": None, "reason_code": 139})
+    await mqtt.watch(_WATCHED_S)
+    attempts = [entry for entry in await mqtt.journal() if entry["origin"] == "client" and entry["kind"] == "CONNECTED"]
+    await mqtt.fault()
+    if len(attempts) > _MOST_ATTEMPTS:
+        message = f"mqtt: within {_WATCHED_S:g} s the adapter has tried to connect {len(attempts)} times, {_MOST_ATTEMPTS} are for a minute"
+        run.witnessed([Finding(code="reconnects", message=message, requirement="TMO-005", strength="SHOULD")])
+    await answers_again(run, mqtt)

@@ -2,8 +2,603 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from pytest_otmcp.core.finding import Finding
+from pytest_otmcp.protocols.journal import Entries, JournalEntry
+from pytest_otmcp.protocols.modbus import oracle as modbus_oracle
+from pytest_otmcp.protocols.modbus.entries import as_modbus, describe, points
+from pytest_otmcp.protocols.modbus.tags import TAGS
+from pytest_otmcp.protocols.mqtt.entries import payload_of
+from pytest_otmcp.protocols.mqtt.oracle import Publications
+from pytest_otmcp.protocols.opcua import oracle as opcua_oracle
+from pytest_otmcp.protocols.oracle import state_changing
+from pytest_otmcp.protocols.registry import protocols
+from pytest_otmcp.protocols.session_oracle import StateChanges
 from pytest_otmcp.trial.check import Checks
+from pytest_otmcp.trial.repetition import Repetition
+from pytest_otmcp.trial.reply import Reply
+from pytest_otmcp.trial.rig import Rig
+
+from ..tasks.common import a_meaningless_switch_enables_nothing
+from .steps import (
+    CONNECTION_FAULTS,
+    QUIET_S,
+    a_read_works,
+    a_write_works,
+    answers_again,
+    citing,
+    exercise,
+    faulty,
+    nothing_arrived,
+    silence,
+    since,
+    write,
+)
 
 __all__ = ["TASKS"]
 
 TASKS = Checks()
+
+_UNCERTAIN = ("not_sent", "unknown")
+_LATE_S = 0.2
+"""Seconds by which an answer is late, well below every timeout."""
+
+_VALVE, _PUMP = "ns=2;s=ValvePosition", "ns=2;s=PumpEnabled"
+_METRICS = [{"name": "temperature", "datatype": "Double", "value": 20.0}]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Write:
+    """A write whose effect is known.
+
+    Attributes:
+        operation, inputs: of the call.
+        pokes: what the device holds before it.
+        points: what its image holds after it, by point.
+    """
+
+    operation: str
+    inputs: Mapping[str, Any]
+    pokes: Sequence[Mapping[str, Any]] = ()
+    points: Mapping[str, object]
+
+
+# -- what is written ----------------------------------------------------------------------------------------
+
+
+def _modbus_writes(run: Repetition, modbus: Rig) -> Iterator[_Write]:
+    """Return a write by every operation that the subject has bound; each changes what the device held before."""
+    word = run.rng.randrange(0x100, 0x10000)
+    words = [run.rng.randrange(1, 0x10000) for _ in range(3)]
+    bits = [True, *(bool(run.rng.getrandbits(1)) for _ in range(8)), True]
+    old, and_mask, or_mask = (run.rng.randrange(0x10000) for _ in range(3))
+    raw = run.rng.randrange(1, 0x8000)
+    scaled = TAGS["otmcp_scaled"]
+    coils, registers = "coils", "holding_registers"
+    every = [
+        _modbus_write("write_holding", registers, 1, [word], value=word),
+        _modbus_write("write_registers", registers, 10, words, values=words),
+        _modbus_write("write_coil", coils, 4, [True], value=True),
+        _modbus_write("write_coils", coils, 20, bits, values=bits),
+        _modbus_write(
+            "mask_write",
+            registers,
+            30,
+            [(old & and_mask) | (or_mask & ~and_mask & 0xFFFF)],
+            before=[old],
+            and_mask=and_mask,
+            or_mask=or_mask,
+        ),
+        _Write(
+            operation="write_tag",
+            inputs={"name": "otmcp_scaled", "value": raw / 10},
+            pokes=[{"unit": 1, "table": registers, "address": scaled.address, "values": [0]}],
+            points=points(registers, scaled.address, [raw]),
+        ),
+    ]
+    return (one for one in every if modbus.claims(one.operation))
+
+
+def _modbus_write(
+    operation: str, table: str, address: int, after: list[Any], before: list[Any] | None = None, **inputs: Any
+) -> _Write:
+    held = before or [False if isinstance(value, bool) else 0 for value in after]
+    return _Write(
+        operation=operation,
+        inputs={"address": address, **inputs},
+        pokes=[{"unit": 1, "table": table, "address": address, "values": held}],
+        points=points(table, address, after),
+    )
+
+
+def _opcua_writes(run: Repetition, opcua: Rig) -> Iterator[_Write]:
+    """Return a write by every operation that the subject has bound; each changes what the server held before."""
+    value, other = (round(run.rng.uniform(1.0, 99.0), 3) for _ in range(2))
+    off = [{"node": "PumpEnabled", "value": False}]
+    every = [
+        _Write(operation="write", inputs={"node": _VALVE, "value": value}, points={_VALVE: value}),
+        _Write(operation="write", inputs={"node": _PUMP, "value": True}, pokes=off, points={_PUMP: True}),
+        _Write(
+            operation="write_many",
+            inputs={"items": [{"node_id": _VALVE, "value": other}, {"node_id": _PUMP, "value": True}]},
+            pokes=off,
+            points={_VALVE: other, _PUMP: True},
+        ),
+    ]
+    return (one for one in every if opcua.claims(one.operation))
+
+
+async def _prepare(at: Rig, asked: _Write) -> None:
+    for poke in asked.pokes:
+        await at.poke(**poke)
+
+
+# -- WR-001, WR-002 -----------------------------------------------------------------------------------------
+
+
+@TASKS.check("WR-001", "What is reported as written is in the device.", needs="modbus.write_holding")
+async def a_modbus_write_has_its_effect(run: Repetition, modbus: Rig) -> None:
+    """Write by every operation that writes; then write a register while the device refuses it.
+
+    Said: success; for the last a failure with `illegal_value`.
+    Seen: the device holds what was written; what was refused is not in it.
+    Why: an assistant that reads "written" goes on as if the valve had moved.
+    """
+    await modbus.prove()
+    for asked in _modbus_writes(run, modbus):
+        await _prepare(modbus, asked)
+        reply = await modbus.call(asked.operation, **asked.inputs)
+        run.succeeds(reply, requirement="WR-001")
+        if reply.success:
+            run.witnessed(modbus_oracle.holds(await modbus.image(), asked.points))
+    await modbus.fault(*faulty(exercise(modbus).writes, exception=3))
+    _, refused = await write(run, modbus)
+    await modbus.fault()
+    run.fails(refused, "illegal_value", requirement="WR-001", code_requirement="ERR-002")
+
+
+@TASKS.check("WR-001", "What is reported as written is in the server.", needs="opcua.write")
+async def an_opcua_write_has_its_effect(run: Repetition, opcua: Rig) -> None:
+    """Write by every operation that writes variables; then write one while the server refuses it.
+
+    Said: success; for the last a failure with `device_failure`.
+    Seen: the server holds what was written; what was refused is not in it.
+    Why: an assistant that reads "written" goes on as if the valve had moved.
+    """
+    await opcua.prove()
+    for asked in _opcua_writes(run, opcua):
+        await _prepare(opcua, asked)
+        reply = await opcua.call(asked.operation, **asked.inputs)
+        run.succeeds(reply, requirement="WR-001")
+        if reply.success:
+            run.witnessed(opcua_oracle.holds(await opcua.image(), asked.points))
+    await opcua.fault(*faulty(exercise(opcua).writes, status="BadDeviceFailure"))
+    _, refused = await write(run, opcua)
+    await opcua.fault()
+    run.fails(refused, "device_failure", requirement="WR-001", code_requirement="ERR-003")
+
+
+@TASKS.check("WR-002", "A write changes its target and nothing else.", needs="modbus.write_holding")
+async def a_modbus_write_changes_its_target_alone(run: Repetition, modbus: Rig) -> None:
+    """Write by every operation that writes, and to a second unit where the tool can name one.
+
+    Said: success.
+    Seen: the cells that were written have changed; every other cell of every table of both units is as it was, and those around
+        the target have values of their own.
+    Why: a neighbour that changes is a machine that nobody commanded.
+    """
+    await modbus.prove()
+    await modbus.poke(units=[1, 2])
+    for unit in (1, 2):
+        for table in ("holding_registers", "input_registers"):
+            values = [run.rng.randrange(1, 0x10000) for _ in range(60)]
+            await modbus.poke(unit=unit, table=table, address=0, values=values)
+        for table in ("coils", "discrete_inputs"):
+            values = [bool(run.rng.getrandbits(1)) for _ in range(60)]
+            await modbus.poke(unit=unit, table=table, address=0, values=values)
+    for asked in _modbus_writes(run, modbus):
+        await _prepare(modbus, asked)
+        await _changes_alone(run, modbus, asked.operation, asked.inputs, asked.points)
+        if modbus.accepts_input(asked.operation, "unit") and asked.operation == "write_holding":
+            value = run.rng.randrange(1, 0x10000)
+            await modbus.poke(unit=2, table="holding_registers", address=1, values=[0xFFFF ^ value])
+            inputs = {"address": 1, "value": value, "unit": 2}
+            await _changes_alone(run, modbus, asked.operation, inputs, points("holding_registers", 1, [value], unit=2))
+
+
+async def _changes_alone(
+    run: Repetition, at: Rig, operation: str, inputs: Mapping[str, Any], expected: Mapping[str, object]
+) -> None:
+    oracle = {"modbus": modbus_oracle.only_changed, "opcua": opcua_oracle.only_changed}[at.protocol]
+    # A new proof sets values of its own.
+    await at.prove()
+    before = await at.image()
+    run.succeeds(await at.call(operation, **inputs), requirement="WR-001")
+    run.witnessed(oracle(before, await at.image(), expected, otherwise="WR-002"))
+
+
+@TASKS.check("WR-002", "A write changes its target and nothing else.", needs="opcua.write")
+async def an_opcua_write_changes_its_target_alone(run: Repetition, opcua: Rig) -> None:
+    """Write by every operation that writes variables.
+
+    Said: success.
+    Seen: the variables that were written have changed, every other one is as it was.
+    Why: a neighbour that changes is a machine that nobody commanded.
+    """
+    await opcua.prove()
+    for asked in _opcua_writes(run, opcua):
+        await _prepare(opcua, asked)
+        await _changes_alone(run, opcua, asked.operation, asked.inputs, asked.points)
+
+
+# -- WR-003 -------------------------------------------------------------------------------------------------
+
+
+@TASKS.every_protocol("WR-003", "A write is sent once, whatever becomes of its answer.", writes=True)
+async def a_write_is_sent_once(run: Repetition, at: Rig) -> None:
+    """Write; write while the device answers late; while it resets the connection instead; and while it never answers.
+
+    Said: success twice; then failures with `timeout` or `connection_lost` and the outcome `unknown`, or success where the adapter
+        has found out by itself that the write was done.
+    Seen: each write once, also while the device is watched afterwards.
+    Why: a command that is sent again because its answer was lost is a second movement.
+    """
+    asks = exercise(at)
+    await a_write_works(run, at)
+    await at.fault(*faulty(asks.writes, delay_s=_LATE_S))
+    await a_write_works(run, at)
+    for action in ({"reset": True}, silence(at)):
+        await at.fault(*faulty(asks.writes, **action))
+        asked, reply = await write(run, at)
+        await at.fault()
+        await answers_again(run, at)
+        await at.watch(QUIET_S)
+        if not reply.success:
+            run.fails(reply, *CONNECTION_FAULTS, outcome=_UNCERTAIN, requirement="WR-003", code_requirement="ERR-005")
+        run.witnessed(_at_most_once(at, reply, asks.done(since(reply, await at.journal()), asked), "WR-003"))
+
+
+def _at_most_once(at: Rig, reply: Reply, found: Sequence[JournalEntry], requirement: str) -> list[Finding]:
+    if len(found) <= 1:
+        return []
+    return [
+        Finding(
+            code="written_twice",
+            message=f"{reply.label}: after its answer was lost the device should have seen this write once, it saw it "
+            f"{len(found)} times",
+            requirement=requirement,
+            evidence=protocols()[at.protocol].seen(found),
+        )
+    ]
+
+
+# -- WR-004, WR-005 -----------------------------------------------------------------------------------------
+
+
+@TASKS.check("WR-004", "With writes disabled nothing is written.", needs="modbus.write_holding modbus.guard")
+async def the_modbus_guard_covers_every_write(run: Repetition, modbus: Rig, modbus_ro: Rig) -> None:
+    """Write by every operation that writes, with writes disabled; then the same with writes enabled.
+
+    Said: refusals with `writes_disabled` and the outcome `not_sent`; then success.
+    Seen: over the whole life of the session with writes disabled no request that changes the plant; then one for each write.
+    Why: the write switch is what keeps an assistant's mistake out of the plant, and it has to keep all of them out.
+    """
+    await modbus.prove()
+    for asked in _modbus_writes(run, modbus):
+        await _guarded(run, modbus_ro, asked.operation, asked.inputs)
+        await _prepare(modbus, asked)
+        reply = await modbus.call(asked.operation, **asked.inputs)
+        run.succeeds(reply, requirement="WR-001")
+        run.witnessed(_one_change(modbus, reply, await modbus.journal()))
+    await _session_wrote_nothing(run, modbus_ro)
+
+
+async def _guarded(run: Repetition, guarded: Rig, operation: str, inputs: Mapping[str, Any]) -> None:
+    reply = await guarded.call(operation, **inputs)
+    run.fails(reply, "writes_disabled", outcome="not_sent", requirement="WR-004")
+    run.witnessed(nothing_arrived(guarded, since(reply, await guarded.journal()), requirement="WR-004"))
+
+
+def _one_change(at: Rig, reply: Reply, entries: Entries) -> list[Finding]:
+    found = state_changing(reply.during(entries))
+    if len(found) == 1 or not reply.success:
+        return []
+    return [
+        Finding(
+            code="not_written_once",
+            message=f"{reply.label}: with writes enabled the device should have seen one request that writes, it saw "
+            f"{len(found)}",
+            requirement="WR-003" if found else "WR-001",
+            evidence=protocols()[at.protocol].seen(found),
+        )
+    ]
+
+
+async def _session_wrote_nothing(run: Repetition, guarded: Rig) -> None:
+    """Expect that the read-only session works, and that in its whole life, its end included, it wrote nothing."""
+    await a_read_works(run, guarded)
+    await guarded.close_session()
+    known = {finding.code for finding in run.ledger.findings}
+    if guarded.protocol == "mqtt":
+        found = (await guarded.follow(Publications)).guarded(guarded.declared)
+    else:
+        oracle = {"modbus": modbus_oracle.nothing_changed_by, "opcua": opcua_oracle.nothing_changed_by}
+        found = oracle[guarded.protocol](await guarded.follow(StateChanges))
+    run.witnessed([finding for finding in found if finding.code not in known])
+
+
+@TASKS.check("WR-004", "With writes disabled nothing is written or called.", needs="opcua.write opcua.guard")
+async def the_opcua_guard_covers_every_write(run: Repetition, opcua: Rig, opcua_ro: Rig) -> None:
+    """Write, and call a method, by every operation that does so, with writes disabled; then the same with writes enabled.
+
+    Said: refusals with `writes_disabled` and the outcome `not_sent`; then success.
+    Seen: over the whole life of the session with writes disabled no Write and no Call; then one for each of them.
+    Why: a method moves the plant as a write does, and the write switch has to keep both out.
+    """
+    await opcua.prove()
+    for asked in _opcua_writes(run, opcua):
+        await _guarded(run, opcua_ro, asked.operation, asked.inputs)
+        await _prepare(opcua, asked)
+        reply = await opcua.call(asked.operation, **asked.inputs)
+        run.succeeds(reply, requirement="WR-001")
+        run.witnessed(_one_change(opcua, reply, await opcua.journal()))
+    if opcua.claims("call_method"):
+        rate = round(run.rng.uniform(1.0, 99.0), 3)
+        owner = opcua_oracle.folder_id(await opcua.image(), "Methods")
+        call: dict[str, Any] = {"object": owner, "method": "ns=2;s=SetProductionRate", "arguments": [rate]}
+        await _guarded(run, opcua_ro, "call_method", call)
+        reply = await opcua.call("call_method", **call)
+        run.succeeds(reply, requirement="OUA-001")
+        run.witnessed(_one_change(opcua, reply, await opcua.journal()))
+    await _session_wrote_nothing(run, opcua_ro)
+
+
+@TASKS.check("WR-004", "With writes disabled nothing is published.", needs="mqtt.publish mqtt.guard")
+async def the_mqtt_guard_covers_every_write(run: Repetition, mqtt: Rig, mqtt_ro: Rig) -> None:
+    """Publish a message, Sparkplug messages and Sparkplug commands by every operation that does so, with writes disabled; then the
+    same with writes enabled.
+
+    Said: refusals with `writes_disabled` and the outcome `not_sent`; then success.
+    Seen: over the whole life of the session with writes disabled no command and no Sparkplug message; then one for each of them.
+    Why: a command to an edge node moves the plant as a message on a control topic does.
+    """
+    device = f"guarded-{run.rng.getrandbits(16):04x}"
+    data = [{"name": "temperature", "value": 21.0}]
+    rebirth = [{"name": "Node Control/Rebirth", "datatype": "Boolean", "value": True}]
+    command = [{"name": "setpoint", "datatype": "Double", "value": 42.5}]
+    node = {"node": f"otmcp-{device}"}
+    every: list[tuple[str, Mapping[str, Any]]] = [
+        ("publish", {"topic": "control/pump", "payload": f"{device}", "qos": 1}),
+        ("node_birth", {"metrics": _METRICS}),
+        ("node_data", {"metrics": data}),
+        ("device_birth", {"device": device, "metrics": _METRICS}),
+        ("device_data", {"device": device, "metrics": data}),
+        ("device_death", {"device": device}),
+        ("send_node_command", {**node, "metrics": rebirth}),
+        ("send_device_command", {**node, "device": device, "metrics": command}),
+        ("node_death", {}),
+    ]
+    for operation, inputs in every:
+        if not mqtt.claims(operation):
+            continue
+        reply = await mqtt_ro.call(operation, **inputs)
+        run.fails(reply, "writes_disabled", outcome="not_sent", requirement="WR-004")
+        run.witnessed(_nothing_published(reply, since(reply, await mqtt_ro.journal())))
+        control = await mqtt.call(operation, **inputs)
+        run.succeeds(control)
+        if control.success and not await mqtt.wait_for(kind="PUBLISH", direction="in", timeout_s=1.0):
+            run.finding("not_written_once", f"{control.label}: the broker has seen no PUBLISH", "MQT-001")
+    await _session_wrote_nothing(run, mqtt_ro)
+
+
+def _nothing_published(reply: Reply, entries: Entries) -> list[Finding]:
+    """Expect that nothing of a refused call was published: no Sparkplug message, and no other one with its payload."""
+    for message in protocols()["mqtt"].changes(entries):
+        topic = str(message.get("topic"))
+        if topic.startswith("spBv1.0/") or payload_of(message).decode("utf-8", "replace") == reply.arguments.get(
+            "payload"
+        ):
+            text = f"{reply.label}: it was refused, the broker saw a PUBLISH on {topic}"
+            return [Finding(code="wrote", message=text, requirement="WR-004")]
+    return []
+
+
+@TASKS.every_protocol("WR-005", "A write switch that means nothing enables nothing.", writes=True, guard=True)
+async def a_meaningless_switch(run: Repetition, at: Rig, guarded: Rig) -> None:
+    """Write with writes disabled; with writes enabled; and through an adapter that was started with a write switch that means
+    nothing.
+
+    Said: a refusal with `writes_disabled`; success; the refusal again, unless the adapter refuses to start so.
+    Seen: the second write alone.
+    Why: a switch that is misspelt must not open what it was to keep shut.
+    """
+    asked, refused = await write(run, guarded)
+    run.fails(refused, "writes_disabled", outcome="not_sent", requirement="WR-004")
+    await a_write_works(run, at)
+    await guarded.close_session()
+    await a_meaningless_switch_enables_nothing(run, guarded, asked.operation, **asked.inputs)
+
+
+# -- WR-008, WR-009 -----------------------------------------------------------------------------------------
+
+
+@TASKS.check("WR-008", "A write of several cells is one request, or it is refused.", needs="modbus.write_registers")
+async def a_block_is_one_request(run: Repetition, modbus: Rig) -> None:
+    """Write 1, 90, 123, 124 and 1000 registers, and none; where the tool is there, 1968 and 1969 coils, and none.
+
+    Said: success; for one too many `limit_exceeded`, for none `invalid_input`. The device has no room for 123 registers and 1968
+        coils; it refuses them.
+    Seen: one well-formed request for 1, 90, 123 and 1968, and none for the others.
+    Why: a recipe that is written in two parts is half a recipe in between.
+    """
+    await _blocks(run, modbus, "write_registers", 16, {1: True, 90: True, 123: False}, (124, 1000))
+    if modbus.claims("write_coils"):
+        await _blocks(run, modbus, "write_coils", 15, {1: True, 90: True, 1968: False}, (1969,))
+
+
+async def _blocks(
+    run: Repetition, modbus: Rig, operation: str, function: int, fitting: Mapping[int, bool], excessive: Sequence[int]
+) -> None:
+    """Write blocks of each size.
+
+    Args:
+        function: of the request.
+        fitting: sizes that one request may have, and whether the device has so many cells.
+        excessive: sizes that no request may have.
+    """
+    for count, there in fitting.items():
+        values = _cells(run, function, count)
+        reply = await modbus.call(operation, address=0, values=values)
+        seen = state_changing(reply.during(await modbus.journal()))
+        if there:
+            run.succeeds(reply, requirement="WR-008")
+            run.witnessed(_one_block(reply, seen, function, count))
+            table = "holding_registers" if function == 16 else "coils"
+            run.witnessed(modbus_oracle.image_holds(await modbus.image(), table, 0, list(values)))
+        else:
+            # An adapter that knows how many cells there are refuses by itself.
+            run.fails(
+                reply,
+                "illegal_address",
+                "invalid_input",
+                "limit_exceeded",
+                requirement="WR-008",
+                code_requirement="ERR-002",
+            )
+            if seen or (reply.error_code == "illegal_address" and _was_sent(reply)):
+                run.witnessed(_one_block(reply, seen, function, count))
+    for count in (*excessive, 0):
+        reply = await modbus.call(operation, address=0, values=_cells(run, function, count))
+        codes = ("limit_exceeded", "invalid_input") if count else ("invalid_input",)
+        run.fails(reply, *codes, outcome="not_sent", requirement="WR-008")
+        run.witnessed(nothing_arrived(modbus, since(reply, await modbus.journal()), requirement="WR-008"))
+
+
+def _was_sent(reply: Reply) -> bool:
+    error = (reply.envelope or {}).get("error")
+    return reply.native and isinstance(error, Mapping) and error.get("outcome") == "rejected"
+
+
+def _cells(run: Repetition, function: int, count: int) -> list[Any]:
+    if function == 16:
+        return [run.rng.randrange(0x10000) for _ in range(count)]
+    return [bool(run.rng.getrandbits(1)) for _ in range(count)]
+
+
+def _one_block(reply: Reply, seen: Sequence[JournalEntry], function: int, count: int) -> list[Finding]:
+    requests = [as_modbus(entry) for entry in seen]
+    if (
+        len(requests) == 1
+        and requests[0].get("quantity") == count
+        and (requests[0]["function"] == function or count == 1)
+    ):
+        return []
+    shown = "; ".join(describe(entry)[:60] for entry in seen[:4])
+    return [
+        Finding(
+            code="not_written_once",
+            message=f"{reply.tool} of {count} cells: the device should have seen one request with all of them, it saw {len(seen)}",
+            requirement="WR-008",
+            evidence=shown or "no request",
+        )
+    ]
+
+
+@TASKS.check("WR-009", "A write is confirmed only by its own echo.", needs="modbus.write_holding")
+async def another_echo_is_no_confirmation(run: Repetition, modbus: Rig) -> None:
+    """Write by every operation that writes while the device confirms another value or quantity, and another address; then write
+    while it confirms what was written.
+
+    Said: failures with `protocol_error`, or of the connection, and the outcome `unknown`; then success.
+    Seen: each write once.
+    Why: a confirmation of something else says that something else was done, or that an answer belongs to another request.
+    """
+    await modbus.prove()
+    other = {"value": 7, "count": 9, "address": 55}
+    for asked in _modbus_writes(run, modbus):
+        if asked.operation == "write_tag":
+            continue
+        # The answer to a mask write has no value of its own.
+        for by_value in (False,) if asked.operation == "mask_write" else (True, False):
+            await modbus.fault(*_other_echoes(other, by_value=by_value))
+            reply = await modbus.call(asked.operation, **asked.inputs)
+            await modbus.fault()
+            codes = ("protocol_error", *CONNECTION_FAULTS)
+            run.fails(reply, *codes, outcome="unknown", requirement="WR-009", code_requirement="ERR-005")
+            await answers_again(run, modbus)
+            run.witnessed(_at_most_once(modbus, reply, state_changing(since(reply, await modbus.journal())), "WR-003"))
+    await a_write_works(run, modbus)
+
+
+def _other_echoes(other: Mapping[str, int], *, by_value: bool) -> list[Mapping[str, object]]:
+    address = {"echo": {"address": other["address"]}}
+    value = {"echo": {"value": other["value"]}} if by_value else address
+    count = {"echo": {"count": other["count"]}} if by_value else address
+    return [
+        *({"function": function, "action": value} for function in (5, 6)),
+        *({"function": function, "action": count} for function in (15, 16)),
+        {"function": 22, "action": address},
+    ]
+
+
+# -- WR-010, WR-011 -----------------------------------------------------------------------------------------
+
+
+@TASKS.every_protocol("WR-010", "What failed is not carried out later.", writes=True, facets="recovery")
+async def what_failed_is_not_made_up_for(run: Repetition, at: Rig) -> None:
+    """Write twice while the device is away: before the adapter has noticed that, and after. Read when it is back.
+
+    Said: failures of the connection for the writes, success for the reads.
+    Seen: neither write, as long as the device is watched.
+    Why: a valve that opens when the line is back, minutes after the operator was told that it had not, hurts somebody.
+    """
+    requirement = protocols()[at.protocol].operations[exercise(at).writing].requirement
+    await at.prove()
+    await at.stop_device()
+    for _ in range(2):
+        _, reply = await write(run, at)
+        run.fails(reply, *CONNECTION_FAULTS, outcome=_UNCERTAIN, requirement=requirement, code_requirement="ERR-005")
+    await at.start_device()
+    # An adapter that answers again has its connection back: a write that it had kept would have been sent by now.
+    await answers_again(run, at)
+    await at.watch(QUIET_S)
+    # A further answer shows that adapter and device ran during that time.
+    await a_read_works(run, at, requirement="REC-001")
+    run.witnessed(nothing_arrived(at, await at.journal(), requirement="WR-010"))
+    await a_write_works(run, at)
+
+
+@TASKS.check("WR-011", "Bits are changed by one step at the device.", needs="modbus.mask_write")
+async def bits_are_changed_in_one_step(run: Repetition, modbus: Rig) -> None:
+    """Set one bit of a register in which four other bits change before every request.
+
+    Said: success, or a refusal with `unsupported_operation`.
+    Seen: one Mask Write Register, and the other bits as they had become; or nothing.
+    Why: who reads, changes and writes back undoes what another client has done meanwhile, an interlock for instance.
+    """
+    await modbus.prove()
+    start, moving, bit = run.rng.randrange(0x10000) & 0xFFFE, 0x00F0, 0x0001
+    await modbus.poke(unit=1, table="holding_registers", address=30, values=[start])
+    restless = {"unit": 1, "table": "holding_registers", "address": 30, "change": "toggle", "bits": moving}
+    await modbus.poke(restless=[restless])
+    reply = await modbus.call("mask_write", address=30, and_mask=0xFFFF ^ bit, or_mask=bit)
+    image = await modbus.image()
+    await modbus.poke(restless=[])
+    seen = state_changing(since(reply, await modbus.journal()))
+    if not reply.success:
+        run.fails(reply, "unsupported_operation", outcome="not_sent", requirement="WR-011")
+        run.witnessed(nothing_arrived(modbus, seen, requirement="WR-011"))
+        return
+    changes = image["restless"][0]["changes"]  # type: ignore[index]
+    expected = (start ^ moving if changes % 2 else start) | bit
+    if [as_modbus(entry)["function"] for entry in seen] != [22]:
+        run.finding(
+            "not_written_once",
+            f"{reply.label}: the device should have seen one Mask Write Register",
+            "WR-011",
+            evidence=protocols()["modbus"].seen(seen),
+        )
+    run.witnessed(citing("WR-011", modbus_oracle.image_holds(image, "holding_registers", 30, [expected])))

@@ -52,6 +52,8 @@ class Exercise:
         write: makes a call that changes one thing at the device, by one request.
         number: the input of the write that is a number of limited range; None where there is none.
         done: returns the requests among entries that ask the device for what a write asks for.
+        reads, writes: the conditions of a fault plan that the requests of the read, or of the write, meet, in whichever way an
+            adapter makes them.
         silent: rules with which the device takes every request and never answers.
         reset: rules with which the device resets the connection instead of answering.
     """
@@ -62,6 +64,8 @@ class Exercise:
     write: Callable[[random.Random], Asked]
     number: str | None
     done: Callable[[Entries, Asked], list[JournalEntry]]
+    reads: tuple[Rule, ...]
+    writes: tuple[Rule, ...]
     silent: tuple[Rule, ...]
     reset: tuple[Rule, ...]
 

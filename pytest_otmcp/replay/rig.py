@@ -5,7 +5,7 @@ Each call or observation that the steps ask for must be the next one in the hist
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any, cast
 
 from ..core.strict_json import same_json
@@ -287,9 +287,17 @@ class ReplayRig(Rig):
         )
 
     async def _perform_and_cancel(
-        self, operation: str, inputs: Mapping[str, object], seen: Mapping[str, object], timeout_s: float
+        self,
+        operation: str,
+        inputs: Mapping[str, object],
+        seen: Mapping[str, object],
+        timeout_s: float,
+        meanwhile: Callable[[], Awaitable[object]] | None,
     ) -> Reply:
-        return await self._perform(operation, inputs)
+        reply = await self._perform(operation, inputs)
+        if meanwhile is not None:
+            await meanwhile()
+        return reply
 
     def bindings(self, operation: str) -> Sequence[Binding] | None:
         return self._state.adapter.bindings.get(operation, [])
@@ -299,6 +307,10 @@ class ReplayRig(Rig):
 
     async def listed_tools(self) -> str:
         return self._seen("tools")["tools"]
+
+    async def listing_took_s(self) -> float:
+        seen = self._seen("tools")
+        return (seen["seen_ns"] - seen["asked_ns"]) / 1e9
 
     async def send_line(self, line: str) -> bool:
         return self._seen("line_sent")["line_sent"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict
 from typing import Any, cast
@@ -181,7 +181,12 @@ class LiveRig(Rig):
         return self._observed(await self.under_test.call(operation, inputs, altered=altered))
 
     async def _perform_and_cancel(
-        self, operation: str, inputs: Mapping[str, object], seen: Mapping[str, object], timeout_s: float
+        self,
+        operation: str,
+        inputs: Mapping[str, object],
+        seen: Mapping[str, object],
+        timeout_s: float,
+        meanwhile: Callable[[], Awaitable[object]] | None,
     ) -> Reply:
         cancel = asyncio.Event()
         # One more entry that matches than there are.
@@ -190,6 +195,8 @@ class LiveRig(Rig):
         try:
             scaled = timeout_s * self._ledger.time_scale
             await self.device.wait(self._cursor.next, seen, timeout_s=scaled, count=before + 1)
+            if meanwhile is not None:
+                await meanwhile()
         finally:
             cancel.set()
             await asyncio.wait({call})
@@ -336,6 +343,11 @@ class LiveRig(Rig):
             digest = await self._session.list_anew(timeout_s=self.under_test.deadline_s)
         self._noted({"tools": digest}, asked_ns)
         return digest
+
+    async def listing_took_s(self) -> float:
+        await self.listed_tools()
+        seen = self._ledger.observations[-1]
+        return (seen["seen_ns"] - seen["asked_ns"]) / 1e9
 
     async def send_line(self, line: str) -> bool:
         asked_ns = time.monotonic_ns()

@@ -7,7 +7,8 @@ which uses a running adapter and device, and by ``replay.rig``, which reads the 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Any, TypeVar, cast
 
@@ -142,15 +143,25 @@ class Rig(WriteGate):
         return reply
 
     async def call_and_cancel(
-        self, operation: str, *, seen: Mapping[str, object], timeout_s: float, **inputs: object
+        self,
+        operation: str,
+        *,
+        seen: Mapping[str, object],
+        timeout_s: float,
+        meanwhile: Callable[[], Awaitable[object]] | None = None,
+        **inputs: object,
     ) -> Reply:
         """Perform an operation and cancel the call as soon as the device has seen an entry that matches, or after the timeout.
 
         The reply is ``cancelled``, unless the answer came first.
+
+        Args:
+            meanwhile: is done after that and before the call is cancelled; a look of this rig.
         """
         await self._before(operation)
-        reply = await self._perform_and_cancel(operation, inputs, {"origin": ADAPTER, **seen}, timeout_s)
-        self._ledger.add(reply, inputs)
+        with nullcontext() if meanwhile is None else self._ledger.one_group():
+            reply = await self._perform_and_cancel(operation, inputs, {"origin": ADAPTER, **seen}, timeout_s, meanwhile)
+            self._ledger.add(reply, inputs)
         return reply
 
     def arguments_of(self, operation: str, **inputs: object) -> dict[str, str] | None:
@@ -283,6 +294,10 @@ class Rig(WriteGate):
         """
 
     @abstractmethod
+    async def listing_took_s(self) -> float:
+        """Ask for the list of tools again, and return the seconds until it was there; raises as :meth:`listed_tools`."""
+
+    @abstractmethod
     async def send_line(self, line: str) -> bool:
         """Write a line to the adapter's standard input as it is; return whether there is such a stream."""
 
@@ -365,7 +380,12 @@ class Rig(WriteGate):
 
     @abstractmethod
     async def _perform_and_cancel(
-        self, operation: str, inputs: Mapping[str, object], seen: Mapping[str, object], timeout_s: float
+        self,
+        operation: str,
+        inputs: Mapping[str, object],
+        seen: Mapping[str, object],
+        timeout_s: float,
+        meanwhile: Callable[[], Awaitable[object]] | None,
     ) -> Reply: ...
 
     @abstractmethod

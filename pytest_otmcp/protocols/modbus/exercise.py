@@ -40,6 +40,8 @@ EXERCISE = Exercise(
     write=_write,
     number="value",
     done=every_change,
+    reads=({"function": 3},),
+    writes=({"function": 6}, {"function": 16}),
     silent=({"action": {"drop": True}},),
     reset=({"action": {"reset": True}},),
 )

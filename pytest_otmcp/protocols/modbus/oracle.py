@@ -17,6 +17,7 @@ __all__ = [
     "exactly_one_write",
     "exception_sent",
     "held",
+    "holds",
     "identified",
     "image_holds",
     "no_state_changing_request",
@@ -39,6 +40,7 @@ some_exchange = _WITNESS.answered
 no_state_changing_request = _WITNESS.nothing_changed
 nothing_changed_by = _WITNESS.nothing_changed_by
 only_changed = _WITNESS.only_changed
+holds = _WITNESS.holds
 
 
 def read_from_device(entries: Entries, *, function: int, address: int, count: int) -> list[Finding]:

@@ -37,6 +37,8 @@ EXERCISE = Exercise(
     write=_write,
     number=None,
     done=_published,
+    reads=({"packet": "SUBSCRIBE"},),
+    writes=({"packet": "PUBLISH"},),
     silent=tuple({"packet": packet, "action": {"no_answer": True}} for packet in ("SUBSCRIBE", "PUBLISH")),
     reset=tuple({"packet": packet, "action": {"reset": True}} for packet in ("SUBSCRIBE", "PUBLISH")),
 )

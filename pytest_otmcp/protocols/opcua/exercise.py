@@ -36,6 +36,8 @@ EXERCISE = Exercise(
     write=_write,
     number="value",
     done=every_change,
+    reads=({"service": "Read"}, {"service": "CreateMonitoredItems"}),
+    writes=({"service": "Write"},),
     silent=tuple({"service": service, "action": {"drop": True}} for service in ("Read", "Write")),
     reset=tuple({"service": service, "action": {"reset": True}} for service in ("Read", "Write")),
 )

@@ -24,6 +24,7 @@ __all__ = [
     "exactly_one_write",
     "folder_id",
     "held",
+    "holds",
     "image_holds",
     "names_and_ids_agree",
     "no_state_changing_service",
@@ -42,6 +43,7 @@ _WITNESS = Witness(noun="the server", describe=describe, holds_value=holds_value
 no_state_changing_service = _WITNESS.nothing_changed
 nothing_changed_by = _WITNESS.nothing_changed_by
 only_changed = _WITNESS.only_changed
+holds = _WITNESS.holds
 
 
 def folder_id(image: Image, name: str) -> str:
