@@ -185,14 +185,22 @@ class Rig(WriteGate):
         cases = self.bindings(operation)
         return next((case.tool for case in cases or () if case.fits(inputs) and not case.resource), None)
 
-    async def call_until_success(self, operation: str, *, window_s: float, **inputs: Any) -> list[Reply]:
+    async def call_until_success(
+        self, operation: str, *, window_s: float, from_first_call: bool = False, **inputs: Any
+    ) -> list[Reply]:
         """Call until the adapter succeeds or the window, counted from the moment the device accepts connections,
         is over. Only the last call has the repetition's role; the calls before it have the role ``recovery``.
+
+        Args:
+            from_first_call: the window is counted from the first call: the device has not been stopped, its faults have ended.
         """
-        end = self.accepting_ns + int(window_s * self._ledger.time_scale * 1e9)
-        replies = []
+        window_ns = int(window_s * self._ledger.time_scale * 1e9)
+        end = self.accepting_ns + window_ns
+        replies: list[Reply] = []
         while True:
             reply = await self.call(operation, **inputs)
+            if from_first_call and not replies:
+                end = reply.exchange.sent_ns + window_ns
             replies.append(reply)
             # A call may begin too early and answer late: only a call that began after the window is the last.
             if reply.success or (len(replies) > 1 and reply.exchange.sent_ns >= end):
