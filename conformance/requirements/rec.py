@@ -58,9 +58,9 @@ async def the_same_session_recovers(run: Repetition, at: Rig) -> None:
 
 @TASKS.every_protocol("REC-002", "While the device is away every call fails.", facets="recovery")
 async def calls_fail_during_an_outage(run: Repetition, at: Rig) -> None:
-    """Stop the device; read several times, and ask for the status; start the device and read.
+    """Read, and ask for the status; stop the device and do the same several times; start the device and read.
 
-    Said: failures with `connect_failed`, `connection_lost` or `timeout`, of a status at the latest when it may no longer be a
+    Said: success; failures with `connect_failed`, `connection_lost` or `timeout`, of a status at the latest when it may no longer be a
         remembered one; then success.
     Seen: nothing, it is away.
     Why: a value of before the outage that looks like one of now hides the outage from whoever has to act.
@@ -68,6 +68,8 @@ async def calls_fail_during_an_outage(run: Repetition, at: Rig) -> None:
     await a_read_works(run, at)
     operations = protocols()[at.protocol].operations
     statuses = [name for name, operation in operations.items() if operation.status and at.claims(name)]
+    for status in statuses:
+        run.succeeds(await at.call(status))
     await at.stop_device()
     for _ in range(_CALLS[run.soak]):
         asked = exercise(at).read(run.rng)
