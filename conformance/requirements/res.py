@@ -113,7 +113,7 @@ async def _burst(run: Repetition, at: Rig, calls: int, faults: int, cancels: int
     replies = []
     for _ in range(calls // 2):
         asked, reply = await read(run, at)
-        run.succeeds(reply, **asked.outputs)
+        run.succeeds(reply, requirement=None, **asked.outputs)
         replies.append(reply)
     for _ in range(faults):
         await at.fault(*faulty(asks.reads, reset=True))
@@ -132,7 +132,7 @@ async def _burst(run: Repetition, at: Rig, calls: int, faults: int, cancels: int
         await answers_again(run, at)
     for _ in range(calls - calls // 2):
         asked, reply = await read(run, at)
-        run.succeeds(reply, **asked.outputs)
+        run.succeeds(reply, requirement=None, **asked.outputs)
         replies.append(reply)
     return replies
 
