@@ -155,6 +155,12 @@ class AdapterServer:
             return _result(call.success(await self._perform(tool, call, arguments)))
         except AdapterError as error:
             return _result(call.failure(error))
+        except asyncio.CancelledError:
+            task = asyncio.current_task()
+            if task is not None and task.cancelling():
+                raise
+            # A library has cancelled what the call waited for; passed on, this would end the session.
+            return _result(call.failure(AdapterError("connection_lost", "the connection broke during the call")))
         except Exception:
             # This is a bug of the adapter: its traceback belongs in the log, not in an answer to an assistant.
             log.exception("tool %s failed unexpectedly", tool.listing.name)
