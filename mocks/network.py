@@ -19,22 +19,79 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import re
 import socket
 import struct
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from .fault_rules import FLAG, number, one_of
+from .fault_rules import FLAG, Field, integer, number, one_of
 from .journal import Journal
 
-__all__ = ["AT_ONCE", "CONDITIONS", "MANNERS", "Link", "Manner", "Network"]
+__all__ = ["AT_ONCE", "CONDITIONS", "MANNERS", "Link", "Mangling", "Manner", "Network"]
 
 CONDITIONS = ("open", "black_hole", "stalled")
 
-MANNERS = {"drip_s": number(0, 60), "duplicate": FLAG, "half_open": FLAG}
+_HEX = re.compile("(?:[0-9a-f]{2})*")
+
+
+def _is_flip(value: object) -> bool:
+    return isinstance(value, list) and len(value) == 2 and all(map(_POSITION.accepts, value)) and value[1] <= 0xFF
+
+
+_POSITION = integer(0)
+_MANGLING = {
+    "flip": Field(accepts=lambda value: isinstance(value, list) and all(map(_is_flip, value)), expected=""),
+    "cut": _POSITION,
+    "append": Field(accepts=lambda value: isinstance(value, str) and bool(_HEX.fullmatch(value)), expected=""),
+    "end": FLAG,
+}
+
+
+def _is_mangling(value: object) -> bool:
+    return (
+        isinstance(value, dict)
+        and value.keys() <= _MANGLING.keys()
+        and all(_MANGLING[name].accepts(found) for name, found in value.items())
+    )
+
+
+MANNERS = {
+    "drip_s": number(0, 60),
+    "duplicate": FLAG,
+    "half_open": FLAG,
+    "mangle": Field(
+        accepts=_is_mangling,
+        expected="an object with flip (a list of pairs of position and byte), cut (a number of bytes), append (hexadecimal), end",
+    ),
+}
 """Actions of a fault rule that every TCP device has; see :class:`Manner`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mangling:
+    """What an answer's bytes become on their way.
+
+    Attributes:
+        flip: position and mask: the byte there, counted round and round, is changed in these bits.
+        cut: so many bytes are missing at the end.
+        append: bytes that follow, hexadecimal.
+        end: the connection ends behind it.
+    """
+
+    flip: Sequence[Sequence[int]] = ()
+    cut: int = 0
+    append: str = ""
+    end: bool = False
+
+    def applied(self, data: bytes) -> bytes:
+        """Return what is sent instead of the bytes of an answer."""
+        changed = bytearray(data[: max(0, len(data) - self.cut)])
+        for position, mask in self.flip if changed else ():
+            changed[position % len(changed)] ^= mask
+        return bytes(changed) + bytes.fromhex(self.append)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,16 +103,21 @@ class Manner:
         duplicate: it is sent twice. The protocols do that themselves, so that the journal has both.
         half_open: the request is not executed, and from then on this connection is dead without an end: everything is lost, in
             both directions. Other connections are served.
+        mangle: its bytes are changed; the journal then has what was sent, as an entry ``mangled``, instead of the answer.
     """
 
     drip_s: float = 0.0
     duplicate: bool = False
     half_open: bool = False
+    mangle: Mangling | None = None
 
     @classmethod
     def of(cls, values: dict[str, Any]) -> Manner:
         """Take the values of these fields out of the values of a rule."""
-        return cls(**{name: values.pop(name) for name in MANNERS if name in values})
+        given = {name: values.pop(name) for name in MANNERS if name in values}
+        if "mangle" in given:
+            given["mangle"] = Mangling(**given["mangle"])
+        return cls(**given)
 
 
 AT_ONCE = Manner()
@@ -99,6 +161,10 @@ class Network:
     def lost(self, link: Link, count: int) -> None:
         """Record bytes that a client sent and that never reached the device."""
         self._journal.append(connection=link.number, direction="in", kind="lost", count=count)
+
+    def mangled(self, link: Link, data: bytes) -> None:
+        """Record what was sent in an answer's place. Like garbage it answers nothing: no client can tell what it is."""
+        self._journal.append(connection=link.number, direction="out", kind="mangled", bytes=data.hex())
 
     def close(self) -> None:
         """End every connection, also those whose device has forgotten them."""
@@ -220,6 +286,15 @@ class Link(asyncio.Transport):
     def write(self, data: Any) -> None:
         if not self.carries():
             return
+        mangle = self._manner.mangle
+        if mangle is not None:
+            data = mangle.applied(data)
+            self._network.mangled(self, data)
+        self._pass_on(data)
+        if mangle is not None and mangle.end:
+            self.close()
+
+    def _pass_on(self, data: Any) -> None:
         if self._manner.drip_s or self._waiting or self._timer is not None or self._stalled:
             self._waiting.append((bytes(data), self._manner.drip_s))
             self._go_on()

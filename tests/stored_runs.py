@@ -50,6 +50,7 @@ def run_of(
     suite_digest: str = _DIGEST,
     seed: int = 0,
     time_scale: float = 1.0,
+    soak: bool = False,
     repetitions: Mapping[str, int] | None = None,
 ) -> Run:
     """Return a record of these items of trials, in memory, as judging again needs it."""
@@ -81,6 +82,7 @@ def run_of(
             "seed": seed,
             "era": "auto",
             "time_scale": time_scale,
+            "soak": soak,
             "suites": ["normal", "fault", "stress", "recovery"],
             "xdist_workers": 0,
             "broker": "embedded",

@@ -34,6 +34,7 @@ def recorded(bench: Bench, items: Iterable[Mapping[str, Any]]) -> dict[str, Any]
         devices=bench.devices(),
         suite_digest=suite_digest(),
         time_scale=bench.options.time_scale,
+        soak=bench.options.soak,
     )
     restored: dict[str, Any] = json.loads(json.dumps(record, allow_nan=False))
     return restored

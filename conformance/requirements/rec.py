@@ -4,14 +4,167 @@ from __future__ import annotations
 
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.journal import Image
+from pytest_otmcp.protocols.mqtt import oracle as mqtt_oracle
+from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.trial.check import Checks
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
+from ..tasks.messages import publish_from_kit
+from .steps import CONNECTION_FAULTS, a_read_works, answers_again, exercise, faulty, read
+
 __all__ = ["TASKS"]
 
 TASKS = Checks()
+
+_OUTAGES = {False: 2, True: 20}
+"""Outages in the short and in the long form."""
+
+_CALLS = {False: 5, True: 50}
+_NOTICING_S = 1.0
+"""Seconds for which a status from memory may still say "connected", where the subject declares no longer time."""
+
+_SECOND_BYTE, _LAST_BYTES = 1, 3
+_MANGLED = (
+    # The first bytes are those by which a receiver finds the end of a message: type, length, protocol identifier.
+    {"flip": [[0, 0xFF], [_SECOND_BYTE, 0xFF]], "end": True},
+    {"flip": [[2, 0x5A], [3, 0xA5], [4, 0x7F], [5, 0xFF]], "end": True},
+    {"cut": _LAST_BYTES, "end": True},
+    {"append": "ff" * 300, "end": True},
+    {"flip": [[place, 0xFF] for place in range(8)], "append": "00" * 70},
+)
+"""What becomes of an answer: noise, a length that cannot be, half a message, a message with more behind it; then noise on a
+connection that stays."""
+
+_DELIVERED_S = 2.0
+
+
+@TASKS.every_protocol("REC-001", "After the device is back the same session works again.", facets="recovery")
+async def the_same_session_recovers(run: Repetition, at: Rig) -> None:
+    """Read; stop the device, read until that fails, start it with other contents, read until that succeeds, and once more; all of
+    it several times.
+
+    Said: the device's own value before and after each outage, within the time that the subject declares, in the same session.
+    Seen: the reads.
+    Why: an outage must not need a person who restarts the adapter, and after it nobody may be shown what was before.
+    """
+    await a_read_works(run, at)
+    for _ in range(_OUTAGES[run.soak]):
+        await at.stop_device()
+        asked = exercise(at).read(run.rng)
+        await at.call(asked.operation, role="control", **asked.inputs)
+        await at.start_device()
+        await answers_again(run, at)
+        await a_read_works(run, at, requirement="REC-001")
+
+
+@TASKS.every_protocol("REC-002", "While the device is away every call fails.", facets="recovery")
+async def calls_fail_during_an_outage(run: Repetition, at: Rig) -> None:
+    """Read, and ask for the status; stop the device and do the same several times; start the device and read.
+
+    Said: success; failures with `connect_failed`, `connection_lost` or `timeout`, of a status at the latest when it may no longer be a
+        remembered one; then success.
+    Seen: nothing, it is away.
+    Why: a value of before the outage that looks like one of now hides the outage from whoever has to act.
+    """
+    await a_read_works(run, at)
+    operations = protocols()[at.protocol].operations
+    statuses = [name for name, operation in operations.items() if operation.status and at.claims(name)]
+    for status in statuses:
+        run.succeeds(await at.call(status))
+    await at.stop_device()
+    for _ in range(_CALLS[run.soak]):
+        asked = exercise(at).read(run.rng)
+        reply = await at.call(asked.operation, **asked.inputs)
+        run.fails(reply, *CONNECTION_FAULTS, requirement="REC-002", code_requirement="ERR-005")
+    for status in statuses:
+        window_s = max(_NOTICING_S, at.max_age_s(status) or 0.0)
+        noticed = await at.call_until_failure(status, window_s=window_s)
+        run.fails(noticed, *CONNECTION_FAULTS, requirement="REC-002", code_requirement="ERR-005")
+    await at.start_device()
+    await answers_again(run, at)
+
+
+@TASKS.every_protocol("REC-003", "A connection whose other end has vanished is found to be dead.", facets="recovery")
+async def a_vanished_peer_is_noticed(run: Repetition, at: Rig) -> None:
+    """Read; from this request on the connection is dead in both directions, without an end. Read again.
+
+    Said: a failure within the deadline, or success where the adapter has asked again; then success within the recovery time.
+    Seen: the read on a new connection; the old one stays dead.
+    Why: after a pulled cable nobody says goodbye; who waits for that shows a plant that stands still.
+    """
+    await a_read_works(run, at)
+    await at.fault(*({**rule, "times": 1} for rule in faulty(exercise(at).reads, half_open=True)))
+    asked, lost = await read(run, at)
+    if lost.success:
+        run.succeeds(lost, requirement="REC-003", **asked.outputs)
+    else:
+        run.fails(lost, *CONNECTION_FAULTS, requirement="REC-003", code_requirement="ERR-005")
+    await at.fault()
+    await answers_again(run, at, requirement="REC-003")
+
+
+@TASKS.check("REC-004", "A subscription that is reported as active is active.", needs="mqtt.subscribe mqtt.recovery")
+async def subscriptions_return(run: Repetition, mqtt: Rig) -> None:
+    """Subscribe; stop and start the broker, which has forgotten everything, and publish on the topic when the adapter works
+    again. Do the same after the broker has ended the connection.
+
+    Said: success; an adapter that lists its subscriptions may list this one as inactive, or not at all.
+    Seen: the subscription and the message that the broker sends to the adapter.
+    Why: an alarm that is subscribed to and never comes is worse than none.
+    """
+    topic = f"otmcp/alarm/{run.rng.getrandbits(32):08x}"
+    run.must_succeed(await mqtt.call("subscribe", filter=topic, qos=0))
+    await _still_heard(run, mqtt, topic)
+    await mqtt.stop_device()
+    await mqtt.start_device()
+    await answers_again(run, mqtt)
+    await _still_heard(run, mqtt, topic)
+    await mqtt.poke(disconnect={"client_id": None, "reason_code": 139})
+    await answers_again(run, mqtt)
+    await _still_heard(run, mqtt, topic)
+
+
+async def _still_heard(run: Repetition, mqtt: Rig, topic: str) -> None:
+    await mqtt.wait_for(kind="SUBACK", direction="out", timeout_s=mqtt.recovery_s)
+    nonce = f"alarm-{run.rng.getrandbits(64):016x}".encode()
+    await publish_from_kit(mqtt, topic, nonce)
+    await mqtt.wait_for(kind="PUBLISH", direction="out", topic=topic, timeout_s=_DELIVERED_S)
+    lost = mqtt_oracle.subscription_lost(await mqtt.journal(), topic=topic, payload=nonce)
+    if lost and await _is_listed(mqtt, topic):
+        run.witnessed(lost)
+
+
+async def _is_listed(mqtt: Rig, topic: str) -> bool:
+    """Tell whether the adapter says that a subscription is active; one that says nothing of it leaves it at its first word."""
+    if not mqtt.claims("subscriptions"):
+        return True
+    reply = await mqtt.call("subscriptions")
+    listed, active = reply.outputs.get("filters"), reply.outputs.get("active")
+    if not isinstance(listed, list) or topic not in listed:
+        return False
+    states = active if isinstance(active, list) else []
+    return len(states) != len(listed) or states[listed.index(topic)] is not False
+
+
+@TASKS.every_protocol("REC-005", "What is no message of the protocol does no harm to the next call.", facets="recovery")
+async def noise_is_recovered_from(run: Repetition, at: Rig) -> None:
+    """Read while the answer becomes noise, has an impossible length, is cut off or is followed by noise, each in its turn; read
+    after each of them without a fault.
+
+    Said: whatever can be said of such an answer; then the value that the device holds.
+    Seen: the reads.
+    Why: who has lost the beginning of a message reads every later one wrongly, and shows plausible values.
+    """
+    await a_read_works(run, at)
+    for mangle in _MANGLED:
+        await at.fault(*faulty(exercise(at).reads, mangle=mangle))
+        await read(run, at)
+        await at.fault()
+        await answers_again(run, at, requirement="REC-005")
+        await a_read_works(run, at, requirement="REC-005")
+
 
 # -- REC-006 ------------------------------------------------------------------------------------------------
 

@@ -216,7 +216,8 @@ class _Connection(asyncio.Protocol):
             fields |= {name: value for name, value in changed.items() if value is not None}
             if rule.length:
                 fields["length"] = answer.length
-        self._record("out", "response", answers=asked, **fields, pdu=response.hex())
+        if rule is None or rule.manner.mangle is None:
+            self._record("out", "response", answers=asked, **fields, pdu=response.hex())
         if rule is None:
             self._transport.write(answer.frame())
             return

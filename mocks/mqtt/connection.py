@@ -130,6 +130,9 @@ class Connection(asyncio.Protocol):
         for again in ({}, {"duplicate": True}) if manner.duplicate else ({},):
             if self._end_reason is None:
                 with self._transport.sending(manner):
+                    if manner.mangle is not None:
+                        self._transport.write(encode(packet, self._level))
+                        return
                     self._write(packet, encode(packet, self._level), describe(packet) | fields | again, answers)
 
     def publish(self, delivery: Delivery, *, dup: bool) -> bool:

@@ -116,7 +116,8 @@ class _Processor(UaProcessor):  # type: ignore[misc]
         elif not rule.drop and self._transport.carries():
             facts = {"drip_s": rule.manner.drip_s} if rule.manner.drip_s else {}
             for again in ({}, {"duplicate": True}) if rule.manner.duplicate else ({},):
-                exchange.answered(response.ResponseHeader.ServiceResult, **facts, **again)
+                if rule.manner.mangle is None:
+                    exchange.answered(response.ResponseHeader.ServiceResult, **facts, **again)
                 with self._transport.sending(rule.manner):
                     super().send_response(requesthandle, seqhdr, response, msgtype)
 

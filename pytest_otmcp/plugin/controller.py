@@ -235,6 +235,7 @@ class RunRecorder:
                     "seed": settings.seed,
                     "era": settings.era,
                     "time_scale": settings.time_scale,
+                    "soak": settings.soak,
                     "suites": list(settings.suites),
                     "xdist_workers": self._workers,
                     **{

@@ -123,7 +123,12 @@ def _load_declared_tasks() -> dict[str, tuple[Task, Path]]:
         assert spec is not None
         assert spec.loader is not None
         module = module_from_spec(spec)
-        spec.loader.exec_module(module)
+        # dataclasses looks a class's module up by its name while the module is executed; afterwards nobody is to find it.
+        sys.modules[spec.name] = module
+        try:
+            spec.loader.exec_module(module)
+        finally:
+            del sys.modules[spec.name]
         tasks |= {task.id: (task, Path(found.origin).resolve().parent) for task in module.TASKS}
     return tasks
 

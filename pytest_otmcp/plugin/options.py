@@ -43,6 +43,8 @@ _OPTIONS = {
     **{device.option: ("URL", device.meaning) for device in external_devices().values()},
 }
 
+_SOAK = "the long forms of the checks that have one: thousands of calls, messages and faults (minutes)"
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunSettings:
@@ -58,6 +60,7 @@ class RunSettings:
         seed: seed of the values that repetitions use.
         era: MCP protocol era, ``auto`` or ``legacy``.
         time_scale: factor on deadlines and windows; windows in which nothing may happen are never shortened.
+        soak: checks that have a long form take it.
         external: protocol to the URL of the user's device in the mock's place.
     """
 
@@ -70,6 +73,7 @@ class RunSettings:
     seed: int
     era: str
     time_scale: float
+    soak: bool
     external: dict[str, str]
 
     def wants(self, task: Task) -> bool:
@@ -85,6 +89,8 @@ def add_options(parser: pytest.Parser) -> None:
     for name, (metavar, text) in _OPTIONS.items():
         group.addoption(f"--otmcp-{name}", metavar=metavar, default=None, help=text)
         parser.addini(f"otmcp_{name.replace('-', '_')}", text, default=None)
+    group.addoption("--otmcp-soak", action="store_true", default=False, help=_SOAK)
+    parser.addini("otmcp_soak", _SOAK, type="bool", default=False)
 
 
 def _destination(name: str) -> str:
@@ -116,6 +122,7 @@ def read_settings(config: pytest.Config) -> RunSettings:
         seed=_read_whole_number("seed", text("seed"), 0, minimum=0, maximum=2**63 - 1),
         era=_check_choice("era", text("era") or "auto", ("auto", "legacy")),
         time_scale=_read_factor(text("time-scale")),
+        soak=config.getoption("otmcp_soak") or config.getini("otmcp_soak"),
         external={
             protocol: _check_url(device, value)
             for protocol, device in external_devices().items()

@@ -81,7 +81,10 @@ class Run:
                 from ..trial.bench import Bench
 
                 options = BenchOptions(
-                    era=self.settings.era, time_scale=self.settings.time_scale, worker=self._worker or MAIN
+                    era=self.settings.era,
+                    time_scale=self.settings.time_scale,
+                    soak=self.settings.soak,
+                    worker=self._worker or MAIN,
                 )
                 self._bench = Bench(self.subject, options, self._plant)
                 if self._worker is None:

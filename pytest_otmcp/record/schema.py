@@ -244,7 +244,11 @@ class Environment(TypedDict):
 
 
 class Settings(TypedDict):
-    """The options of the run. ``narrowed``: which of them make it say less than a full run, a sentence each."""
+    """The options of the run.
+
+    ``soak``: checks took their long form; a run of a kit without long forms has no such member. ``narrowed``: which options make
+    the run say less than a full run, a sentence each.
+    """
 
     subject: str | None
     reps: Count
@@ -252,6 +256,7 @@ class Settings(TypedDict):
     seed: int
     era: str
     time_scale: Factor
+    soak: NotRequired[bool]
     suites: list[str]
     xdist_workers: Count
     narrowed: list[str]

@@ -36,7 +36,7 @@ class ReplayDriver:
         task: the item's task.
         adapters: of the subject, by protocol.
         devices: of the run, in the state in which the item before this one left them.
-        seed, time_scale: of the run.
+        seed, time_scale, soak: of the run.
 
     Attributes:
         sample: the stored repetition that is being played back.
@@ -52,6 +52,7 @@ class ReplayDriver:
         devices: Mapping[str, DeviceHistory],
         seed: int,
         time_scale: float,
+        soak: bool,
     ) -> None:
         self.objections: dict[tuple[str, int], str] = {}
         self.sample: Sample | None = None
@@ -61,6 +62,7 @@ class ReplayDriver:
         self._devices = devices
         self._seed = seed
         self._time_scale = time_scale
+        self._soak = soak
         self._clock = Clock(item.head["began_ns"])
         self._samples = item.samples()
         self._repetitions = 0
@@ -133,6 +135,7 @@ class ReplayDriver:
             role,
             seed=self._seed,
             time_scale=self._time_scale,
+            soak=self._soak,
             rigs=[ReplayRig(state, past, part["device"]) for state in self._states],
         )
 

@@ -155,6 +155,7 @@ class _Judge:
             devices=self._devices,
             seed=self._settings["seed"],
             time_scale=self._settings["time_scale"],
+            soak=self._settings.get("soak", False),
         )
         found: list[str] = []
 

@@ -98,11 +98,13 @@ class BenchOptions:
     Attributes:
         era: MCP protocol era, ``auto`` or ``legacy``.
         time_scale: factor on deadlines and windows, for slow machines.
+        soak: steps that have a long form take it.
         worker: name of this process among those of the run.
     """
 
     era: str = "auto"
     time_scale: float = 1.0
+    soak: bool = False
     worker: str = MAIN
 
 

@@ -85,6 +85,7 @@ class LiveDriver:
             role,
             seed=self._seed,
             time_scale=self._bench.options.time_scale,
+            soak=self._bench.options.soak,
             rigs=[LiveRig(state, self._bench) for state in self._states],
         )
 

@@ -33,8 +33,10 @@ class Repetition:
         seed: of the run.
         time_scale: factor on windows and deadlines.
         rigs: every adapter at its device that the task has.
+        soak: of the run.
 
     Attributes:
+        soak: steps that have a long form take it: thousands of calls, messages or faults instead of some.
         rng: random numbers that only depend on the seed, the task, the role and the repetition.
         ledger: what the steps have shown so far.
         notes: a place where the steps can keep values.
@@ -44,11 +46,20 @@ class Repetition:
     """
 
     def __init__(
-        self, task_id: str, rep: int, role: Role, *, seed: int, time_scale: float, rigs: Iterable[Rig]
+        self,
+        task_id: str,
+        rep: int,
+        role: Role,
+        *,
+        seed: int,
+        time_scale: float,
+        rigs: Iterable[Rig],
+        soak: bool = False,
     ) -> None:
         self.rep = rep
         self.role = role
         self.time_scale = time_scale
+        self.soak = soak
         origin = f"{seed}/{task_id}/{role}/{rep}"
         self.ledger = Ledger(role, time_scale, item=task_id, origin=origin)
         # The same seed gives the same nonces, whatever ran before.

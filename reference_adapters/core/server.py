@@ -35,6 +35,11 @@ __all__ = ["AdapterServer"]
 
 log = logging.getLogger(__name__)
 
+MOST_CALLS = 64
+"""Calls of tools at the same time. More would only wait for the device until their deadline, and an assistant that is not told
+so goes on calling."""
+RETRY_AFTER_MS = 1000
+
 _to_json = json.JSONEncoder(ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode
 
 
@@ -72,6 +77,7 @@ class AdapterServer:
         self._close = close
         self._tools: dict[str, AdapterTool] = {}
         self._connection = Connection()
+        self._at_work = 0
         self.mcp: Server[None] = Server(
             name,
             version=version,
@@ -149,6 +155,12 @@ class AdapterServer:
             return _result(call.success(await self._perform(tool, call, arguments)))
         except AdapterError as error:
             return _result(call.failure(error))
+        except asyncio.CancelledError:
+            task = asyncio.current_task()
+            if task is not None and task.cancelling():
+                raise
+            # A library has cancelled what the call waited for; passed on, this would end the session.
+            return _result(call.failure(AdapterError("connection_lost", "the connection broke during the call")))
         except Exception:
             # This is a bug of the adapter: its traceback belongs in the log, not in an answer to an assistant.
             log.exception("tool %s failed unexpectedly", tool.listing.name)
@@ -158,6 +170,10 @@ class AdapterServer:
         parsed = parse_arguments(tool.model, arguments)
         if tool.writes and not self.writes_enabled:
             raise AdapterError("writes_disabled", f"writes are disabled; set {self._switch}=true to enable them")
+        if self._at_work >= MOST_CALLS:
+            message = f"{MOST_CALLS} calls are being worked on; wait for their answers before you call again"
+            raise AdapterError("rate_limited", message, outcome="not_sent", retry_after_ms=RETRY_AFTER_MS)
+        self._at_work += 1
         try:
             async with asyncio.timeout(self._deadline_s) as deadline:
                 data: dict[str, Any] = await tool.handler(call, parsed)
@@ -165,6 +181,8 @@ class AdapterServer:
         except TimeoutError:
             limit = f"within {self._deadline_s:g} s" if deadline.expired() else "in time"
             raise AdapterError("timeout", f"the device did not answer {limit}") from None
+        finally:
+            self._at_work -= 1
 
 
 def _result(envelope: dict[str, Any]) -> dict[str, Any]:

@@ -405,9 +405,12 @@ class Connection:
 
         Raises:
             ConnectionLostError: the connection broke.
-            AdapterError: ``timeout``.
+            AdapterError: ``timeout``, or ``protocol_error``: the answer is about another number of filters [MQTT-3.8.4-5].
         """
         reasons = await self._answered(self._client.subscribe(list(filters.items())))
+        if len(reasons) != len(filters):
+            self.abort()
+            raise AdapterError("protocol_error", "the broker's answer does not fit the subscription")
         return [int(reason.value) for reason in reasons]
 
     async def unsubscribe(self, text: str) -> None:

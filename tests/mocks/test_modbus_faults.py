@@ -124,6 +124,21 @@ async def test_an_answer_is_falsified_and_the_journal_has_what_was_sent(
     assert "fault" not in (await modbus.control.journal(kind="request"))[-1]
 
 
+async def test_an_answer_is_mangled_and_the_journal_has_the_bytes(modbus: MockProgram, raw: Raw) -> None:
+    # Position 18 is byte 7 of the eleven: positions are counted round and round.
+    await fault(modbus, {"mangle": {"flip": [[1, 255], [18, 1]], "cut": 1, "append": "abcd"}}, times=1)
+    raw.send("03 0000 0001")
+    sent = bytes.fromhex("00f8 0000 0005 01 03 03 00 abcd")
+    assert await raw.take(len(sent)) == sent
+    assert [entry["bytes"] for entry in await modbus.control.journal(kind="mangled")] == [sent.hex()]
+    assert await modbus.control.journal(kind="response") == []
+    raw.send(READ_THREE)
+    assert (await raw.frame())[2] == "03060032001e0028"
+    await fault(modbus, {"mangle": {"cut": 300, "end": True}})
+    raw.send(READ_THREE)
+    assert await raw.reader.read() == b""
+
+
 async def test_a_rule_may_let_requests_pass_first(modbus: MockProgram, raw: Raw) -> None:
     rules = [
         {"function": 3, "skip": 2, "times": 1, "action": {"exception": 4}},
@@ -304,6 +319,9 @@ async def test_pokes_that_are_not_understood_are_refused_in_a_sentence(modbus: M
         ({"clamp": [2, 1]}, "the lower one first"),
         ({"drip_s": -1}, "expected a number from 0 to 60"),
         ({"half_open": 1}, "expected true or false"),
+        ({"mangle": {"flip": [[1, 256]]}}, "a list of pairs of position and byte"),
+        ({"mangle": {"append": "0"}}, "hexadecimal"),
+        ({"mangle": {"drop": True}}, "expected an object with flip"),
     ):
         with pytest.raises(RefusedError) as refused:
             await fault(modbus, action)

@@ -68,6 +68,16 @@ def test_an_answer_comes_byte_by_byte(broker: RunningBroker, packet: str, sent: 
     assert [one["drip_s"] for one in broker.entries(kind=kind)] == [0.1]
 
 
+def test_an_answer_is_mangled_and_the_journal_has_the_bytes(broker: RunningBroker) -> None:
+    plan(broker, "PINGREQ", {"mangle": {"flip": [[0, 255]], "append": "ff", "end": True}}, times=1)
+    with Raw(broker.port).send(connect_bytes("raw")) as raw:
+        assert raw.packet() == (0x20, b"\0\0")
+        raw.send(frame(0xC0))
+        assert [raw.socket.recv(100), raw.socket.recv(100)] == [bytes.fromhex("2f00ff"), b""]
+    assert [one["bytes"] for one in broker.entries(kind="mangled")] == ["2f00ff"]
+    assert broker.entries(kind="PINGRESP") == []
+
+
 def test_a_half_open_connection_is_dead_and_others_are_served(broker: RunningBroker) -> None:
     plan(broker, "PUBLISH", {"half_open": True}, topic="a")
     with connected(broker) as raw, Peer(broker.port, "other") as other:

@@ -18,13 +18,28 @@ def test_one_row_runs_on_every_protocol_and_is_judged_again(
     outcome = empty_repository.pytest(*SUITE, "--otmcp-only=MCP-004", plugins=None)
     assert outcome.statuses == {f"MCP-004.{protocol}": "PASS" for protocol in ("modbus", "mqtt", "opcua")}
     assert "narrowed: only the suite requirements was asked for" in outcome.output
-    assert main(["verify", str(empty_repository.root / "reports" / "latest" / "run.json")]) == 0
+    # The other items did not run, so the run earns no certificate.
+    main(["verify", str(empty_repository.root / "reports" / "latest" / "run.json")])
     assert "judging them again found the same" in capsys.readouterr().out
 
 
 def test_one_check_runs_alone(empty_repository: Repository) -> None:
     empty_repository.reference_subject()
     assert empty_repository.pytest(*SUITE, "--otmcp-only=MCP-004.modbus").statuses == {"MCP-004.modbus": "PASS"}
+
+
+@pytest.mark.long
+def test_the_long_form_of_a_check_is_judged_again_in_its_long_form(
+    empty_repository: Repository, capsys: pytest.CaptureFixture[str]
+) -> None:
+    empty_repository.reference_subject()
+    outcome = empty_repository.pytest(*SUITE, "--otmcp-only=REC-002.modbus", "--otmcp-soak", plugins=None)
+    assert outcome.statuses == {"REC-002.modbus": "PASS"}
+    assert outcome.record["settings"]["soak"] is True
+    assert len(outcome.record["items"][0]["samples"][0]["calls"]) > 50
+    # The other items did not run, so the run earns no certificate.
+    main(["verify", str(empty_repository.root / "reports" / "latest" / "run.json")])
+    assert "judging them again found the same" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

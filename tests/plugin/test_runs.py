@@ -386,6 +386,15 @@ def test_a_bad_option_is_refused_in_one_sentence(pytester: pytest.Pytester, opti
     assert "\n" not in str(refusal.value)
 
 
+@pytest.mark.parametrize(
+    ("options", "soak"), [((), False), (("--otmcp-soak",), True), (("-o", "otmcp_soak=true"), True)]
+)
+def test_long_forms_are_asked_for_by_option_or_ini(
+    pytester: pytest.Pytester, options: tuple[str, ...], soak: bool
+) -> None:
+    assert read_settings(pytester.parseconfig(*options)).soak is soak
+
+
 def test_a_run_with_a_bad_option_ends_with_that_sentence_and_code_2(repository: Repository) -> None:
     outcome = repository.pytest(*SUITE, "--otmcp-suite=falt")
     assert outcome.code == 2

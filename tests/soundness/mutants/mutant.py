@@ -34,6 +34,7 @@ class Mutant:
         areas: areas of the requirement suite whose checks are run, such as ``wr tmo``; empty for a defect that the benchmark notices.
         recovers: the defect shows when the device has gone, so the recovery trials are run as well.
         waits: the suite waits for what never comes, so its deadlines are shortened.
+        cold: its own processes are looked at, so it is started as users start it, not forked from one that is warm.
         quick: it is run in every test run; the others are run with the long tests.
     """
 
@@ -46,6 +47,7 @@ class Mutant:
     areas: str = ""
     recovers: bool = False
     waits: bool = False
+    cold: bool = False
     quick: bool = False
 
     @property

@@ -37,8 +37,7 @@ NOT_YET: Mapping[str, Mapping[str, str]] = {
         "MU-63": "A publish succeeds before its PUBACK.",
         "MU-64": "A subscription that the broker refuses is a success.",
     },
-    "D": {
-    },
+    "D": {},
     "E": {
         "MU-23": "Of a list with one forbidden write the others are written.",
         "MU-24": "A limit is compared with the raw value.",
@@ -50,8 +49,7 @@ NOT_YET: Mapping[str, Mapping[str, str]] = {
         "MU-75": "Negative numbers are encoded as they are not to be.",
         "MU-108": "Terminal codes and invisible characters of the device are passed on.",
     },
-    "G": {
-    },
+    "G": {},
     "H": {
         "MU-71": "Sequence number 255 is left out.",
         "MU-89": "Messages that nobody reads are kept without a limit.",
@@ -74,7 +72,6 @@ NOT_YET: Mapping[str, Mapping[str, str]] = {
         "MU-106": "An approval holds twice.",
         "MU-110": "The switch against all writes is read once.",
     },
-    
     "K": {"MU-29c": "A publish that failed is made up for 20 seconds later."},
 }
 """Group to id to what such an adapter does. Other variants of the same defect may be noticed."""

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
 import pytest
 
 from pytest_otmcp.core.matrix import REQUIREMENTS
@@ -15,6 +18,8 @@ from .not_yet import GROUPS, NOT_YET, TOTAL
 from .section import section
 from .table import MUTANTS
 
+PROGRAM = Path(__file__).parent / "program.py"
+
 
 @pytest.mark.parametrize(
     "name", [pytest.param(mutant.id, marks=() if mutant.quick else pytest.mark.long) for mutant in MUTANTS.values()]
@@ -23,7 +28,8 @@ def test_a_defect_fails_exactly_its_items_for_exactly_its_requirements(judge: Ju
     mutant = MUTANTS[name]
     tasks = " ".join(task.id for task in all_tasks().values() if _is_run(task, mutant))
     time_scale = IMPATIENT if mutant.waits else 1.0
-    results = judge(mutant.protocol, "mutants/program.py", name, tasks=tasks, time_scale=time_scale)
+    command = (sys.executable, str(PROGRAM), name) if mutant.cold else None
+    results = judge(mutant.protocol, "mutants/program.py", name, command=command, tasks=tasks, time_scale=time_scale)
     assert failing(results) == set(mutant.items.split()), words(results)
     assert requirements(results) == set(mutant.requirements.split()), words(results)
     assert "KIT_ERROR" not in {result["status"] for result in results.values()}
