@@ -17,7 +17,7 @@ from .commands import commands
 from .entries import FirstPackets, MqttEntry, adapter_packets, describe, payload_of, shown
 from .entries import messages as published
 from .sparkplug_decoder import parse_topic
-from .sparkplug_oracle import SparkplugSequence, commanded_once, ddata_metric
+from .sparkplug_oracle import SparkplugSequence, commanded_once, ddata_metric, reported
 
 __all__ = [
     "Publications",
@@ -35,6 +35,7 @@ __all__ = [
     "not_reported",
     "not_subscribed",
     "published_once",
+    "reported",
     "session_stays_up",
     "subscription_lost",
     "unsubscribed",
