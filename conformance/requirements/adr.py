@@ -39,7 +39,7 @@ async def topics_to_publish_on_are_checked(run: Repetition, mqtt: Rig) -> None:
     for topic in ("", "control/+", "control/#", "+", "control/pu#mp", "control/\0pump", "\0"):
         reply = await mqtt.call("publish", topic=topic, payload=payload, qos=0)
         run.fails(reply, "invalid_input", outcome="not_sent", requirement="ADR-006")
-    asked = {"topic": "control/pump", "payload": payload, "qos": 0}
+    asked: dict[str, Any] = {"topic": "control/pump", "payload": payload, "qos": 0}
     arguments = mqtt.arguments_of("publish", **asked)
     if arguments is not None and "topic" in arguments:
         altered = Alteration(given={arguments["topic"]: filler(_TOO_LONG)})

@@ -91,9 +91,14 @@ async def _arrives(
     run: Repetition, mqtt: Rig, reply: Reply, kind: str, device: str, metrics: Sequence[Mapping[str, Any]]
 ) -> None:
     """Expect that a device's message with these metrics reached the broker."""
-    await until(mqtt, lambda entries: _of(device, sparkplug(after(reply, entries), kind)) != [])
+    await _there(mqtt, reply, device, kind)
     journal = await mqtt.journal()
     run.witnessed(oracle.reported(after(reply, journal), kind=kind, device=device, metrics=metrics, births=journal))
+
+
+async def _there(mqtt: Rig, reply: Reply, device: str, kind: str) -> None:
+    """Wait for a device's message that was sent after the request of a call."""
+    await until(mqtt, lambda entries: _of(device, sparkplug(after(reply, entries), kind)) != [])
 
 
 def _of(device: str | None, messages: Messages) -> Messages:
@@ -297,7 +302,7 @@ async def _unborn(run: Repetition, mqtt: Rig, device: str) -> None:
     """Report data of a device that was not announced."""
     reply = await mqtt.call("device_data", device=device, metrics=_data(_a_value(run)))
     if reply.success:
-        await until(mqtt, lambda entries: _of(device, sparkplug(after(reply, entries), "DDATA")) != [])
+        await _there(mqtt, reply, device, "DDATA")
         births = _of(device, sparkplug(await mqtt.journal(), "DBIRTH"))
         if not births:
             message = f"{reply.label}: {device} was not announced, it claims success without a DBIRTH"
@@ -428,7 +433,7 @@ async def each_connection_has_a_will(run: Repetition, mqtt: Rig) -> None:
         reply = await until_it_works(run, mqtt, "device_birth", device=device, metrics=_temperature())
         if not reply.success:
             return
-        await until(mqtt, lambda entries, reply=reply: _of(device, sparkplug(after(reply, entries), "DBIRTH")) != [])
+        await _there(mqtt, reply, device, "DBIRTH")
     journal = await mqtt.session_journal()
     born = {packet["connection"] for packet, _ in sparkplug(journal, "NBIRTH")}
     if len(born) <= _RECONNECTIONS:
@@ -516,7 +521,7 @@ async def data_have_declared_metrics(run: Repetition, mqtt: Rig) -> None:
         reply = await mqtt.call("device_data", device=device, metrics=[{"name": name, "value": value}])
         if reply.success:
             # The session's oracle compares it with the births.
-            await until(mqtt, lambda entries, reply=reply: _of(device, sparkplug(after(reply, entries), "DDATA")) != [])
+            await _there(mqtt, reply, device, "DDATA")
             declared = {
                 metric["name"]: metric["datatype"]
                 for _, message in _of(device, sparkplug(await mqtt.journal(), "DBIRTH"))
@@ -581,7 +586,7 @@ async def a_command_reaches_its_target(run: Repetition, mqtt: Rig, mqtt_ro: Rig 
             run.witnessed([Finding(code="wrote", message=text, requirement="WR-004")])
 
 
-def _target(mqtt: Rig, device: str | None) -> dict[str, str]:
+def _target(mqtt: Rig, device: str | None) -> dict[str, Any]:
     operation = "send_node_command" if device is None else "send_device_command"
     group = {"group": _GROUP} if mqtt.accepts_input(operation, "group") else {}
     return {"node": _NODE, **group, **({} if device is None else {"device": device})}
