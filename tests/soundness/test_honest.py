@@ -6,6 +6,9 @@ from collections.abc import Iterator
 
 import pytest
 
+from pytest_otmcp.core.matrix import REQUIREMENTS
+from pytest_otmcp.suite.catalogue import all_tasks
+
 from .conftest import Judge, Results, failing, passing, words
 from .document import DOCUMENT, with_section
 from .honest.table import section
@@ -52,6 +55,16 @@ def test_an_honest_adapter_is_accused_of_nothing_in_the_items_that_say_most(judg
 @pytest.mark.parametrize("name", ZOO)
 def test_an_honest_adapter_is_accused_of_nothing_in_the_whole_suite(judge: Judge, name: str) -> None:
     accused_of_nothing(judge, name, None)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ZOO)
+def test_an_honest_adapter_is_accused_of_nothing_in_the_requirement_suite(judge: Judge, name: str) -> None:
+    choice = ZOO[name]
+    checks = " ".join(task.id for task in all_tasks().values() if task.suite == REQUIREMENTS)
+    results = judge(choice.protocol, "honest/adapter.py", name, described=choice.described, tasks=checks)
+    assert failing(results) == set(), words(results)
+    assert set(warnings(results)) <= choice.warnings, words(results)
 
 
 def test_the_documentation_has_every_honest_adapter() -> None:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Annotated, Any
 
+from pydantic import Field
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
 from pytest_otmcp.reference_adapters.mqtt import edge_node, nodes, sparkplug_tools
 from pytest_otmcp.reference_adapters.mqtt import link as mqtt_link
@@ -31,6 +32,7 @@ from ..sparkplug import (
 __all__ = ["MUTANTS"]
 
 _DATA = "publish_device_data"
+_LEVELS = Annotated[str, Field(min_length=1, pattern="^[^+#]+$")]
 _EVERY = " ".join(f"SPB-{number:03}.mqtt" for number in (1, 2, 3, 4, 5, 6, 8, 9, 12))
 """The checks in which the adapter publishes as an edge node."""
 
@@ -109,7 +111,7 @@ def undeclared_metrics_reported(server: AdapterServer) -> None:
 
 def names_of_several_levels(server: AdapterServer) -> None:
     tool = server._tools["publish_device_birth"]
-    anything = type("Anything", (tool.model,), {"__annotations__": {"device_id": str}, "__module__": __name__})
+    anything = type("Anything", (tool.model,), {"__annotations__": {"device_id": _LEVELS}, "__module__": __name__})
     wrap(server, "publish_device_birth", lambda genuine: genuine, model=anything)
 
 
@@ -235,7 +237,11 @@ MUTANTS: tuple[Mutant, ...] = (
         "SPB-003",
     ),
     _mutant(
-        "74s", "The field numbers of Float and Double values are swapped.", swapped_field_numbers, _EVERY, "SPB-001"
+        "74s",
+        "The field numbers of Float and Double values are swapped.",
+        swapped_field_numbers,
+        f"{_EVERY} SPB-010",
+        "SPB-001 SPB-010",
     ),
     _mutant("75", "Negative numbers lose their sign.", encoding(_unsigned), "SPB-001", "SPB-001"),
     _mutant("75n", "Null is encoded as 0.", encoding(_zero_for_null), "SPB-001", "SPB-001"),
@@ -244,11 +250,17 @@ MUTANTS: tuple[Mutant, ...] = (
     _mutant("76d", "The session ends with DISCONNECT and without NDEATH.", no_death_before_the_end, "", "SPB-012"),
     _mutant("77s", "NBIRTH is published with QoS 1.", births(lambda birth: replace(birth, qos=1)), _EVERY, "SPB-002"),
     _mutant(
-        "77l", "A device may have a name of several levels.", names_of_several_levels, "SPB-002", "SPB-002", quick=True
+        "77l",
+        "A device may have a name of several levels.",
+        names_of_several_levels,
+        "SPB-002",
+        "SPB-001 SPB-002 SPB-004",
     ),
     _mutant("78", "The command to be born again has no effect.", rebirths_ignored, "SPB-008", "SPB-008", quick=True),
     _mutant("78d", "The node dies before it is born again.", dies_before_it_is_born_again, "SPB-008", "SPB-008"),
-    _mutant("78n", "Born again is the node, without its devices.", reborn_without_devices, "SPB-008", "SPB-008"),
+    _mutant(
+        "78n", "Born again is the node, without its devices.", reborn_without_devices, "SPB-008", "SPB-003 SPB-008"
+    ),
     _mutant("78s", "The node does not subscribe to its commands.", commands_not_subscribed, "SPB-008", "SPB-008"),
     _mutant("79", "Commands to devices pass the write guard.", commands_unguarded, "SPB-010", "WR-004"),
     _mutant("79s", "Commands carry a sequence number.", commands_numbered, "SPB-010", "SPB-010"),
