@@ -325,8 +325,9 @@ async def one_sequence_counts_all(run: Repetition, mqtt: Rig) -> None:
     Why: a number that is missing or there twice tells a host that it has lost something, and it asks for everything anew.
     """
     devices = (_new_device(run), _new_device(run))
-    told = [(await _born(run, mqtt, device)).outputs.get("sequence") for device in devices]
-    numbers: set[int] = set()
+    births = [await _born(run, mqtt, device) for device in devices]
+    await until(mqtt, lambda entries: _of(devices[1], sparkplug(entries, "DBIRTH")) != [])
+    _numbers_are_told(run, births, await mqtt.journal())
     received = 0
     for first in range(0, _NUMBERS + _AT_ONCE, _AT_ONCE):
         # A slice of its own for each group: otherwise every call would look at everything that came before it.
@@ -337,18 +338,27 @@ async def one_sequence_counts_all(run: Repetition, mqtt: Rig) -> None:
         )
         await until(mqtt, lambda entries: len(_data_of(devices, entries)) >= _AT_ONCE)
         journal = await mqtt.journal()
-        numbers |= {message["seq"] for _, message in sparkplug(journal) if message["seq"] is not None}
         received += len(_data_of(devices, journal))
-        told += [reply.outputs.get("sequence") for reply in replies]
+        _numbers_are_told(run, replies, journal)
         if not all(map(run.succeeds, replies)):
             return
     if received != _NUMBERS + _AT_ONCE:
         text = f"of {_NUMBERS + _AT_ONCE} data messages the broker received {received}"
         run.witnessed([_rule("SPB-004", text, [])])
-    wrong = [number for number in told if number is not None and number not in numbers]
-    if wrong:
-        run.witnessed([_rule("SPB-004", f"a reply tells the sequence number {wrong[0]}, no message has it", [])])
     await _buried(run, mqtt, *devices)
+
+
+def _numbers_are_told(run: Repetition, replies: Sequence[Reply], entries: Entries) -> None:
+    """Expect that a sequence number that a reply tells is that of a message."""
+    sent = {message["seq"] for _, message in sparkplug(entries)}
+    for reply in replies:
+        number = reply.outputs.get("sequence")
+        if reply.success and number is not None and number not in sent:
+            message = (
+                f"{reply.label}: it tells the sequence number {number}, the messages have {sorted(map(str, sent))}"
+            )
+            run.judge(reply, [Finding(code="wrong_value", message=message, requirement="SPB-004")])
+            return
 
 
 def _data_of(devices: Sequence[str], entries: Entries) -> Messages:

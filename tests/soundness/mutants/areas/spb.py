@@ -68,6 +68,14 @@ def number_255_left_out(server: AdapterServer) -> None:
     EdgeNode.numbered = numbered
 
 
+def later_number_told(genuine: Handler) -> Handler:
+    async def handler(call: Call, arguments: Any) -> Data:
+        data: Data = await genuine(call, arguments)
+        return {**data, "seq": (data["seq"] + 4) % 256}
+
+    return handler
+
+
 def failures_use_up_numbers(genuine: Handler) -> Handler:
     node = genuine.__self__._node
 
@@ -228,6 +236,13 @@ MUTANTS: tuple[Mutant, ...] = (
         "SPB-003 SPB-005 SPB-009",
         "SPB-004 SPB-005",
     ),
+    _mutant(
+        "71t",
+        "The sequence number that is told is that of a later message.",
+        each(_DATA, change=later_number_told),
+        "SPB-004",
+        "SPB-004",
+    ),
     _mutant("73s", "A device's data are published, its birth never.", never_born, _EVERY, "SPB-003"),
     _mutant(
         "73b",
@@ -273,7 +288,11 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _mutant("79u", "Commands are not compared with the birth.", commands_unchecked, "SPB-010", "SPB-010"),
     _mutant(
-        "127s", "The birth of a device declares none of its metrics.", birth_without_metrics, _EVERY, "SPB-001 SPB-009"
+        "127s",
+        "The birth of a device declares none of its metrics.",
+        birth_without_metrics,
+        _EVERY.replace("SPB-006.mqtt ", ""),
+        "SPB-001 SPB-009",
     ),
     _mutant(
         "127b",
