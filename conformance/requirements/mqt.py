@@ -9,7 +9,7 @@ from typing import Any
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.journal import Entries
 from pytest_otmcp.protocols.mqtt import oracle
-from pytest_otmcp.protocols.mqtt.entries import adapter_packets, messages, payload_of, shown
+from pytest_otmcp.protocols.mqtt.entries import adapter_packets, messages, payload_of
 from pytest_otmcp.trial.check import Checks
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
@@ -71,28 +71,10 @@ async def _publish(run: Repetition, mqtt: Rig, qos: int) -> tuple[bytes, Reply]:
 
 
 def _acknowledged(reply: Reply, entries: Entries, payload: bytes) -> list[Finding]:
-    """Expect that a success was said when the broker had acknowledged the message, if its QoS has an acknowledgement."""
-    sent = [
-        packet for packet in adapter_packets(after(reply, entries), "PUBLISH", "in") if payload_of(packet) == payload
-    ]
     received_ns = reply.exchange.received_ns
-    if not reply.success or received_ns is None or not any(packet["qos"] for packet in sent):
+    if not reply.success or received_ns is None:
         return []
-    answers = [packet for packet in adapter_packets(entries, direction="out") if packet["t_ns"] <= received_ns]
-    wanted = {(_LAST_ANSWER.get(packet["qos"]), packet["connection"], packet.get("packet_id")) for packet in sent}
-    if any((answer["kind"], answer["connection"], answer.get("packet_id")) in wanted for answer in answers):
-        return []
-    return [
-        Finding(
-            code="not_acknowledged",
-            message=f"{reply.label}: it claims success before the broker had acknowledged the message with QoS {sent[0]['qos']}",
-            requirement="MQT-001",
-            evidence=shown(after(reply, entries)),
-        )
-    ]
-
-
-_LAST_ANSWER = {1: "PUBACK", 2: "PUBCOMP"}
+    return oracle.acknowledged(after(reply, entries), payload, received_ns=received_ns)
 
 
 async def _arrives(

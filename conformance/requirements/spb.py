@@ -13,7 +13,7 @@ from typing import Any
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.journal import Entries
 from pytest_otmcp.protocols.mqtt import oracle
-from pytest_otmcp.protocols.mqtt.entries import adapter_packets, describe, payload_of, shown
+from pytest_otmcp.protocols.mqtt.entries import adapter_packets, describe, payload_of
 from pytest_otmcp.protocols.mqtt.sparkplug_decoder import DATA_TYPES, decode_payload
 from pytest_otmcp.trial.check import Checks
 from pytest_otmcp.trial.repetition import Repetition
@@ -116,12 +116,6 @@ async def _cut(mqtt: Rig) -> None:
     await mqtt.poke(disconnect={"reason_code": _LOST_CONNECTION})
 
 
-def _rule(requirement: str, message: str, entries: Entries, strength: Any = "MUST") -> Finding:
-    return Finding(
-        code="sparkplug", message=message, requirement=requirement, evidence=shown(entries), strength=strength
-    )
-
-
 # -- SPB-001, SPB-002 ---------------------------------------------------------------------------------------
 
 
@@ -183,7 +177,7 @@ async def _decodes(run: Repetition, mqtt: Rig) -> None:
         if any(metric["name"] == "low" for metric in decode_payload(payload_of(packet))["metrics"])
     ]
     if not sent:
-        run.finding("not_delivered", f"{topic}: the birth should have reached the adapter", "MQT-002")
+        run.witnessed((await mqtt.follow(oracle.Subscriptions)).granted(topic, qos=None))
         return
     reply = await mqtt.call("decode_sparkplug", payload=sent[-1]["payload"])  # type: ignore[typeddict-item]
     if run.succeeds(reply, requirement="SPB-001"):
@@ -260,7 +254,7 @@ async def _refused(run: Repetition, mqtt: Rig, reply: Reply, requirement: str, *
     mine = [packet for packet, _ in found if _names(reply, packet["topic"])]
     if mine and reply.success is False:
         message = f"{reply.label}: it was refused, the broker saw {describe(mine[0])}"
-        run.witnessed([Finding(code="unexpected_packet", message=message, requirement=requirement)])
+        run.witnessed([oracle.broken_rule(requirement, message)])
 
 
 def _names(reply: Reply, topic: str) -> bool:
@@ -306,7 +300,7 @@ async def _unborn(run: Repetition, mqtt: Rig, device: str) -> None:
         births = _of(device, sparkplug(await mqtt.journal(), "DBIRTH"))
         if not births:
             message = f"{reply.label}: {device} was not announced, it claims success without a DBIRTH"
-            run.judge(reply, [_rule("SPB-003", message, after(reply, await mqtt.journal()))])
+            run.judge(reply, [oracle.broken_rule("SPB-003", message, after(reply, await mqtt.journal()))])
         return
     await _refused(run, mqtt, reply, "SPB-003", "not_born", "illegal_address", "invalid_input")
 
@@ -344,7 +338,7 @@ async def one_sequence_counts_all(run: Repetition, mqtt: Rig) -> None:
             return
     if received != _NUMBERS + _AT_ONCE:
         text = f"of {_NUMBERS + _AT_ONCE} data messages the broker received {received}"
-        run.witnessed([_rule("SPB-004", text, [])])
+        run.witnessed([oracle.broken_rule("SPB-004", text)])
     await _buried(run, mqtt, *devices)
 
 
@@ -413,7 +407,7 @@ def _no_gap(entries: Entries) -> list[Finding]:
             continue
         if node in last and message["type"] != "NBIRTH" and seq != (last[node] + 1) % 256:
             text = f"{packet['topic']}: after calls that failed the next number is {(last[node] + 1) % 256}, the message has {seq}"
-            return [_rule("SPB-005", text, entries)]
+            return [oracle.broken_rule("SPB-005", text, entries)]
         last[node] = seq
     return []
 
@@ -448,13 +442,13 @@ async def each_connection_has_a_will(run: Repetition, mqtt: Rig) -> None:
     born = {packet["connection"] for packet, _ in sparkplug(journal, "NBIRTH")}
     if len(born) <= _RECONNECTIONS:
         message = f"each of {_RECONNECTIONS + 1} connections should have had its NBIRTH, {len(born)} had one"
-        run.witnessed([_rule("SPB-006", message, journal)])
+        run.witnessed([oracle.broken_rule("SPB-006", message, journal)])
     wills = [packet.get("will") for packet in adapter_packets(journal, "CONNECT", "in") if packet["connection"] in born]
     if not all(wills):
         message = (
             f"each CONNECT of the edge node should have carried its NDEATH as will, {wills.count(None)} carried none"
         )
-        run.witnessed([_rule("SPB-006", message, journal)])
+        run.witnessed([oracle.broken_rule("SPB-006", message, journal)])
     await _buried(run, mqtt, device)
 
 
@@ -487,7 +481,7 @@ async def a_rebirth_is_carried_out(run: Repetition, mqtt: Rig) -> None:
     entries = after(first, await mqtt.journal())
     if (problem := complete(entries)) is not None:
         text = f"spBv1.0/{group}/NCMD/{name}: after the request the node should have been born again, {problem}"
-        run.witnessed([_rule("SPB-008", text, entries)])
+        run.witnessed([oracle.broken_rule("SPB-008", text, entries)])
     for device in devices:
         await _reports(run, mqtt, device)
     await _buried(run, mqtt, *devices)
@@ -540,7 +534,7 @@ async def data_have_declared_metrics(run: Repetition, mqtt: Rig) -> None:
             text = isinstance(value, str)
             if name not in declared or text != (declared[name] == DATA_TYPES.index("String")):
                 message = f"{reply.label}: the device was born without {name} of this type, it claims success"
-                run.judge(reply, [_rule("SPB-009", message, after(reply, await mqtt.journal()))])
+                run.judge(reply, [oracle.broken_rule("SPB-009", message, after(reply, await mqtt.journal()))])
         else:
             await _refused(run, mqtt, reply, "SPB-009", *_REFUSALS)
     await _reports(run, mqtt, device)
@@ -739,14 +733,22 @@ async def who_leaves_says_so(run: Repetition, mqtt: Rig) -> None:
         run.succeeds(reply)
         if reply.success and not await until(mqtt, lambda entries: _of(devices[1], sparkplug(entries, "DDEATH")) != []):
             run.witnessed(
-                [_rule("SPB-012", f"{reply.label}: the broker saw no DDEATH", await mqtt.journal(), "SHOULD")]
+                [
+                    oracle.broken_rule(
+                        "SPB-012", f"{reply.label}: the broker saw no DDEATH", await mqtt.journal(), strength="SHOULD"
+                    )
+                ]
             )
     if mqtt.claims("node_death"):
         reply = await mqtt.call("node_death")
         run.succeeds(reply)
         if reply.success and not await until(mqtt, lambda entries: sparkplug(entries, "NDEATH") != []):
             run.witnessed(
-                [_rule("SPB-012", f"{reply.label}: the broker saw no NDEATH", await mqtt.journal(), "SHOULD")]
+                [
+                    oracle.broken_rule(
+                        "SPB-012", f"{reply.label}: the broker saw no NDEATH", await mqtt.journal(), strength="SHOULD"
+                    )
+                ]
             )
         await _born(run, mqtt, devices[0])
     last = await _reports(run, mqtt, devices[0])
@@ -761,5 +763,5 @@ def _left_orderly(entries: Entries, device: str) -> list[Finding]:
         said = [one for one, _ in sparkplug(entries, "NDEATH") if one["connection"] == packet["connection"]]
         if packet["connection"] in used and not any(one["seq"] < packet["seq"] for one in said):
             message = "the edge node should have published NDEATH before its DISCONNECT, it published none"
-            return [_rule("SPB-012", message, entries, "SHOULD")]
+            return [oracle.broken_rule("SPB-012", message, entries, strength="SHOULD")]
     return []

@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Literal
 
 from ...core.finding import Finding
 from ...core.strict_json import same_json
@@ -18,7 +18,7 @@ from ..session_oracle import SessionOracle
 from .entries import MqttEntry, adapter_packets, as_mqtt, payload_of, shown
 from .sparkplug_decoder import DATA_TYPES, NAMESPACE, Topic, decode_message, decode_payload, parse_topic
 
-__all__ = ["SparkplugSequence", "commanded_once", "ddata_metric", "kept_or_executed", "reported"]
+__all__ = ["SparkplugSequence", "broken_rule", "commanded_once", "ddata_metric", "kept_or_executed", "reported"]
 
 _BD_SEQ = "bdSeq"
 _REBIRTH = "Node Control/Rebirth"
@@ -91,6 +91,18 @@ def _ddata_problem(found: list[Mapping[str, Any]], declared: Declared, name: str
     if metric["value"] != value and (datatype == _DOUBLE or metric["value"] != single):
         return f"its value is {metric['value']!r}"
     return None
+
+
+def broken_rule(
+    requirement: str, message: str, entries: Entries = (), *, strength: Literal["MUST", "SHOULD"] = "MUST"
+) -> Finding:
+    """Return the finding for a rule of Sparkplug that several packets together have broken.
+
+    Args:
+        entries: what is shown of the journal.
+    """
+    evidence = shown(entries) if entries else None
+    return Finding(code="sparkplug", message=message, requirement=requirement, evidence=evidence, strength=strength)
 
 
 def reported(
