@@ -250,7 +250,9 @@ async def topics_keep_to_their_levels(run: Repetition, mqtt: Rig) -> None:
 async def _refused(run: Repetition, mqtt: Rig, reply: Reply, requirement: str, *codes: str) -> None:
     """Expect that a call is refused, and that the edge node and its commands say nothing because of it."""
     run.fails(reply, *codes, outcome="not_sent", requirement=requirement)
-    found = sparkplug(reply.during(await mqtt.journal()), "DBIRTH", "DDATA", "DDEATH", "NCMD", "DCMD")
+    # An edge node may repeat the births of what lives whenever it likes.
+    births = ("DBIRTH",) if reply.operation == "device_birth" else ()
+    found = sparkplug(reply.during(await mqtt.journal()), *births, "DDATA", "DDEATH", "NCMD", "DCMD")
     mine = [packet for packet, _ in found if _names(reply, packet["topic"])]
     if mine and reply.success is False:
         message = f"{reply.label}: it was refused, the broker saw {describe(mine[0])}"
@@ -326,6 +328,8 @@ async def one_sequence_counts_all(run: Repetition, mqtt: Rig) -> None:
     for first in range(0, _NUMBERS + _AT_ONCE, _AT_ONCE):
         # A slice of its own for each group: otherwise every call would look at everything that came before it.
         await mqtt.keep_journal()
+        # Calls that are made together must not each begin with a proof.
+        await mqtt.prove()
         values = range(first, first + _AT_ONCE)
         replies = await run.together(
             *(mqtt.call("device_data", device=devices[value % 2], metrics=_data(float(value))) for value in values)

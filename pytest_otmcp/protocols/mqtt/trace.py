@@ -23,6 +23,8 @@ def facts(entry: JournalEntry) -> Mapping[str, Sequence[object]]:
     if packet["kind"] == "SUBSCRIBE":
         filters = packet["filters"]
         return {"topic": [wanted["filter"] for wanted in filters], "qos": [wanted["qos"] for wanted in filters]}
+    if packet["kind"] == "UNSUBSCRIBE":
+        return {"topic": [unwanted["filter"] for unwanted in packet["filters"]]}
     if packet["kind"] == "SUBACK":
         return {"granted_qos": packet["reason_codes"]}
     return {}

@@ -243,7 +243,13 @@ MUTANTS: tuple[Mutant, ...] = (
         "SPB-004",
         "SPB-004",
     ),
-    _mutant("73s", "A device's data are published, its birth never.", never_born, _EVERY, "SPB-003"),
+    _mutant(
+        "73s",
+        "A device's data are published, its birth never.",
+        never_born,
+        _EVERY,
+        "SPB-001 SPB-003 SPB-004 SPB-006 SPB-008 SPB-012",
+    ),
     _mutant(
         "73b",
         "Data of a device that was never born are published.",
