@@ -165,7 +165,7 @@ MUTANTS: tuple[Mutant, ...] = (
         sentence="A subscription that is ended is only forgotten.",
         bend=unsubscribing_forgets_alone,
         items="MQT-002.mqtt",
-        requirements="MQT-002",
+        requirements="ENV-007 MQT-002",
         areas="mqt",
     ),
     Mutant(
