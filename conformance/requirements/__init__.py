@@ -9,15 +9,19 @@ from importlib import import_module
 
 from pytest_otmcp.trial.task import Task
 
-__all__ = ["AREAS", "checks", "modules"]
+__all__ = ["AREAS", "MODULES", "checks", "modules"]
 
 AREAS = ("mcp", "env", "err", "rd", "wr", "adr", "enc", "con", "tmo", "rec", "mqt", "spb", "oua", "res")
 """The areas in the order of the catalogue; each is a module here."""
 
 
+MODULES = (*AREAS, "adr_mqtt")
+"""The modules of the areas; one area has two."""
+
+
 def modules() -> tuple[str, ...]:
     """Return the dotted names of the modules that declare checks."""
-    return tuple(f"{__name__}.{area}" for area in AREAS)
+    return tuple(f"{__name__}.{module}" for module in MODULES)
 
 
 def checks() -> list[Task]:

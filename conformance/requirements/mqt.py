@@ -2,8 +2,360 @@
 
 from __future__ import annotations
 
+import base64
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from pytest_otmcp.core.finding import Finding
+from pytest_otmcp.protocols.journal import Entries
+from pytest_otmcp.protocols.mqtt import oracle
+from pytest_otmcp.protocols.mqtt.entries import adapter_packets, messages, payload_of
 from pytest_otmcp.trial.check import Checks
+from pytest_otmcp.trial.repetition import Repetition
+from pytest_otmcp.trial.reply import Reply
+from pytest_otmcp.trial.rig import Rig
+
+from ..tasks.messages import collect, publish_from_kit, sync_point
+from .mqtt_steps import nonce, until, until_it_works
+from .steps import CONNECTION_FAULTS, citing, since
 
 __all__ = ["TASKS"]
 
 TASKS = Checks()
+
+_PUMP = "control/pump"
+_LATE_S = 0.2
+"""Seconds by which an acknowledgement is late: well above a tick of the coarsest clock, well below every timeout."""
+
+_NOTICING_S = 1.0
+"""Seconds for which a publication may still be handed to a connection that has just been cut."""
+
+_UNCERTAIN = ("not_sent", "unknown")
+_BURST = 5200
+_MOST_READS = 120
+
+# -- MQT-001 ------------------------------------------------------------------------------------------------
+
+
+@TASKS.check("MQT-001", "A publication is a success when the broker has acknowledged it.", needs="mqtt.publish")
+async def a_publication_is_acknowledged(run: Repetition, mqtt: Rig) -> None:
+    """Publish with QoS 1 and 2 while the broker acknowledges late; while it ends the connection instead; with QoS 1 while it says
+    nothing; and with QoS 0 while it is away. Then publish again.
+
+    Said: success after the acknowledgement; failures of the connection with the outcome `unknown` or `not_sent`; success.
+    Seen: for each success with QoS 1 the PUBACK, with QoS 2 the PUBCOMP, before the reply; the message itself once.
+    Why: a library takes a message and says "fine" long before a broker has it, or never gets rid of it.
+    """
+    for qos in _every_qos(mqtt):
+        await mqtt.fault({"packet": "PUBLISH", "action": {"delay_s": _LATE_S}})
+        payload, reply = await _publish(run, mqtt, qos)
+        await mqtt.fault()
+        run.succeeds(reply, requirement="MQT-001")
+        run.witnessed(_acknowledged(reply, await mqtt.journal(), payload))
+        await _arrives(run, mqtt, reply, payload, qos=mqtt.expected_if_accepted("publish", "qos", qos))
+        await _unacknowledged(
+            run, mqtt, qos, {"packet": "PUBREL" if qos == 2 else "PUBLISH", "action": {"reset": True}}
+        )
+    await _unacknowledged(run, mqtt, 1, {"packet": "PUBLISH", "action": {"no_answer": True}})
+    if mqtt.claims("recovery"):
+        await _nobody_is_there(run, mqtt)
+
+
+def _every_qos(mqtt: Rig) -> tuple[int, ...]:
+    return (1, 2) if mqtt.accepts_input("publish", "qos") else (1,)
+
+
+async def _publish(run: Repetition, mqtt: Rig, qos: int) -> tuple[bytes, Reply]:
+    payload = f"check-{nonce(run)}"
+    return payload.encode(), await mqtt.call("publish", topic=_PUMP, payload=payload, qos=qos)
+
+
+def _acknowledged(reply: Reply, entries: Entries, payload: bytes) -> list[Finding]:
+    received_ns = reply.exchange.received_ns
+    if not reply.success or received_ns is None:
+        return []
+    return oracle.acknowledged(since(reply, entries), payload, received_ns=received_ns)
+
+
+async def _arrives(
+    run: Repetition,
+    mqtt: Rig,
+    reply: Reply,
+    payload: bytes,
+    *,
+    qos: int | None,
+    retain: bool = False,
+    topic: str = _PUMP,
+) -> None:
+    """Expect that the broker received the message of a call that succeeded, once, and as it was asked for."""
+    if not reply.success:
+        return
+    await until(mqtt, lambda entries: any(payload_of(packet) == payload for packet in messages(since(reply, entries))))
+    run.witnessed(
+        oracle.published_once(
+            since(reply, await mqtt.journal()),
+            topic=topic,
+            payload=payload,
+            qos=qos,
+            retain=retain,
+            declared=mqtt.declared,
+        )
+    )
+
+
+async def _unacknowledged(run: Repetition, mqtt: Rig, qos: int, rule: Mapping[str, object]) -> None:
+    """Publish while the broker does not acknowledge; then it does again."""
+    await mqtt.fault(rule)
+    payload, reply = await _publish(run, mqtt, qos)
+    await mqtt.fault()
+    run.witnessed(_acknowledged(reply, await mqtt.journal(), payload))
+    if not reply.success:
+        run.fails(reply, *CONNECTION_FAULTS, outcome=_UNCERTAIN, requirement="MQT-001", code_requirement="ERR-005")
+    await until_it_works(run, mqtt, "subscribe", filter=f"otmcp/{nonce(run)}", qos=0)
+
+
+async def _nobody_is_there(run: Repetition, mqtt: Rig) -> None:
+    """Publish with QoS 0 while the broker is stopped, and when it is back."""
+    await mqtt.stop_device()
+    payload = f"lost-{nonce(run)}"
+    reply = await mqtt.call_until_failure("publish", window_s=_NOTICING_S, topic=_PUMP, payload=payload, qos=0)
+    run.fails(reply, *CONNECTION_FAULTS, outcome=_UNCERTAIN, requirement="MQT-001", code_requirement="ERR-005")
+    await mqtt.start_device()
+    asked: dict[str, Any] = {"topic": _PUMP, "payload": f"back-{nonce(run)}", "qos": 0}
+    replies = await mqtt.call_until_success("publish", window_s=mqtt.recovery_s, **asked)
+    run.succeeds(replies[-1], requirement="REC-001")
+
+
+# -- MQT-002 ------------------------------------------------------------------------------------------------
+
+
+@TASKS.check("MQT-002", "A subscription is a success when the broker has granted it.", needs="mqtt.subscribe")
+async def a_subscription_is_granted(run: Repetition, mqtt: Rig) -> None:
+    """Subscribe while the broker refuses the filter; the same when it does not; while it grants a lower quality of service; and while
+    it says nothing. End the subscription.
+
+    Said: `access_denied`; success; success with the quality of service that was granted; a failure of the connection; success.
+        A filter that was refused is not listed as active.
+    Seen: the filter is granted, and a message is sent to the adapter; after the end it is subscribed no more.
+    Why: who waits for the alarms of a subscription that was refused takes the silence for good news.
+    """
+    refused, lower, silent = (f"otmcp/{nonce(run)}" for _ in range(3))
+    await mqtt.fault({"packet": "SUBSCRIBE", "topic": refused, "action": {"reason_code": 0x80}})
+    reply = await mqtt.call("subscribe", filter=refused, qos=0)
+    run.fails(reply, "access_denied", "device_failure", requirement="MQT-002", code_requirement="ERR-001")
+    await _is_not_listed(run, mqtt, refused)
+    await mqtt.fault()
+    run.succeeds(await mqtt.call("subscribe", filter=refused, qos=0))
+    run.witnessed((await mqtt.follow(oracle.Subscriptions)).granted(refused, qos=None))
+    payload = nonce(run).encode()
+    await publish_from_kit(mqtt, refused, payload)
+    await mqtt.wait_for(kind="PUBLISH", direction="out", topic=refused, timeout_s=1.0)
+    run.witnessed(citing("MQT-002", oracle.delivered(await mqtt.journal(), topic=refused, payload=payload)))
+    if mqtt.accepts_input("subscribe", "qos"):
+        await mqtt.fault({"packet": "SUBSCRIBE", "topic": lower, "action": {"reason_code": 0}})
+        run.succeeds(await mqtt.call("subscribe", filter=lower, qos=1), granted_qos=0)
+    if mqtt.claims("unsubscribe"):
+        run.succeeds(await mqtt.call("unsubscribe", filter=refused))
+        run.witnessed((await mqtt.follow(oracle.Subscriptions)).ended(refused))
+    await mqtt.fault({"packet": "SUBSCRIBE", "topic": silent, "action": {"no_answer": True}})
+    reply = await mqtt.call("subscribe", filter=silent, qos=0)
+    await mqtt.fault()
+    run.fails(reply, *CONNECTION_FAULTS, requirement="MQT-002", code_requirement="ERR-005")
+    await until_it_works(run, mqtt, "subscribe", filter=silent, qos=0)
+
+
+async def _is_not_listed(run: Repetition, mqtt: Rig, refused: str) -> None:
+    """Expect that a refused filter is not among the subscriptions, unless it is said not to be active."""
+    if not mqtt.claims("subscriptions"):
+        return
+    reply = await mqtt.call("subscriptions")
+    if not run.succeeds(reply):
+        return
+    filters, active = (reply.outputs.get(name) for name in ("filters", "active"))
+    if not isinstance(filters, list) or refused not in filters:
+        return
+    place = filters.index(refused)
+    if isinstance(active, list) and len(active) > place and active[place] is False:
+        return
+    message = (
+        f"{reply.label}: {refused!r}, which the broker refused, should not be listed as a subscription that is active"
+    )
+    run.judge(reply, [Finding(code="wrong_value", message=message, requirement="MQT-002")])
+
+
+# -- MQT-003 ------------------------------------------------------------------------------------------------
+
+
+@TASKS.check("MQT-003", "A message arrives with the payload and the flags that were asked for.", needs="mqtt.publish")
+async def a_message_arrives_as_it_was_asked_for(run: Repetition, mqtt: Rig) -> None:
+    """Publish with each quality of service, retained and not; a text of several scripts, a long one, none, and, where the tool takes
+    them, bytes that are no text. Receive one message that is retained, and one that is not.
+
+    Said: success. For the two messages, which of them was retained.
+    Seen: each message once, with its payload, its quality of service and its retain flag; none is retained unless that was asked for.
+    Why: a retained command is carried out again whenever the machine connects.
+    """
+    # The Remaining Length of the long one has three bytes.
+    for qos, text in (
+        (0, "22,5 °C \N{GREEK CAPITAL LETTER OMEGA} 圧力 "),
+        (1, '"quoted" \\ '),
+        (2, "x" * 20_000),
+        (0, ""),
+    ):
+        payload = text + nonce(run) if text else text
+        await _publishes(run, mqtt, payload, payload.encode(), qos=qos)
+    if mqtt.accepts_input("publish", "encoding"):
+        binary = bytes(range(256)) + run.rng.randbytes(8)
+        await _publishes(run, mqtt, base64.b64encode(binary).decode(), binary, encoding="base64")
+    if mqtt.accepts_input("publish", "retain"):
+        for retain in (True, False):
+            payload = f"retain-{nonce(run)}"
+            await _publishes(run, mqtt, payload, payload.encode(), retain=retain)
+        await mqtt.poke(publish={"topic": _PUMP, "payload": "", "retain": True})
+    if mqtt.claims("messages.retained") and mqtt.claims("subscribe") and not mqtt.blocks("messages"):
+        await _flags_what_was_retained(run, mqtt)
+
+
+async def _publishes(
+    run: Repetition, mqtt: Rig, payload: str, expected: bytes, *, qos: int = 1, retain: bool = False, **inputs: Any
+) -> None:
+    asked: dict[str, Any] = {"retain": True} if retain else {}
+    reply = await mqtt.call("publish", topic=_PUMP, payload=payload, qos=qos, **asked, **inputs)
+    run.succeeds(reply, topic=_PUMP)
+    await _arrives(run, mqtt, reply, expected, qos=mqtt.expected_if_accepted("publish", "qos", qos), retain=retain)
+
+
+async def _flags_what_was_retained(run: Repetition, mqtt: Rig) -> None:
+    topic = f"otmcp/{nonce(run)}"
+    kept, fresh = nonce(run), nonce(run)
+    encoded = base64.b64encode(kept.encode()).decode()
+    await mqtt.poke(publish={"topic": topic, "payload": encoded, "retain": True})
+    run.succeeds(await mqtt.call("subscribe", filter=topic, qos=0))
+    await publish_from_kit(mqtt, topic, fresh.encode())
+    await sync_point(run, mqtt, topic)
+    reply = await mqtt.call("messages", filter=topic)
+    await mqtt.poke(publish={"topic": topic, "payload": "", "retain": True})
+    if not run.succeeds(reply):
+        return
+    flags = reply.outputs.get("retained")
+    listed = [message.get("payload") for message in _listed(reply)]
+    told = dict(zip(listed, flags, strict=False)) if isinstance(flags, list) else {}
+    if [told.get(kept), told.get(fresh)] != [True, False]:
+        message = (
+            f"{reply.label}: the first message was retained, the second was not, the reply says {flags!r} of {listed!r}"
+        )
+        run.judge(reply, [Finding(code="wrong_value", message=message, requirement="MQT-003")])
+
+
+def _listed(reply: Reply) -> list[Mapping[str, Any]]:
+    listed = reply.outputs.get("messages")
+    return [message for message in listed if isinstance(message, dict)] if isinstance(listed, list) else []
+
+
+# -- MQT-004 ------------------------------------------------------------------------------------------------
+
+
+@TASKS.check("MQT-004", "What a wildcard brought can be read back, and what is lost is counted.", needs="mqtt.receive")
+async def what_a_wildcard_brought_can_be_read(run: Repetition, mqtt: Rig) -> None:
+    """Subscribe to a filter with a wildcard; the kit publishes messages on several topics, one of them with bytes that are no text.
+    Read them by the filter, by another wildcard and by a topic. Where the tool says how many messages it has dropped, publish 5200
+    at once and read them all.
+
+    The session is a new one.
+
+    Said: each message once, on its own topic, in the order of its topic. Of the 5200, those that are not read are counted.
+    Seen: the broker sends every message to the adapter.
+    Why: an inbox that finds nothing by a wildcard, or forgets in silence, makes an alarm disappear.
+    """
+    if mqtt.blocks("messages"):
+        await collect(run, mqtt, {f"otmcp/{name}/#": (f"otmcp/{name}/a", nonce(run)) for name in (nonce(run),)})
+        return
+    # Messages that earlier checks have left would be dropped, and counted, as well.
+    await mqtt.fresh_session()
+    base = f"otmcp/{nonce(run)}"
+    run.succeeds(await mqtt.call("subscribe", filter=f"{base}/#", qos=0))
+    for text, parts in (
+        (f"{base}/#", ("a", "b/deep", "c")),
+        (f"{base}/+/end", ("d/end", "e/end")),
+        (f"{base}/f", ("f",)),
+    ):
+        topics = [f"{base}/{part}" for part in parts]
+        sent = [(topics[index % len(topics)], f"{index}-{nonce(run)}") for index in range(6)]
+        for topic, payload in sent:
+            await publish_from_kit(mqtt, topic, payload.encode())
+        await sync_point(run, mqtt, f"{base}/#")
+        reply = await mqtt.call("messages", filter=text)
+        if run.succeeds(reply):
+            run.judge(reply, _read_back(reply, sent))
+    await _bytes_are_kept(run, mqtt, base)
+    if mqtt.claims("messages.dropped"):
+        await _what_is_lost_is_counted(run, mqtt, base)
+
+
+def _read_back(reply: Reply, sent: Sequence[tuple[str, str]]) -> list[Finding]:
+    """Expect each of these messages once, on its topic, and those of one topic in their order."""
+    payloads = {payload for _, payload in sent}
+    found = [(message.get("topic"), message.get("payload")) for message in _listed(reply)]
+    mine = [one for one in found if one[1] in payloads]
+    problem = None
+    if sorted(mine, key=repr) != sorted(sent, key=repr):
+        problem = f"of {len(sent)} messages {len(set(mine) & set(sent))} are there as they came, and {len(mine)} in all"
+    elif any([one for one in mine if one[0] == topic] != [one for one in sent if one[0] == topic] for topic, _ in sent):
+        problem = "the messages of a topic are not in the order in which they came"
+    if problem is None:
+        return []
+    message = f"{reply.label}: each message should be there once, on its topic and in order; {problem}"
+    return [Finding(code="wrong_value", message=message, requirement="MQT-004", evidence=repr(found)[:400])]
+
+
+async def _bytes_are_kept(run: Repetition, mqtt: Rig, base: str) -> None:
+    topic, content = f"{base}/binary", b"\xff\xfe\x00" + run.rng.randbytes(8)
+    await publish_from_kit(mqtt, topic, content)
+    await sync_point(run, mqtt, f"{base}/#")
+    reply = await mqtt.call("messages", filter=topic)
+    if not run.succeeds(reply):
+        return
+    found = [message for message in _listed(reply) if message.get("topic") == topic]
+    encodings = reply.outputs.get("encodings")
+    message = None
+    if len(found) != 1:
+        message = f"{reply.label}: the message with bytes that are no text should be there once, it is there {len(found)} times"
+    elif encodings == ["base64"] and found[0].get("payload") != base64.b64encode(content).decode():
+        message = (
+            f"{reply.label}: the payload should be {content!r} in base64, the reply says {found[0].get('payload')!r}"
+        )
+    if message is not None:
+        run.judge(reply, [Finding(code="wrong_value", message=message, requirement="MQT-004")])
+
+
+async def _what_is_lost_is_counted(run: Repetition, mqtt: Rig, base: str) -> None:
+    """Publish more messages at once than an inbox may be expected to keep, and compare what is read with what is said to be lost."""
+    topic = f"{base}/burst"
+    before = await mqtt.call("messages", filter=topic)
+    if not run.succeeds(before):
+        return
+    await mqtt.poke(burst={"topic": topic, "count": _BURST})
+    await sync_point(run, mqtt, f"{base}/#")
+    read: set[object] = set()
+    counts = [before.outputs.get("dropped")]
+    for _ in range(_MOST_READS):
+        reply = await mqtt.call("messages", role="control", filter=topic)
+        if not run.succeeds(reply):
+            return
+        counts.append(reply.outputs.get("dropped"))
+        new = {message.get("payload") for message in _listed(reply)} - read
+        read |= new
+        if not new:
+            break
+    received = adapter_packets(await mqtt.session_journal(), "PUBLISH", "out")
+    others = sum(1 for packet in received if packet["topic"] != topic)
+    missing = _BURST - len(read)
+    if not any(missing <= lost <= missing + others for lost in _lost(counts)):
+        message = f"{reply.label}: of {_BURST} messages {len(read)} can be read, said to be dropped are {sum(one for one in counts[1:] if isinstance(one, int))}"
+        run.judge(reply, [Finding(code="wrong_value", message=message, requirement="MQT-004")])
+
+
+def _lost(counts: Sequence[object]) -> set[int]:
+    """Return how many messages are said to be dropped after the first answer; a count begins at the last reading, or at the start."""
+    numbers = [count for count in counts if isinstance(count, int)]
+    return {sum(numbers[1:]), numbers[-1] - numbers[0]} if len(numbers) == len(counts) else set()

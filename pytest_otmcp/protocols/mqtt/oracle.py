@@ -17,13 +17,15 @@ from .commands import commands
 from .entries import FirstPackets, MqttEntry, adapter_packets, describe, payload_of, shown
 from .entries import messages as published
 from .sparkplug_decoder import parse_topic
-from .sparkplug_oracle import SparkplugSequence, commanded_once, ddata_metric
+from .sparkplug_oracle import SparkplugSequence, broken_rule, commanded_once, ddata_metric, reported
 
 __all__ = [
     "Publications",
     "Refused",
     "SparkplugSequence",
     "Subscriptions",
+    "acknowledged",
+    "broken_rule",
     "commanded_once",
     "ddata_metric",
     "delivered",
@@ -35,6 +37,7 @@ __all__ = [
     "not_reported",
     "not_subscribed",
     "published_once",
+    "reported",
     "session_stays_up",
     "subscription_lost",
     "unsubscribed",
@@ -280,6 +283,34 @@ def published_once(
             code=code,
             message=f"the broker should have received {payload[:80]!r} on {topic!r} {wanted}, {problem}",
             requirement=requirement,
+            evidence=shown(entries),
+        )
+    ]
+
+
+_LAST_ANSWER = {1: "PUBACK", 2: "PUBCOMP"}
+
+
+def acknowledged(entries: Entries, payload: bytes, *, received_ns: int) -> list[Finding]:
+    """Expect that the broker had acknowledged the message with these bytes, if its QoS has an acknowledgement.
+
+    Args:
+        entries: since the request of the call.
+        received_ns: monotonic; when the call was answered with success.
+    """
+    sent = [packet for packet in adapter_packets(entries, "PUBLISH", "in") if payload_of(packet) == payload]
+    if not any(packet["qos"] for packet in sent):
+        return []
+    wanted = {(_LAST_ANSWER.get(packet["qos"]), packet["connection"], packet.get("packet_id")) for packet in sent}
+    answers = [packet for packet in adapter_packets(entries, direction="out") if packet["t_ns"] <= received_ns]
+    if any((answer["kind"], answer["connection"], answer.get("packet_id")) in wanted for answer in answers):
+        return []
+    return [
+        Finding(
+            code="not_acknowledged",
+            message=f"the broker should have acknowledged {payload[:80]!r} with QoS {sent[0]['qos']} before the reply says success, "
+            "it had not",
+            requirement="MQT-001",
             evidence=shown(entries),
         )
     ]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Literal
 
 from ...core.finding import Finding
 from ...core.strict_json import same_json
@@ -18,7 +18,7 @@ from ..session_oracle import SessionOracle
 from .entries import MqttEntry, adapter_packets, as_mqtt, payload_of, shown
 from .sparkplug_decoder import DATA_TYPES, NAMESPACE, Topic, decode_message, decode_payload, parse_topic
 
-__all__ = ["SparkplugSequence", "commanded_once", "ddata_metric", "kept_or_executed"]
+__all__ = ["SparkplugSequence", "broken_rule", "commanded_once", "ddata_metric", "kept_or_executed", "reported"]
 
 _BD_SEQ = "bdSeq"
 _REBIRTH = "Node Control/Rebirth"
@@ -90,6 +90,78 @@ def _ddata_problem(found: list[Mapping[str, Any]], declared: Declared, name: str
     single = struct.unpack("<f", struct.pack("<f", value))[0]
     if metric["value"] != value and (datatype == _DOUBLE or metric["value"] != single):
         return f"its value is {metric['value']!r}"
+    return None
+
+
+def broken_rule(
+    requirement: str, message: str, entries: Entries = (), *, strength: Literal["MUST", "SHOULD"] = "MUST"
+) -> Finding:
+    """Return the finding for a rule of Sparkplug that several packets together have broken.
+
+    Args:
+        entries: what is shown of the journal.
+    """
+    evidence = shown(entries) if entries else None
+    return Finding(code="sparkplug", message=message, requirement=requirement, evidence=evidence, strength=strength)
+
+
+def reported(
+    entries: Entries,
+    *,
+    kind: str,
+    device: str,
+    metrics: Sequence[Mapping[str, Any]],
+    births: Entries,
+    requirement: str = "SPB-001",
+) -> list[Finding]:
+    """Expect that the adapter published metrics of a device, each with the type and the value that were asked for.
+
+    Args:
+        kind: ``DBIRTH`` or ``DDATA``; births may be repeated, then the last one counts.
+        metrics: each with ``name``, ``datatype`` and ``value``; None is null.
+        births: journal in which the device's DBIRTH is found, for metrics that are sent by alias only.
+    """
+    found = [
+        message
+        for _, message in _messages(entries, None)
+        if "error" in message or (message["type"] == kind and message["device"] == device)
+    ]
+    declared: Declared = {}
+    for _, message in _messages(births, None):
+        if message.get("type") == "DBIRTH" and message["device"] == device:
+            declared = _declared(message)
+    problem = _report_problem(found, kind, metrics, declared)
+    if problem is None:
+        return []
+    return [
+        Finding(
+            code="wrong_ddata",
+            message=f"the broker should have received one {kind} of {device} with the metrics that were asked for, {problem}",
+            requirement=requirement,
+            evidence=shown(entries),
+        )
+    ]
+
+
+def _report_problem(
+    found: Sequence[Mapping[str, Any]], kind: str, metrics: Sequence[Mapping[str, Any]], declared: Declared
+) -> str | None:
+    if broken := [message["error"] for message in found if "error" in message]:
+        return f"a payload does not decode: {broken[0]}"
+    if not found or (kind == "DDATA" and len(found) > 1):
+        return f"it received {len(found)}"
+    sent = {metric["name"] or declared.get(metric["alias"], (None, None))[0]: metric for metric in found[-1]["metrics"]}
+    for wanted in metrics:
+        metric = sent.get(wanted["name"])
+        if metric is None:
+            return f"it has no {wanted['name']}"
+        # tck-id-payloads-metric-datatype-req: births have the type of every metric.
+        if kind == "DBIRTH" and not metric["datatype"]:
+            return f"{wanted['name']} has no data type"
+        if (problem := _metric_problem(metric, wanted)) is not None:
+            return problem
+        if wanted["value"] is None and not metric["is_null"]:
+            return f"{wanted['name']} should be null, it has no value and is not marked so"
     return None
 
 

@@ -19,6 +19,7 @@ from pytest_otmcp.reference_adapters.mqtt.edge_node import EdgeNode, Life
 from pytest_otmcp.reference_adapters.mqtt.link import Link
 from pytest_otmcp.reference_adapters.mqtt.payload import Metric
 from pytest_otmcp.reference_adapters.mqtt.tools import Tools
+from pytest_otmcp.reference_adapters.mqtt.tools import _payload as payload_of
 from pytest_otmcp.reference_adapters.mqtt.topics import check_name
 
 from tests.soundness.defective import Handler, wrap
@@ -120,20 +121,11 @@ def node_data_of_its_own(server: AdapterServer) -> None:
     link = link_of(server)
     node = link.edge_node
     birth = server._tools["publish_node_birth"]
-    declared = [False]
 
     def born_before(genuine: Handler) -> Handler:
         async def handler(call: Call, arguments: Any) -> Any:
             if not node.alive:
-                await birth.handler(call, birth.model(metrics=[{"name": "uptime", "datatype": "Int64", "value": 0}]))
-                declared[0] = True
-            return await genuine(call, arguments)
-
-        return handler
-
-    def born_with_other_metrics(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Any:
-            declared[0] = False
+                await server._tools["publish_node_birth"].handler(call, birth.model(metrics=[]))
             return await genuine(call, arguments)
 
         return handler
@@ -141,12 +133,19 @@ def node_data_of_its_own(server: AdapterServer) -> None:
     async def report() -> None:
         await asyncio.sleep(0.1)
         async with link.publishing:
-            if link.connected and node.alive and declared[0]:
+            if link.connected and node.alive:
                 with suppress(ConnectionLostError):
                     link._connection.send(node.numbered("NDATA", None, [UPTIME]))
 
+    def declaring_uptime(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Any:
+            (uptime,) = birth.model(metrics=[{"name": "uptime", "datatype": "Int64", "value": 0}]).metrics
+            return await genuine(call, arguments.model_copy(update={"metrics": [*arguments.metrics, uptime]}))
+
+        return handler
+
+    wrap(server, "publish_node_birth", declaring_uptime)
     wrap(server, "publish_device_birth", born_before)
-    wrap(server, "publish_node_birth", born_with_other_metrics)
     in_background(server, report)
 
 
@@ -401,24 +400,24 @@ class Publisher:
         self._packet_id = 0
         self._alone = asyncio.Lock()
 
-    async def publish(self, call: Call, topic: str, payload: bytes) -> None:
+    async def publish(self, call: Call, topic: str, payload: bytes, *, retain: bool) -> None:
         async with self._alone:
             self._packet_id = self._packet_id % 65535 + 1
             reader, writer = await self._connect()
             call.sending()
             # The connection breaks before the acknowledgement is there.
-            writer.write(self._message(topic, payload, dup=False))
+            writer.write(self._message(topic, payload, retain=retain, dup=False))
             writer.close()
             reader, writer = await self._connect()
             call.sending()
-            writer.write(self._message(topic, payload, dup=True))
+            writer.write(self._message(topic, payload, retain=retain, dup=True))
             try:
                 await reader.readexactly(4)
             except (OSError, asyncio.IncompleteReadError):
-                raise AdapterError("connection_lost", "the connection broke; the broker may have the message") from None
+                raise AdapterError("connection_lost", "the connection broke again") from None
             writer.write(b"\xe0\x00")
             writer.close()
-            call.trace.update(topic=topic, qos=1, retain=False)
+            call.trace.update(topic=topic, qos=1, retain=retain)
             call.answered(packet_id=self._packet_id, delivery="acknowledged")
 
     async def _connect(self) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
@@ -432,11 +431,19 @@ class Publisher:
             raise AdapterError("connect_failed", "no connection to the broker", outcome="not_sent") from None
         return reader, writer
 
-    def _message(self, topic: str, payload: bytes, *, dup: bool) -> bytes:
+    def _message(self, topic: str, payload: bytes, *, retain: bool, dup: bool) -> bytes:
         name = topic.encode()
         body = struct.pack(">H", len(name)) + name + struct.pack(">H", self._packet_id) + payload
-        assert len(body) < 128
-        return bytes((0x32 | (8 if dup else 0), len(body))) + body
+        return bytes((0x32 | (8 if dup else 0) | retain,)) + remaining_length(len(body)) + body
+
+
+def remaining_length(length: int) -> bytes:
+    """Encode a Remaining Length (MQTT 3.1.1, section 2.2.3)."""
+    encoded = bytearray()
+    while length >= 128:
+        encoded.append(length % 128 | 128)
+        length //= 128
+    return bytes((*encoded, length))
 
 
 @choice(
@@ -451,12 +458,12 @@ def delivers_again_with_dup(server: AdapterServer) -> None:
     def outgoing(genuine: Handler) -> Handler:
         async def handler(call: Call, arguments: Any) -> Any:
             check_name(arguments.topic)
-            payload = arguments.payload.encode()
-            await publisher.publish(call, arguments.topic, payload)
+            payload = payload_of(arguments.payload, arguments.encoding)
+            await publisher.publish(call, arguments.topic, payload, retain=arguments.retain)
             return {
                 "topic": arguments.topic,
                 "qos": 1,
-                "retain": False,
+                "retain": arguments.retain,
                 "payload_bytes": len(payload),
                 "delivery": "acknowledged",
             }
