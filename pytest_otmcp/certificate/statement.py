@@ -110,7 +110,7 @@ def awarded(run: Run) -> dict[str, object]:
     rows = catalogue()
     found = standings(rows, run["items"], sorted(run["subject"]["adapters"]))
     return {
-        "awarded": {one.protocol: one.level for one in found},
+        "awarded": {one.protocol: None if one.level is None else one.level.value for one in found},
         "why": " ".join(f"{said(one)}." for one in found),
         "next": {one.protocol: shown(one, rows) for one in found},
     }

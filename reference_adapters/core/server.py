@@ -35,7 +35,7 @@ __all__ = ["AdapterServer"]
 
 log = logging.getLogger(__name__)
 
-MOST_CALLS = 64
+MOST_CALLS = 200
 """Calls of tools at the same time. More would only wait for the device until their deadline, and an assistant that is not told
 so goes on calling."""
 RETRY_AFTER_MS = 1000

@@ -112,7 +112,7 @@ SENTENCES = (
     "otmcp_session('modbuss'): there is no protocol 'modbuss'; did you mean 'modbus'?",
     "otmcp_session('opcua'): a vendor's adapter has no adapter for OPC UA, only for Modbus; add [adapter.opcua] to ",
     "otmcp_session('modbus'): there is no variant 'readonly'",
-    "session of modbus: write_holding takes address, value; given: address",
+    "session of modbus: write_holding takes address, value, unit; given: address",
     "session of modbus: it was closed",
     "otmcp_modbus_device.image(): the device is stopped; start() it first",
     "otmcp_session('modbus'): the device is stopped; start() it first",

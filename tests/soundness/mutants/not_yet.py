@@ -57,6 +57,7 @@ NOT_YET: Mapping[str, Mapping[str, str]] = {
         "MU-106": "An approval holds twice.",
         "MU-110": "The switch against all writes is read once.",
     },
+    "J": {},
     "K": {"MU-29c": "A publish that failed is made up for 20 seconds later."},
 }
 """Group to id to what such an adapter does. Other variants of the same defect may be noticed."""
