@@ -80,7 +80,10 @@ async def each_read_of_registers_gets_its_own(run: Repetition, modbus: Rig) -> N
         await modbus.fault()
         for reply, value in zip(replies, values, strict=True):
             _has_its_own(run, reply, count, "values", [value])
-    run.witnessed(_transactions(await modbus.journal()))
+    journal = await modbus.journal()
+    # Where answers were given to other calls, how many requests wait says nothing more.
+    if not run.ledger.failed:
+        run.witnessed(_transactions(journal))
 
 
 def _transactions(entries: Entries) -> list[Finding]:
