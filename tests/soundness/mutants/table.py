@@ -5,7 +5,7 @@ from __future__ import annotations
 from . import any_protocol, areas, claims, life, modbus, mqtt, opcua, refusals, sparkplug
 from .mutant import Mutant, number
 
-__all__ = ["MUTANTS"]
+__all__ = ["MUTANTS", "REPRESENTATIVE"]
 
 _ALL = (
     *modbus.MUTANTS,
@@ -23,3 +23,21 @@ MUTANTS: dict[str, Mutant] = {mutant.id: mutant for mutant in sorted(_ALL, key=l
 """In the order of the catalogue."""
 
 assert len(MUTANTS) == len(_ALL), "an id is there twice"
+
+
+def _first_of_their_kind() -> frozenset[str]:
+    """Return the ids of the first defects that the requirement suite notices for each row and each defect of the catalogue."""
+    seen: set[str] = set()
+    found = []
+    for mutant in MUTANTS.values():
+        if not mutant.areas:
+            continue
+        kinds = {mutant.catalogue_id, *(name.partition(".")[0] for name in mutant.items.split())}
+        if not kinds <= seen:
+            found.append(mutant.id)
+        seen |= kinds
+    return frozenset(found)
+
+
+REPRESENTATIVE = _first_of_their_kind()
+"""Defects of the requirement suite that are run with the long tests: for each row and each defect of the catalogue one at least."""

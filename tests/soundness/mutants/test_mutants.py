@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
@@ -16,14 +17,24 @@ from tests.soundness.document import DOCUMENT, with_section
 from .mutant import Mutant, catalogue_id
 from .not_yet import GROUPS, NOT_YET, TOTAL
 from .section import section
-from .table import MUTANTS
+from .table import MUTANTS, REPRESENTATIVE
 
 PROGRAM = Path(__file__).parent / "program.py"
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(mutant.id, marks=() if mutant.quick else pytest.mark.long) for mutant in MUTANTS.values()]
-)
+WHOLE_MATRIX = "OTMCP_WHOLE_MATRIX" in os.environ
+
+
+def marks(mutant: Mutant) -> list[pytest.MarkDecorator]:
+    """Return what decides when a defect is run."""
+    if mutant.quick:
+        return []
+    if not mutant.areas or mutant.id in REPRESENTATIVE or WHOLE_MATRIX:
+        return [pytest.mark.long]
+    return [pytest.mark.long, pytest.mark.skip("OTMCP_WHOLE_MATRIX=1 runs every variant of a defect")]
+
+
+@pytest.mark.parametrize("name", [pytest.param(mutant.id, marks=marks(mutant)) for mutant in MUTANTS.values()])
 def test_a_defect_fails_exactly_its_items_for_exactly_its_requirements(judge: Judge, name: str) -> None:
     mutant = MUTANTS[name]
     tasks = " ".join(task.id for task in all_tasks().values() if _is_run(task, mutant))
