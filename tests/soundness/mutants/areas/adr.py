@@ -182,8 +182,8 @@ MUTANTS: tuple[Mutant, ...] = (
         protocol="mqtt",
         sentence="A quality of service is taken modulo 3.",
         bend=qos_modulo_3,
-        items="ADR-002.mqtt",
-        requirements="ADR-002",
+        items="ADR-002.mqtt ADR-007.mqtt",
+        requirements="ADR-002 ADR-007",
         areas="adr",
     ),
     Mutant(

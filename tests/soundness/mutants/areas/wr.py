@@ -268,7 +268,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "A Write succeeds, and nothing is sent.",
         node_not_written,
         "WR-001.opcua WR-002.opcua WR-003.opcua WR-004.opcua WR-005.opcua WR-010.opcua",
-        "OUA-001 WR-001",
+        "OUA-001 WR-001 WR-012",
     ),
     _mutant(
         "MU-15w",
