@@ -135,7 +135,7 @@ def _adapter(protocol: str, facts: AdapterFacts, run: Run, tasks: Tasks) -> dict
         elif applying:
             # These items have all passed; otherwise there would be no certificate.
             earned[name] = [item["id"] for item in applying]
-        else:
+        elif not protocols()[protocol].is_voluntary(name):
             not_exercised.append(name)
     revision = str(facts["protocol_version"])
     return {

@@ -105,7 +105,7 @@ def _exact_counts(run: Run) -> list[str]:
     suites = {suite: _items(run, suite) for suite in BENCHMARK}
     samples = {suite: sum(len(item["samples"]) for item in items) for suite, items in suites.items()}
     calls = {suite: len(task_calls(items)) for suite, items in suites.items()}
-    every = count_calls(run["items"])
+    every = count_calls([item for item in run["items"] if item["suite"] in BENCHMARK])
     sessions = adapters(run)
     macros = {
         "totalNormalRuns": samples["normal"],

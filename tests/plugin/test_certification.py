@@ -16,6 +16,7 @@ import pytest
 from pytest_otmcp import cli
 from pytest_otmcp.certificate.eligibility import objections
 from pytest_otmcp.certificate.statement import certificate
+from pytest_otmcp.core.matrix import BENCHMARK, REQUIREMENTS, SUITES
 from pytest_otmcp.record import RecordError, load
 from pytest_otmcp.suite.catalogue import tasks_by_id
 from tests.examined import verify
@@ -86,13 +87,19 @@ def pair(out: Path, tmp_path: Path) -> tuple[Path, Path]:
 
 
 def test_a_certificate_is_written_whatever_the_directory_holds(out: Path, told: str) -> None:
-    assert "VERDICT: CONFORMANT (38 of 38 items applied, 870/870 runs passed)" in told
+    items, checks = len(tasks_by_id(suites=SUITES)), len(tasks_by_id(suites=[REQUIREMENTS]))
+    runs = 870 + checks
+    assert f"VERDICT: CONFORMANT ({items} of {items} items applied, {runs}/{runs} runs passed)" in told
     assert "modbus: earned guard, recovery, ping, " in told
-    assert "no level is awarded" in told
+    for protocol in ("Modbus", "MQTT", "OPC UA"):
+        assert f"level: {protocol}: Silver; Gold cannot be earned yet" in told
     record, predicate = load(out / "run.json"), json.loads((out / "certificate.json").read_text())["predicate"]
     assert record["settings"]["narrowed"] == []
-    assert sorted(predicate["passedTests"]) == sorted(tasks_by_id())
-    assert predicate["otmcp"]["counts"]["total"] == {"items": 38, "passed": 870, "planned": 870}
+    assert sorted(predicate["passedTests"]) == sorted(tasks_by_id(suites=SUITES))
+    assert predicate["otmcp"]["counts"]["total"] == {"items": items, "passed": runs, "planned": runs}
+    suites = predicate["otmcp"]["counts"]["suites"]
+    assert sum(suites[name]["passed"] for name in BENCHMARK) == 870
+    assert r"\newcommand{\totalToolCalls}{2820}" in (out / "tables" / "exact_counts.tex").read_text()
     assert set(predicate["otmcp"]["adapters"]) == {"modbus", "mqtt", "opcua"}
 
 
@@ -106,18 +113,17 @@ def test_the_values_of_two_certifications_differ(out: Path) -> None:
 
 
 def test_the_badge_says_what_was_certified(out: Path) -> None:
-    assert (
-        json.loads((out / "badge.json").read_text())["message"]
-        == "conformant: Modbus, MQTT, OPC UA (38 of 38 items applied)"
-    )
+    message = json.loads((out / "badge.json").read_text())["message"]
+    assert message.startswith("conformant: Modbus Silver, MQTT Silver, OPC UA Silver (")
     assert ElementTree.parse(out / "badge.svg").getroot().tag.endswith("svg")
 
 
 def test_the_certificate_is_verified_by_judging_its_history_again(pair: tuple[Path, Path], tmp_path: Path) -> None:
     done = otmcp("verify", *map(str, pair), cwd=tmp_path)
     assert done.returncode == 0, done.stderr
+    items, runs = len(tasks_by_id(suites=SUITES)), 870 + len(tasks_by_id(suites=[REQUIREMENTS]))
     assert (
-        "is CONFORMANT; 38 of 38 items applied, 870 of 870 repetitions passed, and judging them again found the same"
+        f"is CONFORMANT; {items} of {items} items applied, {runs} of {runs} repetitions passed, and judging them again found the same"
         in done.stdout
     )
     assert "not signed" in done.stdout
@@ -142,8 +148,8 @@ def test_a_record_that_was_edited_is_refused(pair: tuple[Path, Path]) -> None:
 
 
 def test_a_certificate_that_was_edited_is_refused(pair: tuple[Path, Path]) -> None:
-    pair[0].write_text(pair[0].read_text().replace('"awarded": null', '"awarded": "Gold"'))
-    assert "predicate.otmcp.level.awarded is 'Gold', from the run follows None" in refused(pair)
+    pair[0].write_text(pair[0].read_text().replace('"modbus": "silver"', '"modbus": "gold"'))
+    assert "predicate.otmcp.level.awarded.modbus is 'gold', from the run follows 'silver'" in refused(pair)
 
 
 # -- signatures -----------------------------------------------------------------------------------------------------------
