@@ -114,18 +114,16 @@ def test_a_claimed_facet_that_no_applying_item_needs_is_not_earned() -> None:
     assert "publish" in facets["earned"]
 
 
-def test_of_what_is_claimed_by_a_binding_only_what_is_bound_is_mentioned() -> None:
+def test_of_what_is_claimed_by_a_binding_only_what_a_check_needs_is_mentioned() -> None:
     def mentioned(facts: AdapterFacts) -> set[str]:
         facets = told(certificate(conformant_run({"mqtt": facts}), FILE, TASKS))["adapters"]["mqtt"]["facets"]
         return {*facets["earned"], *facets["claimed_not_exercised"], *facets["not_claimed"]}
 
     silent = adapter("acme-mqtt", "2026-07-28")
     without = mentioned(silent)
-    assert not without & {"unsubscribe", "publish.retain"}
-    assert mentioned({**silent, "offered": ["unsubscribe", "publish.retain"]}) == without | {
-        "unsubscribe",
-        "publish.retain",
-    }
+    assert not without & {"sparkplug_nodes", "publish.retain"}
+    # A check names the operations that it needs; inputs that it gives besides are not listed.
+    assert mentioned({**silent, "offered": ["sparkplug_nodes", "publish.retain"]}) == without | {"sparkplug_nodes"}
 
 
 def test_messages_can_be_received_without_subscribing_by_a_call_that_waits_for_them() -> None:
