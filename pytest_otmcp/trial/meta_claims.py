@@ -122,8 +122,13 @@ def _attempts(
         )
 
 
+_MAYBE_UNREAD = frozenset({"connect_failed", "connection_lost", "timeout", "protocol_error"})
+"""Failures of a connection: the device may have ended it before it read the request that the trace is about, and may have seen
+others of the same call, such as subscriptions that were made anew."""
+
+
 def _trace(call: Judged, trace: object, seen: Entries, protocol: OtProtocol) -> Iterator[Finding]:
-    if not isinstance(trace, Mapping) or protocol.facts is None:
+    if not isinstance(trace, Mapping) or protocol.facts is None or call.reply.error_code in _MAYBE_UNREAD:
         return
     known = _facts(seen, protocol.facts)
     for name, wire in known.items():
