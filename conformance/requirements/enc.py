@@ -558,8 +558,7 @@ async def times_of_nodes_are_utc(run: Repetition, opcua: Rig) -> None:
     """
     _, reply = await read(run, opcua)
     run.succeeds(reply, requirement="ENC-007")
-    meta = (reply.envelope or {}).get("meta")
-    started = _instant(meta.get("started_at") if isinstance(meta, dict) else None)
+    started = _instant(reply.member("meta", "started_at"))
     for name in ("source_timestamp", "server_timestamp"):
         if name in reply.outputs:
             stated = _instant(reply.outputs[name])

@@ -21,9 +21,8 @@ from .provoked import (
     needs_envelopes,
     refused_by_the_adapter,
     refused_by_the_device,
-    works_again,
 )
-from .steps import CONNECTION_FAULTS, a_read_works, a_write_works, exercise, read, write
+from .steps import CONNECTION_FAULTS, a_read_works, a_write_works, answers_again, exercise, read, write
 
 __all__ = ["TASKS"]
 
@@ -175,7 +174,7 @@ async def _interrupted_read(run: Repetition, at: Rig) -> None:
             _wrong(run, reply, "attempts", message, "ENV-005")
     else:
         run.fails(reply, *CONNECTION_FAULTS, requirement="ERR-005")
-    await works_again(run, at)
+    await answers_again(run, at)
 
 
 async def _reset_by(at: Rig, reply: Reply) -> bool:
@@ -259,7 +258,7 @@ async def the_source_is_told(run: Repetition, at: Rig) -> None:
     # An adapter may get at its data in another way, by which the device can still be reached.
     if await met(at, gone):
         run.fails(gone, *CONNECTION_FAULTS, requirement="ENV-008", code_requirement="ERR-005")
-    await works_again(run, at)
+    await answers_again(run, at)
 
 
 async def _one_shape(run: Repetition, at: Rig) -> None:
@@ -275,7 +274,7 @@ async def _one_shape(run: Repetition, at: Rig) -> None:
 
 
 def _meta(reply: Reply) -> Mapping[str, object]:
-    meta = (reply.envelope or {}).get("meta")
+    meta = reply.member("meta")
     return meta if isinstance(meta, Mapping) else {}
 
 

@@ -19,7 +19,6 @@ from .provoked import (
     met,
     refused_by_the_adapter,
     refused_by_the_device,
-    works_again,
     wrongly_asked,
 )
 from .steps import (
@@ -28,6 +27,7 @@ from .steps import (
     QUIET_S,
     a_read_works,
     a_write_works,
+    answers_again,
     exercise,
     nothing_arrived,
     read,
@@ -134,7 +134,7 @@ async def status_codes_have_their_code(run: Repetition, opcua: Rig) -> None:
                 rules = [{"service": service, "action": {action: symbol}}]
                 trace = {} if code.value is None else {"status_code": {"value": code.value}}
                 await _has_code(run, opcua, rules, step, code, trace, "ERR-003")
-    await works_again(run, opcua)
+    await answers_again(run, opcua)
     await a_write_works(run, opcua)
 
 
@@ -177,7 +177,7 @@ async def refusals_have_their_code(run: Repetition, mqtt: Rig) -> None:
     await a_read_works(run, mqtt)
     # The version is in the CONNECT of the connection that is made now.
     await mqtt.poke(disconnect={"client_id": None, "reason_code": _SHUTTING_DOWN})
-    await works_again(run, mqtt)
+    await answers_again(run, mqtt)
     modern = await _speaks_mqtt_5(mqtt)
     known = wire_codes("pytest_otmcp.protocols.mqtt")
     refused = WireCode(
@@ -212,7 +212,7 @@ async def _refused_client(run: Repetition, mqtt: Rig, code: WireCode) -> None:
     # An adapter that waits before it connects again was not refused during this call.
     codes = code.codes if told else (*code.codes, "connect_failed", "connection_lost")
     run.fails(reply, *codes, requirement="ERR-004")
-    await works_again(run, mqtt)
+    await answers_again(run, mqtt)
 
 
 # -- the connection ---------------------------------------------------------------------------------------------------
@@ -235,7 +235,7 @@ async def connections_fail_in_three_ways(run: Repetition, at: Rig) -> None:
         # Some find out only when their time is over.
         run.fails(reset, "connection_lost", "timeout", outcome="unknown", requirement="ERR-005")
         codes.append(reset.error_code)
-    await works_again(run, at)
+    await answers_again(run, at)
     await at.poke(network="black_hole")
     _, silent = await read(run, at)
     await at.poke(network="open")
@@ -243,7 +243,7 @@ async def connections_fail_in_three_ways(run: Repetition, at: Rig) -> None:
     made = any(entry["kind"] == "CONNECTED" for entry in silent.during(await at.journal()))
     run.fails(silent, "timeout", "connection_lost", *(["connect_failed"] if made else []), requirement="ERR-005")
     codes.append(silent.error_code)
-    await works_again(run, at)
+    await answers_again(run, at)
     if at.reconnects:
         codes.append(await _refused_connection(run, at))
     known = [code for code in codes if code in registry()]
@@ -261,7 +261,7 @@ async def _refused_connection(run: Repetition, at: Rig) -> str | None:
     refused = await at.call(asked.operation, **asked.inputs)
     run.fails(refused, "connect_failed", requirement="ERR-005")
     await at.start_device()
-    await works_again(run, at)
+    await answers_again(run, at)
     return refused.error_code
 
 
@@ -293,7 +293,7 @@ async def outcomes_are_true(run: Repetition, at: Rig, guarded: Rig) -> None:
     await at.fault()
     if not lost.success:
         run.fails(lost, *CONNECTION_FAULTS, outcome=("unknown", "applied"), requirement="ERR-005")
-    await works_again(run, at)
+    await answers_again(run, at)
     await _away(run, at)
     await a_write_works(run, at)
 
@@ -308,7 +308,7 @@ async def _away(run: Repetition, at: Rig) -> None:
         away, *CONNECTION_FAULTS, outcome=("not_sent", "unknown"), requirement="ERR-006", code_requirement="ERR-005"
     )
     await at.start_device()
-    await works_again(run, at)
+    await answers_again(run, at)
     await at.watch(QUIET_S)
     run.witnessed(nothing_arrived(at, _since(await at.journal(), away), requirement="ERR-006"))
 
@@ -337,7 +337,7 @@ async def validation_comes_first(run: Repetition, at: Rig) -> None:
         await at.start_device()
         if gone is not None and there.success is False:
             run.fails(gone, str(there.error_code), outcome=NOTHING_SENT, requirement="ERR-007")
-        await works_again(run, at)
+        await answers_again(run, at)
 
 
 # -- several items ----------------------------------------------------------------------------------------------------
@@ -367,7 +367,7 @@ async def items_fail_alone(run: Repetition, opcua: Rig) -> None:
     # Who looks at the nodes before reading any may refuse the whole.
     run.fails(mixed, "partial_failure", "illegal_address", "invalid_input", requirement="ERR-008")
     if opcua.native and mixed.error_code == "partial_failure":
-        partial = ((mixed.envelope or {}).get("data") or {}).get("partial")  # type: ignore[attr-defined]
+        partial = mixed.member("data", "partial")
         lost = [value for value in values if not _holds(partial, value)]
         if lost:
             message = f"{mixed.label}: data.partial should hold the values that could be read, it lacks {lost}"

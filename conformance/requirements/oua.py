@@ -41,12 +41,11 @@ _METHODS = "ns=2;s=Methods"
 
 def _everything(reply: Reply) -> list[object]:
     """Return all values of an answer."""
-    return list(leaves([reply.outputs, (reply.envelope or {}).get("data")]))
+    return list(leaves([reply.outputs, reply.member("data")]))
 
 
 def _truncated(reply: Reply) -> bool:
-    meta = (reply.envelope or {}).get("meta")
-    return isinstance(meta, Mapping) and bool(meta.get("truncated"))
+    return bool(reply.member("meta", "truncated"))
 
 
 def _wrong(reply: Reply, requirement: str, expected: str, found: object) -> Finding:
@@ -300,7 +299,7 @@ async def arrays_keep_their_shape(run: Repetition, opcua: Rig) -> None:
 def _told_shape(reply: Reply, value: Any) -> list[Finding]:
     found = reply.outputs["value"]
     matrix = isinstance(value, list) and isinstance(value[0], list)
-    flat = matrix and same_json(found, list(leaves(value))) and _has((reply.envelope or {}).get("data"), [2, 3])
+    flat = matrix and same_json(found, list(leaves(value))) and _has(reply.member("data"), [2, 3])
     if same_json(found, value) or flat or (_truncated(reply) and isinstance(found, list)):
         return []
     return [_wrong(reply, "OUA-004", repr(value), found)]

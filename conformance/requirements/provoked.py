@@ -10,7 +10,7 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
-from .steps import CONNECTION_FAULTS, a_read_works, a_write_works, exercise, read, write
+from .steps import CONNECTION_FAULTS, a_read_works, a_write_works, answers_again, exercise, read, write
 
 __all__ = [
     "UNKNOWN_ARGUMENT",
@@ -22,7 +22,6 @@ __all__ = [
     "needs_envelopes",
     "refused_by_the_adapter",
     "refused_by_the_device",
-    "works_again",
     "wrongly_asked",
 ]
 
@@ -84,21 +83,8 @@ async def broken(run: Repetition, at: Rig, *, requirement: str) -> Reply:
     await at.fault()
     if not reply.success:
         run.fails(reply, *CONNECTION_FAULTS, requirement=requirement)
-    await works_again(run, at)
+    await answers_again(run, at)
     return reply
-
-
-async def works_again(run: Repetition, at: Rig) -> None:
-    """Read until the adapter has its connection back, in a fresh session where it does not claim to connect again by itself."""
-    if not (at.claims("recovery") and at.reconnects):
-        await at.fresh_session()
-        await a_read_works(run, at)
-        return
-    asked = exercise(at).read(run.rng)
-    for poke in asked.pokes:
-        await at.poke(**poke)
-    replies = await at.call_until_success(asked.operation, window_s=at.recovery_s, from_first_call=True, **asked.inputs)
-    run.succeeds(replies[-1], requirement="REC-001", **asked.outputs)
 
 
 async def every_kind(run: Repetition, at: Rig, *, requirement: str) -> Sequence[Reply]:

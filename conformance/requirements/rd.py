@@ -353,8 +353,7 @@ async def _limit(run: Repetition, modbus: Rig, operation: str, address: int, cou
     read = exact_or_refused(run, reply, *REFUSED, requirement="RD-007", values=values)
     seen = reply.during(await modbus.journal())
     run.witnessed(oracle.within_limits(seen))
-    meta = (reply.envelope or {}).get("meta")
-    stated = meta.get("atomic") if isinstance(meta, dict) and reply.native else False
+    stated = reply.member("meta", "atomic") if reply.native else False
     whole = oracle.in_one_request(seen, function=TABLES[operation][1], address=address, count=count)
     if read and not whole and stated is not False:
         message = f"{reply.label}: several requests read it, so meta.atomic should be false, it is {stated!r}"

@@ -8,12 +8,10 @@ from collections.abc import Mapping, Sequence
 from statistics import median
 
 from pytest_otmcp.core.finding import Finding
-from pytest_otmcp.record.schema import Footprint
-from pytest_otmcp.subject.answers import UNCLASSIFIED
 from pytest_otmcp.trial.check import Checks
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
-from pytest_otmcp.trial.rig import Rig
+from pytest_otmcp.trial.rig import Footprint, Rig
 
 from .steps import a_read_works, answers_again, exercise, faulty, read
 
@@ -283,4 +281,4 @@ async def overload_is_refused(run: Repetition, at: Rig) -> None:
 
 def _is_refusal(reply: Reply) -> bool:
     """Tell whether a call was refused for there being too many; an adapter without classes of errors only says that it failed."""
-    return reply.error_code in (*_REFUSALS, UNCLASSIFIED)
+    return reply.unclassified or reply.error_code in _REFUSALS

@@ -13,7 +13,7 @@ from typing import Any
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.journal import Entries
 from pytest_otmcp.protocols.mqtt import oracle
-from pytest_otmcp.protocols.mqtt.entries import adapter_packets, describe, payload_of
+from pytest_otmcp.protocols.mqtt.entries import adapter_packets, as_mqtt, describe, payload_of
 from pytest_otmcp.protocols.mqtt.sparkplug_decoder import DATA_TYPES, decode_payload
 from pytest_otmcp.trial.check import Checks
 from pytest_otmcp.trial.repetition import Repetition
@@ -179,7 +179,7 @@ async def _decodes(run: Repetition, mqtt: Rig) -> None:
     if not sent:
         run.witnessed((await mqtt.follow(oracle.Subscriptions)).granted(topic, qos=None))
         return
-    reply = await mqtt.call("decode_sparkplug", payload=sent[-1]["payload"])  # type: ignore[typeddict-item]
+    reply = await mqtt.call("decode_sparkplug", payload=as_mqtt(sent[-1])["payload"])
     if run.succeeds(reply, requirement="SPB-001"):
         run.judge(reply, _told(reply, reply.outputs.get("metrics"), decode_payload(payload_of(sent[-1]))["metrics"]))
 
@@ -654,7 +654,7 @@ async def other_nodes_are_told_as_they_are(run: Repetition, mqtt: Rig) -> None:
     await mqtt.poke(edge_node={"offline": False})
     await _lists(run, mqtt, changed, alive=True)
     if deaths:
-        death = {"topic": f"spBv1.0/{_GROUP}/NDEATH/{_NODE}", "payload": deaths[-1]["payload"]}  # type: ignore[typeddict-item]
+        death = {"topic": f"spBv1.0/{_GROUP}/NDEATH/{_NODE}", "payload": as_mqtt(deaths[-1])["payload"]}
         await mqtt.poke(publish=death)
         await _lists(run, mqtt, changed, alive=True)
     await mqtt.poke(edge_node={"skip_seq": 3})

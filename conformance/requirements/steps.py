@@ -81,7 +81,10 @@ def since(reply: Reply, entries: Entries) -> Entries:
 
 
 async def answers_again(run: Repetition, at: Rig, *, requirement: str = "REC-001") -> None:
-    """Read until that succeeds, at most for as long as the subject declares: the faults of the device are over."""
+    """Read until that succeeds, at most for as long as the subject declares: the faults of the device are over. An adapter that does not
+    claim to connect again by itself gets a session of its own first."""
+    if not (at.claims("recovery") and at.reconnects):
+        await at.fresh_session()
     asked = exercise(at).read(run.rng)
     for poke in asked.pokes:
         await at.poke(**poke)

@@ -97,8 +97,7 @@ async def repetitions_are_bounded(run: Repetition, at: Rig) -> None:
 
 
 def _attempts(reply: Reply) -> int | None:
-    meta = (reply.envelope or {}).get("meta")
-    attempts = meta.get("attempts") if reply.native and isinstance(meta, dict) else None
+    attempts = reply.member("meta", "attempts") if reply.native else None
     return attempts if isinstance(attempts, int) else None
 
 

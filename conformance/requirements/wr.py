@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.journal import Entries, JournalEntry
@@ -476,8 +476,7 @@ async def _blocks(
 
 
 def _was_sent(reply: Reply) -> bool:
-    error = (reply.envelope or {}).get("error")
-    return reply.native and isinstance(error, Mapping) and error.get("outcome") == "rejected"
+    return reply.native and reply.member("error", "outcome") == "rejected"
 
 
 def _cells(run: Repetition, function: int, count: int) -> list[Any]:
@@ -590,7 +589,7 @@ async def bits_are_changed_in_one_step(run: Repetition, modbus: Rig) -> None:
         run.fails(reply, "unsupported_operation", outcome="not_sent", requirement="WR-011")
         run.witnessed(nothing_arrived(modbus, seen, requirement="WR-011"))
         return
-    changes = image["restless"][0]["changes"]  # type: ignore[index]
+    changes: int = cast(Any, image)["restless"][0]["changes"]
     expected = (start ^ moving if changes % 2 else start) | bit
     if [as_modbus(entry)["function"] for entry in seen] != [22]:
         run.finding(

@@ -43,6 +43,11 @@ class DeviceState:
     sessions: set[InternalSession] = field(default_factory=set)
     _held: list[Callable[[], None]] = field(default_factory=list)
 
+    @property
+    def held(self) -> int:
+        """Number of notifications that wait while the subscriptions are silent."""
+        return len(self._held)
+
     def notify(self, message: ua.NotificationMessage, send: Callable[[], None]) -> None:
         """Send a notification, or what the subscriptions make of it."""
         if self.subscriptions == "silent":

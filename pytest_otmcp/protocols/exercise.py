@@ -51,6 +51,7 @@ class Exercise:
         writing: name of the operation that writes.
         write: makes a call that changes one thing at the device, by one request.
         number: the input of the write that is a number of limited range; None where there is none.
+        bounded: inputs of the read and the write whose range the protocol itself limits.
         done: returns the requests among entries that ask the device for what a write asks for.
         reads, writes: the conditions of a fault plan that the requests of the read, or of the write, meet, in whichever way an
             adapter makes them.
@@ -64,6 +65,7 @@ class Exercise:
     writing: str
     write: Callable[[random.Random], Asked]
     number: str | None
+    bounded: tuple[str, ...]
     done: Callable[[Entries, Asked], list[JournalEntry]]
     reads: tuple[Rule, ...]
     writes: tuple[Rule, ...]

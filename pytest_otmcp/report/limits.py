@@ -27,7 +27,8 @@ def narrowed(run: Run) -> list[str]:
     noted = [sentence for sentence in settings.get("narrowed", ()) if "(--otmcp-" not in sentence]
     reasons += [f"{sentence[:1].upper()}{sentence[1:]}." for sentence in noted]
     reps = settings.get("reps", _FULL)
-    if reps < _FULL and (bound := lower_bound(reps, reps)) is not None:
+    benchmark = {*BENCHMARK} & {*settings.get("suites", BENCHMARK)}
+    if benchmark and reps < _FULL and (bound := lower_bound(reps, reps)) is not None:
         reasons.append(
             f"With N = {reps} instead of {_FULL}, an item that passes every time is shown to pass at least "
             f"{at_least(bound, '')} of the time, not more."

@@ -432,9 +432,7 @@ class Adapter:
 
     def facts(self) -> AdapterFacts:
         """Return what ``run.json`` says about the test of this adapter; its server's facts are added later."""
-        offered: dict[str, Any] = {"offered": list(self.offered)} if self.offered else {}
-        return {
-            **offered,  # type: ignore[typeddict-item]
+        facts: AdapterFacts = {
             "command": list(self.variants["rw"].command),
             "envelope": "native" if self.answering.native else "synthesised",
             "recovery": self.recovery,
@@ -456,6 +454,9 @@ class Adapter:
             "protocol_version": None,
             "tools": None,
         }
+        if self.offered:
+            facts["offered"] = list(self.offered)
+        return facts
 
     def missing_inputs(self) -> set[str]:
         """Return the optional inputs that no binding has a place for, such as ``subscribe.qos``."""

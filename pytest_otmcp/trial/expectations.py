@@ -12,7 +12,6 @@ from ..core.error_registry import registry
 from ..core.finding import Finding
 from ..core.strict_json import same_json
 from ..protocols.registry import protocols
-from ..subject.answers import UNCLASSIFIED
 from .reply import Reply
 
 __all__ = ["failed", "succeeded"]
@@ -95,7 +94,7 @@ def failed(
     envelope = reply.envelope or {}
     error = envelope.get("error")
     # An envelope's error that is no object, or has no code of the registry, has been reported as such.
-    comparable = _is_known(reply.error_code) if reply.native else reply.error_code != UNCLASSIFIED
+    comparable = _is_known(reply.error_code) if reply.native else not reply.unclassified
     if reply.error_code not in codes and comparable:
         findings.append(
             Finding(

@@ -12,7 +12,7 @@ from ..protocols.envelope import check_result
 from ..protocols.journal import Entries, JournalEntry
 from ..protocols.registry import protocols
 from ..session.exchange import CANCELLED, Exchange
-from ..subject.answers import extract, interpret, read_answer, synthesised, synthesised_from_outputs
+from ..subject.answers import UNCLASSIFIED, extract, interpret, read_answer, synthesised, synthesised_from_outputs
 from ..subject.model import Answering, OutputRule
 
 __all__ = ["Expectation", "Reply", "observe", "replace_outputs"]
@@ -95,11 +95,23 @@ class Reply:
         return value if isinstance(value, bool) else None
 
     @property
+    def unclassified(self) -> bool:
+        """The call failed, and neither the adapter nor the subject file says of which class the failure is."""
+        return self.error_code == UNCLASSIFIED
+
+    @property
     def error_code(self) -> str | None:
         """The envelope's ``error.code``, or None."""
         error = (self.envelope or {}).get("error")
         code = error.get("code") if isinstance(error, dict) else None
         return code if isinstance(code, str) else None
+
+    def member(self, *path: str) -> object:
+        """Return a member of a member of the envelope; None where there is none, whatever the adapter has put in its place."""
+        value: object = self.envelope
+        for name in path:
+            value = value.get(name) if isinstance(value, dict) else None
+        return value
 
     def during(self, entries: Entries) -> list[JournalEntry]:
         """Return those entries of a journal that were made between the request and the reply."""

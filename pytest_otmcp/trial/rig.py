@@ -24,7 +24,7 @@ from .ledger import Entry, Ledger
 from .reply import Reply
 from .write_gate import EndedError, WriteGate
 
-__all__ = ["EndedError", "Entry", "FreshSession", "Rig", "adapter_name"]
+__all__ = ["EndedError", "Entry", "Footprint", "FreshSession", "Rig", "adapter_name"]
 
 T = TypeVar("T")
 

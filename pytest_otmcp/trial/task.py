@@ -151,7 +151,7 @@ class Tasks(list[Task]):
             id, suite, title, position: see :class:`Task`.
             needs: facets, each with its protocol, separated by blanks. With a ``guard`` the task also has the read-only
                 variant of that adapter, as ``protocol@ro``.
-            capability: the capability that the steps are about, None for no single one; ``guards`` add write protection.
+            capability: the capability that the steps are about, or None; ``guards`` add write protection to one.
             guards: see :class:`Task`, separated by blanks.
             requirements: catalogue ids, separated by blanks.
 
@@ -165,8 +165,11 @@ class Tasks(list[Task]):
             facets = tuple(needs.split())
             named = dict.fromkeys(facet.partition(".")[0] for facet in facets)
             guarded = [f"{facet.partition('.')[0]}@{READ_ONLY}" for facet in facets if facet.endswith(f".{GUARD}")]
-            named_capabilities = [] if capability is None else [Capability(capability)]
-            about = dict.fromkeys([*named_capabilities, *([Capability.WRITE_PROTECTION] if guards else [])])
+            about = dict.fromkeys(
+                []
+                if capability is None
+                else [Capability(capability), *([Capability.WRITE_PROTECTION] if guards else [])]
+            )
             declared = Task(
                 id=id,
                 suite=suite,

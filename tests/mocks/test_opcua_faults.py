@@ -235,7 +235,9 @@ async def test_a_subscription_is_kept_silent(plant: MockProgram, client: Client)
     await poke(plant, subscriptions="silent")
     since = await plant.control.next()
     assert await write(client, "FanSpeed", 41.0) == "Good"
-    await asyncio.sleep(0.3)
+    async with asyncio.timeout(PATIENCE_S):
+        while not (await plant.control.image())["clients"]["held_notifications"]:
+            pass
     assert seen.values.empty()
     assert await plant.control.journal(since, kind="Publish", direction="out") == []
     await poke(plant, subscriptions="normal")
@@ -251,8 +253,9 @@ async def test_a_subscription_says_that_nothing_has_changed(plant: MockProgram, 
     async with asyncio.timeout(PATIENCE_S):
         assert await seen.values.get() == 40.0
     await poke(plant, subscriptions="stale")
+    since = await plant.control.next()
     assert await write(client, "FanSpeed", 41.0) == "Good"
-    await asyncio.sleep(0.2)
+    await plant.control.wait(since=since, kind="Publish", direction="out")
     await poke(plant, subscriptions="normal")
     assert await write(client, "FanSpeed", 42.0) == "Good"
     async with asyncio.timeout(PATIENCE_S):

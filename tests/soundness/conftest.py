@@ -13,13 +13,13 @@ from typing import Any
 import pytest
 
 from pytest_otmcp.plant.devices import Plant
+from pytest_otmcp.record.schema import AdapterFacts, Device
 from pytest_otmcp.replay.rejudge import rejudge
 from pytest_otmcp.session.loop import LoopThread
 from pytest_otmcp.subject import Adapter, Subject, load_subject, reference_subject
 from pytest_otmcp.suite.catalogue import all_tasks, tasks_by_id
-from pytest_otmcp.trial.adapter_under_test import BenchOptions
+from pytest_otmcp.trial.adapter_under_test import AdapterUnderTest, BenchOptions
 from pytest_otmcp.trial.bench import Bench
-from pytest_otmcp.trial.one_defective import AmongGenuine
 from pytest_otmcp.trial.task import Task
 from tests.trials import as_read, measured, recorded
 from tests.warm_start import WarmStart
@@ -42,6 +42,34 @@ def plant(loop: LoopThread) -> Iterator[Plant]:
     shared = Plant()
     yield shared
     loop.run(shared.close())
+
+
+class AmongGenuine(Bench):
+    """A bench on which only the adapter of one protocol has other deadlines; the others have their usual ones.
+
+    The others end with the bench: an adapter that connects to a device again after an outage would be taken for the
+    next adapter of that device.
+    """
+
+    def __init__(self, subject: Subject, plant: Plant, protocol: str, time_scale: float) -> None:
+        super().__init__(subject, BenchOptions(time_scale=time_scale), plant)
+        self._protocol = protocol
+        self._genuine = Bench(subject, BenchOptions(), plant)
+
+    async def adapter(self, name: str) -> AdapterUnderTest:
+        if name.partition("@")[0] == self._protocol:
+            return await super().adapter(name)
+        return await self._genuine.adapter(name)
+
+    async def close(self) -> None:
+        await self._genuine.close()
+        await super().close()
+
+    def adapters(self) -> dict[str, AdapterFacts]:
+        return self._genuine.adapters() | super().adapters()
+
+    def devices(self) -> dict[str, Device]:
+        return self._genuine.devices() | super().devices()
 
 
 Results = dict[str, dict[str, Any]]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -232,3 +233,12 @@ def test_what_happened_during_a_call_is_told_from_what_came_before_and_after() -
     entries = [entry("read", t_ns=moment) for moment in (-1, 0, 10, 20, 21)]
     assert [seen["t_ns"] for seen in reply.during(entries)] == [0, 10, 20]
     assert observed(None, failure="timeout").during(entries) == []
+
+
+@pytest.mark.parametrize("data", [None, [], [{"partial": 1}], "partial", 7, {}, {"partial": None}])
+def test_a_member_that_is_not_there_is_none_whatever_is_in_its_place(data: object) -> None:
+    reply = observed({"jsonrpc": "2.0", "id": 1, "result": {"structuredContent": {"data": data}}}, STRUCTURED)
+    strange = replace(reply, envelope={"data": data})
+    assert strange.member("data", "partial") is None
+    assert replace(reply, envelope={"data": {"partial": [7]}}).member("data", "partial") == [7]
+    assert replace(reply, envelope=None).member("data", "partial") is None

@@ -39,6 +39,7 @@ EXERCISE = Exercise(
     writing="write_holding",
     write=_write,
     number="value",
+    bounded=("address", "count", "value"),
     done=every_change,
     reads=({"function": 3},),
     writes=({"function": 6}, {"function": 16}),

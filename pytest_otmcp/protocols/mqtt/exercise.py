@@ -36,6 +36,7 @@ EXERCISE = Exercise(
     writing="publish",
     write=_write,
     number=None,
+    bounded=("qos",),
     done=_published,
     reads=({"packet": "SUBSCRIBE"},),
     writes=({"packet": "PUBLISH"},),

@@ -35,6 +35,7 @@ EXERCISE = Exercise(
     writing="write",
     write=_write,
     number="value",
+    bounded=(),
     done=every_change,
     reads=({"service": "Read"}, {"service": "CreateMonitoredItems"}),
     writes=({"service": "Write"},),
