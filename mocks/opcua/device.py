@@ -72,7 +72,7 @@ class OpcUaDevice(Device):
             "methods": {node.to_string(): {"calls": calls} for node, calls in plant.calls.items()},
             "clients": {
                 "sessions": len(self._state.sessions),
-                "held_notifications": self._state.held,
+                "withheld_notifications": self._state.withheld,
                 "continuation_points": sum(session.browser.open_points for session in self._state.sessions),
             },
         }

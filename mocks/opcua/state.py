@@ -32,6 +32,7 @@ class DeviceState:
         network: the way between the server and its clients.
         subscriptions: one of :data:`SUBSCRIPTIONS`.
         sessions: the open sessions of clients.
+        withheld: number of notifications whose values were not sent when they were due, since :meth:`subscribe`.
     """
 
     journal: Journal
@@ -41,15 +42,13 @@ class DeviceState:
     faults: FaultPlan = field(default_factory=lambda: FaultPlan([]))
     limits: Limits = field(default_factory=Limits)
     sessions: set[InternalSession] = field(default_factory=set)
+    withheld: int = 0
     _held: list[Callable[[], None]] = field(default_factory=list)
-
-    @property
-    def held(self) -> int:
-        """Number of notifications that wait while the subscriptions are silent."""
-        return len(self._held)
 
     def notify(self, message: ua.NotificationMessage, send: Callable[[], None]) -> None:
         """Send a notification, or what the subscriptions make of it."""
+        if self.subscriptions != "normal" and message.NotificationData:
+            self.withheld += 1
         if self.subscriptions == "silent":
             self._held.append(send)
             return
@@ -66,6 +65,7 @@ class DeviceState:
         if condition not in SUBSCRIPTIONS:
             raise ValueError(f"subscriptions: expected one of {', '.join(SUBSCRIPTIONS)}, found {condition!r}")
         self.subscriptions = condition
+        self.withheld = 0
         if condition != "silent":
             held, self._held = self._held, []
             for send in held:
