@@ -77,7 +77,8 @@ class PipeClient:
         source = self._out.fileno()
         started = time.perf_counter_ns()
         self._in.write(frame)
-        data = b""
+        # An answer may have millions of bytes: bytes would be copied with each piece.
+        data = bytearray()
         while not data.endswith(b"\n"):
             # select costs two microseconds; because of it, a server that hangs cannot hang the run.
             if not select.select([source], [], [], _PATIENCE_S)[0]:

@@ -20,7 +20,7 @@ from asyncua import ua
 from paho.mqtt.enums import CallbackAPIVersion
 from pymodbus.client import AsyncModbusTcpClient
 
-from .workload import INPUT_REGISTERS, MANY_FOLDER, PAYLOAD, TEMPERATURE, TOPIC
+from .workload import INPUT_REGISTERS, PAYLOAD, TEMPERATURE, TOPIC
 
 __all__ = ["EXCHANGES", "Exchange"]
 
@@ -91,10 +91,37 @@ async def _opcua_variables(host: str, port: int) -> Exchange:
     # Decoding thousands of values keeps the loop from the library's watchdog, which would take the connection for lost.
     client = OpcUaClient(f"opc.tcp://{host}:{port}", timeout=60, watchdog_intervall=600)
     await client.connect()
-    folder = client.get_node(MANY_FOLDER)
+    classes, hierarchical = ua.NodeClass.Object | ua.NodeClass.Variable, ua.NodeId(ua.ObjectIds.HierarchicalReferences)
+
+    async def browse(nodes: list[ua.NodeId]) -> list[ua.ReferenceDescription]:
+        asked = [
+            ua.BrowseDescription(
+                NodeId=node,
+                ReferenceTypeId=hierarchical,
+                IncludeSubtypes=True,
+                NodeClassMask=classes,
+                ResultMask=ua.BrowseResultMask.All,
+            )
+            for node in nodes
+        ]
+        pages = await client.uaclient.browse(ua.BrowseParameters(NodesToBrowse=asked))
+        found = [reference for page in pages for reference in page.References]
+        while points := [page.ContinuationPoint for page in pages if page.ContinuationPoint]:
+            following = ua.BrowseNextParameters(ReleaseContinuationPoints=False, ContinuationPoints=points)
+            pages = await client.uaclient.browse_next(following)
+            found += [reference for page in pages for reference in page.References]
+        return [reference for reference in found if reference.NodeId.NamespaceIndex]
+
+    # What the folders are is found out before anything is measured.
+    folders = level = [ua.NodeId(ua.ObjectIds.ObjectsFolder)]
+    while level:
+        below = await browse(level)
+        level = [reference.NodeId for reference in below if reference.NodeClass == ua.NodeClass.Object]
+        folders = folders + level
 
     async def enumerate_variables() -> None:
-        variables = await folder.get_children()
+        found = await browse(folders)
+        variables = [client.get_node(one.NodeId) for one in found if one.NodeClass == ua.NodeClass.Variable]
         values = await client.read_values(variables)
         assert len(values) == len(variables)
 
