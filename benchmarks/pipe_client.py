@@ -18,7 +18,7 @@ from pytest_otmcp.session.process import subject_environment
 __all__ = ["PipeClient"]
 
 _ROOT = Path(__file__).resolve().parent.parent
-_PATIENCE_S = 60.0
+_PATIENCE_S = 300.0
 _META = {
     "io.modelcontextprotocol/protocolVersion": "2026-07-28",
     "io.modelcontextprotocol/clientCapabilities": {},
