@@ -23,7 +23,6 @@ from .pokes import BURST_TURN, Burst, command, disconnection, message
 __all__ = ["MqttDevice"]
 
 
-
 class MqttDevice(Device):
     """The broker device, for MQTT 3.1.1 and 5."""
 

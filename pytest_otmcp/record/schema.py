@@ -17,6 +17,7 @@ import msgspec
 from ..core.journal_entry import JournalEntry
 
 __all__ = [
+    "COUNTED",
     "ROLES",
     "SCHEMA",
     "AdapterFacts",
@@ -86,6 +87,9 @@ Factor = Annotated[float, msgspec.Meta(gt=0)]
 Role = Literal["task", "control", "setup", "warmup", "recovery"]
 """Purpose of a call or of an execution of steps. Only calls of the role ``task`` count for the benchmark."""
 ROLES: tuple[Role, ...] = ("task", "control", "setup", "warmup", "recovery")
+Counted = Literal[Role, "check"]
+"""What calls are counted as: their role; calls of the role ``task`` in a check of the requirement suite are ``check``."""
+COUNTED: tuple[Counted, ...] = (*ROLES, "check")
 State = Literal["PASS", "FAIL", "NOT_APPLICABLE", "NOT_TESTABLE", "KIT_ERROR", "INTERRUPTED"]
 
 
@@ -597,7 +601,7 @@ class Footer(TypedDict):
     reason: str | None
     items: Count
     samples: NotRequired[Count]
-    tool_calls: NotRequired[dict[Role, Count]]
+    tool_calls: NotRequired[dict[Counted, Count]]
     verdict: NotRequired[str]
     deviations: NotRequired[dict[str, list[str]]]
     elapsed_s: NotRequired[float]

@@ -150,9 +150,7 @@ async def poke(mqtt: MockProgram, **params: Any) -> None:
 
 
 @contextlib.asynccontextmanager
-async def client(
-    mqtt: MockProgram, *filters: str, version: int = 5, client_id: str = "client"
-) -> AsyncIterator[Peer]:
+async def client(mqtt: MockProgram, *filters: str, version: int = 5, client_id: str = "client") -> AsyncIterator[Peer]:
     """Connect paho and subscribe, in a thread because it blocks."""
 
     def connect() -> Peer:
