@@ -394,6 +394,17 @@ class Footprint(TypedDict):
     processes: Count
 
 
+class HandshakeEra(TypedDict):
+    """A start of the adapter in MCP's era of the handshake.
+
+    ``opened``: number of the journal's entry at which the session began; None when it was not tried, because the session is of that
+    era already or the adapter has shown that it does not speak it. ``revision``: that was agreed on; None without a session.
+    """
+
+    opened: Count | None
+    revision: Name | None
+
+
 class Observation(TypedDict):
     """One look at a device, between ``asked_ns`` and ``seen_ns``; ``at`` names the adapter: its protocol, with ``@ro`` for the one with writes disabled.
 
@@ -405,6 +416,7 @@ class Observation(TypedDict):
     a device image; ``changes``: what differs in one from the last whole image of the device. ``stop``: the device was stopped,
     milliseconds; ``start``: it was started, its journal counts from 0 again. ``fresh_session``: the session was replaced.
     ``garbled``: number of the entry at which a session with a write switch that means nothing began; None where there was none.
+    ``handshake_era``: the session was replaced by one of MCP's era of the handshake, if the adapter speaks it.
     ``end``: the slice ends before this number, the next one begins there. ``process``: figures of the adapter's processes.
     ``tools``: digests of the tools that the adapter lists, and of their order. ``line_sent``: whether a line could be written to its standard input as it is.
     ``stderr``: the adapter's newest lines there. ``listed``: the tools of the session, name to entry.
@@ -424,6 +436,7 @@ class Observation(TypedDict):
     start: NotRequired[Started]
     fresh_session: NotRequired[FreshSession]
     garbled: NotRequired[Count | None]
+    handshake_era: NotRequired[HandshakeEra]
     end: NotRequired[Count]
     process: NotRequired[Footprint]
     tools: NotRequired[str]
