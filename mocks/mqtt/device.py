@@ -117,8 +117,15 @@ class MqttDevice(Device):
             await self._publish_all(burst)
         finally:
             self.broker.counted = None
-        fields = {"topic": burst.topic, "count": burst.count}
-        self.journal.append(connection=0, direction="in", kind="BURST", origin="kit", client_id=KIT, **fields)
+        self.journal.append(
+            connection=0,
+            direction="in",
+            kind="BURST",
+            origin="kit",
+            client_id=KIT,
+            topic=burst.topic,
+            count=burst.count,
+        )
         for (connection, origin, client_id), count in counted.items():
             self.journal.append(
                 connection=connection,
