@@ -78,7 +78,8 @@ class LiveDriver:
         ]
 
     def repetition(self, rep: int, role: Role) -> Repetition:
-        """Return a repetition on this bench."""
+        """Return a repetition on this bench; what the one before it was answered is not kept any more."""
+        self._bench.allowance.renew()
         return Repetition(
             self._task.id,
             rep,
