@@ -248,21 +248,21 @@ def test_a_parallel_run_that_is_ended_records_what_was_running_and_leaves_nothin
 
 
 ENDED_BEFORE_IT_TOOK_A_RESULT = """
-import os, pathlib, signal, time
-
-DONE = pathlib.Path("done")
+import os, signal
 
 class Controller:
+    def __init__(self):
+        os.mkfifo("done")
+
     def pytest_runtest_logstart(self, nodeid):
-        # Until the only worker has sent all that it will send.
-        while not DONE.exists():
-            time.sleep(0.02)
+        # The only worker opens the other end when it has sent all that it will send.
+        open("done").close()
         os.kill(os.getpid(), signal.SIGTERM)
 
 class Worker:
     def pytest_runtest_logfinish(self, nodeid):
         if "M2" in nodeid:
-            DONE.touch()
+            open("done", "w").close()
 
 def pytest_configure(config):
     config.pluginmanager.register(Worker() if hasattr(config, "workerinput") else Controller())
