@@ -41,6 +41,7 @@ from .fixtures.definitions import (
     otmcp_subject,
 )
 from .options import add_options, read_settings
+from .parallel import UNFINISHED, ended, untaken
 from .stash import ENDINGS, INTERFERENCE, PLANNED, PROGRESS, RECORDER, RESULT, RUN, SETTINGS, STARTED
 
 if TYPE_CHECKING:
@@ -329,7 +330,7 @@ def pytest_testnodeready(node: Any) -> None:
     """Note the process of a worker; one on another machine has none here."""
     process = getattr(getattr(node.gateway, "_io", None), "popen", None)
     if process is not None:
-        _endings(node.config).workers.append(process.pid)
+        _endings(node.config).workers[process.pid] = node
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -456,7 +457,9 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
             if recorder is not None and run.unfinished is not None:
                 with _writable(recorder):
                     recorder.add(run.unfinished, "main", run.facts())
-            run.facts()
+            facts = run.facts()
+            if recorder is None and run.unfinished is not None and hasattr(config, "workeroutput"):
+                config.workeroutput[UNFINISHED] = json.dumps([run.unfinished, facts])
             run.close()
         if interference is None:
             return
@@ -467,9 +470,24 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
         limit = config.getoption("maxfail", 0)
         if limit and session.testsfailed >= limit and recorder.missing:
             interference.note(f"the run ended at failure number {limit} (-x or --maxfail)")
+        if endings is not None and endings.name is not None:
+            _take_from_workers(config, recorder, list(endings.workers.values()))
         with _writable(recorder):
             recorder.finish(interrupted=_interruption(exitstatus, endings))
     session.exitstatus = _exit_status(exitstatus, recorder, session.testsfailed)
+
+
+def _take_from_workers(config: pytest.Config, recorder: RunRecorder, nodes: list[Any]) -> None:
+    """Take what the workers have measured, and pytest-xdist does not hand on any more."""
+    ended(nodes)
+    for report in untaken(config):
+        config.hook.pytest_runtest_logreport(report=report)
+    for node in nodes:
+        content = getattr(node, "workeroutput", {}).get(UNFINISHED)
+        if content is not None:
+            result, facts = json.loads(content)
+            with _writable(recorder):
+                recorder.add(result, node.gateway.id, facts)
 
 
 def _interruption(exitstatus: int, endings: Endings | None) -> str | None:
