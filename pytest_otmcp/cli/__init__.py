@@ -8,25 +8,27 @@ from __future__ import annotations
 
 import argparse
 import os
+import shutil
 import sys
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
+from typing import NoReturn, TextIO
 
 from .. import __version__
 from ..core.errors import ExhaustedError, KitError, UsageError
 from ..core.exhaustion import exhausted
-from ..core.text import marked, one_line
+from ..core.text import folded, marked, one_line
 from ..core.verdict import ExitCode
 
-__all__ = ["Refusal", "cut", "main", "place_of", "tell"]
+__all__ = ["Refusal", "cut", "main", "place_of", "show", "tell"]
 
 _COMMANDS = ("init", "doctor", "call", "certify", "verify", "explain", "report", "mock", "docs")
 _LONGEST = 2000
 
 
 class Refusal(Exception):
-    """A command refuses what it was asked for; the message says why, in one sentence.
+    """A command refuses what it was asked for; the message says why, in one sentence, and further lines are an adapter's.
 
     Attributes:
         code: the exit code.
@@ -44,7 +46,21 @@ def cut(sentence: str) -> str:
 
 def tell(text: str) -> None:
     """Print a text that may repeat somebody else's words."""
-    print(marked(text), flush=True)
+    show(marked(text))
+
+
+def show(text: str, stream: TextIO | None = None) -> None:
+    """Print lines of the kit's own, or harmless ones: folded between words on a terminal, and as they are in a pipe or a log.
+
+    Args:
+        text: the lines.
+        stream: where to; standard output if None.
+    """
+    stream = sys.stdout if stream is None else stream
+    if stream.isatty():
+        width = shutil.get_terminal_size().columns
+        text = "\n".join(part for line in text.splitlines() for part in folded(line, width))
+    print(text, file=stream, flush=True)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -80,7 +96,9 @@ def _run(argv: Sequence[str] | None) -> int:
     except KeyboardInterrupt:
         return _say("interrupted", ExitCode.USAGE)
     except Refusal as reason:
-        return _say(str(reason), reason.code)
+        # What an adapter wrote at its end stays lines, which can be read; each is marked.
+        show(marked(f"otmcp: {reason}"), sys.stderr)
+        return reason.code
     except UsageError as error:
         return _say(str(error), ExitCode.USAGE)
     except ExhaustedError as error:
@@ -98,8 +116,18 @@ def _run(argv: Sequence[str] | None) -> int:
         return _say(f"a fault of the kit at {place_of(error)}: {error!r}; please file a bug", ExitCode.INDETERMINATE)
 
 
+class _Parser(argparse.ArgumentParser):
+    """A parser whose complaint is one sentence, like every other one of the command."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print the usage and the complaint, and end the process."""
+        self.print_usage(sys.stderr)
+        show(one_line(f"{self.prog}: error: {message}"), sys.stderr)
+        raise SystemExit(int(ExitCode.USAGE))
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="otmcp", description="Conformance of MCP-to-OT adapters.")
+    parser = _Parser(prog="otmcp", description="Conformance of MCP-to-OT adapters.")
     parser.add_argument("--version", action="version", version=f"pytest-otmcp {__version__}")
     # Whoever says no command gets the list of all of them.
     parser.set_defaults(run=None)
@@ -110,7 +138,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _say(sentence: str, code: ExitCode) -> int:
-    print(one_line(f"otmcp: {sentence}"), file=sys.stderr)
+    show(one_line(f"otmcp: {sentence}"), sys.stderr)
     return code
 
 

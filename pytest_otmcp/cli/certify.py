@@ -24,7 +24,7 @@ from typing import Any
 from ..core.errors import KitError, UsageError
 from ..core.matrix import SUITES
 from ..core.verdict import ExitCode, Status, decide, exit_code
-from . import Refusal, tell
+from . import Refusal, show, tell
 
 __all__ = ["add_parser", "run"]
 
@@ -229,6 +229,6 @@ def _write(out: Path, statement: dict[str, Any]) -> None:
             )
         for name, reason in facets["not_claimed"].items():
             tell(f"{protocol}: not claimed: {name} ({reason})")
-    print(f"{told['applied']['items']} of {told['applied']['of']} items applied")
-    print(told["level"]["why"])
-    print(f"certificate.json, badge.json and badge.svg are in {out}, beside the run.json that they are about")
+    show(f"{told['applied']['items']} of {told['applied']['of']} items applied")
+    show(told["level"]["why"])
+    show(f"certificate.json, badge.json and badge.svg are in {out}, beside the run.json that they are about")

@@ -19,6 +19,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from ..core.errors import UsageError
+from ..core.matrix import BENCHMARK, REQUIREMENTS
+from .stash import SETTINGS
 
 if TYPE_CHECKING:
     from ..trial.task import Task
@@ -31,12 +33,14 @@ __all__ = [
     "ignore_warnings",
     "is_shipped",
     "is_shipped_id",
+    "names_unasked_requirements",
     "suite_root",
     "task_of",
 ]
 
 _PACKAGE = __package__.partition(".")[0]
 SUITE = f"{_PACKAGE}.conformance"
+_REQUIREMENTS_MODULE = f"test_{REQUIREMENTS}.py"
 
 
 @cache
@@ -81,12 +85,33 @@ class ShippedModule(pytest.Module):
     def collect(self) -> Iterable[pytest.Item | pytest.Collector]:
         from ..protocols.registry import protocols
 
+        if not _is_asked_for(self):
+            return []
         with ignore_warnings():
             try:
                 protocols()
             except UsageError as error:
                 pytest.exit(str(error), returncode=2)
             return list(super().collect())
+
+
+def _is_asked_for(module: pytest.Module) -> bool:
+    """Tell whether a run needs a module: the benchmark's belong together, the requirement suite's is needed by who asks for it.
+
+    What is not needed is not collected, so that pytest counts the items that the run is about.
+    """
+    asked = {*module.config.stash[SETTINGS].suites}
+    about = {REQUIREMENTS} if module.path.name == _REQUIREMENTS_MODULE else {*BENCHMARK}
+    return not asked.isdisjoint(about)
+
+
+def names_unasked_requirements(config: pytest.Config) -> str | None:
+    """Return the argument that names the requirement suite in a run that has not asked for it."""
+    if REQUIREMENTS in config.stash[SETTINGS].suites:
+        return None
+    named = (str(argument) for argument in config.args)
+    file, module = suite_root() / _REQUIREMENTS_MODULE, f"{SUITE}.{_REQUIREMENTS_MODULE.removesuffix('.py')}"
+    return next((name for name in named if _path(config, name) == file or name.partition("::")[0] == module), None)
 
 
 @contextmanager

@@ -17,7 +17,7 @@ import pytest
 
 from ..core.errors import UsageError
 from ..core.exhaustion import exhausted
-from ..core.matrix import SUITES
+from ..core.matrix import REQUIREMENTS, SUITES
 from ..core.text import MARK, marked, one_line
 from ..core.verdict import ExitCode
 from ..protocols.own import OWN
@@ -30,6 +30,7 @@ from .collection import (
     ignore_warnings,
     is_shipped,
     is_shipped_id,
+    names_unasked_requirements,
     task_of,
 )
 from .fixtures.definitions import (
@@ -104,6 +105,8 @@ def pytest_configure(config: pytest.Config) -> None:
     except UsageError as error:
         _refuse(error)
     default_to_suite(config)
+    if (named := names_unasked_requirements(config)) is not None:
+        _refuse(UsageError(f"{named}: the requirement suite runs when it is asked for: --otmcp-suite={REQUIREMENTS}"))
 
 
 def _refuse(error: UsageError) -> NoReturn:
@@ -202,7 +205,6 @@ def _drop_unrequired_items(items: list[pytest.Item], required: list[str]) -> dic
 
 def _check_rows(asked: tuple[str, ...]) -> None:
     """End the run when there is no check of a row that was asked for."""
-    from ..core.matrix import REQUIREMENTS
     from ..suite.catalogue import all_tasks
     from ..suite.requirements import requirements
 

@@ -27,7 +27,10 @@ from ..record.schema import Item
 from ..record.warnings import failing, findings_of
 from .requirements import Catalogue, Level, Requirement
 
-__all__ = ["Standing", "said", "shown", "standing", "standings"]
+__all__ = ["NOT_SHOWN", "Standing", "said", "shown", "standing", "standings"]
+
+NOT_SHOWN = "none is shown without the requirement suite; otmcp certify runs it beside the benchmark"
+"""Said of the level of a run without the requirement suite."""
 
 _NAMED = 5
 """Rows that a line names at most."""
