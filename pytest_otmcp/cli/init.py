@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import shlex
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -99,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         drafted = loop.run(work())
     except SubjectError as failure:
-        raise Refusal(f"no proposal ({_doctor(args)} may know why): {failure}") from None
+        raise Refusal(f"no proposal ('otmcp doctor' with the same COMMAND may know why): {failure}") from None
     finally:
         loop.close()
     drafted = replace(drafted, command=[_from_file(part, args.out.parent) for part in drafted.command])
@@ -113,13 +112,6 @@ def run(args: argparse.Namespace) -> int:
         tell(f"  - {line}")
     show(f"Then: pytest --otmcp-subject={args.out} --otmcp-reps=1")
     return 0
-
-
-def _doctor(args: argparse.Namespace) -> str:
-    """Return the command that examines the same adapter."""
-    options = [f"--protocol={args.protocol}"] if args.protocol else []
-    options += [f"--env={pair}" for pair in args.env] + ([f"--url={args.url}"] if args.url else [])
-    return f"'{shlex.join(['otmcp', 'doctor', *options, '--', *args.command])}'"
 
 
 def _existing(path: Path, protocol: str) -> str | None:

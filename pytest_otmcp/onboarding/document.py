@@ -74,8 +74,8 @@ def write_document(draft: Draft, *, into: bool = False) -> str:
     """Return the subject file; add the entries that the user has to fill in to ``draft.left``."""
     form = _form(draft.proposals.values())
     head = [
-        "# Proposed by `otmcp init`: guessed from names, tried at a mock device. Read every line; docs/subject-file.md says",
-        "# what each key means.",
+        "# Proposed by `otmcp init`: guessed from names, tried at a mock device. Read every line; `otmcp docs",
+        "# subject-file` prints what each key means.",
         "",
         "[subject]",
         f"name = {_value(draft.name)}",

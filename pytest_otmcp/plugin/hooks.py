@@ -220,7 +220,7 @@ def _check_rows(asked: tuple[str, ...]) -> None:
                 )
             )
         near = difflib.get_close_matches(name.upper(), sorted(known), 1)
-        hint = f"did you mean {near[0]}?" if near else "docs/checks.md lists them"
+        hint = f"did you mean {near[0]}?" if near else "'otmcp docs checks' lists them"
         _refuse(UsageError(f"--otmcp-only: there is no row or check {name!r}; {hint}"))
 
 

@@ -219,7 +219,7 @@ def said(found: Standing) -> str:
         f"{counted(len(names), noun)} {what} ({_some(names)})"
         for names, noun, what in (
             (tuple(found.failed), "row", "not met"),
-            (found.unattributed, "item", "failed for a cause of its own"),
+            (found.unattributed, "item", "failed without a finding about a row"),
             (found.not_run, "row", "not shown"),
         )
         if names
