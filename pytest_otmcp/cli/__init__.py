@@ -25,6 +25,8 @@ __all__ = ["Refusal", "cut", "main", "place_of", "show", "tell"]
 
 _COMMANDS = ("init", "doctor", "call", "certify", "verify", "explain", "report", "mock", "docs")
 _LONGEST = 2000
+_COMPLETING = "_ARGCOMPLETE"
+"""Variable by which argcomplete's part in the shell asks the program for the words that fit."""
 
 
 class Refusal(Exception):
@@ -85,6 +87,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _run(argv: Sequence[str] | None) -> int:
     try:
         parser = _parser()
+        if _COMPLETING in os.environ:
+            # A shell that completes words asks for it; the extra "completion" brings the library. Without it the command must
+            # end here: nobody has asked yet that it be carried out.
+            import_module("argcomplete").autocomplete(parser)
         arguments = parser.parse_args(argv)
         if arguments.run is None:
             parser.print_help(sys.stderr)

@@ -117,7 +117,8 @@ def _run_suite(subject: Path | None, reps: int, out: Path) -> int:
     with tempfile.TemporaryDirectory(prefix="otmcp-certify-") as root:
         ini = Path(root, "pytest.ini")
         ini.write_text("[pytest]\n", encoding="utf-8")
-        command = [sys.executable, "-P", "-m", "pytest", "-c", str(ini), f"--rootdir={root}", "--noconftest"]
+        # Files of the suite are shown by their names alone below the directory in which this was called.
+        command = [sys.executable, "-P", "-m", "pytest", "-c", str(ini), f"--rootdir={Path.cwd()}", "--noconftest"]
         command += [
             "-rN",
             "-p",

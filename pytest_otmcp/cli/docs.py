@@ -22,7 +22,8 @@ def add_parser(subparsers: Any) -> None:
         help="print a page of the documentation, or list the pages",
         description="Print a page of the documentation (Markdown); without a name, list the pages.",
     )
-    parser.add_argument("page", metavar="NAME", nargs="?", help="a page, such as subject-file")
+    page = parser.add_argument("page", metavar="NAME", nargs="?", help="a page, such as subject-file")
+    page.completer = lambda **_: list(_pages())  # type: ignore[attr-defined]
     parser.set_defaults(run=run)
 
 

@@ -29,7 +29,8 @@ def add_parser(subparsers: Any) -> None:
         "(illegal_address) or the code of a finding (wrong_value) means: what is asked, what must be said and seen, why, and by "
         "which source.",
     )
-    parser.add_argument("id", metavar="ID", nargs="+", help="an id as reports print it")
+    asked = parser.add_argument("id", metavar="ID", nargs="+", help="an id as reports print it")
+    asked.completer = _completed  # type: ignore[attr-defined]
     parser.set_defaults(run=run)
 
 
@@ -60,8 +61,17 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+def _completed(**_: object) -> list[str]:
+    """Return every id, for the completion of words in a shell."""
+    from ..suite.explanations import identifiers
+
+    return identifiers()
+
+
 def _lines(one: Explained, width: int) -> list[str]:
-    lines = textwrap.wrap(f"{one.id} ({one.kind}): {one.about}", width, subsequent_indent=_INDENT, break_on_hyphens=False)
+    lines = textwrap.wrap(
+        f"{one.id} ({one.kind}): {one.about}", width, subsequent_indent=_INDENT, break_on_hyphens=False
+    )
     for label, texts in one.parts:
         lines += ["", label]
         for text in texts:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from importlib.util import find_spec
@@ -20,7 +20,6 @@ import pytest
 
 from ..core.errors import UsageError
 from ..core.matrix import BENCHMARK, REQUIREMENTS
-from .stash import SETTINGS
 
 if TYPE_CHECKING:
     from ..trial.task import Task
@@ -31,6 +30,7 @@ __all__ = [
     "asks_for_suite",
     "default_to_suite",
     "ignore_warnings",
+    "is_needed",
     "is_shipped",
     "is_shipped_id",
     "names_unasked_requirements",
@@ -85,8 +85,6 @@ class ShippedModule(pytest.Module):
     def collect(self) -> Iterable[pytest.Item | pytest.Collector]:
         from ..protocols.registry import protocols
 
-        if not _is_asked_for(self):
-            return []
         with ignore_warnings():
             try:
                 protocols()
@@ -95,19 +93,20 @@ class ShippedModule(pytest.Module):
             return list(super().collect())
 
 
-def _is_asked_for(module: pytest.Module) -> bool:
-    """Tell whether a run needs a module: the benchmark's belong together, the requirement suite's is needed by who asks for it.
+def is_needed(path: Path, suites: Collection[str]) -> bool:
+    """Tell whether a run that has asked for these suites needs a shipped file: the benchmark's modules belong together.
 
     What is not needed is not collected, so that pytest counts the items that the run is about.
     """
-    asked = {*module.config.stash[SETTINGS].suites}
-    about = {REQUIREMENTS} if module.path.name == _REQUIREMENTS_MODULE else {*BENCHMARK}
-    return not asked.isdisjoint(about)
+    if path.suffix != ".py":
+        return True
+    about = {REQUIREMENTS} if path.name == _REQUIREMENTS_MODULE else {*BENCHMARK}
+    return not about.isdisjoint(suites)
 
 
-def names_unasked_requirements(config: pytest.Config) -> str | None:
+def names_unasked_requirements(config: pytest.Config, suites: Collection[str]) -> str | None:
     """Return the argument that names the requirement suite in a run that has not asked for it."""
-    if REQUIREMENTS in config.stash[SETTINGS].suites:
+    if REQUIREMENTS in suites:
         return None
     named = (str(argument) for argument in config.args)
     file, module = suite_root() / _REQUIREMENTS_MODULE, f"{SUITE}.{_REQUIREMENTS_MODULE.removesuffix('.py')}"

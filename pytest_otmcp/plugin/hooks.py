@@ -28,6 +28,7 @@ from .collection import (
     asks_for_suite,
     default_to_suite,
     ignore_warnings,
+    is_needed,
     is_shipped,
     is_shipped_id,
     names_unasked_requirements,
@@ -105,7 +106,7 @@ def pytest_configure(config: pytest.Config) -> None:
     except UsageError as error:
         _refuse(error)
     default_to_suite(config)
-    if (named := names_unasked_requirements(config)) is not None:
+    if (named := names_unasked_requirements(config, config.stash[SETTINGS].suites)) is not None:
         _refuse(UsageError(f"{named}: the requirement suite runs when it is asked for: --otmcp-suite={REQUIREMENTS}"))
 
 
@@ -152,8 +153,10 @@ def pytest_report_header(config: pytest.Config) -> str | None:
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_ignore_collect(collection_path: Path) -> bool | None:
-    return False if is_shipped(collection_path) else None
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    if not is_shipped(collection_path):
+        return None
+    return not is_needed(collection_path, config.stash[SETTINGS].suites)
 
 
 @pytest.hookimpl(tryfirst=True)

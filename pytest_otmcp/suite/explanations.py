@@ -26,6 +26,7 @@ __all__ = [
     "explained",
     "finding_code",
     "findings",
+    "identifiers",
     "item",
     "level",
     "near",
@@ -85,11 +86,14 @@ def explained(identifier: str) -> list[Explained]:
 
 def near(identifier: str) -> list[str]:
     """Return the ids that an unknown one may have been meant for, the nearest first."""
-    known = dict.fromkeys(
-        [*all_tasks(), *requirements(), *_levels(), *catalogue().profiles, *registry(), *findings()]
-    )
-    folded = {name.casefold(): name for name in known}
+    folded = {name.casefold(): name for name in identifiers()}
     return [folded[name] for name in difflib.get_close_matches(identifier.casefold(), folded, 3)]
+
+
+def identifiers() -> list[str]:
+    """Return every id that can be explained, each once."""
+    names = [*all_tasks(), *requirements(), *_levels(), *catalogue().profiles, *registry(), *findings()]
+    return list(dict.fromkeys(names))
 
 
 def findings() -> dict[str, tuple[FindingCode, str | None]]:
