@@ -30,15 +30,17 @@ _COMPLETING = "_ARGCOMPLETE"
 
 
 class Refusal(Exception):
-    """A command refuses what it was asked for; the message says why, in one sentence, and further lines are an adapter's.
+    """A command refuses what it was asked for; the message says why, in one sentence.
 
     Attributes:
         code: the exit code.
+        quotes: whether lines after the first are an adapter's, which can be read better as lines.
     """
 
-    def __init__(self, message: str, code: ExitCode = ExitCode.NOT_CONFORMANT) -> None:
+    def __init__(self, message: str, code: ExitCode = ExitCode.NOT_CONFORMANT, *, quotes: bool = False) -> None:
         super().__init__(message)
         self.code = code
+        self.quotes = quotes
 
 
 def cut(sentence: str) -> str:
@@ -102,7 +104,8 @@ def _run(argv: Sequence[str] | None) -> int:
     except KeyboardInterrupt:
         return _say("interrupted", ExitCode.USAGE)
     except Refusal as reason:
-        # What an adapter wrote at its end stays lines, which can be read; each is marked.
+        if not reason.quotes:
+            return _say(str(reason), reason.code)
         show(marked(f"otmcp: {reason}"), sys.stderr)
         return reason.code
     except UsageError as error:

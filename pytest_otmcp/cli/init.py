@@ -98,7 +98,9 @@ def run(args: argparse.Namespace) -> int:
     try:
         drafted = loop.run(work())
     except SubjectError as failure:
-        raise Refusal(f"no proposal ('otmcp doctor' with the same COMMAND may know why): {failure}") from None
+        raise Refusal(
+            f"no proposal ('otmcp doctor' with the same COMMAND may know why): {failure}", quotes=True
+        ) from None
     finally:
         loop.close()
     drafted = replace(drafted, command=[_from_file(part, args.out.parent) for part in drafted.command])
