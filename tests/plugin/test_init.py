@@ -280,7 +280,7 @@ def test_an_adapter_that_does_not_start_is_no_proposal(otmcp: Otmcp, tmp_path: P
     doctor = "'otmcp doctor' with the same COMMAND may know why"
     assert done.stderr.startswith(f"otmcp: no proposal ({doctor}): the adapter exited with code 1")
     # What the adapter wrote stays lines, each marked, without those that only underline.
-    assert "\n    | ModuleNotFoundError: No module named 'mcp.server.fastmcp'\n" in done.stderr
+    assert "\n    | ModuleNotFoundError: No module named 'mcp.server.fastmcp'" in done.stderr
     assert "^^^" not in done.stderr
     assert not (tmp_path / "otmcp.toml").exists()
 
