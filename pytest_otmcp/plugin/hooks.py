@@ -17,7 +17,7 @@ import pytest
 
 from ..core.errors import UsageError
 from ..core.exhaustion import exhausted
-from ..core.matrix import SUITES
+from ..core.matrix import REQUIREMENTS, SUITES
 from ..core.text import MARK, marked, one_line
 from ..core.verdict import ExitCode
 from ..protocols.own import OWN
@@ -28,8 +28,10 @@ from .collection import (
     asks_for_suite,
     default_to_suite,
     ignore_warnings,
+    is_needed,
     is_shipped,
     is_shipped_id,
+    names_unasked_requirements,
     task_of,
 )
 from .fixtures.definitions import (
@@ -106,6 +108,8 @@ def pytest_configure(config: pytest.Config) -> None:
     except UsageError as error:
         _refuse(error)
     default_to_suite(config)
+    if (named := names_unasked_requirements(config, config.stash[SETTINGS].suites)) is not None:
+        _refuse(UsageError(f"{named}: the requirement suite runs when it is asked for: --otmcp-suite={REQUIREMENTS}"))
 
 
 def _refuse(error: UsageError) -> NoReturn:
@@ -151,8 +155,10 @@ def pytest_report_header(config: pytest.Config) -> str | None:
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_ignore_collect(collection_path: Path) -> bool | None:
-    return False if is_shipped(collection_path) else None
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    if not is_shipped(collection_path):
+        return None
+    return not is_needed(collection_path, config.stash[SETTINGS].suites)
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -204,7 +210,6 @@ def _drop_unrequired_items(items: list[pytest.Item], required: list[str]) -> dic
 
 def _check_rows(asked: tuple[str, ...]) -> None:
     """End the run when there is no check of a row that was asked for."""
-    from ..core.matrix import REQUIREMENTS
     from ..suite.catalogue import all_tasks
     from ..suite.requirements import requirements
 
@@ -220,7 +225,7 @@ def _check_rows(asked: tuple[str, ...]) -> None:
                 )
             )
         near = difflib.get_close_matches(name.upper(), sorted(known), 1)
-        hint = f"did you mean {near[0]}?" if near else "docs/checks.md lists them"
+        hint = f"did you mean {near[0]}?" if near else "'otmcp docs checks' lists them"
         _refuse(UsageError(f"--otmcp-only: there is no row or check {name!r}; {hint}"))
 
 
