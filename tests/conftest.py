@@ -7,13 +7,14 @@ from collections.abc import Generator, Iterator
 
 import pytest
 
+from pytest_otmcp.soundness.warm_start import WarmStart
+
 from .long_tests import (
     pytest_collection_modifyitems,
     pytest_sessionfinish,
     pytest_terminal_summary,
     pytest_testnodedown,
 )
-from .warm_start import WarmStart
 
 __all__ = [
     "pytest_collection_modifyitems",

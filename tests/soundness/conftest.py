@@ -16,13 +16,13 @@ from pytest_otmcp.plant.devices import Plant
 from pytest_otmcp.record.schema import AdapterFacts, Device
 from pytest_otmcp.replay.rejudge import rejudge
 from pytest_otmcp.session.loop import LoopThread
+from pytest_otmcp.soundness.warm_start import WarmStart
 from pytest_otmcp.subject import Adapter, Subject, load_subject, reference_subject
 from pytest_otmcp.suite.catalogue import all_tasks, tasks_by_id
 from pytest_otmcp.trial.adapter_under_test import AdapterUnderTest, BenchOptions
 from pytest_otmcp.trial.bench import Bench
 from pytest_otmcp.trial.task import Task
 from tests.trials import as_read, measured, recorded
-from tests.warm_start import WarmStart
 
 HERE = Path(__file__).parent
 SUBJECTS = HERE / "subjects"
