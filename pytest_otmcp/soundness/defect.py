@@ -128,7 +128,10 @@ def read(listing: Mapping[str, Any]) -> Declared:
 
 def defect(entry: Mapping[str, Any]) -> Defect:
     """Return the defect of one entry of a listing."""
-    return Defect(**{name: tuple(value) if isinstance(value, list) else value for name, value in entry.items()})
+    members: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value for name, value in entry.items()
+    }
+    return Defect(**members)
 
 
 def chosen(defects: Sequence[Defect], names: Sequence[str]) -> list[Defect]:

@@ -57,7 +57,7 @@ def granting(change: Callable[[int | None], int | None]) -> Callable[[AdapterSer
 def subscriptions_not_awaited(server: AdapterServer) -> None:
     genuine = Connection.subscribe
 
-    async def subscribe(connection: Connection, filters: Mapping[str, int]) -> list[int | None]:
+    async def subscribe(connection: Connection, filters: Mapping[str, int]) -> list[int]:
         try:
             async with asyncio.timeout(_PATIENCE_S):
                 return await genuine(connection, filters)
