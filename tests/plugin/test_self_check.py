@@ -82,6 +82,7 @@ def test_ctrl_c_leaves_nothing_running(tmp_path: Path) -> None:
         assert process.wait(PATIENCE_S) == ExitCode.USAGE
     os.close(ours)
     assert "otmcp: interrupted" in rest
+    assert "Traceback" not in rest
     assert psutil.wait_procs(started, timeout=PATIENCE_S)[1] == []
 
 
