@@ -246,7 +246,9 @@ class Environment(TypedDict):
 class Settings(TypedDict):
     """The options of the run.
 
-    ``soak``: checks took their long form; a run of a kit without long forms has no such member. ``narrowed``: which options make
+    ``soak``: checks took their long form; a run of a kit without long forms has no such member. ``protocols``: further protocols
+    whose reference adapters were asked for; ``not_measured``: those whose adapter could not be started, each with a sentence that
+    says why; a run of an earlier kit has neither. ``narrowed``: which options make
     the run say less than a full run, a sentence each.
     """
 
@@ -258,6 +260,8 @@ class Settings(TypedDict):
     time_scale: Factor
     soak: NotRequired[bool]
     suites: list[str]
+    protocols: NotRequired[list[str]]
+    not_measured: NotRequired[dict[str, str]]
     xdist_workers: Count
     narrowed: list[str]
 

@@ -87,10 +87,10 @@ def test_the_command_repeats_what_was_unusual_about_the_run() -> None:
     record = run([])
     record["settings"] |= {"seed": 7, "era": "legacy", "time_scale": 2.0, "broker": "mqtt://h:1", "subject": "my.toml"}
     record["settings"] |= {"suites": ["normal", "fault"]}
-    record["settings"]["soak"] = True
+    record["settings"] |= {"soak": True, "protocols": ["dnp3", "s7"]}
     assert command(record) == (
         "pytest --pyargs pytest_otmcp.conformance --otmcp-reps=30 --otmcp-suite=normal,fault --otmcp-seed=7 "
-        "--otmcp-era=legacy --otmcp-time-scale=2.0 --otmcp-broker=mqtt://h:1 --otmcp-soak --otmcp-subject=my.toml"
+        "--otmcp-era=legacy --otmcp-time-scale=2.0 --otmcp-broker=mqtt://h:1 --otmcp-protocols=dnp3,s7 --otmcp-soak --otmcp-subject=my.toml"
     )
 
 
