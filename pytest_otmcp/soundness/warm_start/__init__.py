@@ -19,7 +19,8 @@ from pathlib import Path
 
 from ...core.errors import KitError
 from ...plant.owners import TOKEN_VARIABLE, new_token
-from ...subject import Adapter, Subject, reference_subject
+from ...subject import Adapter, Subject
+from ...subject.reference import select
 from ..defect import ADAPTERS, DEFECTS
 
 __all__ = ["WarmStart"]
@@ -29,7 +30,7 @@ _HERE = Path(__file__).parent
 
 def _imported() -> list[str]:
     """Return the names of the modules that are imported before the first fork."""
-    protocols = (f"{ADAPTERS}.{protocol}" for protocol in reference_subject().adapters)
+    protocols = (f"{ADAPTERS}.{protocol}" for protocol in select(None).subject.adapters)
     return [f"{ADAPTERS}.core.run", *protocols, f"{DEFECTS}.table"]
 
 
