@@ -153,7 +153,7 @@ MUTANTS: tuple[Mutant, ...] = (
         protocol="opcua",
         sentence="attempts is always 1.",
         bend=meta(one_attempt),
-        items=on("opcua", "ENV-002 ENV-005"),
+        items=on("opcua", "ENV-002 ENV-003 ENV-005"),
         requirements="ENV-005",
         areas="env",
     ),
