@@ -6,8 +6,8 @@ import argparse
 import asyncio
 import json
 import os
+import shutil
 import sys
-import textwrap
 import time
 from collections.abc import Iterator
 from contextlib import suppress
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 __all__ = ["add_parser", "run"]
 
 _REDRAW_S = 0.5
-_WIDTH = 118
 _INDENT = 9
 
 
@@ -163,7 +162,7 @@ class _Display:
         now = time.monotonic()
         names = ", ".join(f"{name} {now - since:.0f} s" for name, since in self._under_way.items())
         text = f"  {self._done} of {self._total} judged in {now - self._began:.0f} s; under way: {names}"
-        print(f"\r{text[:_WIDTH]}\x1b[K", end="", file=sys.stderr, flush=True)
+        print(f"\r{text[: shutil.get_terminal_size().columns - 1]}\x1b[K", end="", file=sys.stderr, flush=True)
 
     def clear(self) -> None:
         """Take the moving line away."""
@@ -173,37 +172,34 @@ class _Display:
 
 def _row(one: Outcome) -> Iterator[str]:
     defect, seen = one.defect, one.seen
-    yield from _lines(f"{defect.id:<{_INDENT}}{one.word:<12}{defect.protocol}: {defect.sentence} ({one.seconds:.0f} s)")
-    yield from _below(f"by {_list(seen.items)} for {_list(seen.requirements)}")
+    yield f"{defect.id:<{_INDENT}}{one.word:<12}{defect.protocol}: {defect.sentence} ({one.seconds:.0f} s)"
+    yield _below(f"by {_list(seen.items)} for {_list(seen.requirements)}")
     if one.is_expected:
         return
-    yield from _below(f"must be by {_list(defect.items)} for {_list(defect.requirements)}")
+    yield _below(f"must be by {_list(defect.items)} for {_list(defect.requirements)}")
     for text in (*seen.faults, *seen.words):
-        yield from _below(text)
+        yield _below(text)
 
 
 def _totals(matrix: KillMatrix) -> Iterator[str]:
     known = matrix.declared
     yield ""
-    for text in (
-        f"defects noticed by exactly what must notice them: {len(matrix.noticed)} of {len(matrix.outcomes)}",
-        f"defects of the catalogue: {len(matrix.shown)} of {known.total} noticed in this run; adapters have {len(matrix.covered)}",
-        f"MUSTs with a check that fails for a defect: {len(matrix.killed)} of {len(matrix.musts)} in this run",
-    ):
-        yield from _lines(text)
+    yield f"defects noticed by exactly what must notice them: {len(matrix.noticed)} of {len(matrix.outcomes)}"
+    yield f"defects of the catalogue: {len(matrix.shown)} of {known.total} noticed in this run; adapters have {len(matrix.covered)}"
+    yield f"MUSTs with a check that fails for a defect: {len(matrix.killed)} of {len(matrix.musts)} in this run"
     if matrix.is_whole:
-        yield from _lines(f"MUSTs with a check that failed for none: {_list(matrix.musts - matrix.killed)}")
+        yield f"MUSTs with a check that failed for none: {_list(matrix.musts - matrix.killed)}"
         yield ""
         yield "MUSTs without a check:"
         for row, reason in matrix.unjudged.items():
-            yield from _lines(f"{row:<{_INDENT}}{reason}")
+            yield f"{row:<{_INDENT}}{reason}"
         yield ""
         yield "defects of the catalogue, or ways to have them, that no adapter has yet, and what it takes to notice them:"
         for one in known.unnoticed:
-            yield from _lines(f"{one.id:<{_INDENT}}{one.sentence} ({one.reason})")
+            yield f"{one.id:<{_INDENT}}{one.sentence} ({one.reason})"
     yield ""
     if matrix.unexpected:
-        yield from _lines(f"not as expected: {' '.join(one.defect.id for one in matrix.unexpected)}")
+        yield f"not as expected: {' '.join(one.defect.id for one in matrix.unexpected)}"
     else:
         yield "all as expected"
 
@@ -212,9 +208,5 @@ def _list(names: Any) -> str:
     return " ".join(sorted(names)) or "nothing"
 
 
-def _below(text: str) -> list[str]:
-    return _lines(" " * _INDENT + text)
-
-
-def _lines(text: str) -> list[str]:
-    return textwrap.wrap(text, _WIDTH, subsequent_indent=" " * _INDENT, break_on_hyphens=False, drop_whitespace=True)
+def _below(text: str) -> str:
+    return " " * _INDENT + text
