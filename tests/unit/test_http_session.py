@@ -64,7 +64,9 @@ async def test_a_request_that_the_server_refuses_for_its_size_does_not_end_the_s
         exchange = await http.call("read_input_registers", {"address": "9" * 5_000_000, "count": 1}, timeout_s=60.0)
         assert (exchange.response, exchange.failure) == (None, CONTENT_TOO_LARGE)
         assert exchange.latency_ms is not None
-        assert (await http.call("read_input_registers", {"address": 0, "count": 1}, timeout_s=60.0)).response is not None
+        assert (
+            await http.call("read_input_registers", {"address": 0, "count": 1}, timeout_s=60.0)
+        ).response is not None
 
 
 @pytest.mark.asyncio
