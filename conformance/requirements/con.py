@@ -369,26 +369,40 @@ async def messages_are_published_beside_each_other(run: Repetition, mqtt: Rig) -
 
 @TASKS.every_protocol("CON-005", "A call that waits holds up nothing else.")
 async def a_call_that_waits_holds_up_nothing(run: Repetition, at: Rig) -> None:
-    """Read while the device is silent; ask for the list of tools meanwhile; then cancel the call.
+    """Read while the device is silent; ask for the list of tools meanwhile; then cancel the call. Where the list came late, and only
+    when the call had ended, do it once more.
 
-    Said: the list within a second.
+    Said: the list within a second, or before the call ends.
     Seen: the read, which is not answered.
     Why: a device that stands still must not take the assistant's other devices, and the way to stop, away from it.
     """
     await a_read_works(run, at)
     await at.fault(*faulty(exercise(at).reads, **silence(at)))
+    held_up_s = await _held_up_s(run, at)
+    if held_up_s is not None:
+        # What stood still for a moment is late once; what waits for the device is late every time.
+        held_up_s = await _held_up_s(run, at)
+    await at.fault()
+    if held_up_s is not None:
+        message = f"{at.protocol}: while a call waited for the device, tools/list took {held_up_s:.1f} s, until the call had ended"
+        run.finding("held_up", message, "CON-005")
+    await answers_again(run, at)
+
+
+async def _held_up_s(run: Repetition, at: Rig) -> float | None:
+    """Return the seconds after which the list of tools came while a call waited; None where that was soon, or before the call ended."""
     asked = exercise(at).read(run.rng)
     took_s = []
 
     async def listing() -> None:
         took_s.append(await at.listing_took_s())
 
-    await at.call_and_cancel(asked.operation, seen={"request": True}, timeout_s=2.0, meanwhile=listing, **asked.inputs)
-    await at.fault()
-    if took_s[0] > _HELD_UP_S * max(1.0, run.time_scale):
-        message = f"{at.protocol}: while a call waited for the device, tools/list took {took_s[0]:.1f} s"
-        run.finding("held_up", message, "CON-005")
-    await answers_again(run, at)
+    waiting = await at.call_and_cancel(
+        asked.operation, seen={"request": True}, timeout_s=2.0, meanwhile=listing, **asked.inputs
+    )
+    # On a machine that stands still the list is late as well, but the call goes on waiting.
+    late = took_s[0] > _HELD_UP_S * max(1.0, run.time_scale)
+    return took_s[0] if late and not waiting.cancelled else None
 
 
 @TASKS.every_protocol("CON-006", "Many calls work, over few connections.")

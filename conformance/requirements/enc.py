@@ -21,6 +21,7 @@ from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
 from ..tasks.messages import publish_from_kit, sync_point
+from .opcua_values import as_said
 from .registers import FORMATS, ORDERS, WIDE, registers, same_bits, unpacked
 from .sparkplug_payload import DOUBLE, INT64, UINT64, payload_of
 from .steps import NOTHING_SENT, a_read_works, exact_or_refused, knows_node, nothing_arrived, read
@@ -470,7 +471,7 @@ async def texts_of_nodes_arrive_as_they_are(run: Repetition, opcua: Rig) -> None
                 if run.succeeds(reply, requirement="ENC-006") and nonce not in str(reply.outputs.get("value")):
                     run.judge(reply, [_wrong(reply, value, "ENC-006")])
             else:
-                run.succeeds(reply, requirement="ENC-006", value=value)
+                run.succeeds(reply, requirement="ENC-006", value=as_said(kind, value, reply))
     for data in (*_BYTES[:-1], run.rng.randbytes(12)):
         encoded = base64.b64encode(data).decode()
         await opcua.poke(node="ByteString", value=encoded)

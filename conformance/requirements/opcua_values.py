@@ -16,8 +16,19 @@ from datetime import UTC, datetime, timedelta
 from typing import Any
 
 from pytest_otmcp.core.strict_json import same_json
+from pytest_otmcp.trial.reply import Reply
 
-__all__ = ["Typed", "bytes_of", "every_type", "further_types", "leaves", "moment_text", "said_by", "same_instant"]
+__all__ = [
+    "Typed",
+    "as_said",
+    "bytes_of",
+    "every_type",
+    "further_types",
+    "leaves",
+    "moment_text",
+    "said_by",
+    "same_instant",
+]
 
 _INTEGERS = {
     "SByte": (-(2**7), 2**7 - 1),
@@ -105,6 +116,15 @@ def _same_guid(found: object, value: str) -> bool:
 def said_by(found: object, value: object) -> bool:
     """Tell whether a value is said as it is, or by a member of an object."""
     return any(same_json(leaf, value) for leaf in leaves(found))
+
+
+def as_said(kind: str, value: object, reply: Reply) -> object:
+    """Return what the output ``value`` of a reply has to be, for a value of this built-in type.
+
+    OPC 10000-6, section 5.4.2.11: in JSON a localized text may also be an object, which has the text and its locale.
+    """
+    found = reply.outputs.get("value")
+    return found if kind == "LocalizedText" and said_by(found, value) else value
 
 
 def _named(found: object, value: str) -> bool:

@@ -16,6 +16,7 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
+from .opcua_values import as_said
 from .registers import registers
 from .steps import CONNECTION_FAULTS, a_read_works, exact_or_refused, exercise, knows_node, read, works_again
 
@@ -88,7 +89,7 @@ async def every_type_is_read_as_it_is(run: Repetition, opcua: Rig) -> None:
     for node, value in _values(run):
         await opcua.poke(node=node, value=value)
         reply = await opcua.call("read", node=f"ns=2;s={node}")
-        run.succeeds(reply, requirement="RD-001", value=value)
+        run.succeeds(reply, requirement="RD-001", value=as_said(node, value, reply))
 
 
 def _values(run: Repetition) -> Iterator[tuple[str, object]]:

@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-__all__ = ["CANCELLED", "Exchange", "joined"]
+__all__ = ["CANCELLED", "CONTENT_TOO_LARGE", "Exchange", "joined"]
 
 CANCELLED = "cancelled"
 """Failure of an exchange that the kit itself has cancelled."""
+
+CONTENT_TOO_LARGE = "content_too_large"
+"""Failure of an exchange whose request the subject has refused by HTTP status 413 (RFC 9110, section 15.5.14)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -21,8 +24,9 @@ class Exchange:
         request: the request frame as written, without its newline.
         response: the response frame as read, or None when none came.
         sent_ns: monotonic time just before the request was written.
-        received_ns: monotonic time at which the response had been read, or None.
-        failure: why there is no usable response (``timeout``, ``connection_closed``, ``cancelled``), or None.
+        received_ns: monotonic time at which the response, or the refusal by HTTP status, had been read, or None.
+        failure: why there is no usable response (``timeout``, ``connection_closed``, ``cancelled``, ``content_too_large``),
+            or None.
         client_complaint: what the official SDK client objected to in the response, or None.
         asked_ns, returned_ns: monotonic times at which the SDK client was asked, and at which it had processed the
             response; 0 where the time of the client was not measured.
@@ -41,7 +45,7 @@ class Exchange:
 
     @property
     def latency_ms(self) -> float | None:
-        """Time from the request's writing to the response's reading, in milliseconds; None without a response."""
+        """Time from the request's writing to the response's reading, in milliseconds; None without one."""
         return None if self.received_ns is None else (self.received_ns - self.sent_ns) / 1e6
 
 

@@ -38,6 +38,7 @@ class Measurement:
     response: bytes | None = None
     sent_ns: int = 0
     received_ns: int | None = None
+    too_large: bool = False
 
 
 @dataclass(slots=True)
@@ -86,6 +87,13 @@ class FrameRecorder:
             self._by_request_id[identifier] = measurement
             measurement.request = frame
             measurement.sent_ns = now
+
+    def refused_as_too_large(self, now: int, identifier: Any) -> None:
+        """Note that a request was refused for its size before anybody has read it, so that there is no frame in answer."""
+        measurement = self._by_request_id.pop(identifier, None)
+        if measurement is not None:
+            measurement.received_ns = now
+            measurement.too_large = True
 
     def accepts(self, frame: bytes) -> bool:
         """Tell whether a frame is to be read, before a parser sees it; one that is too large is an overflow."""

@@ -120,13 +120,17 @@ class _RecordingTransport(httpx2.AsyncBaseTransport):
 
     async def handle_async_request(self, request: httpx2.Request) -> httpx2.Response:
         body = await request.aread()
+        asked = None
         if request.method == "POST" and body:
             message = json.loads(body)
             if "id" in message and "method" in message:
-                self._recorder.sent(time.monotonic_ns(), body, message["id"], message.get("params"))
+                asked = message["id"]
+                self._recorder.sent(time.monotonic_ns(), body, asked, message.get("params"))
         # What is compressed could neither be recorded as it is read nor be limited: a few kilobytes may become gigabytes.
         request.headers["accept-encoding"] = "identity"
         response = await self._network.handle_async_request(request)
+        if response.status_code == httpx2.codes.CONTENT_TOO_LARGE:
+            self._recorder.refused_as_too_large(time.monotonic_ns(), asked)
         response.headers.pop("content-encoding", None)
         kind = response.headers.get("content-type", "").partition(";")[0].strip()
         assert isinstance(response.stream, httpx2.AsyncByteStream)

@@ -26,7 +26,7 @@ from pydantic import ValidationError
 from ..core.errors import ExhaustedError, KitError, SubjectError
 from ..core.exhaustion import exhausted
 from ..record.schema import Footprint
-from .exchange import CANCELLED, Exchange
+from .exchange import CANCELLED, CONTENT_TOO_LARGE, Exchange
 from .footprint import footprint
 from .frames import MAX_STRAY_LINES, META_KEY, FrameRecorder, Measurement
 from .http import HttpTransport
@@ -286,7 +286,9 @@ class McpSession:
                 if measured.response is None:
                     failure = CANCELLED
             except (MCPError, TimeoutError) as error:
-                if measured.response is None:
+                if measured.too_large:
+                    failure = CONTENT_TOO_LARGE
+                elif measured.response is None:
                     timed_out = isinstance(error, TimeoutError) or error.code == -32001
                     failure = "timeout" if timed_out and not self.died else "connection_closed"
             except (RuntimeError, ValidationError, ValueError) as error:

@@ -11,8 +11,16 @@ from ..core.strict_json import parse_strict
 from ..protocols.envelope import check_result
 from ..protocols.journal import Entries, JournalEntry
 from ..protocols.registry import protocols
-from ..session.exchange import CANCELLED, Exchange
-from ..subject.answers import UNCLASSIFIED, extract, interpret, read_answer, synthesised, synthesised_from_outputs
+from ..session.exchange import CANCELLED, CONTENT_TOO_LARGE, Exchange
+from ..subject.answers import (
+    UNCLASSIFIED,
+    Answer,
+    extract,
+    interpret,
+    read_answer,
+    synthesised,
+    synthesised_from_outputs,
+)
 from ..subject.model import Answering, OutputRule
 
 __all__ = ["Expectation", "Reply", "observe", "replace_outputs"]
@@ -75,8 +83,8 @@ class Reply:
 
     @property
     def answered(self) -> bool:
-        """There is a response."""
-        return self.exchange.response is not None
+        """There is a response, or the refusal of a request that was too large to be read."""
+        return self.exchange.response is not None or self.exchange.failure == CONTENT_TOO_LARGE
 
     @property
     def cancelled(self) -> bool:
@@ -144,6 +152,8 @@ def observe(exchange: Exchange, expected: Expectation) -> Reply:
     if exchange.response is None:
         if exchange.failure == CANCELLED:
             return silent
+        if exchange.failure == CONTENT_TOO_LARGE:
+            return replace(silent, envelope=_too_large(expected), native=False)
         return replace(silent, faults=(_no_response(exchange, expected.deadline_s),))
     try:
         message = parse_strict(exchange.response)
@@ -227,6 +237,14 @@ def _read_answer(exchange: Exchange, message: Mapping[str, object], expected: Ex
         evidence=_excerpt(exchange.response or b""),
     )
     return envelope, [fault]
+
+
+def _too_large(expected: Expectation) -> dict[str, Any]:
+    """Make an envelope for the refusal of a request that the adapter has not read."""
+    words = "HTTP status 413: the request is too large"
+    answer = Answer(success=False, document=None, text=words, code="limit_exceeded")
+    operation = protocols()[expected.adapter].operations[expected.operation]
+    return synthesised(answer, protocol=expected.adapter, operation=expected.operation, writes=operation.writes)
 
 
 def _client_faults(exchange: Exchange, message: Mapping[str, object]) -> list[Finding]:

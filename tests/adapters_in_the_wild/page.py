@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from pytest_otmcp.certificate.eligibility import objections
+from pytest_otmcp.core.matrix import REQUIREMENTS
 from pytest_otmcp.core.verdict import Verdict
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.record.schema import Item, Run
@@ -12,8 +13,9 @@ from pytest_otmcp.record.warnings import failing, said, warnings
 from pytest_otmcp.report import applied, applies, tally
 from pytest_otmcp.report.causes import Cause, causes
 from pytest_otmcp.report.markdown import code, escape
+from pytest_otmcp.suite import levels
 from pytest_otmcp.suite.catalogue import tasks_by_id
-from pytest_otmcp.suite.requirements import requirements
+from pytest_otmcp.suite.requirements import catalogue, requirements
 
 from .wire import wire
 
@@ -32,6 +34,7 @@ _HEAD = (
     "verdict",
     "causes",
     "warnings",
+    "level",
     "certificate",
 )
 _NONE = "—"
@@ -70,14 +73,22 @@ def _row(name: str, run: Run) -> tuple[str, ...]:
         _verdict(run).lower(),
         listed or _NONE,
         str(len(warnings(run["items"])) or _NONE),
+        _level(run),
         _certificate(run),
     )
+
+
+def _level(run: Run) -> str:
+    if REQUIREMENTS not in run["settings"]["suites"]:
+        return "not measured"
+    found = levels.standings(catalogue(), run["items"], run["subject"]["adapters"])
+    return "<br>".join(map(levels.said, found))
 
 
 def _certificate(run: Run) -> str:
     if _verdict(run) != Verdict.CONFORMANT:
         return _NONE
-    reasons = objections(run, tasks_by_id(run["subject"]["adapters"]))
+    reasons = objections(run, tasks_by_id(run["subject"]["adapters"], run["settings"]["suites"]))
     return f"no: {'; '.join(reasons)}" if reasons else "yes"
 
 

@@ -9,6 +9,7 @@ import tempfile
 from functools import cache
 from pathlib import Path
 
+from pytest_otmcp.core.matrix import SUITES
 from pytest_otmcp.record.condensed import condensed
 from pytest_otmcp.record.reader import open_record
 from pytest_otmcp.record.schema import Run
@@ -48,7 +49,7 @@ def stored(name: str) -> Run:
 
 
 def measure(name: str, reps: int = REPS) -> None:
-    """Install an adapter, run the whole suite with it, judge the run again, and keep its record.
+    """Install an adapter, run benchmark and requirement suite with it, judge the run again, and keep its record.
 
     Raises:
         NotInstalled: the adapter cannot be had here.
@@ -56,7 +57,8 @@ def measure(name: str, reps: int = REPS) -> None:
     """
     subject = install(name, _CACHE)
     with tempfile.TemporaryDirectory() as directory:
-        options = [f"--otmcp-subject={subject.name}", f"--otmcp-reps={reps}", f"--otmcp-report-dir={directory}"]
+        options = [f"--otmcp-subject={subject.name}", f"--otmcp-suite={','.join(SUITES)}", f"--otmcp-reps={reps}"]
+        options.append(f"--otmcp-report-dir={directory}")
         suite = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--pyargs", "pytest_otmcp.conformance"]
         code = subprocess.run([*suite, *options], cwd=subject.parent, check=False).returncode
         if code not in _JUDGED:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from pytest_otmcp.core.matrix import BENCHMARK, SUITES
 from pytest_otmcp.record.schema import Run
 from pytest_otmcp.report.causes import causes
 from pytest_otmcp.subject import load_subject
@@ -27,6 +28,7 @@ def test_a_record_is_of_the_whole_suite_and_of_the_subject_file_as_it_is(
     run = stored(name)
     assert run["subject"]["digest"] == load_subject(EXAMPLES / name / "otmcp.toml").digest
     assert run["settings"]["reps"] == REPS
+    assert run["settings"]["suites"] in (list(BENCHMARK), list(SUITES))
     assert run["settings"]["narrowed"] == []
 
 

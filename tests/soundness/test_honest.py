@@ -79,6 +79,20 @@ def test_an_honest_adapter_is_accused_of_nothing_in_the_requirement_suite(judge:
     assert set(warnings(results)) <= choice.warnings, words(results)
 
 
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("name", "checks"),
+    [
+        ("mcp/streamable-http", "ADR-009.modbus"),
+        ("opcua/localized-texts-as-objects", "RD-001.opcua ENC-006.opcua"),
+    ],
+)
+def test_an_honest_adapter_that_a_check_once_accused_is_accused_no_more(judge: Judge, name: str, checks: str) -> None:
+    choice = ZOO[name]
+    results = judge(choice.protocol, "honest/adapter.py", name, described=choice.described, tasks=checks)
+    assert passing(results) == set(checks.split()), words(results)
+
+
 def test_the_documentation_has_every_honest_adapter() -> None:
     current = with_section("honest", section())
     assert DOCUMENT.read_text(encoding="utf-8") == current, "out of date: python -m tests.soundness.honest.table"

@@ -12,6 +12,7 @@ from contextlib import asynccontextmanager
 import pytest
 
 from pytest_otmcp.errors import SubjectError
+from pytest_otmcp.session.exchange import CONTENT_TOO_LARGE
 from pytest_otmcp.session.session import McpSession, SessionOptions
 
 ADAPTER = [sys.executable, "-m", "pytest_otmcp.reference_adapters", "modbus"]
@@ -56,6 +57,17 @@ async def test_frames_and_their_times_are_recorded(era: str) -> None:
     assert asked["method"] == "tools/call"
     assert asked["id"] == answered["id"]
     assert answered["result"]["structuredContent"]["error"]["code"] == "connect_failed"
+
+
+@pytest.mark.asyncio
+async def test_a_request_that_the_server_refuses_for_its_size_does_not_end_the_session() -> None:
+    async with session() as http:
+        exchange = await http.call("read_input_registers", {"address": "9" * 5_000_000, "count": 1}, timeout_s=60.0)
+        assert (exchange.response, exchange.failure) == (None, CONTENT_TOO_LARGE)
+        assert exchange.latency_ms is not None
+        assert (
+            await http.call("read_input_registers", {"address": 0, "count": 1}, timeout_s=60.0)
+        ).response is not None
 
 
 @pytest.mark.asyncio

@@ -56,6 +56,14 @@ def test_the_reference_adapters_are_described_completely() -> None:
     assert set(subject.adapters) == set(protocols())
 
 
+def test_two_seconds_in_which_any_process_is_stopped_are_held_against_no_reference_adapter() -> None:
+    for protocol, adapter in reference_subject().adapters.items():
+        for variant in adapter.variants.values():
+            exchange, call = (float(variant.env[f"{protocol.upper()}_{name}_S"]) for name in ("TIMEOUT", "DEADLINE"))
+            assert 2.0 < exchange < call, "the device may be stopped"
+            assert call + 2.0 < adapter.deadline_s, "the adapter or the kit may be stopped when its time-out is due"
+
+
 def test_an_adapter_that_says_nothing_of_its_tools_has_those_of_the_reference_adapter(tmp_path: Path) -> None:
     adapter = load(tmp_path, LAUNCH).adapters["modbus"]
     reference = reference_subject().adapters["modbus"].operations

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 from ...core import AdapterServer
 from ...modbus import link as modbus_link
 from ...opcua.link import Link, Session
@@ -32,6 +34,8 @@ def stays_on_a_dead_connection(server: AdapterServer) -> None:
     def explained(link: modbus_link.Link, connection: modbus_link._Connection, error: Exception) -> Exception:
         if not connection.lost and isinstance(error, TimeoutError | modbus_link.ModbusException):
             link._connection = connection
+            # The library would end it after three calls.
+            connection.client.ctx.count_until_disconnect = sys.maxsize
         return genuine(link, connection, error)
 
     close = modbus_link.Link._drop

@@ -305,3 +305,19 @@ def further_members(server: AdapterServer) -> None:
     tool = server._tools["read_opcua_node"]
     listing = tool.listing.model_copy(update={"output_schema": None})
     server._tools["read_opcua_node"] = dataclasses.replace(tool, handler=extended(tool.handler), listing=listing)
+
+
+@choice("gives a localized text as an object with text and locale", "OPC 10000-6, section 5.4.2.11")
+def localized_texts_as_objects(server: AdapterServer) -> None:
+    def extended(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Any:
+            data = await genuine(call, arguments)
+            if data["data_type"] != "LocalizedText":
+                return data
+            return {**data, "value": {"Locale": None, "Text": data["value"]}}
+
+        return handler
+
+    tool = server._tools["read_opcua_node"]
+    listing = tool.listing.model_copy(update={"output_schema": None})
+    server._tools["read_opcua_node"] = dataclasses.replace(tool, handler=extended(tool.handler), listing=listing)
