@@ -106,7 +106,10 @@ def _attempts(
 ) -> Iterator[Finding]:
     sent = from_adapter(seen)
     if attempts > len(sent):
-        sent = from_adapter([entry for entry in window.until_end if entry["t_ns"] <= window.end_ns + LATE_NS]) or sent
+        # What arrives after the reply and is answered is a request of a later call.
+        known, answered = {entry["seq"] for entry in seen}, {entry["answers"] for entry in window.until_end}
+        late = [entry for entry in window.until_end if entry["t_ns"] <= window.end_ns + LATE_NS]
+        sent += from_adapter([entry for entry in late if entry["seq"] not in known | answered])
     if attempts > len(sent):
         yield Finding(
             code="attempts",
