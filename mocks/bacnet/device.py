@@ -229,6 +229,8 @@ class _Client:
             if rule is not None and rule.error is not None:
                 raise Refusal(*rule.error)
             answer = execute(plant, service, _clamped(rule, asked), apply=rule is None or not rule.ack_only)
+        except Rejected as error:
+            return _reject(reply_id, error.reason)
         except Refusal as refusal:
             codes = b"".join(encode(Value(kind="enumerated", value=code)) for code in refusal.error)
             said = {"pdu_type": int(PduType.ERROR), "service": service, "error": list(refusal.error)}

@@ -77,12 +77,14 @@ class Asked:
         reads: what it asks for.
         write: what it writes; None where it writes nothing.
         values, priority: of the write; the priority is None where it names none.
+        rejected: reason why it is rejected although it could be read.
     """
 
     reads: Sequence[Reference] = ()
     write: Reference | None = None
     values: Sequence[Value] = ()
     priority: int | None = None
+    rejected: int | None = None
 
     def shown(self) -> dict[str, Any]:
         """Return the members of the request's journal entry."""
@@ -122,9 +124,7 @@ def asked_of(service: int, data: bytes) -> Asked:
         asked = parsers[service](tags)
     except MalformedError:
         raise Rejected(INVALID_TAG) from None
-    if not tags.at_end:
-        raise Rejected(TOO_MANY_ARGUMENTS)
-    return asked
+    return asked if tags.at_end else replace(asked, rejected=TOO_MANY_ARGUMENTS)
 
 
 def _read(tags: Tags) -> Asked:
@@ -144,11 +144,9 @@ def _read_multiple(tags: Tags) -> Asked:
         closing = tags.next()
         if not closing.is_closing or closing.number != 1:
             raise Rejected(INVALID_TAG)
-        if len(found) > _MAX_ELEMENTS:
-            raise Rejected(TOO_MANY_ARGUMENTS)
     if not found:
         raise Rejected(MISSING_PARAMETER)
-    return Asked(reads=found)
+    return Asked(reads=found, rejected=TOO_MANY_ARGUMENTS if len(found) > _MAX_ELEMENTS else None)
 
 
 def _write(tags: Tags) -> Asked:
@@ -163,9 +161,9 @@ def _write(tags: Tags) -> Asked:
             raise Rejected(INVALID_TAG)
         values.append(value_of(KINDS[tag.number], tag.content))
     priority = _unsigned(tags, 4) if tags.is_next(4) else None
-    if priority is not None and not 1 <= priority <= PRIORITIES:
-        raise Rejected(OUT_OF_RANGE)
-    return Asked(write=reference, values=values, priority=priority)
+    is_priority = priority is None or 1 <= priority <= PRIORITIES
+    rejected = None if is_priority else OUT_OF_RANGE
+    return Asked(write=reference, values=values, priority=priority, rejected=rejected)
 
 
 def _identifier(tags: Tags) -> tuple[int, int]:
@@ -178,9 +176,7 @@ def _identifier(tags: Tags) -> tuple[int, int]:
 def _reference(tags: Tags, kind: int, instance: int, first: int) -> Reference:
     number = _unsigned(tags, first)
     index = _unsigned(tags, first + 1) if tags.is_next(first + 1) else None
-    # Clause 15.5.1.1.1: this instance of a device object stands for the device that is asked.
-    own = (kind, instance) == (ObjectType.DEVICE, _WILDCARD)
-    return Reference(kind=kind, instance=DEVICE if own else instance, number=number, index=index)
+    return Reference(kind=kind, instance=instance, number=number, index=index)
 
 
 def _unsigned(tags: Tags, number: int) -> int:
@@ -197,7 +193,10 @@ def execute(plant: Plant, service: int, asked: Asked, *, apply: bool = True) -> 
 
     Raises:
         Refusal: the error to answer with.
+        Rejected: the reject reason to answer with.
     """
+    if asked.rejected is not None:
+        raise Rejected(asked.rejected)
     if asked.write is not None:
         one = asked.write
         if (one.kind, one.instance) == (ObjectType.DEVICE, DEVICE):
@@ -206,10 +205,15 @@ def execute(plant: Plant, service: int, asked: Asked, *, apply: bool = True) -> 
         plant.at(one.kind, one.instance).write(one.number, one.index, asked.values, asked.priority, apply=apply)
         return Answer(data=None)
     if service == Confirmed.READ_PROPERTY:
-        (one,) = asked.reads
+        one = _meant_device(asked.reads[0])
         values = element_of(plant.content(one.kind, one.instance, one.number), one.index)
         return read_answer(one, values)
-    return _multiple_answer(plant, asked.reads)
+    return _multiple_answer(plant, list(map(_meant_device, asked.reads)))
+
+
+def _meant_device(one: Reference) -> Reference:
+    # Clause 15.5.1.1.1: this instance of a device object stands for the device that is asked.
+    return one.at(DEVICE) if (one.kind, one.instance) == (ObjectType.DEVICE, _WILDCARD) else one
 
 
 def read_answer(one: Reference, values: Sequence[Value]) -> Answer:
