@@ -34,9 +34,9 @@ from .worker import SPOOLS
 
 if TYPE_CHECKING:
     from ..protocols.protocol import OtProtocol
-    from ..record.schema import AdapterFacts, Footer, Header, ItemHead, Protocol, Role, Settings
+    from ..record.schema import AdapterFacts, Counted, Footer, Header, ItemHead, Protocol, Settings
     from ..record.writer import RunWriter
-    from ..subject import Subject
+    from ..subject.reference import Selection
     from .options import RunSettings
     from .results import ItemResult, Measured, WorkerFacts
 
@@ -50,7 +50,8 @@ class RunRecorder:
     """Collector of the results on the controller, and writer of ``run.json``.
 
     Args:
-        settings, subject: of the run.
+        settings: of the run.
+        selection: the adapters that it measures.
         required: ids, in the suite's order, of all items of the shipped suite, also of those that filters removed.
         narrowed: sentences on everything that narrowed or shadowed the suite; may grow until :meth:`finish`.
         workers: number of pytest-xdist workers, 0 for none.
@@ -64,7 +65,7 @@ class RunRecorder:
     def __init__(
         self,
         settings: RunSettings,
-        subject: Subject,
+        selection: Selection,
         *,
         required: list[str],
         narrowed: list[str],
@@ -79,7 +80,8 @@ class RunRecorder:
         self._run_id = secrets.token_hex(16)
         self.verdict: Verdict | None = None
         self.deviations: DeviationReport | None = None
-        self._subject = subject
+        self._subject = selection.subject
+        self._not_measured = selection.not_measured
         self._narrowed = narrowed
         self._workers = workers
         self._begun = begun
@@ -89,7 +91,7 @@ class RunRecorder:
         # Samples that a killed run has left.
         shutil.rmtree(settings.report_dir / SPOOLS, ignore_errors=True)
         # A deviation that no item can have is reported now, not after the run.
-        judge_deviations(subject.deviations, {}, required, self._started.date())
+        judge_deviations(selection.subject.deviations, {}, required, self._started.date())
 
     @property
     def path(self) -> Path:
@@ -154,7 +156,7 @@ class RunRecorder:
         if not self._workers:
             # Time outside of every span counts as the kit's: collection, pytest itself, writing the record.
             spent["kit"] = round(spent.get("kit", 0.0) + max(0.0, elapsed - sum(spent.values())), 3)
-        calls: Counter[Role] = Counter(dict.fromkeys(ROLES, 0))
+        calls: Counter[Counted] = Counter(dict.fromkeys(ROLES, 0))
         for measured in self._measured:
             calls.update(measured["tool_calls"])
         footer: Footer = {
@@ -237,6 +239,8 @@ class RunRecorder:
                     "time_scale": settings.time_scale,
                     "soak": settings.soak,
                     "suites": list(settings.suites),
+                    "protocols": list(settings.protocols),
+                    "not_measured": dict(self._not_measured),
                     "xdist_workers": self._workers,
                     **{
                         device.option: settings.external.get(protocol, "embedded")

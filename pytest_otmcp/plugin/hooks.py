@@ -44,6 +44,7 @@ from .options import add_options, read_settings
 from .stash import ENDINGS, INTERFERENCE, PLANNED, PROGRESS, RECORDER, RESULT, RUN, SETTINGS, STARTED
 
 if TYPE_CHECKING:
+    from ..subject.reference import Selection
     from ..trial.task import Task
     from .controller import RunRecorder
     from .endings import Endings
@@ -120,12 +121,12 @@ def _worker(config: pytest.Config) -> str | None:
     return str(config.workerinput["workerid"]) if hasattr(config, "workerinput") else None
 
 
-def _load_subject(config: pytest.Config) -> Any:
-    from ..subject import load_subject, reference_subject
+def _select_adapters(config: pytest.Config) -> Selection:
+    from ..subject.reference import select
 
-    source = config.stash[SETTINGS].subject
+    settings = config.stash[SETTINGS]
     try:
-        return reference_subject() if source is None else load_subject(source)
+        return select(settings.subject, settings.protocols)
     except UsageError as error:
         _refuse(error)
 
@@ -136,7 +137,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         config.pluginmanager.register(_ResultReceiver(config))
         if config.getoption("dist", "no") != "no" and asks_for_suite(config):
             # An error in the subject file is reported once here, instead of by each of the workers that start later.
-            _load_subject(config)
+            _select_adapters(config)
 
 
 def pytest_report_header(config: pytest.Config) -> str | None:
@@ -252,7 +253,7 @@ def _required_tasks(config: pytest.Config) -> dict[str, Task]:
     suites = config.stash[SETTINGS].suites
     if all(protocol.always for protocol in protocols().values()):
         return tasks_by_id(suites=suites)
-    return tasks_by_id(_load_subject(config).adapters, suites)
+    return tasks_by_id(_select_adapters(config).subject.adapters, suites)
 
 
 def _task_ids(items: list[pytest.Item]) -> list[str]:
@@ -280,15 +281,16 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     interference.check_execution_plan(config.stash.get(PLANNED, []), _task_ids(session.items))
     with ignore_warnings():
         interference.note(*changed_files())
-        run = config.stash[RUN] = Run(config.stash[SETTINGS], _load_subject(config), tasks, worker=_worker(config))
+        selection = _select_adapters(config)
+        run = config.stash[RUN] = Run(config.stash[SETTINGS], selection.subject, tasks, worker=_worker(config))
         if not _is_worker(config):
-            _begin_recording(config, run.subject, tasks, workers=0)
+            _begin_recording(config, selection, tasks, workers=0)
     progress = config.stash.get(PROGRESS, None)
     if progress is not None:
         run.progress, run.starting = progress.show_repetition, progress.show_start
 
 
-def _begin_recording(config: pytest.Config, subject: Any, tasks: list[Task], *, workers: int) -> None:
+def _begin_recording(config: pytest.Config, selection: Selection, tasks: list[Task], *, workers: int) -> None:
     """Create the recorder and the progress of this run; only the controller has them."""
     from .controller import RunRecorder
     from .interference import Interference
@@ -300,7 +302,7 @@ def _begin_recording(config: pytest.Config, subject: Any, tasks: list[Task], *, 
     try:
         config.stash[RECORDER] = RunRecorder(
             settings,
-            subject,
+            selection,
             required=list(_required_tasks(config)),
             narrowed=interference.sentences,
             workers=workers,
@@ -345,7 +347,7 @@ def pytest_xdist_node_collection_finished(node: Any, ids: list[str]) -> None:
             known[name] for identifier in shipped if (name := identifier.rpartition("[")[2].rstrip("]")) in known
         ]
         workers = config.getoption("numprocesses") or 1
-        _begin_recording(config, _load_subject(config), planned, workers=workers)
+        _begin_recording(config, _select_adapters(config), planned, workers=workers)
 
 
 # -- execution ----------------------------------------------------------------------------------------------------

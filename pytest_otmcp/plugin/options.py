@@ -33,6 +33,10 @@ _OPTIONS = {
         "ROWS",
         "only the checks of these rows of the catalogue, or these checks, separated by commas, such as WR-003",
     ),
+    "protocols": (
+        "NAMES",
+        "further protocols whose reference adapters are run as well, separated by commas, or all (default: none)",
+    ),
     "report-dir": ("DIR", "directory for run record, tables and figures (default reports/latest)"),
     "seed": ("N", "seed of the values that repetitions use (default 0)"),
     "era": ("ERA", "MCP protocol era: auto or legacy (default auto)"),
@@ -56,6 +60,7 @@ class RunSettings:
         subject: subject file, or None for the shipped reference adapters.
         suites: names of the suites to run, in the suite's order.
         only: rows of the catalogue, or ids of checks, to which the requirement suite is narrowed; empty for all.
+        protocols: further protocols whose reference adapters are run, or ``all``.
         report_dir: directory of run record, tables and figures.
         seed: seed of the values that repetitions use.
         era: MCP protocol era, ``auto`` or ``legacy``.
@@ -69,6 +74,7 @@ class RunSettings:
     subject: Path | None
     suites: tuple[str, ...]
     only: tuple[str, ...]
+    protocols: tuple[str, ...]
     report_dir: Path
     seed: int
     era: str
@@ -110,7 +116,7 @@ def read_settings(config: pytest.Config) -> RunSettings:
             value = config.getini(_destination(name)) or None
         return None if value is None else str(value)
 
-    only = tuple(name.strip() for name in (text("only") or "").split(",") if name.strip())
+    only = _names(text("only"))
     reps = _read_whole_number("reps", text("reps"), DEFAULT_REPS, minimum=1, maximum=100_000)
     return RunSettings(
         reps=reps,
@@ -118,6 +124,7 @@ def read_settings(config: pytest.Config) -> RunSettings:
         subject=_find_subject(text("subject"), config.rootpath, config.invocation_params.dir),
         suites=_read_suites(text("suite"), (REQUIREMENTS,) if only else BENCHMARK),
         only=only,
+        protocols=_names(text("protocols")),
         report_dir=_resolve_report_dir(text("report-dir"), config),
         seed=_read_whole_number("seed", text("seed"), 0, minimum=0, maximum=2**63 - 1),
         era=_check_choice("era", text("era") or "auto", ("auto", "legacy")),
@@ -129,6 +136,10 @@ def read_settings(config: pytest.Config) -> RunSettings:
             if (value := text(device.option)) is not None
         },
     )
+
+
+def _names(value: str | None) -> tuple[str, ...]:
+    return tuple(name.strip() for name in (value or "").split(",") if name.strip())
 
 
 def _read_whole_number(name: str, value: str | None, default: int, *, minimum: int, maximum: int) -> int:
@@ -166,7 +177,7 @@ def _check_choice(name: str, value: str, known: tuple[str, ...]) -> str:
 def _read_suites(value: str | None, default: tuple[str, ...]) -> tuple[str, ...]:
     if value is None:
         return default
-    names = [name.strip() for name in value.split(",") if name.strip()]
+    names = _names(value)
     if not names:
         raise UsageError(f"--otmcp-suite: expected one or more of {', '.join(SUITES)}")
     chosen = [_check_choice("suite", name, SUITES) for name in names]

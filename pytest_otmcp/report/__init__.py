@@ -145,6 +145,8 @@ def command(run: Run, item: Item | None = None, repetition: int = 0) -> str:
         chosen = cast(dict[str, object], settings).get(name, value)
         if chosen != value:
             options.append(f"--otmcp-{name.replace('_', '-')}={chosen}")
+    if further := settings.get("protocols"):
+        options.append(f"--otmcp-protocols={','.join(further)}")
     if settings.get("soak"):
         options.append("--otmcp-soak")
     if settings.get("subject"):

@@ -19,6 +19,7 @@ from .applying import not_applying
 from .causes import Cause, causes
 from .console_lines import Line, failed, wrapped
 from .console_tables import tables, time_budget
+from .families import apart
 from .findings import subject_keys
 from .strangers import strangers
 from .text import at_least, count, counted, printable, shortened
@@ -58,23 +59,24 @@ def summary(run: Run, width: int = 80, *, verbosity: int = 0, fold_verdict: bool
     if verbosity > 0:
         lines += time_budget(run, width)
     if verbosity >= 0:
-        lines += [*_levels(run, width), *_narrowed(run, width), *_strangers(run, width)]
+        lines += [*_levels(run, width), *_narrowed(run, width), *_not_measured(run, width), *_strangers(run, width)]
     return [*lines, *_verdict(run, width if fold_verdict else None)]
 
 
 def _suites(run: Run, width: int) -> Iterator[Line]:
-    wide = max(len(suite) for suite in ("normal", *(item["suite"] for item in run["items"]))) + 1
+    further, applying = apart(run), [item for item in run["items"] if applies(item)]
+    wide = max(len(name) for name in ("normal", *(item["suite"] for item in run["items"]), *further)) + 1
     yield f"{'suite':<{wide}}{'items':>7}{'runs':>10}{'each at least':>16}", "head"
-    for suite in SUITES:
-        items = [item for item in run["items"] if item["suite"] == suite and applies(item)]
+    within = [item for item in applying if item["family"] not in further]
+    rows = {suite: [item for item in within if item["suite"] == suite] for suite in SUITES}
+    rows |= {family: [item for item in applying if item["family"] == family] for family in further}
+    for name, items in rows.items():
         if items:
             red = [item["id"] for item in items if failed(item)]
             bounds = [least(item) for item in items]
             # One item of a suite that fails leaves nothing that could be said of each.
             known = [bound for bound in bounds if bound is not None] if not red and None not in bounds else []
-            row = (
-                f"{suite:<{wide}}{count(len(items) - len(red), len(items), _NONE):>7}{count(*tally(items), _NONE):>10}"
-            )
+            row = f"{name:<{wide}}{count(len(items) - len(red), len(items), _NONE):>7}{count(*tally(items), _NONE):>10}"
             row += f"{at_least(min(known, default=None), _NONE):>16}{'   ' if red else ''}{' '.join(red)}"
             yield shortened(row, width), "bad" if red else "plain"
 
@@ -156,6 +158,12 @@ def _narrowed(run: Run, width: int) -> Iterator[Line]:
     for sentence in run["settings"].get("narrowed", ()):
         for line in wrapped(f"narrowed: {sentence}", width, "  "):
             yield line, "bad"
+
+
+def _not_measured(run: Run, width: int) -> Iterator[Line]:
+    for sentence in run["settings"].get("not_measured", {}).values():
+        for line in wrapped(f"note: {sentence}", width, "  "):
+            yield line, "plain"
 
 
 def _strangers(run: Run, width: int) -> Iterator[Line]:

@@ -6,12 +6,14 @@ families of protocols that are not installed here: these come last and have no c
 
 from __future__ import annotations
 
+from typing import cast
+
 from ..core.matrix import CROSS_PROTOCOL
 from ..protocols.protocol import Colour
 from ..protocols.registry import protocols
 from . import Run, applies
 
-__all__ = ["applying_families", "css_class", "families", "family_colour", "style_sheet"]
+__all__ = ["apart", "applying_families", "benchmark", "css_class", "families", "family_colour", "style_sheet"]
 
 _CROSS_COLOUR = Colour(light="#cc79a7", dark="#d98fb8")
 _CROSS_CLASS = "cross"
@@ -28,6 +30,23 @@ def applying_families(run: Run) -> list[str]:
     """Return the families of which an item applies to the subject; all of them when none does."""
     applying = {item["family"] for item in run["items"] if applies(item)}
     return [name for name in families(run) if name in applying] or families(run)
+
+
+def apart(run: Run) -> list[str]:
+    """Return the families whose totals stand apart from the benchmark's, in a run that has both.
+
+    The benchmark's tables and totals are those of the paper, whose protocols are part of every run.
+    """
+    always = {CROSS_PROTOCOL, *(protocol.name for protocol in protocols().values() if protocol.always)}
+    applying = applying_families(run)
+    further = [name for name in applying if name not in always]
+    return further if len(further) < len(applying) else []
+
+
+def benchmark(run: Run) -> Run:
+    """Return a run without the items of the families that stand apart."""
+    further = apart(run)
+    return cast("Run", {**run, "items": [item for item in run["items"] if item["family"] not in further]})
 
 
 def family_colour(family: str) -> Colour | None:

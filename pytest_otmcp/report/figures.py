@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from ..core.statistics import percentile
 from ..protocols.registry import protocols
 from . import Item, Run, adapters, durations, phases, timing_valid
-from .families import family_colour
+from .families import benchmark, family_colour
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -75,7 +75,7 @@ def ink_on(ground: str) -> str:
 
 
 def write_figures(run: Run, directory: Path) -> None:
-    """Write every figure of a run below ``directory``."""
+    """Write every figure of a run below ``directory``; families that stand apart are in the map of protocols alone."""
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -87,6 +87,7 @@ def write_figures(run: Run, directory: Path) -> None:
         "protocol_map": (_protocol_map, 2.2),
     }
     directory.mkdir(parents=True, exist_ok=True)
+    run = benchmark(run)
     with mpl.rc_context(_STYLE):
         for name, (draw, height) in figures.items():
             figure = Figure(figsize=(_WIDTH_IN, height), layout="constrained")

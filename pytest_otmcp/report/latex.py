@@ -14,7 +14,7 @@ from ..core.statistics import mean, mean_interval, median_interval, outliers, pe
 from ..protocols.registry import protocols
 from ..record.consistency import count_calls
 from . import Item, Run, adapters, applies, command, durations, least, phases, recovered, tally, task_calls
-from .families import families
+from .families import apart, benchmark, families
 from .text import count, interval, number, percent_down
 
 __all__ = ["escape", "write_tables"]
@@ -50,16 +50,21 @@ def escape(text: str) -> str:
 
 
 def write_tables(run: Run, directory: Path) -> None:
-    """Write every table of a run below ``directory``."""
+    """Write every table of a run below ``directory``.
+
+    The paper's tables are about the families of the paper's matrix; further families have ``tab_protocols`` to themselves.
+    """
     directory.mkdir(parents=True, exist_ok=True)
+    paper, further = benchmark(run), apart(run)
     tables = {
-        "exact_counts": _exact_counts(run),
-        "tab_results": _results(run),
-        "tab_taskbreakdown": _task_breakdown(run),
-        "tab_faultresults": _fault_results(run),
-        "tab_stress": _stress(run),
-        "tab_recovery": _recovery(run),
-        "tab_statistics": _statistics(run),
+        "exact_counts": _exact_counts(paper),
+        "tab_results": _results(paper, families(paper)),
+        "tab_taskbreakdown": _task_breakdown(paper),
+        "tab_faultresults": _fault_results(paper),
+        "tab_stress": _stress(paper),
+        "tab_recovery": _recovery(paper),
+        "tab_statistics": _statistics(paper),
+        **({"tab_protocols": _results(run, further)} if further else {}),
     }
     for name, lines in tables.items():
         (directory / f"{name}.tex").write_text("\n".join([*_origin(run), *lines]) + "\n", encoding="utf-8")
@@ -145,9 +150,9 @@ def _row(*cells: str) -> str:
     return " & ".join(cells) + r" \\"
 
 
-def _results(run: Run) -> list[str]:
+def _results(run: Run, names: Iterable[str]) -> list[str]:
     rows = []
-    for family in families(run):
+    for family in names:
         items = _items(run, "normal", family)
         if not items:
             continue

@@ -26,6 +26,7 @@ def narrowed(run: Run) -> list[str]:
     # Limits that an option of the kit sets have their own sentences in this function.
     noted = [sentence for sentence in settings.get("narrowed", ()) if "(--otmcp-" not in sentence]
     reasons += [f"{sentence[:1].upper()}{sentence[1:]}." for sentence in noted]
+    reasons += [f"{sentence}." for sentence in settings.get("not_measured", {}).values()]
     reps = settings.get("reps", _FULL)
     benchmark = {*BENCHMARK} & {*settings.get("suites", BENCHMARK)}
     if benchmark and reps < _FULL and (bound := lower_bound(reps, reps)) is not None:

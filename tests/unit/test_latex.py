@@ -71,6 +71,25 @@ def test_a_macro_is_named_by_letters_only(tmp_path: Path, monkeypatch: pytest.Mo
     assert r"\newcommand{\sSevenplusToolCount}{20}" in lines(tmp_path, "exact_counts")
 
 
+FURTHER = item("K1", "normal", "Further", "Ping the controller.", [1.1] * 30)
+
+
+def test_further_protocols_have_a_table_to_themselves_and_change_no_other(tmp_path: Path) -> None:
+    alone, beside = tmp_path / "alone", tmp_path / "beside"
+    write_tables(run(ALL), alone)
+    write_tables(run([*ALL, FURTHER]), beside)
+    assert r"        Further & 1 & 100.0 & 100.0 & 1.1 & 1.1 & --- \\" in lines(beside, "tab_protocols")
+    assert {path.name for path in beside.iterdir()} == {"tab_protocols.tex", *(path.name for path in alone.iterdir())}
+    for path in alone.iterdir():
+        assert lines(alone, path.stem) == lines(beside, path.stem)
+
+
+def test_a_run_of_further_protocols_alone_has_the_usual_tables(tmp_path: Path) -> None:
+    write_tables(run([FURTHER]), tmp_path)
+    assert not (tmp_path / "tab_protocols.tex").exists()
+    assert r"        Further & 1 & 100.0 & 100.0 & 1.1 & 1.1 & --- \\" in lines(tmp_path, "tab_results")
+
+
 def test_families_are_separated_by_a_rule(tmp_path: Path) -> None:
     write_tables(run(ALL), tmp_path)
     breakdown = lines(tmp_path, "tab_taskbreakdown")
