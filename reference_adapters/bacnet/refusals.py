@@ -42,7 +42,8 @@ def refusal(call: Call, error: ErrorPDU | RejectPDU | AbortPDU) -> AdapterError:
         call.trace["reject_reason" if is_reject else "abort_reason"] = reason
         known = _REJECTS if is_reject else _ABORTS
         code, meaning = known.get(reason, ("protocol_error", "the device rejects the request"))
-        name, outcome = "reject" if is_reject else "abort", "rejected"
+        name = "reject" if is_reject else "abort"
+        outcome = "unknown" if code == "protocol_error" else "rejected"
         text = f"{meaning} ({name} reason {reason})"
     else:
         pair = int(error.errorClass), int(error.errorCode)

@@ -128,4 +128,6 @@ def _outcome(code: str, kind: str, *, writes: bool, sent: bool) -> str:
         return "not_sent"
     if not writes:
         return "not_applicable"
+    if code == "verify_failed":
+        return "applied"
     return "rejected" if kind == "device" and code not in _MAYBE_BEGUN else "unknown"
