@@ -228,7 +228,9 @@ class Link:
     # -- the socket -------------------------------------------------------------------------------------------
 
     def _using(self, call: Call) -> None:
-        call.connection(generation=self._generation + (not self._answers), fresh=not self._answers)
+        # A later request of the same call does not take back that the first one found the device again.
+        if not call.attempts:
+            call.connection(generation=self._generation + (not self._answers), fresh=not self._answers)
 
     def _answered(self, call: Call) -> None:
         if not self._answers:

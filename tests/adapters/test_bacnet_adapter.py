@@ -72,7 +72,7 @@ def test_what_the_device_holds_is_told(adapter: Any, device: Any) -> None:
     assert (found["device_id"], found["vendor_id"]) == (12345, 999)
 
 
-@pytest.mark.parametrize("more", [0, 400])
+@pytest.mark.parametrize("more", [0, 300])
 def test_every_object_is_listed_however_many_there_are(adapter: Any, device: Any, more: int) -> None:
     device("poke", params={"objects": more})
     listed = adapter.call("list_objects", device_id=12345).data["objects"]
