@@ -65,7 +65,7 @@ def nothing_sent(server: AdapterServer) -> None:
 
 MUTANTS = (
     Mutant(
-        id="MU-02b",
+        id="MU-02bac",
         protocol="bacnet",
         sentence="Every BACnet write goes to priority 16, whichever was asked for.",
         bend=at_the_lowest_priority,
@@ -73,7 +73,7 @@ MUTANTS = (
         requirements="WR-001 WR-002",
     ),
     Mutant(
-        id="MU-14b",
+        id="MU-14bac",
         protocol="bacnet",
         sentence="A BACnet write that the device acknowledges is told as done, although a higher priority wins.",
         bend=acknowledgement_is_enough,
@@ -81,7 +81,7 @@ MUTANTS = (
         requirements="WR-001",
     ),
     Mutant(
-        id="MU-15b",
+        id="MU-15bac",
         protocol="bacnet",
         sentence="A BACnet write succeeds, and nothing is sent.",
         bend=nothing_sent,
@@ -89,7 +89,7 @@ MUTANTS = (
         requirements="WR-001 ERR-002",
     ),
     Mutant(
-        id="MU-20b",
+        id="MU-20bac",
         protocol="bacnet",
         sentence="With writes disabled the WriteProperty is sent, and then denied.",
         bend=guard_after_sending(_WRITE),
