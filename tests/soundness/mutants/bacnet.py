@@ -53,16 +53,6 @@ def at_the_lowest_priority(server: AdapterServer) -> None:
     each(_WRITE, change=lowered)(server)
 
 
-def nothing_sent(server: AdapterServer) -> None:
-    def instead(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            return _told(arguments)
-
-        return handler
-
-    each(_WRITE, change=instead)(server)
-
-
 MUTANTS = (
     Mutant(
         id="MU-02bac",
@@ -79,14 +69,6 @@ MUTANTS = (
         bend=acknowledgement_is_enough,
         items="B5",
         requirements="WR-001",
-    ),
-    Mutant(
-        id="MU-15bac",
-        protocol="bacnet",
-        sentence="A BACnet write succeeds, and nothing is sent.",
-        bend=nothing_sent,
-        items="B3 B4 B5 B6 FB2 FB4 FB5 SB2",
-        requirements="WR-001 ERR-002",
     ),
     Mutant(
         id="MU-20bac",
