@@ -1,5 +1,6 @@
 """Re-export of the handles of mock devices, the documented import path."""
 
+from .plugin.fixtures.bacnet_handles import AsyncBacnetDevice, BacnetDevice, BacnetEntry
 from .plugin.fixtures.device_handles import (
     AnyDevice,
     AsyncAnyDevice,
@@ -17,10 +18,13 @@ from .plugin.fixtures.opcua_handles import AsyncOpcUaPlant, OpcUaEntry, OpcUaPla
 __all__ = [
     "AnyDevice",
     "AsyncAnyDevice",
+    "AsyncBacnetDevice",
     "AsyncBroker",
     "AsyncDevice",
     "AsyncModbusDevice",
     "AsyncOpcUaPlant",
+    "BacnetDevice",
+    "BacnetEntry",
     "Broker",
     "Device",
     "JournalEntry",

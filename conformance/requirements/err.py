@@ -8,6 +8,7 @@ from typing import Any
 from pytest_otmcp.core.error_registry import WireCode, registry, wire_codes
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.journal import ADAPTER
+from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.trial.check import Checks
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
@@ -228,6 +229,8 @@ async def connections_fail_in_three_ways(run: Repetition, at: Rig) -> None:
     Seen: the reset; the read.
     Why: whether a request may have left decides whether it may be repeated.
     """
+    if not protocols()[at.protocol].has_connections:
+        run.not_applicable("datagrams have no connection that is refused or reset: silence is all that there is")
     await a_read_works(run, at)
     codes: list[str | None] = []
     await at.fault(*({**rule, "times": 1} for rule in exercise(at).reset))

@@ -12,7 +12,7 @@ from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
 from ..tasks.messages import publish_from_kit
-from .steps import CONNECTION_FAULTS, a_read_works, answers_again, exercise, faulty, read
+from .steps import CONNECTION_FAULTS, a_read_works, answers_again, exercise, faulty, read, vanishing
 
 __all__ = ["TASKS"]
 
@@ -95,7 +95,7 @@ async def a_vanished_peer_is_noticed(run: Repetition, at: Rig) -> None:
     Why: after a pulled cable nobody says goodbye; who waits for that shows a plant that stands still.
     """
     await a_read_works(run, at)
-    await at.fault(*({**rule, "times": 1} for rule in faulty(exercise(at).reads, half_open=True)))
+    await at.fault(*({**rule, "times": 1} for rule in faulty(exercise(at).reads, **vanishing(at))))
     asked, lost = await read(run, at)
     if lost.success:
         run.succeeds(lost, requirement="REC-003", **asked.outputs)

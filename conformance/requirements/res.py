@@ -13,7 +13,7 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Footprint, Rig
 
-from .steps import a_read_works, answers_again, exercise, faulty, read
+from .steps import a_read_works, answers_again, exercise, faulty, read, reset
 
 __all__ = ["TASKS"]
 
@@ -116,7 +116,7 @@ async def _burst(run: Repetition, at: Rig, calls: int, faults: int, cancels: int
         run.succeeds(reply, requirement=None, **asked.outputs)
         replies.append(reply)
     for _ in range(faults):
-        await at.fault(*faulty(asks.reads, reset=True))
+        await at.fault(*faulty(asks.reads, **reset(at)))
         asked = asks.read(run.rng)
         await at.call(asked.operation, role="control", **asked.inputs)
     await at.fault()

@@ -30,8 +30,10 @@ __all__ = [
     "nothing_arrived",
     "read",
     "refused_before_the_wire",
+    "reset",
     "silence",
     "since",
+    "vanishing",
     "works_again",
     "write",
     "written_once",
@@ -68,6 +70,18 @@ def silence(at: Rig) -> Mapping[str, object]:
     action = exercise(at).silent[0]["action"]
     assert isinstance(action, Mapping)
     return action
+
+
+def reset(at: Rig) -> Mapping[str, object]:
+    """Return the action of a fault rule with which the device resets the connection; over datagrams, that of a lost answer."""
+    action = exercise(at).reset[0]["action"]
+    assert isinstance(action, Mapping)
+    return action
+
+
+def vanishing(at: Rig) -> Mapping[str, object]:
+    """Return the action of a fault rule with which a request is lost, and with it the connection, where there is one."""
+    return {"half_open": True} if protocols()[at.protocol].has_connections else {"lose": True}
 
 
 def citing(requirement: str, *findings: Iterable[Finding]) -> list[Finding]:

@@ -26,6 +26,7 @@ from .steps import (
     faulty,
     silence,
     since,
+    vanishing,
 )
 
 __all__ = ["TASKS"]
@@ -59,8 +60,8 @@ async def every_call_ends_in_time(run: Repetition, at: Rig) -> None:
     await a_read_works(run, at)
     asks = exercise(at)
     await at.fault(
-        *({**condition, "times": 1, "action": {"half_open": True}} for condition in asks.reads[:1]),
-        *faulty(asks.reads, drip_s=_DRIP_S),
+        *({**condition, "times": 1, "action": vanishing(at)} for condition in asks.reads[:1]),
+        *faulty(asks.reads, **({"drip_s": _DRIP_S} if protocols()[at.protocol].has_connections else silence(at))),
     )
     asked = asks.read(run.rng)
     for poke in asked.pokes:

@@ -32,6 +32,7 @@ from .steps import (
     exercise,
     faulty,
     nothing_arrived,
+    reset,
     silence,
     since,
     write,
@@ -248,7 +249,7 @@ async def a_write_is_sent_once(run: Repetition, at: Rig) -> None:
     await a_write_works(run, at)
     await at.fault(*faulty(asks.writes, delay_s=_LATE_S))
     await a_write_works(run, at)
-    for action in ({"reset": True}, silence(at)):
+    for action in (reset(at), silence(at)):
         await at.fault(*faulty(asks.writes, **action))
         asked, reply = await write(run, at)
         await at.fault()

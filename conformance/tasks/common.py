@@ -8,6 +8,7 @@ from typing import Any
 
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.journal import Entries
+from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.protocols.session_oracle import Exchanges
 from pytest_otmcp.protocols.unsolicited import nothing_commanded
 from pytest_otmcp.trial.repetition import Repetition
@@ -62,7 +63,8 @@ async def survive_a_restart(run: Repetition, rig: Rig, operation: str, **inputs:
     run.succeeds(warm)
     stop_ms = await rig.stop_device()
     failing = await rig.call_until_failure(operation, window_s=_noticing_s(rig, operation), **inputs)
-    if run.fails(failing, *CONNECTION_FAULTS, requirement="REC-002"):
+    told = run.fails(failing, *CONNECTION_FAULTS, requirement="REC-002")
+    if told and protocols()[rig.protocol].has_connections:
         # An adapter that knows that its connection is gone makes a new one, which is refused. One whose call timed out, or that
         # says nothing that can be told apart, may find only now that the connection is lost.
         knows = failing.error_code in ("connect_failed", "connection_lost")

@@ -272,6 +272,11 @@ class OtProtocol:
     origin: Origin | None = None
 
     @property
+    def has_connections(self) -> bool:
+        """Whether clients have connections, which a device that is gone refuses; over datagrams it is silent."""
+        return self.framing is None or self.framing.frame_length is not None
+
+    @property
     def facets(self) -> tuple[str, ...]:
         """Facets that an adapter for this protocol may claim or not."""
         names = [GUARD, RECOVERY]

@@ -31,6 +31,7 @@ REGISTRY: dict[str, tuple[str, bool, bool]] = {
     "gateway_path_unavailable": ("device", True, True),
     "gateway_target_no_response": ("device", True, False),
     "not_born": ("state", False, False),
+    "verify_failed": ("device", False, False),
     "partial_failure": ("device", True, False),
     "connect_failed": ("transport", True, True),
     "dns_error": ("transport", True, True),
@@ -127,4 +128,6 @@ def _outcome(code: str, kind: str, *, writes: bool, sent: bool) -> str:
         return "not_sent"
     if not writes:
         return "not_applicable"
+    if code == "verify_failed":
+        return "applied"
     return "rejected" if kind == "device" and code not in _MAYBE_BEGUN else "unknown"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from . import any_protocol, areas, claims, life, modbus, mqtt, opcua, refusals, sparkplug
+from . import any_protocol, areas, bacnet, claims, life, modbus, mqtt, opcua, refusals, sparkplug
 from .mutant import Mutant, number
 
 __all__ = ["MUTANTS", "REPRESENTATIVE", "SAMPLE"]
@@ -12,6 +12,7 @@ _ALL = (
     *mqtt.MUTANTS,
     *sparkplug.MUTANTS,
     *opcua.MUTANTS,
+    *bacnet.MUTANTS,
     *any_protocol.MUTANTS,
     *claims.MUTANTS,
     *life.MUTANTS,

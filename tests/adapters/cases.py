@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-__all__ = ["CASES", "MODBUS", "MODBUS_TAGS", "MQTT", "OPCUA", "Case", "Unfit"]
+__all__ = ["BACNET", "CASES", "MODBUS", "MODBUS_TAGS", "MQTT", "OPCUA", "Case", "Unfit"]
 
 Tools = Mapping[str, Mapping[str, Any]]
 Fields = Mapping[str, Any]
@@ -182,6 +182,78 @@ MODBUS = Case(
     unknown_host={"MODBUS_HOST": "no-such-host.invalid"},
     farewell=("DISCONNECTED",),
     concurrent=False,
+)
+
+# -- BACnet ------------------------------------------------------------------------------------------------------
+
+BACNET_ALIASES: dict[str, dict[str, Any]] = {
+    "zone": {"device_id": 12345, "object_type": "analog-input", "object_instance": 1, "unit": "degF"},
+    "valve": {
+        "device_id": 12345,
+        "object_type": "analog-output",
+        "object_instance": 1,
+        "writable": True,
+        "priority": 10,
+    },
+}
+
+
+def _bacnet_settings(port: int, name: str, folder: Path) -> dict[str, str]:
+    aliases = folder / "aliases.json"
+    aliases.write_text(json.dumps(BACNET_ALIASES))
+    return {"BACNET_HOST": "127.0.0.1", "BACNET_PORT": str(port), "BACNET_ALIAS_MAP": str(aliases)}
+
+
+_ZONE = {"device_id": 12345, "object_type": "analog-input", "object_instance": 1}
+_VALVE = {"device_id": 12345, "object_type": "analog-output", "object_instance": 1}
+
+BACNET = Case(
+    protocol="bacnet",
+    settings=_bacnet_settings,
+    prefix="BACNET",
+    reads={
+        "ping": {},
+        "discover_devices": {"timeout_ms": 50},
+        "list_objects": {"device_id": 12345},
+        "read_property": _ZONE,
+        "read_object_by_alias": {"alias": "zone"},
+    },
+    writes={
+        "write_property": {**_VALVE, "value": 40.5},
+        "write_object_by_alias": {"alias": "valve", "value": 41.5},
+    },
+    probe="ping",
+    write="write_property",
+    answered=("write_property", "write_object_by_alias"),
+    requests=lambda tool: {"kind": "request"},
+    image=("points",),
+    unfit=(
+        Unfit("write_property", {**_VALVE, "value": "abc"}, "type_mismatch", in_tool=True),
+        Unfit("write_property", {**_VALVE, "value": True}, "type_mismatch", in_tool=True),
+        Unfit("write_property", {**_VALVE, "value": 1e39}, "range_overflow", in_tool=True),
+        Unfit("write_property", {**_VALVE, "value": 1.0, "priority": 17}, "invalid_input"),
+        Unfit("write_property", {**_VALVE, "value": 1.0, "priority": 6}, "invalid_input"),
+        Unfit("write_property", {**_VALVE, "value": 1.0, "property_id": "no-such"}, "invalid_input", in_tool=True),
+        Unfit(
+            "write_property", {**_VALVE, "value": 1.0, "property_id": "object-list"}, "writes_disabled", in_tool=True
+        ),
+        Unfit("write_property", {**_VALVE, "object_type": "binary-output", "value": 2}, "range_overflow", in_tool=True),
+        Unfit("write_property", {**_VALVE, "object_instance": 4194303, "value": 1.0}, "invalid_input"),
+        Unfit("write_object_by_alias", {"alias": "zone", "value": 1.0}, "not_writable", in_tool=True),
+        Unfit("write_object_by_alias", {"alias": "nobody", "value": 1.0}, "illegal_address", in_tool=True),
+        Unfit("read_property", {**_ZONE, "device_id": -1}, "invalid_input"),
+        Unfit("read_property", {**_ZONE, "object_type": "thermometer"}, "invalid_input"),
+        Unfit("discover_devices", {"timeout_ms": 0}, "invalid_input"),
+    ),
+    bad_settings=(
+        ("BACNET_PORT", "many"),
+        ("BACNET_PRIORITY", "6"),
+        ("BACNET_PRIORITY", "17"),
+        ("BACNET_TIMEOUT_S", "nan"),
+        ("BACNET_ALIAS_MAP", "/does/not/exist.json"),
+    ),
+    unknown_host={"BACNET_HOST": "no-such-host.invalid"},
+    farewell=(),
 )
 
 # -- MQTT --------------------------------------------------------------------------------------------------------

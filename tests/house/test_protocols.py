@@ -29,7 +29,6 @@ def protocol(request: pytest.FixtureRequest) -> OtProtocol:
 def test_every_protocol_is_complete(protocol: OtProtocol) -> None:
     assert protocol.key.isidentifier()
     assert protocol.package == f"pytest_otmcp.protocols.{protocol.key}"
-    assert protocol.always
     assert protocol.origin is None
     assert protocol.framing is not None, "the tap cannot be the witness"
     assert protocol.recognise.search(protocol.key)
@@ -91,7 +90,10 @@ def test_every_extra_and_colour_is_told_apart() -> None:
 def test_the_packages_that_a_record_states_are_what_the_project_depends_on() -> None:
     project = tomllib.loads((CHECKOUT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     dependencies = {text.partition(">")[0] for text in project["dependencies"]}
-    assert {package for key in OWN for package in protocols()[key].packages} <= dependencies
+    extras = project["optional-dependencies"]
+    for protocol in (protocols()[key] for key in OWN):
+        extra = {text.partition(">")[0] for text in extras.get(protocol.key, ())}
+        assert set(protocol.packages) <= (dependencies if protocol.always else extra), protocol.key
 
 
 def test_every_protocol_s_data_is_shipped(protocol: OtProtocol) -> None:

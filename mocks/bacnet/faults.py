@@ -1,0 +1,162 @@
+"""The fault plan of the BACnet device: which request gets which fault."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from ..fault_rules import FLAG, SKIP, Field, Plan, Table, integer, number
+from ..network import MANNERS, Mangling
+from .names import ObjectType
+from .values import Value, encode
+
+__all__ = ["TABLE", "FaultPlan", "Rule", "identifier_of"]
+
+_BYTE = integer(0, 0xFF)
+_BY_TEXT = {kind.text: int(kind) for kind in ObjectType}
+
+
+def identifier_of(text: Any) -> tuple[int, int] | None:
+    """Return type and instance of an object such as ``analog-input,1``; None where the text names none."""
+    kind, comma, instance = text.partition(",") if isinstance(text, str) else ("", "", "")
+    if not comma or kind not in _BY_TEXT or not instance.isdecimal() or int(instance) > 4194302:
+        return None
+    return _BY_TEXT[kind], int(instance)
+
+
+def _is_pair(value: object, accepts: Field) -> bool:
+    return isinstance(value, list) and len(value) == 2 and all(map(accepts.accepts, value))
+
+
+def _is_values(value: object) -> bool:
+    if not isinstance(value, list):
+        return False
+    try:
+        for one in value:
+            encode(Value(kind=one["type"], value=one["value"]))
+    except (AttributeError, KeyError, IndexError, OverflowError, TypeError, ValueError, struct.error):
+        return False
+    return True
+
+
+TABLE = Table(
+    conditions={
+        "service": integer(0, 0xFF),
+        "object": Field(accepts=lambda value: identifier_of(value) is not None, expected="such as 'analog-input,1'"),
+        "discovery": FLAG,
+        "skip": SKIP,
+    },
+    actions={
+        "error": Field(
+            accepts=lambda value: _is_pair(value, integer(0, 0xFFFF)), expected="a list of error class and error code"
+        ),
+        "reject": _BYTE,
+        "abort": _BYTE,
+        "delay_s": number(0, 3600),
+        "drop": FLAG,
+        "lose": FLAG,
+        "garbage": FLAG,
+        "invoke_id": integer(-0xFF, 0xFF),
+        "answer_instance": integer(0, 4194302),
+        "answer_values": Field(accepts=_is_values, expected="a list of objects with type and value"),
+        "clamp": Field(
+            accepts=lambda value: _is_pair(value, number()) and value[0] <= value[1],
+            expected="a list of two numbers, the lower one first",
+        ),
+        "truncate": integer(0, 1500),
+        "ack_only": FLAG,
+        "duplicate": MANNERS["duplicate"],
+        "mangle": MANNERS["mangle"],
+    },
+    example="{'drop': true}",
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rule:
+    """One rule: conditions (None matches everything), how often it applies, and what happens.
+
+    Attributes:
+        service: number of a confirmed service.
+        object: type and instance of an object that the request is about.
+        discovery: True for Who-Is alone, which no other rule concerns.
+        skip: so many requests that fit pass first.
+        times: applied at most this often, None without limit.
+        action: the action as it was given, for the journal.
+        error, reject, abort: answer with this error (class and code), reject reason or abort reason; nothing is executed.
+        delay_s: answer this many seconds later; later requests are not delayed by it.
+        drop: execute, but do not answer.
+        lose: neither execute nor answer.
+        garbage: execute, answer with bytes that are no BACnet/IP.
+        invoke_id: added to the invoke id of the answer.
+        answer_instance: instance of the object that the answer to a ReadProperty names.
+        answer_values: values that a successful ReadProperty answers with.
+        clamp: an analog present value that is written is stored not lower and not higher than these two numbers.
+        truncate: send only this many bytes of the answer.
+        ack_only: acknowledge a write without doing it.
+        duplicate: send the answer twice.
+        mangle: change the answer's bytes; the journal has what was sent, as an entry ``mangled``, in its place.
+    """
+
+    service: int | None = None
+    object: tuple[int, int] | None = None
+    discovery: bool = False
+    skip: int = 0
+    times: int | None = None
+    action: Mapping[str, Any] = field(default_factory=dict)
+    error: tuple[int, int] | None = None
+    reject: int | None = None
+    abort: int | None = None
+    delay_s: float = 0.0
+    drop: bool = False
+    lose: bool = False
+    garbage: bool = False
+    invoke_id: int = 0
+    answer_instance: int | None = None
+    answer_values: Sequence[Value] | None = None
+    clamp: tuple[float, float] | None = None
+    truncate: int | None = None
+    ack_only: bool = False
+    duplicate: bool = False
+    mangle: Mangling | None = None
+
+
+class FaultPlan(Plan[Rule]):
+    """The plan that the rules of the control channel make.
+
+    Raises:
+        ValueError: a rule is not understood.
+    """
+
+    def __init__(self, rules: list[dict[str, Any]]) -> None:
+        super().__init__([_read(rule) for rule in rules])
+
+    def match(self, service: int, objects: Collection[tuple[int, int]]) -> Rule | None:
+        """Return the rule that applies to a confirmed request, if any; count it."""
+        return self.first(
+            lambda rule: (
+                not rule.discovery
+                and rule.service in (None, service)
+                and (rule.object is None or rule.object in objects)
+            )
+        )
+
+    def match_discovery(self) -> Rule | None:
+        """Return the rule that applies to a Who-Is, if any; count it."""
+        return self.first(lambda rule: rule.discovery)
+
+
+def _read(source: Mapping[str, Any]) -> Rule:
+    values = TABLE.read(source)
+    for name in ("error", "clamp"):
+        if name in values:
+            values[name] = tuple(values[name])
+    if "object" in values:
+        values["object"] = identifier_of(values["object"])
+    if "answer_values" in values:
+        values["answer_values"] = [Value(kind=one["type"], value=one["value"]) for one in values["answer_values"]]
+    if "mangle" in values:
+        values["mangle"] = Mangling(**values["mangle"])
+    return Rule(action=dict(source["action"]), **values)

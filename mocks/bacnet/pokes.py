@@ -1,0 +1,72 @@
+"""What can be changed at the device past the protocol: values, slots of priority arrays, reliability, the number of objects.
+
+===============  =======================================================================================================
+``value``        ``{"object": "analog-input,1", "value": 70.5}``: the present value of an object without a priority array; of one with
+                 a priority array the relinquish default
+``priority``     ``{"object": "analog-output,1", "priority": 5, "value": 30.0}``: a slot of the priority array; null empties it
+``reliability``  ``{"object": "analog-input,1", "reliability": 1}`` (BACnetReliability): 0 for no fault; else the status flag *fault* is set
+``objects``      ``{"objects": 400}``: the plant has so many further analog values, from instance 1000 on
+===============  =======================================================================================================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ..fault_rules import integer
+from .faults import identifier_of
+from .names import Refusal
+from .objects import PRIORITIES, BacnetObject
+from .plant import Plant, single
+from .values import Value
+
+__all__ = ["poke"]
+
+_PRIORITY, _RELIABILITY, _COUNT = integer(1, PRIORITIES), integer(0, 63), integer(0, 1000)
+
+
+def poke(plant: Plant, params: Mapping[str, Any]) -> None:
+    """Change the plant.
+
+    Raises:
+        ValueError: no such object, value or number.
+        KeyError: a parameter is missing.
+    """
+    if "objects" in params:
+        if not _COUNT.accepts(params["objects"]):
+            raise ValueError(f"objects: expected {_COUNT.expected}, found {params['objects']!r}")
+        plant.enlarge(params["objects"])
+        return
+    target = _object(plant, params["object"])
+    if "reliability" in params:
+        if not _RELIABILITY.accepts(params["reliability"]):
+            raise ValueError(f"reliability: expected {_RELIABILITY.expected}, found {params['reliability']!r}")
+        target.reliability = params["reliability"]
+        return
+    value, priority = params["value"], params.get("priority")
+    if priority is None:
+        target.held = _checked(target, value)
+        return
+    if not target.commandable or not _PRIORITY.accepts(priority):
+        raise ValueError(f"{target.label} has no priority {priority!r}")
+    target.slots[priority - 1] = None if value is None else _checked(target, value)
+
+
+def _object(plant: Plant, text: Any) -> BacnetObject:
+    identifier = identifier_of(text)
+    if identifier is None or identifier not in plant.objects:
+        known = ", ".join(one.label for one in plant.objects.values())
+        raise ValueError(f"there is no object {text!r}; there are {known}")
+    return plant.objects[identifier]
+
+
+def _checked(target: BacnetObject, value: Any) -> Any:
+    wanted = (int, float) if target.kind == "real" else (int,)
+    if type(value) not in wanted:
+        raise ValueError(f"{target.label} holds {target.kind} values, not {value!r}")
+    try:
+        held = single(value) if target.kind == "real" else value
+        return target.checked([Value(kind=target.kind, value=held)])
+    except (Refusal, OverflowError):
+        raise ValueError(f"{target.label} cannot hold {value!r}") from None

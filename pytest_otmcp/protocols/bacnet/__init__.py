@@ -1,0 +1,1 @@
+"""BACnet/IP: description, operations, decoder and oracles."""
