@@ -30,7 +30,7 @@ _CHANGING_JOBS = {WRITE, CONTROL, STOP, 0x1A, 0x1B, 0x1C}
 _CHANGING_USER_DATA = {SET_CLOCK}
 
 NOT_ALLOWED, WRONG_PDU, NOT_AVAILABLE = 0x8104, 0x8500, 0xD401
-WRONG_STATE = 0xD409
+WRONG_STATE = 0x8402
 _PROGRAM = b"P_PROGRAM"
 _MOST_ITEMS = 20
 _SMALLEST_PDU = 240
@@ -62,7 +62,10 @@ def _service_of(request: Pdu) -> str:
 def _group(request: Pdu) -> tuple[int, int] | None:
     """Return function group and subfunction of user data; None where its parameters are none."""
     head = request.parameters
-    if len(head) not in (8, 12) or head[2] != 0x12 or head[3] != len(head) - 4 or head[5] & 0xF0 != 0x40:
+    if len(head) not in (8, 12) or head[2] != 0x12 or head[3] != len(head) - 4:
+        return None
+    # The upper half says that it is a request, 4; pyS7 says 0, and real controllers are reported to answer it.
+    if head[5] >> 4 not in (0, 4):
         return None
     return head[5] & 0x0F, head[6]
 
