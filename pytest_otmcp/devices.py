@@ -13,6 +13,7 @@ from .plugin.fixtures.device_handles import (
 from .plugin.fixtures.modbus_handles import AsyncModbusDevice, ModbusDevice, ModbusEntry
 from .plugin.fixtures.mqtt_handles import AsyncBroker, Broker, MqttEntry
 from .plugin.fixtures.opcua_handles import AsyncOpcUaPlant, OpcUaEntry, OpcUaPlant
+from .plugin.fixtures.s7_handles import AsyncS7Device, S7Device, S7Entry
 
 __all__ = [
     "AnyDevice",
@@ -21,6 +22,7 @@ __all__ = [
     "AsyncDevice",
     "AsyncModbusDevice",
     "AsyncOpcUaPlant",
+    "AsyncS7Device",
     "Broker",
     "Device",
     "JournalEntry",
@@ -30,6 +32,8 @@ __all__ = [
     "MqttEntry",
     "OpcUaEntry",
     "OpcUaPlant",
+    "S7Device",
+    "S7Entry",
     "SubjectError",
     "UsageError",
 ]

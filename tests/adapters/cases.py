@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-__all__ = ["CASES", "MODBUS", "MODBUS_TAGS", "MQTT", "OPCUA", "Case", "Unfit"]
+__all__ = ["CASES", "MODBUS", "MODBUS_TAGS", "MQTT", "OPCUA", "S7", "S7_TAGS", "Case", "Unfit"]
 
 Tools = Mapping[str, Mapping[str, Any]]
 Fields = Mapping[str, Any]
@@ -445,7 +445,9 @@ S7 = Case(
         Unfit("read_db", {"db_number": 1, "start_offset": 0, "size": 0}, "invalid_input"),
         Unfit("read_multiple_vars", {"variables": []}, "invalid_input"),
         Unfit(
-            "read_multiple_vars", {"variables": [{"area": "M", "start_byte": 0, "data_type": "INT"}] * 21}, "limit_exceeded"
+            "read_multiple_vars",
+            {"variables": [{"area": "M", "start_byte": 0, "data_type": "INT"}] * 21},
+            "limit_exceeded",
         ),
         Unfit(
             "read_multiple_vars", {"variables": [{"area": "DB", "start_byte": 0, "data_type": "INT"}]}, "invalid_input"
