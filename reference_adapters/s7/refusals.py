@@ -29,7 +29,7 @@ _ERRORS = {
     0x8302: ("device_busy", "rejected", "the controller has too few resources for the request now"),
     0x8304: ("device_busy", "rejected", "the controller has too few resources for the request now"),
     0x8402: ("device_busy", "rejected", "the state of the controller does not allow the service now"),
-    0x8500: ("protocol_error", "rejected", "the controller says that the request's frame is wrong"),
+    0x8500: ("protocol_error", "unknown", "the controller says that the request's frame is wrong"),
     0x8702: ("unsupported_operation", "rejected", "the controller does not offer this service"),
     0x8703: ("access_denied", "rejected", "the controller refuses access"),
     0xD401: ("unsupported_operation", "rejected", "the controller does not have this system status list"),

@@ -361,7 +361,7 @@ S7_TAGS: dict[str, dict[str, Any]] = {
     "temperature": {"db": 1, "start": 16, "type": "REAL", "unit": "degC"},
 }
 _VALVE = {"db_number": 10, "start_offset": 0, "data_type": "INT"}
-_S7_SERVICES = {"ping": "szl", "write_db": "write"}
+_S7_SERVICES = {"ping": "szl"}
 
 
 def _s7_settings(port: int, name: str, folder: Path) -> dict[str, str]:
@@ -417,8 +417,8 @@ S7 = Case(
     probe="ping",
     write="write_db",
     answered=("write_db", "write_output", "write_marker", "write_multiple_vars", "write_tag"),
-    requests=lambda tool: {"kind": "request", "service": _S7_SERVICES[tool]},
-    rules=lambda tool: {"service": _S7_SERVICES[tool]},
+    requests=lambda tool: {"kind": "request", "service": _S7_SERVICES.get(tool, "write")},
+    rules=lambda tool: {"service": _S7_SERVICES.get(tool, "write")},
     image=("areas", "cpu"),
     unfit=(
         _refused_value("INT", 70000, "range_overflow"),
