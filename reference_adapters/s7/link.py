@@ -10,6 +10,7 @@ import asyncio
 import ipaddress
 import socket
 import struct
+from typing import Any
 
 from snap7.async_client import AsyncISOTCPConnection
 from snap7.error import S7ConnectionError, S7Error, S7TimeoutError
@@ -152,7 +153,7 @@ class Link:
 
     async def _connected(self, call: Call) -> _Connection:
         existing = self._connection
-        if existing is not None and existing.connected and not _ended(existing):
+        if existing is not None and existing.connected and not _is_used_up(existing):
             call.connection(generation=self._generation, fresh=False)
             return existing
         self._drop()
@@ -214,10 +215,11 @@ class Link:
         self._drop()
 
 
-def _ended(connection: _Connection) -> bool:
-    """Tell whether the controller has ended the connection, which the library finds only by reading."""
-    reader = connection._reader
-    return reader is None or reader.at_eof()
+def _is_used_up(connection: _Connection) -> bool:
+    """Tell whether the controller has ended the connection, or has sent something that nobody had asked for: where the next answer
+    begins cannot be known then. The library would find both only by reading, when the next request has left."""
+    reader: Any = connection._reader
+    return reader is None or bool(reader._buffer) or reader.at_eof()
 
 
 async def _answer(connection: _Connection, request: bytes) -> bytes:

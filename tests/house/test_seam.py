@@ -20,7 +20,7 @@ KIT = Path(pytest_otmcp.__file__).parent
 OTHER_ROOMS = ("conformance", "mocks", "reference_adapters")
 """Folders of their own in the checkout that lie in the kit's folder in a wheel."""
 
-NAME = re.compile(r"modbus|mqtt|opc[ _-]?ua|opc\.tcp|sparkplug", re.IGNORECASE)
+NAME = re.compile(r"modbus|mqtt|opc[ _-]?ua|opc\.tcp|sparkplug|s7comm|snap7|(?-i:(?<![a-z])s7)", re.IGNORECASE)
 
 LISTS = {"protocols/own.py", "devices.py"}
 
