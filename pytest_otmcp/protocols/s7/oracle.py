@@ -131,7 +131,7 @@ def refused_with(entries: Entries, code: int) -> list[Finding]:
         return []
     shown = [f"{found:02X}" for found in sent if found is not None] or "none"
     message = f"the controller should have answered with {code:02X}, its answers were {shown}"
-    return [Finding(code="no_exchange", message=message, requirement="ERR-002", evidence=_WITNESS.seen(entries))]
+    return [Finding(code="no_refusal", message=message, requirement="ERR-002", evidence=_WITNESS.seen(entries))]
 
 
 def held(image: Image, area: str, byte: int, size: int) -> bytes:
