@@ -9,7 +9,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from pytest_otmcp.session.process import subject_environment
 __all__ = ["PipeClient"]
 
 _ROOT = Path(__file__).resolve().parent.parent
-_PATIENCE_S = 60.0
+_PATIENCE_S = 300.0
 _META = {
     "io.modelcontextprotocol/protocolVersion": "2026-07-28",
     "io.modelcontextprotocol/clientCapabilities": {},
@@ -62,23 +62,62 @@ class PipeClient:
             RuntimeError: the call did not succeed; a failure must not be measured as a fast success.
         """
         result, took_ns = self._request("tools/call", {"name": tool, "arguments": arguments})
+        self._envelope(tool, result)
+        return took_ns
+
+    def ask(self, tool: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
+        """Call a tool and return its envelope.
+
+        Raises:
+            RuntimeError: as :meth:`call`.
+        """
+        result, _ = self._request("tools/call", {"name": tool, "arguments": arguments})
+        return self._envelope(tool, result)
+
+    def call_together(self, tool: str, arguments: Mapping[str, Any], count: int) -> int:
+        """Make so many equal calls at once; return the nanoseconds until the last answer has been read.
+
+        Raises:
+            RuntimeError: as :meth:`call`.
+        """
+        requests = [("tools/call", {"name": tool, "arguments": arguments})] * count
+        results, took_ns = self._exchange(requests)
+        for result in results:
+            self._envelope(tool, result)
+        return took_ns
+
+    def _envelope(self, tool: str, result: Mapping[str, Any]) -> dict[str, Any]:
         if result.get("isError"):
             raise RuntimeError(f"{self._name}: {tool} failed: {result}")
-        return took_ns
+        envelope: dict[str, Any] = result["structuredContent"]
+        return envelope
 
     def exchange(self) -> int:
         """Have a raw client make its exchange; return the nanoseconds as :meth:`call` does."""
         return self._request("exchange", {})[1]
 
+    @property
+    def resident_kib(self) -> int:
+        """The memory of the server that is resident now."""
+        status = Path(f"/proc/{self._process.pid}/status").read_text()
+        return int(next(line.split()[1] for line in status.splitlines() if line.startswith("VmRSS:")))
+
     def _request(self, method: str, params: Mapping[str, Any]) -> tuple[dict[str, Any], int]:
-        self._id += 1
-        request = {"jsonrpc": "2.0", "id": self._id, "method": method, "params": {**params, "_meta": _META}}
-        frame = json.dumps(request).encode() + b"\n"
+        (result,), took_ns = self._exchange([(method, params)])
+        return result, took_ns
+
+    def _exchange(self, requests: Sequence[tuple[str, Mapping[str, Any]]]) -> tuple[list[dict[str, Any]], int]:
+        frames = []
+        for method, params in requests:
+            self._id += 1
+            request = {"jsonrpc": "2.0", "id": self._id, "method": method, "params": {**params, "_meta": _META}}
+            frames.append(json.dumps(request).encode() + b"\n")
         source = self._out.fileno()
+        # An answer may have millions of bytes: bytes would be copied with each piece.
+        data, lines = bytearray(), 0
         started = time.perf_counter_ns()
-        self._in.write(frame)
-        data = b""
-        while not data.endswith(b"\n"):
+        self._in.write(b"".join(frames))
+        while lines < len(frames):
             # select costs two microseconds; because of it, a server that hangs cannot hang the run.
             if not select.select([source], [], [], _PATIENCE_S)[0]:
                 raise RuntimeError(f"{self._name}: no answer to {method} within {_PATIENCE_S:g} s{self._said()}")
@@ -86,11 +125,14 @@ class PipeClient:
             if not piece:
                 raise RuntimeError(f"{self._name}: ended during {method}{self._said()}")
             data += piece
+            lines += piece.count(b"\n")
         took_ns = time.perf_counter_ns() - started
-        answer = json.loads(data)
-        if answer.get("id") != self._id or "result" not in answer:
-            raise RuntimeError(f"{self._name}: {method} was answered with {answer}")
-        return answer["result"], took_ns
+        answers = {answer.get("id"): answer for answer in map(json.loads, data.splitlines())}
+        asked = range(self._id - len(frames) + 1, self._id + 1)
+        for identifier in asked:
+            if "result" not in answers.get(identifier, {}):
+                raise RuntimeError(f"{self._name}: {method} was answered with {answers}")
+        return [answers[identifier]["result"] for identifier in asked], took_ns
 
     def _said(self) -> str:
         self._stderr.seek(0)

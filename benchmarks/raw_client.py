@@ -13,6 +13,7 @@ import json
 import os
 import sys
 from collections.abc import Awaitable, Callable
+from functools import partial
 
 import paho.mqtt.client as paho
 from asyncua import Client as OpcUaClient
@@ -20,7 +21,7 @@ from asyncua import ua
 from paho.mqtt.enums import CallbackAPIVersion
 from pymodbus.client import AsyncModbusTcpClient
 
-from .workload import INPUT_REGISTERS, MANY_FOLDER, PAYLOAD, TEMPERATURE, TOPIC
+from .workload import BLOCKS, FLOOD, INBOX, INPUT_REGISTERS, PARALLEL, PAYLOAD, PDU_REGISTERS, TEMPERATURE, TOPIC
 
 __all__ = ["EXCHANGES", "Exchange"]
 
@@ -34,9 +35,14 @@ async def _nothing(host: str, port: int) -> Exchange:
     return nothing
 
 
-async def _modbus(host: str, port: int) -> Exchange:
+async def _modbus_client(host: str, port: int) -> AsyncModbusTcpClient:
     client = AsyncModbusTcpClient(host, port=port, retries=0, reconnect_delay=0)
     assert await client.connect()
+    return client
+
+
+async def _modbus(host: str, port: int) -> Exchange:
+    client = await _modbus_client(host, port)
 
     async def read() -> None:
         reply = await client.read_input_registers(0, count=INPUT_REGISTERS, device_id=1)
@@ -45,32 +51,81 @@ async def _modbus(host: str, port: int) -> Exchange:
     return read
 
 
-async def _publishing(host: str, port: int, qos: int) -> Exchange:
-    connected, published = asyncio.Event(), asyncio.Event()
+async def _modbus_block(count: int, host: str, port: int) -> Exchange:
+    client = await _modbus_client(host, port)
+
+    async def read() -> None:
+        for start in range(0, count, PDU_REGISTERS):
+            size = min(PDU_REGISTERS, count - start)
+            reply = await client.read_holding_registers(start, count=size, device_id=1)
+            assert len(reply.registers) == size
+
+    return read
+
+
+async def _together(connect: Callable[[str, int], Awaitable[Exchange]], host: str, port: int) -> Exchange:
+    exchange = await connect(host, port)
+
+    async def all_at_once() -> None:
+        await asyncio.gather(*(exchange() for _ in range(PARALLEL)))
+
+    return all_at_once
+
+
+async def _paho(host: str, port: int) -> paho.Client:
+    connected = asyncio.Event()
     client = paho.Client(CallbackAPIVersion.VERSION2, f"benchmark-{os.getpid()}", protocol=paho.MQTTv311)
+    client.max_inflight_messages_set(0)
     client.on_connect = lambda c, u, flags, reason, properties: connected.set()
-    client.on_publish = lambda c, u, mid, reason, properties: published.set()
     client.connect(host, port, keepalive=3600)
     sock = client.socket()
     assert sock is not None
     asyncio.get_running_loop().add_reader(sock, client.loop_read)
     await connected.wait()
+    return client
+
+
+async def _publishing(qos: int, count: int, host: str, port: int) -> Exchange:
+    client, published, missing = await _paho(host, port), asyncio.Event(), 0
+
+    def one_published(*_: object) -> None:
+        nonlocal missing
+        missing -= 1
+        if not missing:
+            published.set()
+
+    client.on_publish = one_published
 
     async def publish() -> None:
+        nonlocal missing
         published.clear()
-        # Without its thread and its socket callbacks paho writes within publish(): no hand-over is measured.
-        client.publish(TOPIC, PAYLOAD, qos)
+        missing = count
+        for _ in range(count):
+            # Without its thread and its socket callbacks paho writes within publish(): no hand-over is measured.
+            client.publish(TOPIC, PAYLOAD, qos)
         await published.wait()
 
     return publish
 
 
-async def _mqtt(host: str, port: int) -> Exchange:
-    return await _publishing(host, port, 0)
+async def _mqtt_inbox(host: str, port: int) -> Exchange:
+    client, answered = await _paho(host, port), asyncio.Event()
+    received: list[bytes | bytearray] = []
+    client.on_message = lambda c, u, message: received.append(message.payload)
+    client.on_subscribe = lambda c, u, mid, reasons, properties: answered.set()
+    client.subscribe(f"{INBOX}/raw/#")
+    await answered.wait()
 
+    async def receive() -> None:
+        # What the broker had for this client before comes before its answer.
+        answered.clear()
+        client.subscribe(f"{INBOX}/nothing")
+        await answered.wait()
+        # The first exchange is before the first flood.
+        assert len(received) in (0, FLOOD)
+        received.clear()
 
-async def _mqtt_exchange(host: str, port: int) -> Exchange:
-    return await _publishing(host, port, 1)
+    return receive
 
 
 async def _opcua(host: str, port: int) -> Exchange:
@@ -91,10 +146,37 @@ async def _opcua_variables(host: str, port: int) -> Exchange:
     # Decoding thousands of values keeps the loop from the library's watchdog, which would take the connection for lost.
     client = OpcUaClient(f"opc.tcp://{host}:{port}", timeout=60, watchdog_intervall=600)
     await client.connect()
-    folder = client.get_node(MANY_FOLDER)
+    classes, hierarchical = ua.NodeClass.Object | ua.NodeClass.Variable, ua.NodeId(ua.ObjectIds.HierarchicalReferences)
+
+    async def browse(nodes: list[ua.NodeId]) -> list[ua.ReferenceDescription]:
+        asked = [
+            ua.BrowseDescription(
+                NodeId=node,
+                ReferenceTypeId=hierarchical,
+                IncludeSubtypes=True,
+                NodeClassMask=classes,
+                ResultMask=ua.BrowseResultMask.All,
+            )
+            for node in nodes
+        ]
+        pages = await client.uaclient.browse(ua.BrowseParameters(NodesToBrowse=asked))
+        found = [reference for page in pages for reference in page.References]
+        while points := [page.ContinuationPoint for page in pages if page.ContinuationPoint]:
+            following = ua.BrowseNextParameters(ReleaseContinuationPoints=False, ContinuationPoints=points)
+            pages = await client.uaclient.browse_next(following)
+            found += [reference for page in pages for reference in page.References]
+        return [reference for reference in found if reference.NodeId.NamespaceIndex]
+
+    # What the folders are is found out before anything is measured.
+    folders = level = [ua.NodeId(ua.ObjectIds.ObjectsFolder)]
+    while level:
+        below = await browse(level)
+        level = [reference.NodeId for reference in below if reference.NodeClass == ua.NodeClass.Object]
+        folders = folders + level
 
     async def enumerate_variables() -> None:
-        variables = await folder.get_children()
+        found = await browse(folders)
+        variables = [client.get_node(one.NodeId) for one in found if one.NodeClass == ua.NodeClass.Variable]
         values = await client.read_values(variables)
         assert len(values) == len(variables)
 
@@ -104,10 +186,15 @@ async def _opcua_variables(host: str, port: int) -> Exchange:
 EXCHANGES: dict[str, Callable[[str, int], Awaitable[Exchange]]] = {
     "nothing": _nothing,
     "modbus": _modbus,
-    "mqtt": _mqtt,
-    "mqtt_exchange": _mqtt_exchange,
+    "mqtt": partial(_publishing, 0, 1),
+    "mqtt_exchange": partial(_publishing, 1, 1),
+    "mqtt_inbox": _mqtt_inbox,
     "opcua": _opcua,
     "opcua_variables": _opcua_variables,
+    "modbus_together": partial(_together, _modbus),
+    "mqtt_together": partial(_publishing, 1, PARALLEL),
+    "opcua_together": partial(_together, _opcua),
+    **{f"modbus_{count}": partial(_modbus_block, count) for count in BLOCKS},
 }
 """Functions that connect to a host and port, and return a function that makes one exchange."""
 

@@ -2,9 +2,29 @@
 
 from __future__ import annotations
 
-__all__ = ["INPUT_REGISTERS", "MANY_FOLDER", "PAYLOAD", "TEMPERATURE", "TOPIC"]
+__all__ = [
+    "BLOCKS",
+    "FLOOD",
+    "INBOX",
+    "INPUT_REGISTERS",
+    "PARALLEL",
+    "PAYLOAD",
+    "PDU_REGISTERS",
+    "TEMPERATURE",
+    "TOPIC",
+]
 
 INPUT_REGISTERS = 4
 TEMPERATURE = "ns=2;s=Temperature"
-MANY_FOLDER = "ns=2;s=Many.Folder"
 TOPIC, PAYLOAD = "control/pump", '{"pump_speed": 50}'
+
+PDU_REGISTERS = 125
+"""The registers that one request may ask for (MODBUS Application Protocol V1.1b3, section 6.3)."""
+BLOCKS = (125, 126, 250, 1000, 2000)
+"""The numbers of registers that are read by one call."""
+
+PARALLEL = 100
+"""Calls that are made at the same time."""
+
+INBOX, FLOOD = "bench/inbox", 20_000
+"""The beginning of the topics of a flood, and the number of its messages."""

@@ -7,12 +7,9 @@ from collections.abc import Generator, Iterator
 
 import pytest
 
-from .long_tests import (
-    pytest_collection_modifyitems,
-    pytest_sessionfinish,
-    pytest_terminal_summary,
-    pytest_testnodedown,
-)
+from . import long_tests
+from .long_tests import pytest_collection_modifyitems, pytest_sessionfinish, pytest_testnodedown
+from .outside_witnesses import not_run
 from .warm_start import WarmStart
 
 __all__ = [
@@ -23,6 +20,13 @@ __all__ = [
     "pytest_xdist_auto_num_workers",
     "warm_start",
 ]
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    """Say what did not run."""
+    long_tests.say_what_was_left_out(terminalreporter, config)
+    for line in not_run(terminalreporter.stats.get("skipped", [])):
+        terminalreporter.write_line(line, yellow=True)
 
 
 @pytest.hookimpl(wrapper=True, optionalhook=True)

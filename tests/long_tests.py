@@ -13,8 +13,8 @@ import pytest
 __all__ = [
     "pytest_collection_modifyitems",
     "pytest_sessionfinish",
-    "pytest_terminal_summary",
     "pytest_testnodedown",
+    "say_what_was_left_out",
 ]
 
 _LEFT_OUT = pytest.StashKey[int]()
@@ -46,7 +46,7 @@ def pytest_testnodedown(node: Any) -> None:
     node.config.stash[_LEFT_OUT] = getattr(node, "workeroutput", {}).get(_OF_WORKER, 0)
 
 
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+def say_what_was_left_out(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
     """Say how many long tests were left out, and how to run them."""
     number = config.stash.get(_LEFT_OUT, 0)
     if number:

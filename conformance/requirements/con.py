@@ -46,7 +46,7 @@ _MOST_OUTSTANDING = 16
 _MOST_CONNECTIONS = 8
 """Controllers have room for a few clients only."""
 
-_CONSECUTIVE = 50
+_CONSECUTIVE = {False: 50, True: 1000}
 _HELD_UP_S = 1.0
 
 _NODES = ("Temperature", "Pressure", "FlowRate", "TankLevel", "Vibration", "PhLevel", "Humidity", "MotorSpeed")
@@ -393,14 +393,14 @@ async def a_call_that_waits_holds_up_nothing(run: Repetition, at: Rig) -> None:
 
 @TASKS.every_protocol("CON-006", "Many calls work, over few connections.")
 async def many_calls_need_few_connections(run: Repetition, at: Rig) -> None:
-    """Read fifty times, one call after the other; then by 32 calls at the same time.
+    """Read fifty times, in a soak a thousand times, one call after the other; then by 32 calls at the same time.
 
     Said: the right value in every answer; of the calls at the same time some may be refused.
-    Seen: a request for each of the fifty; never more than eight connections at the same time.
+    Seen: a request for each of them; never more than eight connections at the same time.
     Why: a controller has room for a few clients; a connection for each call locks out the operator.
     """
     asked, replies = None, []
-    for _ in range(_CONSECUTIVE):
+    for _ in range(_CONSECUTIVE[run.soak]):
         asked = exercise(at).read(run.rng)
         for poke in asked.pokes:
             await at.poke(**poke)

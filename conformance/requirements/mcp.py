@@ -1,14 +1,15 @@
-"""MCP: the session and its tools, whatever the adapter talks to."""
+"""MCP: the session and its tools, whatever the adapter talks to, in each era of MCP that it speaks."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from functools import wraps
 from typing import Any
 
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.trial.alteration import Alteration
-from pytest_otmcp.trial.check import Checks
+from pytest_otmcp.trial.check import Checks, Generic
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import EndedError, Rig
@@ -54,10 +55,30 @@ _WITHOUT_MEANING = (
 """Lines that a server has to survive. The last names a request that has been answered long ago."""
 
 
+def in_each_era(steps: Generic) -> Generic:
+    """Return steps that are performed in the session as it is, and again in the era of the handshake, if the session is of the newer one
+    and the adapter also speaks that.
+
+    A session in which the adapter is asked what it speaks is of the newest era that it has: so it is judged in each that it offers.
+    """
+
+    @wraps(steps)
+    async def in_eras(run: Repetition, at: Rig) -> None:
+        await steps(run, at)
+        if await at.open_by_handshake():
+            try:
+                await steps(run, at)
+            finally:
+                await at.close_handshake_era()
+
+    return in_eras
+
+
 # -- the stream and the start -----------------------------------------------------------------------------------------
 
 
 @TASKS.every_protocol("MCP-001", "Standard output carries nothing but messages, whatever goes wrong.", writes=True)
+@in_each_era
 async def only_messages(run: Repetition, at: Rig) -> None:
     """Read, write, have a call refused by the adapter, by the device and by a connection that breaks.
 
@@ -69,6 +90,7 @@ async def only_messages(run: Repetition, at: Rig) -> None:
 
 
 @TASKS.every_protocol("MCP-002", "The adapter starts and lists its tools while its device is down.")
+@in_each_era
 async def starts_without_its_device(run: Repetition, at: Rig) -> None:
     """Start the adapter while its device is down, and read; start the device, and read again.
 
@@ -96,6 +118,7 @@ async def starts_without_its_device(run: Repetition, at: Rig) -> None:
 
 
 @TASKS.every_protocol("MCP-003", "Each tool declares its arguments.", writes=True)
+@in_each_era
 async def schemas_say_what_is_taken(run: Repetition, at: Rig) -> None:
     """Look at the list of tools; then write without each argument that the tool does not say it requires.
 
@@ -185,6 +208,7 @@ def _says_bounds(argument: Mapping[str, Any]) -> bool:
 
 
 @TASKS.every_protocol("MCP-010", "The list of tools stays as it is.", writes=True)
+@in_each_era
 async def the_list_stays(run: Repetition, at: Rig) -> None:
     """List the tools; again after reads and a write, after refusals, after the device has said what looks like an instruction, and in a
     fresh session.
@@ -218,6 +242,8 @@ async def _meet_hostile_names(run: Repetition, at: Rig) -> None:
         await at.poke(nodes="special")
         if at.can_ask("variables", {}):
             await at.call("variables")
+        # The nodes that were added go.
+        await at.poke(namespaces=[])
     elif at.protocol == "mqtt":
         message = {"topic": f"otmcp/{_INSTRUCTION}", "payload": "YQ==", "qos": 0, "retain": False}
         if at.can_ask("messages", {"filter": "otmcp/#"}) and not at.blocks("messages"):
@@ -244,6 +270,7 @@ def _same_list(run: Repetition, at: Rig, first: str, now: str, when: str) -> Non
 
 
 @TASKS.every_protocol("MCP-004", "An argument that the tool does not have is refused, not ignored.", writes=True)
+@in_each_era
 async def unknown_arguments_are_refused(run: Repetition, at: Rig) -> None:
     """Write with one argument too many, and with a misspelt one; then write as it should be.
 
@@ -265,6 +292,7 @@ async def unknown_arguments_are_refused(run: Repetition, at: Rig) -> None:
 
 
 @TASKS.every_protocol("MCP-005", "What is to be written is not made into another JSON type.", writes=True)
+@in_each_era
 async def types_are_not_changed(run: Repetition, at: Rig) -> None:
     """Write with values of every JSON type that an argument of the tool does not have: true for a number, a text of digits, "nan",
     null, a list, an object; then write as it should be.
@@ -303,6 +331,7 @@ async def _not_taken(run: Repetition, at: Rig, reply: Reply, before: Mapping[str
 
 
 @TASKS.every_protocol("MCP-007", "Bad arguments are answered by a tool's error, and the session goes on.")
+@in_each_era
 async def bad_arguments_are_answered(run: Repetition, at: Rig) -> None:
     """Read without any argument, without each one that is required, with objects and lists for texts and numbers, and beyond the bounds
     that the tool states; call a tool that does not exist; then read as it should be.
@@ -346,6 +375,7 @@ def _bad(run: Repetition, schema: object, arguments: Mapping[str, str]) -> list[
 
 
 @TASKS.every_protocol("MCP-006", "Results say one thing, in every rendering.", writes=True)
+@in_each_era
 async def renderings_agree(run: Repetition, at: Rig) -> None:
     """Read, write, have a call refused by the adapter, by the device and by a connection that breaks.
 
@@ -358,6 +388,7 @@ async def renderings_agree(run: Repetition, at: Rig) -> None:
 
 
 @TASKS.every_protocol("MCP-008", "A tool that says that it only reads only reads.", writes=True)
+@in_each_era
 async def annotations_are_true(run: Repetition, at: Rig) -> None:
     """Call every tool that is listed with `readOnlyHint`, with arguments that its schema lets through and with others; then write.
 
@@ -403,6 +434,7 @@ def _arguments(run: Repetition, schema: object, known: Mapping[str, Any]) -> lis
 
 
 @TASKS.every_protocol("MCP-009", "The adapter survives what is no request, and ends with its standard input.")
+@in_each_era
 async def survives_and_ends(run: Repetition, at: Rig) -> None:
     """Send lines that are no message, notifications that do not exist, and cancel requests that were never sent or are over; read;
     close standard input.

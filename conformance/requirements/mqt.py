@@ -334,7 +334,10 @@ async def _what_is_lost_is_counted(run: Repetition, mqtt: Rig, base: str) -> Non
     before = await mqtt.call("messages", filter=topic)
     if not run.succeeds(before):
         return
-    await mqtt.poke(burst={"topic": topic, "count": _BURST})
+    await mqtt.poke(burst={"topic": topic, "count": _BURST, "brief": True})
+    bursts = [one for one in adapter_packets(await mqtt.journal(), "BURST", "out") if one["topic"] == topic]
+    # An adapter with several connections may have been sent them more than once, one whose connection ended not all of them.
+    sent = min(_BURST, sum(one["count"] for one in bursts))
     await sync_point(run, mqtt, f"{base}/#")
     read: set[object] = set()
     counts = [before.outputs.get("dropped")]
@@ -347,11 +350,11 @@ async def _what_is_lost_is_counted(run: Repetition, mqtt: Rig, base: str) -> Non
         read |= new
         if not new:
             break
-    received = adapter_packets(await mqtt.session_journal(), "PUBLISH", "out")
-    others = sum(1 for packet in received if packet["topic"] != topic)
-    missing = _BURST - len(read)
+    # Messages on other topics may have been dropped as well.
+    others = len(adapter_packets(await mqtt.session_journal(), "PUBLISH", "out"))
+    missing = sent - len(read)
     if not any(missing <= lost <= missing + others for lost in _lost(counts)):
-        message = f"{reply.label}: of {_BURST} messages {len(read)} can be read, said to be dropped are {sum(one for one in counts[1:] if isinstance(one, int))}"
+        message = f"{reply.label}: of {sent} messages {len(read)} can be read, said to be dropped are {sum(one for one in counts[1:] if isinstance(one, int))}"
         run.judge(reply, [Finding(code="wrong_value", message=message, requirement="MQT-004")])
 
 

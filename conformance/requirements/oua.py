@@ -402,13 +402,15 @@ async def _nothing_comes_with_it(run: Repetition, opcua: Rig) -> None:
 
 _PAGE = 100
 _CHILDREN = 2_500
+_MORE = 7_500
+"""Further variables in the same folder in the long form."""
 _MOST_NODES = 50
 
 
 @TASKS.check("OUA-006", "Browsing is complete, comes to an end, and leaves nothing behind.", needs="opcua.browse")
 async def browsing_is_complete(run: Repetition, opcua: Rig) -> None:
     """Ask for all variables while three folders are in each other, one of them has 120 variables, and the server takes 50 nodes in one
-    request. Browse a folder with 2 500 variables while the server sends 100 references in one answer.
+    request. Browse a folder with 2 500 variables, in a soak 10 000, while the server sends 100 references in one answer.
 
     Said: every node once; or a part of them, and in `meta.truncated` that it is a part.
     Seen: no continuation point is left open.
@@ -418,13 +420,17 @@ async def browsing_is_complete(run: Repetition, opcua: Rig) -> None:
         await _circles_come_to_an_end(run, opcua)
     folder = "ns=2;s=Wide.Folder"
     await opcua.poke(nodes="wide")
+    wanted = {"ns=2;s=Wide", *(f"ns=2;s=Wide{number}" for number in range(1, _CHILDREN))}
+    if run.soak:
+        more = {"variable": "More", "in": "Wide.Folder", "type": "Int32", "value": 0, "copies": _MORE - 1}
+        await opcua.poke(create=[more])
+        wanted |= {"ns=2;s=More", *(f"ns=2;s=More{number}" for number in range(1, _MORE))}
     await opcua.poke(limits={"references_per_node": _PAGE})
     reply = await opcua.call("browse", node=folder)
     seen = reply.during(await opcua.journal())
     if _not_in_its_list(reply, seen, folder):
         return
     if run.succeeds(reply, requirement="OUA-006"):
-        wanted = {"ns=2;s=Wide", *(f"ns=2;s=Wide{number}" for number in range(1, _CHILDREN))}
         run.judge(reply, oracle.listed_once(reply.outputs.get("node_ids"), wanted, part=_truncated(reply)))
     run.witnessed(oracle.points_left(seen))
 

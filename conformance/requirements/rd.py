@@ -302,13 +302,17 @@ async def bits_are_counted_and_in_order(run: Repetition, modbus: Rig) -> None:
                     exact_or_refused(run, reply, *REFUSED, requirement="RD-006", values=bits)
 
 
+_TIMES = {False: 2, True: 16}
+"""How many times as much as one request can ask for is read, in the short and in the long form."""
+
+
 @TASKS.check(
     "RD-007",
     "No read goes beyond what one request can ask for, or beyond the last address.",
     needs="modbus.read_holding",
 )
 async def reads_keep_to_their_limits(run: Repetition, modbus: Rig) -> None:
-    """Read 125, 126, 250 and a million registers, none, less than none, two from 65534 and from 65535 on, 2000 and 2001 bits, and
+    """Read 125, 126, 250, in a soak 2000, and a million registers, none, less than none, two from 65534 and from 65535 on, 2000 and 2001 bits, and
     numbers of several registers that change all the time.
 
     Said: what the device holds, or a failure with `limit_exceeded`, `invalid_input` or `illegal_address`; always a failure where there
@@ -326,7 +330,7 @@ async def reads_keep_to_their_limits(run: Repetition, modbus: Rig) -> None:
         (DISCRETE, MOST_BITS),
     ):
         if modbus.claims(operation):
-            for count in (most, most + 1, 2 * most):
+            for count in (most, most + 1, _TIMES[run.soak] * most):
                 await _limit(run, modbus, operation, 100, count)
             await _limit(run, modbus, operation, SIZE - 2, 2)
             for address, count in ((0, 0), (0, -1), (0, 1_000_000), (SIZE - 1, 2)):

@@ -307,13 +307,14 @@ async def _unborn(run: Repetition, mqtt: Rig, device: str) -> None:
     await _refused(run, mqtt, reply, "SPB-003", "not_born", "illegal_address", "invalid_input")
 
 
-_NUMBERS = 256
+_MESSAGES = {False: 260, True: 2600}
+"""Data messages in the short and in the long form: once around the 256 numbers, and ten times."""
 _AT_ONCE = 4
 
 
 @TASKS.check("SPB-004", "One sequence counts all messages of an edge node.", needs=_DEVICES)
 async def one_sequence_counts_all(run: Repetition, mqtt: Rig) -> None:
-    """Announce two devices, and report 260 times data of one or the other, four calls at a time.
+    """Announce two devices, and report 260 times data of one or the other, in a soak 2600 times, four calls at a time.
 
     Said: success each time; where the tool tells it, the number that the message has.
     Seen: 0 to 255 and 0 again, one more with each message, whichever device it is about
@@ -325,7 +326,7 @@ async def one_sequence_counts_all(run: Repetition, mqtt: Rig) -> None:
     await until(mqtt, lambda entries: _of(devices[1], sparkplug(entries, "DBIRTH")) != [])
     _numbers_are_told(run, births, await mqtt.journal())
     received = 0
-    for first in range(0, _NUMBERS + _AT_ONCE, _AT_ONCE):
+    for first in range(0, _MESSAGES[run.soak], _AT_ONCE):
         # A slice of its own for each group: otherwise every call would look at everything that came before it.
         await mqtt.keep_journal()
         # Calls that are made together must not each begin with a proof.
@@ -340,8 +341,8 @@ async def one_sequence_counts_all(run: Repetition, mqtt: Rig) -> None:
         _numbers_are_told(run, replies, journal)
         if not all(map(run.succeeds, replies)):
             return
-    if received != _NUMBERS + _AT_ONCE:
-        text = f"of {_NUMBERS + _AT_ONCE} data messages the broker received {received}"
+    if received != _MESSAGES[run.soak]:
+        text = f"of {_MESSAGES[run.soak]} data messages the broker received {received}"
         run.witnessed([oracle.broken_rule("SPB-004", text)])
     await _buried(run, mqtt, *devices)
 

@@ -544,12 +544,16 @@ def _other_echoes(other: Mapping[str, int], *, by_value: bool) -> list[Mapping[s
 # -- WR-010, WR-011 -----------------------------------------------------------------------------------------
 
 
+_WATCHED_S = {False: QUIET_S, True: 60.0}
+"""Seconds for which nothing of it must arrive, in the short and in the long form."""
+
+
 @TASKS.every_protocol("WR-010", "What failed is not carried out later.", writes=True, facets="recovery")
 async def what_failed_is_not_made_up_for(run: Repetition, at: Rig) -> None:
     """Write twice while the device is away: before the adapter has noticed that, and after. Read when it is back.
 
     Said: failures of the connection for the writes, success for the reads.
-    Seen: neither write, as long as the device is watched.
+    Seen: neither write, as long as the device is watched, in a soak for a minute.
     Why: a valve that opens when the line is back, minutes after the operator was told that it had not, hurts somebody.
     """
     requirement = protocols()[at.protocol].operations[exercise(at).writing].requirement
@@ -561,7 +565,7 @@ async def what_failed_is_not_made_up_for(run: Repetition, at: Rig) -> None:
     await at.start_device()
     # An adapter that answers again has its connection back: a write that it had kept would have been sent by now.
     await answers_again(run, at)
-    await at.watch(QUIET_S)
+    await at.watch(_WATCHED_S[run.soak])
     # A further answer shows that adapter and device ran during that time.
     await a_read_works(run, at, requirement="REC-001")
     run.witnessed(nothing_arrived(at, await at.journal(), requirement="WR-010"))

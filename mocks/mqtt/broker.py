@@ -8,11 +8,12 @@ from __future__ import annotations
 import asyncio
 import itertools
 import time
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from ..journal import Journal
+from ..journal import Journal, Origin
 from .describe import describe_content
 from .faults import FaultPlan
 from .packets import MQTT_5, Connect, Publish, SubscriptionRequest, Will
@@ -20,7 +21,13 @@ from .properties import Property
 from .session import Delivery, Message, Session, Subscription
 from .topics import matches, split_shared
 
-__all__ = ["Broker", "Limits"]
+__all__ = ["KIT", "Broker", "Limits", "Receiver"]
+
+KIT = "otmcp-kit"
+"""The client identifier of messages that the kit publishes past the protocol."""
+
+Receiver = tuple[int, Origin, str | None]
+"""A connection: its number, whose it is, and the client identifier."""
 
 _NEVER = 0xFFFFFFFF
 _ROUTES = 10_000
@@ -65,7 +72,11 @@ class _Route:
 
 
 class Broker:
-    """The broker, which routes messages between sessions."""
+    """The broker, which routes messages between sessions.
+
+    Attributes:
+        counted: how many of the kit's messages were sent on each connection; None while each of them is an entry of its own.
+    """
 
     def __init__(self, journal: Journal, limits: Limits | None = None) -> None:
         self.journal = journal
@@ -73,6 +84,7 @@ class Broker:
         self.faults = FaultPlan([])
         self.retained: dict[str, Message] = {}
         self.sessions: dict[str, Session] = {}
+        self.counted: Counter[Receiver] | None = None
         self._connections = 0
         self._open: set[asyncio.Transport] = set()
         self._all_closed = asyncio.Event()

@@ -10,7 +10,7 @@ from typing import Any
 from ..journal import Direction, Origin
 from ..network import AT_ONCE, Link
 from ..peer import process_of
-from .broker import Broker
+from .broker import KIT, Broker
 from .codec import UnsupportedProtocol, decode, encode
 from .describe import REQUESTS, describe, describe_content, describe_publish
 from .faults import Rule
@@ -163,7 +163,12 @@ class Connection(asyncio.Protocol):
         fields = describe_publish(packet, message.content)
         if message.will:
             fields["will_sent"] = True
-        self._write(packet, data, fields)
+        counted = self._broker.counted
+        if counted is None or message.publisher != KIT:
+            self._write(packet, data, fields)
+        elif self._transport.carries():
+            counted[self.number, self.origin, self._client_id] += 1
+            self._transport.write(data)
         return True
 
     def _alias(self, topic: str) -> tuple[str, int | None]:

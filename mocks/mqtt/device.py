@@ -5,13 +5,14 @@ from __future__ import annotations
 import asyncio
 import base64
 import socket
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
 from ..device import Device
 from ..endpoint import OpenEndpoint
 from ..network import Network
-from .broker import Broker
+from .broker import KIT, Broker
 from .connection import Connection
 from .describe import describe_content, describe_publish
 from .edge_node import EdgeNode
@@ -20,8 +21,6 @@ from .packets import Publish
 from .pokes import BURST_TURN, Burst, command, disconnection, message
 
 __all__ = ["MqttDevice"]
-
-KIT = "otmcp-kit"
 
 
 class MqttDevice(Device):
@@ -104,11 +103,41 @@ class MqttDevice(Device):
     def _publish(self, packet: Publish) -> None:
         """Publish a message of the kit; the journal has it as received on connection 0."""
         content = describe_content(packet.topic, packet.payload)
-        fields = describe_publish(packet, content)
-        self.journal.append(connection=0, direction="in", kind="PUBLISH", origin="kit", client_id=KIT, **fields)
+        if self.broker.counted is None:
+            fields = describe_publish(packet, content)
+            self.journal.append(connection=0, direction="in", kind="PUBLISH", origin="kit", client_id=KIT, **fields)
         self.broker.publish(packet, KIT, content)
 
     async def _burst(self, burst: Burst) -> None:
+        if not burst.brief:
+            await self._publish_all(burst)
+            return
+        counted = self.broker.counted = Counter()
+        try:
+            await self._publish_all(burst)
+        finally:
+            self.broker.counted = None
+        self.journal.append(
+            connection=0,
+            direction="in",
+            kind="BURST",
+            origin="kit",
+            client_id=KIT,
+            topic=burst.topic,
+            count=burst.count,
+        )
+        for (connection, origin, client_id), count in counted.items():
+            self.journal.append(
+                connection=connection,
+                direction="out",
+                kind="BURST",
+                origin=origin,
+                client_id=client_id,
+                topic=burst.topic,
+                count=count,
+            )
+
+    async def _publish_all(self, burst: Burst) -> None:
         loop = asyncio.get_running_loop()
         began = loop.time()
         for number in range(burst.count):

@@ -3,9 +3,11 @@
 ===============  =======================================================================================================
 ``publish``      ``{"topic", "payload" (base64), "qos": 0, "retain": false}``: any bytes, and any characters in the topic, also
                  U+0000; ``topic_bytes`` (base64) instead of ``topic`` for one that is no UTF-8
-``burst``        ``{"topic": "flood/{n}", "count": 5000, "size": 0, "qos": 0, "retain": false, "rate_per_s": 0}``: so many
-                 messages, as fast as possible or at a rate. ``{n}`` is the number of the message, from 0; the payload is that
-                 number, filled with spaces to ``size`` bytes. It returns when the last one is published
+``burst``        ``{"topic": "flood/{n}", "count": 5000, "size": 0, "qos": 0, "retain": false, "rate_per_s": 0,
+                 "brief": false}``: so many messages, as fast as possible or at a rate. ``{n}`` is the number of the message, from 0;
+                 the payload is that number, filled with spaces to ``size`` bytes. It returns when the last one is published.
+                 ``brief``, for QoS 0 only: in the place of their PUBLISH packets the journal has one entry ``BURST`` with the
+                 ``count`` that were published, and then one for each connection with the ``count`` that were sent to it
 ``command``      ``{"group", "edge_node", "device": null, "metrics": […]}``: a Sparkplug NCMD, with a device a DCMD, as a host sends
                  them. Metrics as in ``sparkplug_values``
 ``disconnect``   ``{"client_id": null, "reason_code": 139}``: ends the connection of one client, or of all
@@ -89,6 +91,7 @@ class Burst:
     qos: int = 0
     retain: bool = False
     rate_per_s: float = 0.0
+    brief: bool = False
 
     @classmethod
     def of(cls, source: Any) -> Burst:
@@ -104,8 +107,11 @@ class Burst:
             "qos": _QOS,
             "retain": FLAG,
             "rate_per_s": number(0, 1_000_000),
+            "brief": FLAG,
         }
         burst = cls(**_read("burst", source, fields, ("topic", "count")))
+        if burst.brief and burst.qos:
+            raise ValueError(f"burst: brief is for QoS 0, found QoS {burst.qos}")
         try:
             check_name(burst.topic)
         except ProtocolViolation as error:

@@ -34,7 +34,7 @@ from .worker import SPOOLS
 
 if TYPE_CHECKING:
     from ..protocols.protocol import OtProtocol
-    from ..record.schema import AdapterFacts, Footer, Header, ItemHead, Protocol, Role, Settings
+    from ..record.schema import AdapterFacts, Counted, Footer, Header, ItemHead, Protocol, Settings
     from ..record.writer import RunWriter
     from ..subject.reference import Selection
     from .options import RunSettings
@@ -156,7 +156,7 @@ class RunRecorder:
         if not self._workers:
             # Time outside of every span counts as the kit's: collection, pytest itself, writing the record.
             spent["kit"] = round(spent.get("kit", 0.0) + max(0.0, elapsed - sum(spent.values())), 3)
-        calls: Counter[Role] = Counter(dict.fromkeys(ROLES, 0))
+        calls: Counter[Counted] = Counter(dict.fromkeys(ROLES, 0))
         for measured in self._measured:
             calls.update(measured["tool_calls"])
         footer: Footer = {

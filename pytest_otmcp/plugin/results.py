@@ -9,7 +9,7 @@ from collections import Counter
 from typing import TypedDict
 
 from ..record.consistency import tool_calls
-from ..record.schema import AdapterFacts, Device, Finding, ItemBody, Role, Sample
+from ..record.schema import AdapterFacts, Counted, Device, Finding, ItemBody, Sample
 from ..record.warnings import Warned, WarningTally, failing
 
 __all__ = ["FailedSample", "ItemResult", "Measured", "Tally", "WorkerFacts"]
@@ -30,7 +30,7 @@ class Measured(TypedDict):
     samples: int
     passed: int
     median_ms: float | None
-    tool_calls: dict[Role, int]
+    tool_calls: dict[Counted, int]
     failed: list[FailedSample]
     warnings: list[Warned]
 
@@ -65,7 +65,7 @@ class Tally:
         self._suite = suite
         self._durations = array("d")
         self._passed = 0
-        self._calls: Counter[Role] = Counter()
+        self._calls: Counter[Counted] = Counter()
         self._failed: list[FailedSample] = []
         self._warnings = WarningTally()
 

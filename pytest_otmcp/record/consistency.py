@@ -6,12 +6,12 @@ The checks take one sample at a time, so that a record of any length can be chec
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from datetime import datetime, timedelta
 
 from ..core.matrix import REQUIREMENTS, SUITES
 from ..core.verdict import Status, Verdict, decide
-from .schema import ROLES, Call, Footer, Header, Item, ItemHead, Role, Sample
+from .schema import COUNTED, ROLES, Call, Counted, Footer, Header, Item, ItemHead, Sample
 from .warnings import failing
 
 __all__ = ["Contradiction", "RunChecker", "clock_faults", "count_calls", "inapplicable_by_steps", "tool_calls"]
@@ -26,17 +26,19 @@ class Contradiction(Exception):
     """A record contradicts itself; the message says where."""
 
 
-def tool_calls(suite: str, calls: Iterable[Call]) -> Counter[Role]:
-    """Count the tool calls of an item by role.
-
-    The paper's count of tool calls leaves the recovery suite out, and so does the role ``task`` here.
-    """
-    return Counter("recovery" if suite == "recovery" and call["role"] == "task" else call["role"] for call in calls)
+_APART: Mapping[str, Counted] = {"recovery": "recovery", REQUIREMENTS: "check"}
+"""Suites whose calls of the role ``task`` the paper's count of tool calls does not have, and what they are counted as."""
 
 
-def count_calls(items: Iterable[Item]) -> dict[Role, int]:
-    """Count the tool calls of these items by role."""
-    calls: Counter[Role] = Counter(dict.fromkeys(ROLES, 0))
+def tool_calls(suite: str, calls: Iterable[Call]) -> Counter[Counted]:
+    """Count the tool calls of an item by role; ``task`` is the paper's count of tool calls."""
+    task = _APART.get(suite, "task")
+    return Counter(task if call["role"] == "task" else call["role"] for call in calls)
+
+
+def count_calls(items: Iterable[Item]) -> dict[Counted, int]:
+    """Count the tool calls of these items by role; of checks, where there are any."""
+    calls: Counter[Counted] = Counter(dict.fromkeys(ROLES, 0))
     for item in items:
         for part in (*item["around"], *item["samples"]):
             calls.update(tool_calls(item["suite"], part["calls"]))
@@ -55,7 +57,7 @@ class RunChecker:
         self._header = header
         self._statuses: dict[str, Status] = {}
         self._samples = 0
-        self._calls: Counter[Role] = Counter()
+        self._calls: Counter[Counted] = Counter()
         for moment in (header["environment"]["started_at"], header["environment"]["finished_at"]):
             _check_instant(moment, "the record")
 
@@ -110,7 +112,7 @@ class RunChecker:
         counted = {
             "items": len(self._statuses),
             "samples": self._samples,
-            "tool_calls": {role: self._calls[role] for role in ROLES},
+            "tool_calls": {role: self._calls[role] for role in COUNTED if role in ROLES or self._calls[role]},
         }
         for what, found in counted.items():
             stated = footer.get(what)

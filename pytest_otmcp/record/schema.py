@@ -17,6 +17,7 @@ import msgspec
 from ..core.journal_entry import JournalEntry
 
 __all__ = [
+    "COUNTED",
     "ROLES",
     "SCHEMA",
     "AdapterFacts",
@@ -86,6 +87,9 @@ Factor = Annotated[float, msgspec.Meta(gt=0)]
 Role = Literal["task", "control", "setup", "warmup", "recovery"]
 """Purpose of a call or of an execution of steps. Only calls of the role ``task`` count for the benchmark."""
 ROLES: tuple[Role, ...] = ("task", "control", "setup", "warmup", "recovery")
+Counted = Literal[Role, "check"]
+"""What calls are counted as: their role; calls of the role ``task`` in a check of the requirement suite are ``check``."""
+COUNTED: tuple[Counted, ...] = (*ROLES, "check")
 State = Literal["PASS", "FAIL", "NOT_APPLICABLE", "NOT_TESTABLE", "KIT_ERROR", "INTERRUPTED"]
 
 
@@ -394,6 +398,17 @@ class Footprint(TypedDict):
     processes: Count
 
 
+class HandshakeEra(TypedDict):
+    """A start of the adapter in MCP's era of the handshake.
+
+    ``opened``: number of the journal's entry at which the session began; None when it was not tried, because the session is of that
+    era already or the adapter has shown that it does not speak it. ``revision``: that was agreed on; None without a session.
+    """
+
+    opened: Count | None
+    revision: Name | None
+
+
 class Observation(TypedDict):
     """One look at a device, between ``asked_ns`` and ``seen_ns``; ``at`` names the adapter: its protocol, with ``@ro`` for the one with writes disabled.
 
@@ -405,6 +420,7 @@ class Observation(TypedDict):
     a device image; ``changes``: what differs in one from the last whole image of the device. ``stop``: the device was stopped,
     milliseconds; ``start``: it was started, its journal counts from 0 again. ``fresh_session``: the session was replaced.
     ``garbled``: number of the entry at which a session with a write switch that means nothing began; None where there was none.
+    ``handshake_era``: the session was replaced by one of MCP's era of the handshake, if the adapter speaks it.
     ``end``: the slice ends before this number, the next one begins there. ``process``: figures of the adapter's processes.
     ``tools``: digests of the tools that the adapter lists, and of their order. ``line_sent``: whether a line could be written to its standard input as it is.
     ``stderr``: the adapter's newest lines there. ``listed``: the tools of the session, name to entry.
@@ -424,6 +440,7 @@ class Observation(TypedDict):
     start: NotRequired[Started]
     fresh_session: NotRequired[FreshSession]
     garbled: NotRequired[Count | None]
+    handshake_era: NotRequired[HandshakeEra]
     end: NotRequired[Count]
     process: NotRequired[Footprint]
     tools: NotRequired[str]
@@ -601,7 +618,7 @@ class Footer(TypedDict):
     reason: str | None
     items: Count
     samples: NotRequired[Count]
-    tool_calls: NotRequired[dict[Role, Count]]
+    tool_calls: NotRequired[dict[Counted, Count]]
     verdict: NotRequired[str]
     deviations: NotRequired[dict[str, list[str]]]
     elapsed_s: NotRequired[float]

@@ -11,7 +11,16 @@ from typing import Any, cast
 from ..core.strict_json import same_json
 from ..protocols.protocol import Declared
 from ..record.images import Images, restore_image
-from ..record.schema import AdapterFacts, Call, DeviceEntry, Footprint, ItemDevice, Observation, ToolListing
+from ..record.schema import (
+    AdapterFacts,
+    Call,
+    DeviceEntry,
+    Footprint,
+    HandshakeEra,
+    ItemDevice,
+    Observation,
+    ToolListing,
+)
 from ..subject.claims import Claims
 from ..subject.model import READ_WRITE, Binding
 from ..trial.alteration import Alteration
@@ -262,6 +271,8 @@ class ReplayRig(Rig):
                     cursor.open_session(seen["fresh_session"]["opened"])
                 elif (opened := seen.get("garbled")) is not None:
                     cursor.open_session(opened)
+                elif "handshake_era" in seen:
+                    self._follow(seen["handshake_era"])
                 elif "end" in seen:
                     cursor.next = cursor.fed = seen["end"]
         self._state.running = True
@@ -383,6 +394,20 @@ class ReplayRig(Rig):
             return False
         self._cursor.open_session(opened)
         return True
+
+    async def _open_by_handshake(self) -> HandshakeEra:
+        found = self._seen("handshake_era")["handshake_era"]
+        self._follow(found)
+        return found
+
+    def _follow(self, found: HandshakeEra) -> None:
+        if found["opened"] is not None:
+            self._cursor.open_session(found["opened"])
+            if found["revision"] is None:
+                self._cursor.close_session()
+
+    async def close_handshake_era(self) -> None:
+        self._cursor.close_session()
 
     async def close_session(self) -> None:
         self._cursor.close_session()

@@ -1,7 +1,8 @@
 """The capabilities that an adapter has earned, for each protocol, and the items that decided them. Pure.
 
 A capability is earned when every item behind it passed, and no finding of any item is about one of its requirements. A capability with a missing item is undecided, not earned: a
-narrowed run can only earn less. The items say which capabilities they are about; the suite says which items there should be.
+narrowed run can only earn less. The items say which capabilities they are about, checks by the row that they judge; the suite says which
+items there should be.
 """
 
 from __future__ import annotations
@@ -11,13 +12,14 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from ..core.capability import Capability
-from ..core.matrix import BENCHMARK
+from ..core.matrix import BENCHMARK, REQUIREMENTS
 from ..core.verdict import Status
 from ..protocols.protocol import GUARD
 from ..protocols.registry import protocols
 from ..record.warnings import failing, findings_of
 from ..suite.catalogue import all_tasks, tasks_by_id
 from ..suite.requirements import requirements
+from ..trial.task import Task
 from . import Item, Run, adapters
 from .families import families
 
@@ -119,7 +121,7 @@ def earned(run: Run) -> list[tuple[Heading, dict[str, Earned]]]:
 def _wanted(run: Run) -> tuple[dict[str, _Ids], _Ids]:
     """Return the ids of the items behind each capability, by family, and of the items behind none."""
     behind: dict[str, tuple[str, Collection[str]]] = {
-        task.id: (task.family, task.capabilities)
+        task.id: (task.family, _of_task(task))
         for task in tasks_by_id(run["subject"]["adapters"], run["settings"].get("suites", BENCHMARK)).values()
     }
     behind |= {item["id"]: (item["family"], _capabilities(item)) for item in run["items"]}
@@ -153,7 +155,14 @@ def _capabilities(item: Item) -> Collection[str]:
         return [str(name) for name in item["capabilities"]]
     # A record of an earlier kit does not name the capabilities; the task of that id does.
     task = all_tasks().get(item["id"])
-    return () if task is None else task.capabilities
+    return () if task is None else _of_task(task)
+
+
+def _of_task(task: Task) -> Collection[str]:
+    """Return the capabilities of a task; a check is about those of its row."""
+    if task.suite != REQUIREMENTS:
+        return task.capabilities
+    return {name for row in task.requirements for name in requirements()[row].capabilities}
 
 
 def _not_claimed(run: Run, facet: str | None) -> set[str]:

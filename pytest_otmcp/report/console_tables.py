@@ -80,7 +80,7 @@ def _style(item: Item) -> str:
 def time_budget(run: Run, width: int) -> Iterator[Line]:
     """Yield what the time was spent on, which calls are counted apart, and the deadlines of a call."""
     calls = count_calls(run["items"])
-    others = ", ".join(f"{calls[role]} {role}" for role in ("recovery", "control", "setup", "warmup"))
+    others = ", ".join(f"{count} {role}" for role, count in calls.items() if role != "task")
     texts = ["", f"calls counted apart: {others}"]
     # A killed run has neither a time breakdown nor an elapsed time.
     if spent := run["footer"].get("breakdown_s"):

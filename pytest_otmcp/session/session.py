@@ -20,6 +20,7 @@ from typing import cast
 
 from mcp import Client, MCPError
 from mcp.types import CallToolResult, RequestParamsMeta
+from mcp.types.version import HANDSHAKE_PROTOCOL_VERSIONS
 from pydantic import ValidationError
 
 from ..core.errors import ExhaustedError, KitError, SubjectError
@@ -87,6 +88,11 @@ class McpSession:
         self.protocol_version = ""
         self.spawned_ns = 0
         self.ready_ns = 0
+
+    @property
+    def by_handshake(self) -> bool:
+        """The session is one of the era in which client and server agree by ``initialize``, MCP 2025-11-25 and older."""
+        return self.protocol_version in HANDSHAKE_PROTOCOL_VERSIONS
 
     @property
     def stop_report(self) -> StopReport | None:

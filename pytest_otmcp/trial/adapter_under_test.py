@@ -164,6 +164,7 @@ class AdapterUnderTest:
         self._addressed = False
         self.legacy = False
         self._garbled: Mapping[str, str] = {}
+        self._by_handshake = self._refuses_handshake = False
         # One for all sessions: the kit cannot know whether the adapter forgets with its process.
         limit = adapter.call_limit
         self._pace = None if limit is None else Pace(limit.calls, limit.per_s)
@@ -249,7 +250,7 @@ class AdapterUnderTest:
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_text(content, encoding="utf-8")
         options = SessionOptions(
-            era="legacy" if self.legacy else self.adapter.era or self._options.era,
+            era="legacy" if self.legacy or self._by_handshake else self.adapter.era or self._options.era,
             start_timeout_s=self.adapter.start_timeout_s * self._options.time_scale,
             exit_grace_s=_EXIT_GRACE_S * self._options.time_scale,
             pace=self._pace,
@@ -279,12 +280,13 @@ class AdapterUnderTest:
         try:
             session = await self._opened()
             self.session, self.tools = session, session.tools
-            self._server = {
-                "server_name": printable(session.server_name),
-                "server_version": printable(session.server_version),
-                "protocol_version": printable(session.protocol_version),
-                "tools": len(session.tools),
-            }
+            if not self._by_handshake:
+                self._server = {
+                    "server_name": printable(session.server_name),
+                    "server_version": printable(session.server_version),
+                    "protocol_version": printable(session.protocol_version),
+                    "tools": len(session.tools),
+                }
             await self._connect()
         except SubjectError as failure:
             # Without its device an adapter may have failed to start for that reason.
@@ -310,6 +312,34 @@ class AdapterUnderTest:
         finally:
             self._garbled = {}
         return True
+
+    async def open_by_handshake(self) -> str | None:
+        """Start the adapter anew in the era of the handshake, in which it is started until :meth:`close_handshake_era`.
+
+        Returns:
+            The revision that was agreed on; None where the adapter does not speak any of that era. Then there is no session.
+        """
+        await self.close()
+        self._by_handshake = True
+        try:
+            await self.open()
+        except SubjectError:
+            # A server need not speak the older revisions.
+            self._start_failure = None
+            self._by_handshake, self._refuses_handshake = False, True
+            return None
+        assert self.session is not None
+        return printable(self.session.protocol_version)
+
+    @property
+    def may_speak_by_handshake(self) -> bool:
+        """The session is of the newer era, and nothing has shown that the adapter does not speak the one of the handshake."""
+        return self.session is not None and not self.session.by_handshake and not self._refuses_handshake
+
+    async def close_handshake_era(self) -> None:
+        """End the session that was opened by :meth:`open_by_handshake`; the next one is opened as always."""
+        await self.close()
+        self._by_handshake = False
 
     async def _opened(self) -> McpSession:
         """Start the adapter; one that ends, or stops, at the first request of today's handshake is started with the one of 2025.

@@ -19,7 +19,7 @@ __all__ = ["LATE_NS", "CallWindow", "from_adapter", "windows"]
 LATE_NS = 50_000_000
 """How much later than the reply a message of the call that nobody answers may arrive."""
 
-_NO_MESSAGE = ("CONNECTED", "DISCONNECTED", "malformed")
+_NO_MESSAGE = ("CONNECTED", "DISCONNECTED", "malformed", "lost")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

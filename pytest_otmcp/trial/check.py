@@ -18,7 +18,7 @@ from ..protocols.registry import protocols
 from ..subject.model import READ_ONLY
 from .task import Steps, Task, Tasks
 
-__all__ = ["Checks"]
+__all__ = ["Checks", "Generic"]
 
 Generic = Callable[..., Awaitable[None]]
 """``async def steps(run, at)`` or, for a check with the read-only variant, ``async def steps(run, at, guarded)``."""

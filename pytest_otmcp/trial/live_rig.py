@@ -15,7 +15,7 @@ from ..plant.device import Journal
 from ..protocols.journal import ADAPTER
 from ..protocols.protocol import Declared
 from ..record.images import Images, keep_image
-from ..record.schema import Footprint, ItemDevice, Observation, SessionStart, ToolListing
+from ..record.schema import Footprint, HandshakeEra, ItemDevice, Observation, SessionStart, ToolListing
 from ..session.footprint import footprint
 from ..session.session import McpSession
 from ..subject.addressing import addressed_by
@@ -333,6 +333,21 @@ class LiveRig(Rig):
         self._state.told_session = self._cursor.session
         self._noted({"garbled": self._cursor.began if started else None}, begun)
         return started
+
+    async def _open_by_handshake(self) -> HandshakeEra:
+        begun = time.monotonic_ns()
+        found: HandshakeEra = {"opened": None, "revision": None}
+        if self.under_test.may_speak_by_handshake:
+            with self._bench.spent.on("adapter starts"):
+                found["revision"] = await self.under_test.open_by_handshake()
+            session = self._state.told_session = self._cursor.session
+            found["opened"] = None if session is None else session[1]
+        self._noted({"handshake_era": found}, begun)
+        return found
+
+    async def close_handshake_era(self) -> None:
+        with self._bench.spent.on("adapter starts"):
+            await self.under_test.close_handshake_era()
 
     async def footprint(self) -> Footprint:
         asked_ns = time.monotonic_ns()

@@ -1,7 +1,7 @@
 """Judges what an envelope's ``meta`` says of a call by what the device saw of it. Pure.
 
 Every call of an adapter with envelopes of its own is judged, whatever its role. Where the device cannot have seen everything,
-because it was down or a connection died, nothing is concluded from what it did not see.
+because it was down, the network lost bytes or a connection died, nothing is concluded from what it did not see.
 """
 
 from __future__ import annotations
@@ -52,11 +52,14 @@ def meta_faults(
         # What else it says of an exchange that there was not has the same cause.
         yield _without_traffic(call)
         return
-    if call.reachable and not any(entry["kind"] == "CONNECTED" for entry in seen):
+    kinds = {entry["kind"] for entry in seen}
+    if call.reachable and not kinds & {"CONNECTED", "lost"}:
         yield from _attempts(window, call, attempts, seen, protocol, declared)
     # Of what the device could not read it cannot say what was in it.
-    if attempts and call.reachable and not any(entry["kind"] == "malformed" for entry in seen):
-        yield from _trace(call, meta.get("trace"), seen, protocol)
+    if attempts and call.reachable and not kinds & {"malformed", "lost"}:
+        # Requests that went to a connection that had ended, before a new one was made, were not read either.
+        if "CONNECTED" not in kinds or attempts <= len(from_adapter(seen)):
+            yield from _trace(call, meta.get("trace"), seen, protocol)
         yield from _latency(window, call, meta.get("latency_ms"), attempts)
 
 

@@ -16,7 +16,7 @@ from ..core.finding import Finding
 from ..protocols.journal import ADAPTER, judged
 from ..protocols.protocol import Declared
 from ..protocols.registry import protocols
-from ..record.schema import DeviceEntry, Footprint, Role, ToolListing
+from ..record.schema import DeviceEntry, Footprint, HandshakeEra, Role, ToolListing
 from ..subject.model import READ_WRITE, Binding
 from .alteration import Alteration
 from .cursor import JournalCursor, Oracle
@@ -269,6 +269,17 @@ class Rig(WriteGate):
             )
         return fresh
 
+    async def open_by_handshake(self) -> bool:
+        """End the session and start the adapter anew in MCP's era of the handshake, 2025-11-25 and older; return whether there is such a
+        session now. It is replaced by its like until :meth:`close_handshake_era`.
+
+        Where the session is of that era already nothing is done: the adapter speaks no newer one, or the subject file says so.
+        """
+        # The oracles of the session that ends are to see what it did to its end.
+        if self.running:
+            await self._feed()
+        return (await self._open_by_handshake())["revision"] is not None
+
     def session_faults(self) -> list[Finding]:
         """Return what is wrong with the session as such, as far as its device has seen it; each fault once."""
         return self._cursor.take_faults()
@@ -371,6 +382,13 @@ class Rig(WriteGate):
     async def garble_switch(self) -> bool:
         """After the session was closed, start the adapter with a write switch whose value means nothing; return whether there is a
         session then."""
+
+    @abstractmethod
+    async def _open_by_handshake(self) -> HandshakeEra: ...
+
+    @abstractmethod
+    async def close_handshake_era(self) -> None:
+        """End the session and its process; the next session is opened as the subject file and the run's options say."""
 
     @abstractmethod
     async def close_session(self) -> None:

@@ -1,7 +1,8 @@
 """The arguments of the tools with their bounds, and the shapes of their ``data``.
 
-Limits are those of one PDU (MODBUS Application Protocol V1.1b3, sections 6.1 to 6.12). The adapter splits no request,
-because two reads are not made at one moment and two writes are not one change.
+Limits are those of one PDU (MODBUS Application Protocol V1.1b3, sections 6.1 to 6.12), but for reads of registers: a larger block is
+read by several requests, which are not made at one moment, and ``meta.atomic`` says so. No write is split, because two writes are not
+one change, and no number that spans registers.
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ from ..core import LEFT_OUT, AdapterError, Arguments, BoundsCode
 from .codec import DataType, Order, Value, width
 
 MAX_READ_BITS, MAX_READ_REGISTERS, MAX_WRITE_BITS, MAX_WRITE_REGISTERS = 2000, 125, 1968, 123
+MAX_BLOCK = 2000
+"""Registers that one call reads, by as few requests as possible."""
 
 Address = Annotated[int, Field(ge=0, le=65535, description="PDU address, from 0")]
 Word = Annotated[int, Field(ge=0, le=65535, description="0 to 65535"), BoundsCode("range_overflow")]
@@ -73,7 +76,11 @@ class _Block(Cell):
 class Registers(_Block):
     """A block of registers."""
 
-    count: Annotated[int, Field(ge=1, le=MAX_READ_REGISTERS, description="1 to 125"), BoundsCode("limit_exceeded")]
+    count: Annotated[
+        int,
+        Field(ge=1, le=MAX_BLOCK, description="1 to 2000; up to 125 are read at one moment"),
+        BoundsCode("limit_exceeded"),
+    ]
 
 
 class Bits(_Block):

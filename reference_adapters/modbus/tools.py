@@ -11,6 +11,7 @@ from ..core import AdapterError, Call, device_text, tool
 from .codec import decode, encode, width
 from .link import Link
 from .shapes import (
+    MAX_READ_REGISTERS,
     Bits,
     BitStates,
     Cell,
@@ -41,6 +42,7 @@ from .tags import Tag, engineering_value, raw_value
 __all__ = ["Tools"]
 
 Send = Callable[[AsyncModbusTcpClient, int], Awaitable[ModbusPDU]]
+Read = Callable[[Call, Unit, int, int], Awaitable[list[int]]]
 
 REGULAR_IDENTIFICATION = 2
 MORE_FOLLOWS = 0xFF
@@ -81,14 +83,14 @@ class Tools:
 
     @tool("modbus.read_holding")
     async def read_multiple_holding_registers(self, call: Call, arguments: Registers) -> RegisterValues:
-        """Read up to 125 holding registers (function 03)."""
-        values = await self._holding(call, arguments, arguments.address, arguments.count)
+        """Read up to 2000 holding registers (function 03), 125 by each request."""
+        values = await _in_blocks(self._holding, call, arguments)
         return {"address": arguments.address, "count": arguments.count, "values": values}
 
     @tool("modbus.read_input")
     async def read_input_registers(self, call: Call, arguments: Registers) -> RegisterValues:
-        """Read up to 125 input registers (function 04)."""
-        values = await self._inputs(call, arguments, arguments.address, arguments.count)
+        """Read up to 2000 input registers (function 04), 125 by each request."""
+        values = await _in_blocks(self._inputs, call, arguments)
         return {"address": arguments.address, "count": arguments.count, "values": values}
 
     @tool("modbus.read_coils")
@@ -242,6 +244,16 @@ class Tools:
             message = "the tag map has no such tag; list_tags lists them"
             raise AdapterError("illegal_address", message, field="/tag", outcome="not_sent")
         return self._tags[name]
+
+
+async def _in_blocks(read: Read, call: Call, arguments: Registers) -> list[int]:
+    """Read a block by as few requests as the protocol allows."""
+    if arguments.count > MAX_READ_REGISTERS:
+        call.extra["atomic"] = False
+    values: list[int] = []
+    while missing := arguments.count - len(values):
+        values += await read(call, arguments, arguments.address + len(values), min(missing, MAX_READ_REGISTERS))
+    return values
 
 
 def _bit_states(arguments: Bits, reply: ModbusPDU) -> BitStates:

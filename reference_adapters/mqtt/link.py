@@ -1,7 +1,8 @@
 """The connection to the broker for the tools: made on demand, watched, replaced when it breaks.
 
-After a loss the link reconnects by itself within a quarter of a second, because subscriptions and births have to be
-restored even if no tool is called. A message that failed is never sent again.
+After a loss the link reconnects by itself, because subscriptions and births have to be restored even if no tool is called:
+at once, then with pauses that double, so that a broker that comes back is not stormed. A call does not wait for the end of a
+pause: it makes an attempt of its own. A message that failed is never sent again.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ T = TypeVar("T")
 
 # Reason codes from here on are refusals (MQTT 5, section 2.4; the SUBACK of 3.1.1 has only this one).
 _REFUSED = 0x80
-_FIRST_RETRY_S, _LAST_RETRY_S = 0.05, 0.2
+# With these pauses there are 28 attempts in the first minute of an outage, and 24 in each further one.
+_FIRST_RETRY_S, _LAST_RETRY_S = 0.05, 2.5
 # A connection that keeps ending at once is probably taken over by another client with the same identifier [MQTT-3.1.4-2].
 # Two adapters must not disconnect each other endlessly.
 _SHORT_LIVED_S, _TAKEN_OVER_RETRY_S = 0.5, 5.0

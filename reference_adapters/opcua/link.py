@@ -83,6 +83,7 @@ class Session:
     types: dict[ua.NodeId, ua.VariantType] = field(default_factory=dict)
     inputs: dict[ua.NodeId, list[NodeFacts]] = field(default_factory=dict)
     leaves: set[ua.NodeId] = field(default_factory=set)
+    branches: list[ua.NodeId] = field(default_factory=list)
     namespaces: list[str] | None = None
     limits: dict[str, int] | None = None
 

@@ -47,6 +47,11 @@ class Services:
         """The set of variables known in this session to have no variables below them; callers add to the set."""
         return self._session.leaves
 
+    @property
+    def branches(self) -> list[ua.NodeId]:
+        """The nodes below which this session's last enumeration looked, but for the leaves; each enumeration replaces them."""
+        return self._session.branches
+
     # -- names ----------------------------------------------------------------------------------------------
 
     async def node(self, name: NodeName) -> ua.NodeId:
@@ -220,6 +225,31 @@ class Services:
             classes: mask of node classes, 0 for all.
             result: mask of the facts about each reference; fewer are faster.
         """
+        pages = await self._browse(nodes, fields, kind, direction, classes, result)
+        return [pages[index] for index in range(len(nodes))]
+
+    async def browse_known(
+        self, nodes: Sequence[ua.NodeId], *, classes: int = 0, result: int = ua.BrowseResultMask.BrowseName
+    ) -> dict[ua.NodeId, list[ua.ReferenceDescription]]:
+        """Return the hierarchical references of the nodes that are still there, from every page.
+
+        Args:
+            nodes: nodes that were there before; those that the server refuses now are left out.
+            classes, result: as for :meth:`browse`.
+        """
+        pages = await self._browse(nodes, None, _HIERARCHICAL, ua.BrowseDirection.Forward, classes, result)
+        return {nodes[index]: references for index, references in pages.items()}
+
+    async def _browse(
+        self,
+        nodes: Sequence[ua.NodeId],
+        fields: Sequence[str] | None,
+        kind: ua.NodeId,
+        direction: ua.BrowseDirection,
+        classes: int,
+        result: int,
+    ) -> dict[int, list[ua.ReferenceDescription]]:
+        """Return the references by the node's place; without ``fields`` nodes that the server refuses are left out."""
         asked = [
             ua.BrowseDescription(
                 NodeId=node,
@@ -231,12 +261,16 @@ class Services:
             )
             for node in nodes
         ]
-        found: list[list[ua.ReferenceDescription]] = [[] for _ in nodes]
+        found: dict[int, list[ua.ReferenceDescription]] = {index: [] for index in range(len(nodes))}
         waiting = list(range(len(nodes)))
         while waiting:
             first = await self._in_portions([asked[index] for index in waiting], "browse", self._send_browse)
             served, waiting = _served(list(zip(waiting, first, strict=True)))
-            await self._turn_pages(served, found, fields)
+            if fields is None:
+                for index in [index for index, page in served if quality(page.StatusCode) == "bad"]:
+                    del found[index]
+                served = [(index, page) for index, page in served if index in found]
+            await self._turn_pages(served, found, fields or [""])
         return found
 
     async def _send_browse(self, portion: Sequence[ua.BrowseDescription]) -> list[ua.BrowseResult]:
@@ -248,7 +282,7 @@ class Services:
     async def _turn_pages(
         self,
         pages: list[_Page],
-        found: list[list[ua.ReferenceDescription]],
+        found: dict[int, list[ua.ReferenceDescription]],
         fields: Sequence[str],
     ) -> None:
         while pages:

@@ -163,7 +163,7 @@ MODBUS = Case(
         Unfit("write_coil", {"address": 0, "value": 1}, "invalid_input"),
         Unfit("write_coils_bulk", {"address": 0, "values": [True] * 1969}, "limit_exceeded"),
         Unfit("mask_write_register", {"address": 0, "and_mask": 65536, "or_mask": 0}, "range_overflow"),
-        Unfit("read_multiple_holding_registers", {"address": 0, "count": 126}, "limit_exceeded"),
+        Unfit("read_multiple_holding_registers", {"address": 0, "count": 2001}, "limit_exceeded"),
         Unfit("read_multiple_holding_registers", {"address": 0, "count": 0}, "invalid_input"),
         Unfit("read_multiple_holding_registers", {"address": 0, "count": -1}, "invalid_input"),
         Unfit("read_multiple_holding_registers", {"address": 65535, "count": 2}, "invalid_input"),

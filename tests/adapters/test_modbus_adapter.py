@@ -112,6 +112,29 @@ def test_the_trace_is_what_was_on_the_wire(adapter: Any, device: Any) -> None:
     }
 
 
+@pytest.mark.parametrize(("count", "sizes"), [(125, [125]), (126, [125, 1]), (2000, [125] * 16)])
+def test_a_large_block_is_read_by_as_few_requests_as_possible(
+    adapter: Any, device: Any, count: int, sizes: list[int]
+) -> None:
+    device("poke", params={"unit": 1, "cells": 65536})
+    values = [(7 * number + 3) % 65536 for number in range(count)]
+    poke(device, "holding_registers", 500, *values)
+    mark = device.mark()
+    reply = adapter.call("read_multiple_holding_registers", address=500, count=count)
+    assert reply.data == {"address": 500, "count": count, "values": values}
+    asked = requests(device, mark)
+    assert [request["quantity"] for request in asked] == sizes
+    assert reply.meta.get("atomic", True) is (len(sizes) == 1)
+    assert reply.meta["attempts"] == reply.meta["trace"]["pdus"] == len(sizes)
+
+
+def test_a_large_block_of_which_a_part_cannot_be_read_is_no_data(adapter: Any, device: Any) -> None:
+    device("poke", params={"unit": 1, "cells": 65536})
+    device.fault({"address": 625, "action": {"exception": 2}})
+    reply = adapter.call("read_multiple_holding_registers", address=500, count=300)
+    assert (reply.error["code"], reply.envelope["data"]) == ("illegal_address", None)
+
+
 def test_a_ping_is_an_exchange_and_any_answer_of_the_device_will_do(adapter: Any, device: Any) -> None:
     mark = device.mark()
     assert adapter.call("ping").data == {"reachable": True}

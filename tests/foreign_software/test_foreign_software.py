@@ -73,11 +73,16 @@ def test_the_official_conformance_suite_has_no_complaint(npm: Npm, protocol: str
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
-def test_the_inspector_lists_the_tools_without_an_error_in_a_schema(npm: Npm, protocol: str) -> None:
+def test_the_inspector_lists_the_tools_in_each_era_without_an_error_in_a_schema(npm: Npm, protocol: str) -> None:
     with mock(protocol) as (_, device), over_http(protocol, device) as url:
-        done = npm.run("mcp-inspector", "--cli", url, "--transport", "http", "--method", "tools/list", "--strict")
-        assert done.returncode == 0, done.stderr
-        assert json.loads(done.stdout)["tools"]
+        asked = ["mcp-inspector", "--cli", url, "--transport", "http", "--method", "tools/list", "--strict"]
+        listed = {}
+        for era in ("modern", "legacy"):
+            done = npm.run(*asked, "--protocol-era", era)
+            assert done.returncode == 0, done.stderr
+            listed[era] = json.loads(done.stdout)["tools"]
+        assert listed["modern"]
+        assert listed["modern"] == listed["legacy"]
 
 
 def test_the_inspector_writes_through_an_adapter_and_the_device_has_it(npm: Npm) -> None:

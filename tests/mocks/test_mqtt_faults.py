@@ -150,11 +150,11 @@ async def poke(mqtt: MockProgram, **params: Any) -> None:
 
 
 @contextlib.asynccontextmanager
-async def client(mqtt: MockProgram, *filters: str, version: int = 5) -> AsyncIterator[Peer]:
+async def client(mqtt: MockProgram, *filters: str, version: int = 5, client_id: str = "client") -> AsyncIterator[Peer]:
     """Connect paho and subscribe, in a thread because it blocks."""
 
     def connect() -> Peer:
-        peer = Peer(mqtt.port, "client", version=version).connect()
+        peer = Peer(mqtt.port, client_id, version=version).connect()
         for one in filters:
             peer.subscribe(one)
         return peer
@@ -182,6 +182,26 @@ async def test_a_burst_arrives_whole_in_order_and_fast(mqtt: MockProgram) -> Non
     assert [one.topic for one in found[:2]] == ["flood/0", "flood/1"]
     assert len(await mqtt.control.journal(kind="PUBLISH", direction="out", client_id="client")) == 5000
     assert published_s < PATIENCE_S
+
+
+@pytest.mark.asyncio
+async def test_a_brief_burst_arrives_whole_and_has_an_entry_for_each_connection(mqtt: MockProgram) -> None:
+    async with client(mqtt, "flood/#") as peer, client(mqtt, "flood/1", client_id="other") as other:
+        await poke(mqtt, burst={"topic": "flood/1", "count": 700, "brief": True})
+        await poke(mqtt, publish={"topic": "flood/1", "payload": encoded(b"later")})
+        found = await asyncio.to_thread(lambda: [peer.next() for _ in range(701)])
+        last = await asyncio.to_thread(lambda: [other.next() for _ in range(701)][-1])
+    assert [one.payload for one in found] == [*(str(number).encode() for number in range(700)), b"later"]
+    assert last.payload == b"later"
+    entries = await mqtt.control.journal(topic="flood/1")
+    assert [(one["kind"], one["origin"], one["client_id"], one.get("count")) for one in entries] == [
+        ("BURST", "kit", "otmcp-kit", 700),
+        ("BURST", "client", "client", 700),
+        ("BURST", "client", "other", 700),
+        ("PUBLISH", "kit", "otmcp-kit", None),
+        ("PUBLISH", "client", "client", None),
+        ("PUBLISH", "client", "other", None),
+    ]
 
 
 @pytest.mark.asyncio
@@ -365,6 +385,7 @@ async def test_pokes_that_are_not_understood_are_refused_in_a_sentence(mqtt: Moc
         ({"burst": {"count": 3}}, "burst: expected an object with topic, count"),
         ({"burst": {"topic": "a", "count": 3, "speed": 1}}, "unknown member 'speed'"),
         ({"burst": {"topic": "a/#", "count": 3}}, "contains a wildcard"),
+        ({"burst": {"topic": "a", "count": 3, "qos": 1, "brief": True}}, "brief is for QoS 0, found QoS 1"),
         ({"command": {"group": "g", "edge_node": "n", "metrics": [{}]}}, "a metric is"),
         ({"disconnect": {"reason_code": 0}}, "expected an integer from 128 to 255"),
         ({"edge_node": {"explode": True}}, "unknown member 'explode'"),

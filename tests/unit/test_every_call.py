@@ -104,6 +104,17 @@ def test_a_new_connection_or_a_device_that_is_down_hides_attempts() -> None:
     assert claims(replace(call(source="none"), reachable=False)) == []
 
 
+def test_requests_that_the_device_may_never_have_read_are_not_compared() -> None:
+    again = call(attempts=2, trace={"transaction_ids": [6, 7]})
+    assert claims(again, *exchange(1.2)) == ["attempts ENV-005", "trace_differs ENV-007"]
+    assert claims(again, entry(1.1, "lost", count=12), *exchange(1.2)) == []
+    # The first went to a connection that had ended.
+    assert claims(again, entry(1.1, "CONNECTED"), *exchange(1.2)) == []
+    assert claims(call(trace={"transaction_ids": [6]}), entry(1.1, "CONNECTED"), *exchange(1.2)) == [
+        "trace_differs ENV-007"
+    ]
+
+
 def test_less_attempts_than_writes_are_a_lie() -> None:
     twice = [*exchange(1.2, function=6), *exchange(1.5, function=6)]
     assert claims(call("write_holding"), *twice) == ["attempts ENV-005"]

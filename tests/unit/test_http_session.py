@@ -47,6 +47,7 @@ async def session(command: list[str] | None = None, *, era: str = "auto") -> Asy
 async def test_frames_and_their_times_are_recorded(era: str) -> None:
     async with session(era=era) as http:
         assert "read_input_registers" in http.tools
+        assert http.by_handshake is (era == "legacy")
         exchange = await http.call("read_input_registers", {"address": 0, "count": 1}, timeout_s=60.0)
     assert exchange.response is not None
     assert exchange.latency_ms is not None

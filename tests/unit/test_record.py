@@ -215,6 +215,17 @@ def test_every_member_is_explained_in_the_documentation() -> None:
     assert missing == []
 
 
+def test_calls_of_checks_are_counted_apart() -> None:
+    calls = {"normal": "task", "recovery": "recovery", "requirements": "check"}
+    for suite, counted in calls.items():
+        checked = [{**item("M1", suite, "Modbus", "x", [1.0, 2.0]), "around": []}]
+        found = {name: count for name, count in count_calls(checked).items() if count}
+        assert found == {counted: 2}, suite
+        record = run(checked)
+        assert record["footer"]["tool_calls"] == count_calls(checked)
+    assert "check" not in count_calls([])
+
+
 # -- older records -----------------------------------------------------------------------------------------------------
 
 

@@ -18,6 +18,7 @@ from pytest_otmcp.report.families import css_class, families, style_sheet
 from pytest_otmcp.report.html import page
 from pytest_otmcp.report.markdown import summary
 from pytest_otmcp.report.render import NAMES, reason, write_all
+from pytest_otmcp.suite.catalogue import all_tasks
 
 from ..stored_runs import header_of
 from .samples import adapter, finding, item, run, written_twice
@@ -155,6 +156,19 @@ def test_what_is_not_claimed_cannot_be_lost() -> None:
 
 def test_a_capability_whose_item_did_not_run_is_not_earned() -> None:
     assert grades(modbus("M1"))["Reading"]["Modbus"] == Earned(grade=Grade.UNDECIDED, because=("M2",))
+
+
+def test_checks_are_about_the_capabilities_of_their_rows() -> None:
+    record = run([modbus(name, suite="requirements") for name in all_tasks() if name.endswith(".modbus")])
+    record["settings"]["suites"] = ["requirements"]
+    by_name = {capability.name: by_family["Modbus"] for capability, by_family in earned(record)}
+    assert all(by_name[name].grade == Grade.EARNED for name in ("Reading", "Writing", "Write protection"))
+    assert "RD-001.modbus" in by_name["Reading"].because
+    assert "WR-001.modbus" not in by_name["Reading"].because
+    record["items"] = [one for one in record["items"] if one["id"] != "RD-001.modbus"]
+    by_name = {capability.name: by_family["Modbus"] for capability, by_family in earned(record)}
+    assert by_name["Reading"] == Earned(grade=Grade.UNDECIDED, because=("RD-001.modbus",))
+    assert by_name["Writing"].grade == Grade.EARNED
 
 
 def test_what_no_item_tests_is_said_to_be_untested() -> None:

@@ -229,6 +229,20 @@ def test_connections_count_their_deaths() -> None:
     assert broken(connect(bd_seq=255), connect(2, bd_seq=0)) == []
 
 
+def test_a_connect_that_the_broker_may_never_have_read_counts_or_not() -> None:
+    later = connect(3, bd_seq=6)
+    lost = {"kind": "lost", "direction": "in", "origin": "client", "connection": 2}
+    made, ended = ({**lost, "kind": kind} for kind in ("CONNECTED", "DISCONNECTED"))
+    assert len(broken(connect(), later)) == 1
+    assert broken(connect(), made, lost, later) == []
+    # A reset discards what was not read.
+    assert broken(connect(), made, ended, later) == []
+    assert broken(connect(), made, later) == []
+    assert broken(connect(), made, ended, connect(3, bd_seq=5)) == []
+    assert broken(connect(), made, ended, connect(3, bd_seq=4)) != []
+    assert len(broken(connect(), made, connect(2, bd_seq=5), connect(3, bd_seq=7))) == 1
+
+
 WRONG_SESSIONS: list[tuple[list[Entry], str, str]] = [
     ([connect(), dbirth(), ddata()], "SPB-003", "DBIRTH before NBIRTH"),
     ([connect(), nbirth(), ddata(1)], "SPB-003", "DDATA of 'd' before its DBIRTH"),

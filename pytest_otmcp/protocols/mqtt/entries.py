@@ -31,7 +31,7 @@ class Filter(TypedDict, total=False):
 
 
 class MqttEntry(JournalEntry, total=False):
-    """An entry whose kind is the name of a control packet.
+    """An entry whose kind is the name of a control packet, or ``BURST``: messages of the kit that were sent one after the other.
 
     Members:
         client_id: of the connection, or None before its CONNECT.
@@ -44,6 +44,7 @@ class MqttEntry(JournalEntry, total=False):
         will_sent: the broker published this message as a client's will.
         reason: why a connection ended, or why a packet is malformed.
         packet: of a malformed packet: its kind, or None when not even its kind could be read.
+        count: of a BURST: how many messages were sent on this connection; of the kit's own, how many it published.
     """
 
     client_id: str | None
@@ -60,6 +61,7 @@ class MqttEntry(JournalEntry, total=False):
     will_sent: bool
     reason: str
     packet: str | None
+    count: int
 
 
 def as_mqtt(entry: JournalEntry) -> MqttEntry:
@@ -153,6 +155,8 @@ def describe(entry: JournalEntry) -> str:
     if packet["kind"] == "PUBLISH":
         text += f" {packet['topic']!r} QoS {packet.get('qos')}{' retained' if packet.get('retain') else ''}"
         text += f" {payload_of(packet)[:60]!r}"
+    elif packet["kind"] == "BURST":
+        text += f" {packet['topic']!r}, {packet.get('count')} messages"
     elif packet["kind"] in ("SUBSCRIBE", "UNSUBSCRIBE"):
         text += f" {[wanted.get('filter') for wanted in packet.get('filters') or []]}"
     elif packet.get("reason_codes"):

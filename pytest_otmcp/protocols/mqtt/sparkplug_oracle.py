@@ -301,6 +301,7 @@ class SparkplugSequence(SessionOracle):
         self._node = (group, edge_node)
         self._client_id = client_id
         self._connections: dict[int, _Session] = {}
+        self._unheard: set[int] = set()
         self._deaths: dict[str, int] = {}
         self._uncertain: set[str] = set()
         self._taken = 0
@@ -327,14 +328,24 @@ class SparkplugSequence(SessionOracle):
 
     def _check(self, packet: MqttEntry) -> Iterator[Finding]:
         connection = packet["connection"]
-        if packet["kind"] == "DISCONNECTED":
+        if packet["kind"] == "CONNECTED":
+            self._unheard.add(connection)
+        elif packet["kind"] == "DISCONNECTED":
             self._connections.pop(connection, None)
+            if connection in self._unheard:
+                # A reset discards what the broker has not read: that may have been a CONNECT, too.
+                self._unheard.discard(connection)
+                self._uncertain.update(self._deaths)
         elif packet["kind"] == "lost":
             # What the network has swallowed may have been a CONNECT, which counts.
             self._uncertain.update(self._deaths)
         elif packet["direction"] != "in":
             return
         elif packet["kind"] == "CONNECT":
+            self._unheard.discard(connection)
+            if self._unheard:
+                # Its end is not known yet.
+                self._uncertain.update(self._deaths)
             self._connections[connection] = session = _Session(packet)
             yield from session.check_count(self._deaths, self._uncertain)
         elif packet["kind"] == "PUBLISH" and connection in self._connections:

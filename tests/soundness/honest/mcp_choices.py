@@ -13,7 +13,8 @@ from datetime import UTC, datetime
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-from mcp.types import Tool
+from mcp import MCPError
+from mcp.types import METHOD_NOT_FOUND, Tool
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call, stdio
 from pytest_otmcp.reference_adapters.core import call as core_call
 from pytest_otmcp.reference_adapters.core import server as core_server
@@ -253,6 +254,18 @@ def spoken_to_by_handshake(adapter: Adapter) -> Adapter:
 )
 def addressed_by_handshake(server: AdapterServer) -> None:
     """Nothing is bent: the subject file decides."""
+
+
+@choice("speaks no MCP older than 2026-07-28", "MCP 2026-07-28, Versioning: a server supports one revision or several")
+def newest_era_only(server: AdapterServer) -> None:
+    answer = server._answer_calls
+
+    async def refusing(ctx: Any, call_next: Any) -> Any:
+        if ctx.method == "initialize":
+            raise MCPError(METHOD_NOT_FOUND, "Method not found")
+        return await answer(ctx, call_next)
+
+    server.mcp.middleware[:] = [refusing]
 
 
 @choice("sends a notification before every answer", "MCP, server/utilities/logging", described=spoken_to_by_handshake)

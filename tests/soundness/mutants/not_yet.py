@@ -32,8 +32,8 @@ NOT_YET: Mapping[str, Mapping[str, str]] = {
     "C": {},
     "D": {},
     "E": {
-        "MU-23": "Of a list with one forbidden write the others are written.",
-        "MU-24": "A limit is compared with the raw value.",
+        "MU-23": "Of a list with one forbidden write the others are written; nobody says which are forbidden.",
+        "MU-24c": "A limit that was configured is compared with the raw value; nobody says what was configured.",
     },
     "F": {
         "MU-108": "Terminal codes and invisible characters of the device are passed on.",

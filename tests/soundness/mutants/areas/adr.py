@@ -89,6 +89,18 @@ def index_modulo_65536(server: AdapterServer) -> None:
     opcua_tools.parse_node = parse
 
 
+def bounds_of_the_scaled_value(server: AdapterServer) -> None:
+    """Compare the engineering value of a scaled tag with the range of its type, and send 16 bits of the raw value."""
+    genuine = modbus_tools.raw_value
+
+    def wrapped(tag: Any, value: float) -> Any:
+        raw = genuine(tag, value)
+        within = tag.scaled and tag.type == "int16" and -0x8000 <= value <= 0x7FFF
+        return (raw + 0x8000) % 0x1_0000 - 0x8000 if within else raw
+
+    modbus_tools.raw_value = wrapped
+
+
 def rounds_down(server: AdapterServer) -> None:
     def truncated(tag: Any, value: float) -> Any:
         return int((Decimal(str(value)) - Decimal(str(tag.offset))) / Decimal(str(tag.scale)))
@@ -256,6 +268,15 @@ MUTANTS: tuple[Mutant, ...] = (
         bend=scalar_into_array,
         items="ADR-004.opcua",
         requirements="ADR-004",
+        areas="adr",
+    ),
+    Mutant(
+        id="MU-24",
+        protocol="modbus",
+        sentence="The range of a scaled tag's type is compared with the value before it is scaled.",
+        bend=bounds_of_the_scaled_value,
+        items="ADR-005.modbus",
+        requirements="ADR-005",
         areas="adr",
     ),
     Mutant(

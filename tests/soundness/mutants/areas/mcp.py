@@ -6,6 +6,7 @@ import asyncio
 import os
 from typing import Any
 
+from mcp.types.version import HANDSHAKE_PROTOCOL_VERSIONS
 from pydantic import field_validator
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call, stdio
 from pytest_otmcp.reference_adapters.core import server as core_server
@@ -144,6 +145,18 @@ def bounds_are_for_reading_only(server: AdapterServer) -> None:
     core_server.parse_arguments = parse
 
 
+def is_error_never_set_by_handshake(server: AdapterServer) -> None:
+    answer_calls = server._answer_calls
+
+    async def answering(ctx: Any, call_next: Any) -> Any:
+        result = await answer_calls(ctx, call_next)
+        if ctx.method == "tools/call" and ctx.protocol_version in HANDSHAKE_PROTOCOL_VERSIONS:
+            return {**result, "isError": False}
+        return result
+
+    server.mcp.middleware[:] = [answering]
+
+
 def garbage_ends_it(server: AdapterServer) -> None:
     def second_reading(line: bytes) -> Any:
         os._exit(1)
@@ -206,6 +219,15 @@ MUTANTS: tuple[Mutant, ...] = (
         sentence="isError is always false.",
         bend=result(is_error_never_set),
         items=on("opcua", "MCP-001 MCP-002 MCP-004 MCP-005 MCP-006 MCP-007 MCP-008 MCP-010"),
+        requirements="MCP-006",
+        areas="mcp",
+    ),
+    Mutant(
+        id="MU-47h",
+        protocol="modbus",
+        sentence="isError is always false in sessions that begin with the handshake of MCP 2025-11-25.",
+        bend=is_error_never_set_by_handshake,
+        items=on("modbus", "MCP-001 MCP-002 MCP-004 MCP-005 MCP-006 MCP-007 MCP-008 MCP-010"),
         requirements="MCP-006",
         areas="mcp",
     ),

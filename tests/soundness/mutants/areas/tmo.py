@@ -94,8 +94,13 @@ def _not_sent(call: Call, error: AdapterError) -> Exception | None:
     return AdapterError("timeout", "the write was given up", outcome="not_sent") if error.code == "timeout" else None
 
 
-def without_a_pause(server: AdapterServer) -> None:
-    mqtt_link._FIRST_RETRY_S = mqtt_link._LAST_RETRY_S = 0.001
+def pausing(seconds: float) -> Bend:
+    """Return the defect that the pauses between attempts to connect are all so long."""
+
+    def bend(server: AdapterServer) -> None:
+        mqtt_link._FIRST_RETRY_S = mqtt_link._LAST_RETRY_S = seconds
+
+    return bend
 
 
 def _mutant(id: str, protocol: str, sentence: str, bend: Bend, items: str, requirements: str, **more: Any) -> Mutant:
@@ -185,5 +190,6 @@ MUTANTS: tuple[Mutant, ...] = (
         "TMO-004.opcua",
         "ERR-006 TMO-004",
     ),
-    _mutant("MU-125", "mqtt", "Connecting again is tried without a pause.", without_a_pause, "", "TMO-005"),
+    _mutant("MU-125", "mqtt", "Connecting again is tried without a pause.", pausing(0.001), "", "TMO-005"),
+    _mutant("MU-125p", "mqtt", "Connecting again is tried every 0.2 s, without end.", pausing(0.2), "", "TMO-005"),
 )
