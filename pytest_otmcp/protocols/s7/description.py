@@ -33,6 +33,7 @@ PROTOCOL = OtProtocol(
     mock="s7",
     clients="an S7 client for rack 0, slot 1",
     tasks="pytest_otmcp.conformance.tasks.s7",
+    onboarding="pytest_otmcp.onboarding.packs.s7",
     recognise=re.compile(r"(?<![a-z0-9])s7(?:comm)?(?![a-z0-9])|snap7", re.IGNORECASE),
     envelope_names=("s7comm",),
     packages=("python-snap7",),
