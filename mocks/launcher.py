@@ -14,7 +14,8 @@ Standard output carries one JSON object per line, standard input one word per li
 
 ``endpoints`` maps the name of each endpoint to ``{"kind": "tcp" or "udp", "host", "port"}`` or ``{"kind": "pty", "path"}``;
 ``host`` and ``port`` are those of the first, null for a pseudo terminal; ``control`` is the path of the control socket.
-``{"event": "died", "port", "exit"}`` tells that a device ended by itself; ``start`` is understood afterwards.
+``{"event": "died", "port", "exit"}`` tells that a device ended by itself; ``start`` is understood afterwards. The exit code is
+75 for a device that has run out of something, 69 for one whose port another program has taken, and else 1.
 ``{"event": "error", "message"}`` answers any other word. End of input ends everything.
 
 Two pipes connect the processes, so that each notices the end of the other, however it ends: the device reads
@@ -25,6 +26,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import gc
 import json
 import os
@@ -45,6 +47,9 @@ from .reservation import Reservation, reserve
 
 __all__ = ["run"]
 
+
+_OCCUPIED = 69
+"""Exit code of a device whose port another program has taken: EX_UNAVAILABLE of ``sysexits.h``."""
 
 _STDIN, _STDOUT, _STDERR = 0, 1, 2
 _END_SIGNALS = (signal.SIGTERM, signal.SIGINT)
@@ -231,7 +236,10 @@ class _Launcher:
         except BaseException as error:
             if is_exhaustion(error):
                 code = EXIT_CODE
-            traceback.print_exc()
+            elif isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
+                code = _OCCUPIED
+            if code != _OCCUPIED:
+                traceback.print_exc()
         finally:
             sys.stderr.flush()
             # This is not sys.exit: the launcher's exit handlers must not run in the device.

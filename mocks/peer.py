@@ -8,6 +8,7 @@ was found once is looked at first the next time; only when none of those holds t
 from __future__ import annotations
 
 import asyncio
+import atexit
 import contextlib
 import itertools
 import os
@@ -94,7 +95,10 @@ _numbers = itertools.count(1)
 
 @cache
 def _kernel() -> socket.socket:
-    return socket.socket(socket.AF_NETLINK, socket.SOCK_DGRAM, _SOCK_DIAG)
+    kernel = socket.socket(socket.AF_NETLINK, socket.SOCK_DGRAM, _SOCK_DIAG)
+    # A device in a process of its own ends without this; a test that has one in its own process would be warned at its end.
+    atexit.register(kernel.close)
+    return kernel
 
 
 def _inode(protocol: int, local: Address, remote: Address) -> int:

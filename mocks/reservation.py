@@ -6,6 +6,7 @@ them meanwhile are never executed by the next device: they are discarded just be
 
 from __future__ import annotations
 
+import errno
 import os
 import pty
 import socket
@@ -30,7 +31,11 @@ class Reservation(ABC):
 
     @abstractmethod
     def open(self) -> OpenEndpoint:
-        """Return the endpoint for a device, free of what was sent before. It is called in the device process."""
+        """Return the endpoint for a device, free of what was sent before. It is called in the device process.
+
+        Raises:
+            OSError: another program has taken it meanwhile (``EADDRINUSE``).
+        """
 
     @abstractmethod
     def close(self) -> None:
@@ -58,6 +63,10 @@ class _TcpPort(Reservation):
         self.address = {"kind": "tcp", "host": host, "port": self._port}
 
     def open(self) -> OpenEndpoint:
+        # Another program of the same user can take the port with SO_REUSEPORT. The kernel would hand it half of the connections.
+        with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
+            if probe.connect_ex((self._host, self._port)) == 0:
+                raise OSError(errno.EADDRINUSE, f"another program listens on {self._host}:{self._port}")
         return _tcp_socket(self._host, self._port, socket.SO_REUSEADDR, socket.SO_REUSEPORT)
 
     def close(self) -> None:

@@ -8,21 +8,25 @@ from __future__ import annotations
 
 import argparse
 import os
+import shutil
 import sys
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
+from typing import NoReturn, TextIO
 
 from .. import __version__
 from ..core.errors import ExhaustedError, KitError, UsageError
 from ..core.exhaustion import exhausted
-from ..core.text import marked, one_line
+from ..core.text import folded, marked, one_line
 from ..core.verdict import ExitCode
 
-__all__ = ["Refusal", "cut", "main", "place_of", "tell"]
+__all__ = ["Refusal", "cut", "main", "place_of", "show", "tell"]
 
 _COMMANDS = ("init", "doctor", "call", "certify", "verify", "explain", "report", "mock", "docs")
 _LONGEST = 2000
+_COMPLETING = "_ARGCOMPLETE"
+"""Variable by which argcomplete's part in the shell asks the program for the words that fit."""
 
 
 class Refusal(Exception):
@@ -30,11 +34,13 @@ class Refusal(Exception):
 
     Attributes:
         code: the exit code.
+        quotes: whether lines after the first are an adapter's, which can be read better as lines.
     """
 
-    def __init__(self, message: str, code: ExitCode = ExitCode.NOT_CONFORMANT) -> None:
+    def __init__(self, message: str, code: ExitCode = ExitCode.NOT_CONFORMANT, *, quotes: bool = False) -> None:
         super().__init__(message)
         self.code = code
+        self.quotes = quotes
 
 
 def cut(sentence: str) -> str:
@@ -44,7 +50,21 @@ def cut(sentence: str) -> str:
 
 def tell(text: str) -> None:
     """Print a text that may repeat somebody else's words."""
-    print(marked(text), flush=True)
+    show(marked(text))
+
+
+def show(text: str, stream: TextIO | None = None) -> None:
+    """Print lines of the kit's own, or harmless ones: folded between words on a terminal, and as they are in a pipe or a log.
+
+    Args:
+        text: the lines.
+        stream: where to; standard output if None.
+    """
+    stream = sys.stdout if stream is None else stream
+    if stream.isatty():
+        width = shutil.get_terminal_size().columns
+        text = "\n".join(part for line in text.splitlines() for part in folded(line, width))
+    print(text, file=stream, flush=True)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -69,6 +89,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _run(argv: Sequence[str] | None) -> int:
     try:
         parser = _parser()
+        if _COMPLETING in os.environ:
+            # A shell that completes words asks for it; the extra "completion" brings the library. Without it the command must
+            # end here: nobody has asked yet that it be carried out.
+            import_module("argcomplete").autocomplete(parser)
         arguments = parser.parse_args(argv)
         if arguments.run is None:
             parser.print_help(sys.stderr)
@@ -80,7 +104,10 @@ def _run(argv: Sequence[str] | None) -> int:
     except KeyboardInterrupt:
         return _say("interrupted", ExitCode.USAGE)
     except Refusal as reason:
-        return _say(str(reason), reason.code)
+        if not reason.quotes:
+            return _say(str(reason), reason.code)
+        show(marked(f"otmcp: {reason}"), sys.stderr)
+        return reason.code
     except UsageError as error:
         return _say(str(error), ExitCode.USAGE)
     except ExhaustedError as error:
@@ -98,8 +125,18 @@ def _run(argv: Sequence[str] | None) -> int:
         return _say(f"a fault of the kit at {place_of(error)}: {error!r}; please file a bug", ExitCode.INDETERMINATE)
 
 
+class _Parser(argparse.ArgumentParser):
+    """A parser whose complaint is one sentence, like every other one of the command."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print the usage and the complaint, and end the process."""
+        self.print_usage(sys.stderr)
+        show(one_line(f"{self.prog}: error: {message}"), sys.stderr)
+        raise SystemExit(int(ExitCode.USAGE))
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="otmcp", description="Conformance of MCP-to-OT adapters.")
+    parser = _Parser(prog="otmcp", description="Conformance of MCP-to-OT adapters.")
     parser.add_argument("--version", action="version", version=f"pytest-otmcp {__version__}")
     # Whoever says no command gets the list of all of them.
     parser.set_defaults(run=None)
@@ -110,7 +147,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _say(sentence: str, code: ExitCode) -> int:
-    print(one_line(f"otmcp: {sentence}"), file=sys.stderr)
+    show(one_line(f"otmcp: {sentence}"), sys.stderr)
     return code
 
 

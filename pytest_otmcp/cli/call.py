@@ -76,7 +76,8 @@ def run(args: argparse.Namespace) -> int:
     try:
         reply, entries = loop.run(_perform(adapter, args.variant, args.operation, inputs))
     except SubjectError as failure:
-        raise Refusal(f"{adapter.protocol}: {failure}; 'otmcp doctor' may know why") from None
+        doctor = "otmcp doctor" + ("" if args.subject is None else f" --subject={args.subject}")
+        raise Refusal(f"{adapter.protocol} ('{doctor}' may know why): {failure}", quotes=True) from None
     finally:
         loop.close()
     for line in _shown(reply, entries, inputs, shutil.get_terminal_size(_FALLBACK).columns):

@@ -24,7 +24,7 @@ from typing import Any
 from ..core.errors import KitError, UsageError
 from ..core.matrix import SUITES
 from ..core.verdict import ExitCode, Status, decide, exit_code
-from . import Refusal, tell
+from . import Refusal, show, tell
 
 __all__ = ["add_parser", "run"]
 
@@ -117,7 +117,8 @@ def _run_suite(subject: Path | None, reps: int, out: Path) -> int:
     with tempfile.TemporaryDirectory(prefix="otmcp-certify-") as root:
         ini = Path(root, "pytest.ini")
         ini.write_text("[pytest]\n", encoding="utf-8")
-        command = [sys.executable, "-P", "-m", "pytest", "-c", str(ini), f"--rootdir={root}", "--noconftest"]
+        # Files of the suite are shown by their names alone below the directory in which this was called.
+        command = [sys.executable, "-P", "-m", "pytest", "-c", str(ini), f"--rootdir={Path.cwd()}", "--noconftest"]
         command += [
             "-rN",
             "-p",
@@ -229,6 +230,6 @@ def _write(out: Path, statement: dict[str, Any]) -> None:
             )
         for name, reason in facets["not_claimed"].items():
             tell(f"{protocol}: not claimed: {name} ({reason})")
-    print(f"{told['applied']['items']} of {told['applied']['of']} items applied")
-    print(told["level"]["why"])
-    print(f"certificate.json, badge.json and badge.svg are in {out}, beside the run.json that they are about")
+    show(f"{told['applied']['items']} of {told['applied']['of']} items applied")
+    show(told["level"]["why"])
+    show(f"certificate.json, badge.json and badge.svg are in {out}, beside the run.json that they are about")

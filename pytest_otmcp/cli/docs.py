@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import sys
+from collections.abc import Iterator
 from importlib.resources.abc import Traversable
 from typing import Any
 
 from ..core.errors import KitError, UsageError
 from ..core.names import describe_unknown
+from . import show
 
 __all__ = ["add_parser", "run"]
 
@@ -19,7 +22,8 @@ def add_parser(subparsers: Any) -> None:
         help="print a page of the documentation, or list the pages",
         description="Print a page of the documentation (Markdown); without a name, list the pages.",
     )
-    parser.add_argument("page", metavar="NAME", nargs="?", help="a page, such as subject-file")
+    page = parser.add_argument("page", metavar="NAME", nargs="?", help="a page, such as subject-file")
+    page.completer = lambda **_: list(_pages())  # type: ignore[attr-defined]
     parser.set_defaults(run=run)
 
 
@@ -34,13 +38,29 @@ def run(args: argparse.Namespace) -> int:
     if args.page is None:
         width = max(map(len, pages))
         for name, page in sorted(pages.items()):
-            print(f"{name:<{width}}  {page.read_text(encoding='utf-8').partition(chr(10))[0].lstrip('# ')}")
+            show(f"{name:<{width}}  {page.read_text(encoding='utf-8').partition(chr(10))[0].lstrip('# ')}")
         return 0
     name = args.page.removesuffix(".md").removeprefix("docs/")
     if name not in pages:
         raise UsageError(describe_unknown("page", name, pages))
-    print(pages[name].read_text(encoding="utf-8"), end="")
+    text = pages[name].read_text(encoding="utf-8")
+    if not sys.stdout.isatty():
+        print(text, end="")
+        return 0
+    for line, code in _lines(text):
+        # What somebody may copy is left as it is.
+        (print if code else show)(line)
     return 0
+
+
+def _lines(text: str) -> Iterator[tuple[str, bool]]:
+    """Yield the lines of a page for a reader, without the anchors of links, each with whether it is code."""
+    code = False
+    for line in text.splitlines():
+        fence = line.startswith("```")
+        code ^= fence
+        if not line.startswith('<a id="'):
+            yield line, code or fence
 
 
 def _pages() -> dict[str, Traversable]:

@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.errors import SubjectError, UsageError
+from ..core.text import counted
 from ..protocols.journal import judged
 from ..protocols.registry import protocols
-from . import tell
+from . import show, tell
 from .init import parse_environment, recognise_protocol
 
 if TYPE_CHECKING:
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
     from ..subject.model import Adapter
 
 __all__ = ["add_parser", "run", "subject_or_reference"]
+
+_SUBJECT = Path("otmcp.toml")
+"""The subject file, where none is named."""
 
 
 def add_parser(subparsers: Any) -> None:
@@ -56,8 +60,14 @@ def run(args: argparse.Namespace) -> int:
     finally:
         loop.close()
     if healthy and described:
-        print(f"all is well, next: pytest{'' if args.subject is None else f' --otmcp-subject={args.subject}'}")
+        show(f"all is well, next: {_next(args)}")
     return 0 if healthy else 1
+
+
+def _next(args: argparse.Namespace) -> str:
+    if args.subject is not None:
+        return f"pytest --otmcp-subject={args.subject} --otmcp-reps=3"
+    return "pytest --otmcp-reps=3" if _SUBJECT.is_file() else "otmcp init -- COMMAND, with an adapter of yours"
 
 
 def _adapters(args: argparse.Namespace) -> Iterator[Adapter]:
@@ -81,11 +91,10 @@ def subject_or_reference(given: Path | None) -> Subject:
     """
     from ..subject import load_subject, reference_subject
 
-    default = Path("otmcp.toml")
-    if given is None and not default.is_file():
-        print("no subject file otmcp.toml here: these are the reference adapters", file=sys.stderr)
+    if given is None and not _SUBJECT.is_file():
+        show("no subject file otmcp.toml here: these are the reference adapters", sys.stderr)
         return reference_subject()
-    return load_subject(given or default)
+    return load_subject(given or _SUBJECT)
 
 
 async def _examine(adapter: Adapter, variant: str) -> bool:
@@ -109,7 +118,7 @@ async def _examine(adapter: Adapter, variant: str) -> bool:
         took = (session.ready_ns - session.spawned_ns) / 1e9
         tell(
             f"  {variant}: starts in {took:.1f} s: {' '.join(filter(None, (session.server_name, session.server_version)))}, "
-            f"MCP {session.protocol_version}, {len(session.tools)} tools"
+            f"MCP {session.protocol_version}, {counted(len(session.tools), 'tool')}"
         )
         if under_test.legacy:
             tell(
@@ -117,7 +126,7 @@ async def _examine(adapter: Adapter, variant: str) -> bool:
             )
         count, first = session.stray_output()
         if count:
-            tell(f"  {variant}: {count} line(s) on stdout are no MCP message, the first: {first[0]!r}")
+            tell(f"  {variant}: {counted(count, 'line')} on stdout that no MCP message is, the first: {first[0]!r}")
         faults = check_bindings(adapter, session.tools) if variant == READ_WRITE else []
         for fault in faults:
             tell(f"  {variant}: {fault}")

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import argparse
+import shutil
 import textwrap
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..core.errors import UsageError
+
+if TYPE_CHECKING:
+    from ..suite.explanations import Explained
 
 __all__ = ["add_parser", "run"]
 
 _WIDTH = 100
+"""Columns of a line at most; a narrower terminal has fewer."""
+
 _INDENT = "  "
 
 
@@ -18,11 +24,13 @@ def add_parser(subparsers: Any) -> None:
     """Declare the subcommand."""
     parser: argparse.ArgumentParser = subparsers.add_parser(
         "explain",
-        help="say what an item, a requirement or a code means",
-        description="Say in plain words what an item (M3), a requirement (WR-003), an error code (illegal_address) or the code of a "
-        "finding (wrong_value) means: what is asked, what must be said and seen, why, and by which source.",
+        help="say what an item, a requirement, a level or a code means",
+        description="Say in plain words what an item (M3), a requirement (WR-003), a level (Bronze), a profile (mb-r), an error code "
+        "(illegal_address) or the code of a finding (wrong_value) means: what is asked, what must be said and seen, why, and by "
+        "which source.",
     )
-    parser.add_argument("id", metavar="ID", nargs="+", help="an id as reports print it")
+    asked = parser.add_argument("id", metavar="ID", nargs="+", help="an id as reports print it")
+    asked.completer = _completed  # type: ignore[attr-defined]
     parser.set_defaults(run=run)
 
 
@@ -32,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         UsageError: an id is unknown.
     """
-    from ..suite.explanations import Explained, explained, near
+    from ..suite.explanations import explained, near
 
     found: list[Explained] = []
     for identifier in args.id:
@@ -40,22 +48,34 @@ def run(args: argparse.Namespace) -> int:
         if not meanings:
             hint = " or ".join(near(identifier))
             raise UsageError(
-                f"there is no item, requirement or code {identifier!r}; "
+                f"there is no item, requirement, level, profile or code {identifier!r}; "
                 + (
                     f"did you mean {hint}?"
                     if hint
-                    else "docs/items.md, docs/checks.md, docs/requirements.md and docs/codes.md list them all"
+                    else "'otmcp docs' prints the pages items, checks, requirements and codes, which list them all"
                 )
             )
         found += meanings
-    print("\n\n".join("\n".join(_lines(one)) for one in found))
+    width = min(_WIDTH, shutil.get_terminal_size((_WIDTH, 0)).columns)
+    print("\n\n".join("\n".join(_lines(one, width)) for one in found))
     return 0
 
 
-def _lines(one: Any) -> list[str]:
-    lines = textwrap.wrap(f"{one.id} ({one.kind}): {one.about}", _WIDTH)
+def _completed(**_: object) -> list[str]:
+    """Return every id, for the completion of words in a shell."""
+    from ..suite.explanations import identifiers
+
+    return identifiers()
+
+
+def _lines(one: Explained, width: int) -> list[str]:
+    lines = textwrap.wrap(
+        f"{one.id} ({one.kind}): {one.about}", width, subsequent_indent=_INDENT, break_on_hyphens=False
+    )
     for label, texts in one.parts:
         lines += ["", label]
         for text in texts:
-            lines += textwrap.wrap(text, _WIDTH, initial_indent=_INDENT, subsequent_indent=_INDENT)
+            lines += textwrap.wrap(
+                text, width, initial_indent=_INDENT, subsequent_indent=_INDENT, break_on_hyphens=False
+            )
     return lines

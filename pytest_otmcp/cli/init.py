@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -13,7 +12,7 @@ from typing import Any
 
 from ..core.errors import SubjectError, UsageError
 from ..protocols.registry import protocols
-from . import Refusal, tell
+from . import Refusal, show, tell
 
 __all__ = ["add_parser", "parse_environment", "recognise_protocol", "run"]
 
@@ -99,7 +98,9 @@ def run(args: argparse.Namespace) -> int:
     try:
         drafted = loop.run(work())
     except SubjectError as failure:
-        raise Refusal(f"no proposal: {failure}; 'otmcp doctor' may know why") from None
+        raise Refusal(
+            f"no proposal ('otmcp doctor' with the same COMMAND may know why): {failure}", quotes=True
+        ) from None
     finally:
         loop.close()
     drafted = replace(drafted, command=[_from_file(part, args.out.parent) for part in drafted.command])
@@ -108,10 +109,10 @@ def run(args: argparse.Namespace) -> int:
     args.out.write_text(before + text, encoding="utf-8")
     # A proposal that cannot be loaded is a fault of the kit; it is better found here than by the user.
     load_subject(args.out)
-    print(f"\n{args.out} is written. What is left to fill in:")
+    show(f"\n{args.out} is written. What is left to fill in:")
     for line in drafted.left:
         tell(f"  - {line}")
-    print(f"Then: pytest --otmcp-subject={args.out} --otmcp-reps=1", file=sys.stdout)
+    show(f"Then: pytest --otmcp-subject={args.out} --otmcp-reps=1")
     return 0
 
 

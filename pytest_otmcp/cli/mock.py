@@ -10,6 +10,7 @@ from typing import Any, NoReturn
 
 from ..protocols.protocol import Simulator
 from ..protocols.registry import protocols
+from . import show
 
 __all__ = ["add_parser", "run"]
 
@@ -37,11 +38,10 @@ def run(args: argparse.Namespace) -> NoReturn:
     """Replace this process by the mock, which checks its other options itself."""
     mock, clients = _mocks()[args.protocol]
     options = [f"--{option}={value}" for option in _options() if (value := getattr(args, option)) is not None]
-    print(
+    show(
         f"otmcp: the JSON line below says where the {args.protocol} mock serves; point {clients} at it. "
         "It ends with Ctrl-C, and when its standard input closes.",
-        file=sys.stderr,
-        flush=True,
+        sys.stderr,
     )
     # A module of the working directory must not take the place of a module of the mock.
     os.execv(sys.executable, [sys.executable, "-P", "-m", "pytest_otmcp.mocks", mock, *options])  # noqa: S606

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ..core.text import harmless
+from . import show
 
 __all__ = ["add_parser", "run"]
 
@@ -49,5 +50,5 @@ def run(args: argparse.Namespace) -> int:
     asked = {"records": list(map(str, records)), "directory": str(directory)}
     found = confined("rendering", asked, bounds, " or ".join(asked["records"]) if records[1:] else str(records[0]))
     for sentence in found["said"]:
-        print(harmless(sentence))
+        show(harmless(sentence))
     return 0

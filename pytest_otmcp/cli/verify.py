@@ -14,6 +14,7 @@ from typing import Any
 
 from ..core.errors import UsageError
 from ..core.text import harmless
+from . import show
 
 __all__ = ["add_parser", "run"]
 
@@ -71,9 +72,9 @@ def run(args: argparse.Namespace) -> int:
     }
     found = confined("examination", asked, bounds, str(args.record))
     for sentence in found["said"]:
-        print(harmless(sentence))
+        show(harmless(sentence))
     if certificate is not None:
-        print(harmless(_about_signature(args.certificate, signed_by, args.trust)))
+        show(harmless(_about_signature(args.certificate, signed_by, args.trust)))
     return int(found["code"])
 
 

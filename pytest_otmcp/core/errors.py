@@ -5,7 +5,8 @@
     Exception
     ├── UsageError      the user's: a bad option or file; one sentence, exit code 2
     ├── KitError        ours: a mock died, the plant could not start; the verdict becomes INDETERMINATE
-    │   └── ExhaustedError    the machine's: it has no descriptors, memory, processes or disk left; one sentence that helps
+    │   └── ExhaustedError    the machine's: it has no descriptors, memory, processes or disk left, or another program has
+    │                         taken a port of a mock; one sentence that helps
     └── SubjectError    the adapter's: it could not start or serve; becomes a Finding, never a traceback
 
 A fault of the adapter found by an oracle is no exception at all but a :class:`~pytest_otmcp.core.finding.Finding`.
@@ -27,7 +28,8 @@ class KitError(Exception):
 
 
 class ExhaustedError(KitError):
-    """The machine of the kit has run out of something; the message says of what, and what helps. No bug, so none is to be filed."""
+    """The machine of the kit has run out of something, or has given a mock's port away; the message says what helps. No bug, so none
+    is to be filed."""
 
 
 class SubjectError(Exception):

@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 import textwrap
 
-__all__ = ["MARK", "counted", "harmless", "marked", "one_line", "printable"]
+__all__ = ["MARK", "counted", "folded", "harmless", "marked", "one_line", "printable"]
 
 MARK = "| "
 """Begins every line that the kit has not written itself."""
@@ -47,6 +47,19 @@ def marked(text: str, indent: str = "    ") -> str:
     first, *others = text.splitlines() or [""]
     rest = textwrap.dedent("\n".join(others)).splitlines()
     return "\n".join([harmless(first), *(f"{indent}{MARK}{harmless(line.removeprefix(MARK))}" for line in rest)])
+
+
+def folded(line: str, width: int) -> list[str]:
+    """Break a line between words where it is wider than a terminal of ``width`` columns, which would break it within one.
+
+    What follows is indented by two columns more than the line itself, and marked where the line is: no part of it begins as the
+    kit's own lines do.
+    """
+    if len(line) <= width:
+        return [line]
+    indent = line[: len(line) - len(line.lstrip())]
+    rest = f"{indent}{MARK if line.startswith(MARK, len(indent)) else '  '}"
+    return textwrap.wrap(line, width, subsequent_indent=rest, break_on_hyphens=False)
 
 
 def one_line(text: str) -> str:

@@ -74,12 +74,12 @@ def write_document(draft: Draft, *, into: bool = False) -> str:
     """Return the subject file; add the entries that the user has to fill in to ``draft.left``."""
     form = _form(draft.proposals.values())
     head = [
-        "# Proposed by `otmcp init`: guessed from names, tried at a mock device. Read every line; docs/subject-file.md says",
-        "# what each key means.",
+        "# Proposed by `otmcp init`: guessed from names, tried at a mock device. Read every line; `otmcp docs",
+        "# subject-file` prints what each key means.",
         "",
         "[subject]",
         f"name = {_value(draft.name)}",
-        f"# Fill in the version of your product. The server says {_value(draft.server_version)}, which may be its SDK's.",
+        f"# Fill in the version of your product. {_about_version(draft.server_version)}",
         'version = "unknown"',
         "",
     ]
@@ -128,6 +128,10 @@ def write_document(draft: Draft, *, into: bool = False) -> str:
     return "\n".join(printable(line) if line.startswith("#") else line for line in lines) + "\n"
 
 
+def _about_version(version: str) -> str:
+    return f"The server says {_value(version)}, which may be its SDK's." if version else "The server says none."
+
+
 def _unclaimed(draft: Draft) -> list[str]:
     guard = 'guard = "has no read-only mode"'
     if not draft.spared:
@@ -166,7 +170,8 @@ def _answer_rules(draft: Draft, form: str) -> list[str]:
         found = known_errors(patterns, code, text)
         errors += [rule for rule in found if rule not in errors]
         if not found:
-            lines.append(f"# {tried.guess.tool}: what had to fail as {code} was answered with {_shortened(text)}")
+            said = _value(_shortened(interpret(failure, Answering(form=form)).text)) if "result" in failure else text
+            lines.append(f"# {tried.guess.tool}: what had to fail as {code} was answered with {_shortened(said)}")
     if outcome:
         lines += ["# Failures that isError does not tell, as tried:", *_rules("outcome", outcome)]
     if errors:

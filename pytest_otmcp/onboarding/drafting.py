@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from ..core.errors import SubjectError
+from ..core.text import counted
 from ..plant.mock_device import MockDevice
 from ..protocols.envelope import check_result
 from ..protocols.journal import Entries
@@ -78,7 +79,8 @@ async def draft(adapter: Adapter, pack: Pack, device: MockDevice, say: Callable[
         assert under_test.session is not None
         tools = dict(under_test.session.tools)
         name, version = under_test.session.server_name, under_test.session.server_version
-        say(f"{name or 'the adapter'} {version}: {len(tools)} tools: {', '.join(tools)}")
+        called = " ".join(filter(None, (name or "the adapter", version)))
+        say(f"{called}: {counted(len(tools), 'tool')}: {', '.join(tools)}")
         step = guess_connect(tools)
         connect = None if step is None else Connect(tool=step.tool, arguments=step.arguments, again=False)
         adapter = replace(adapter, connect=connect, era="legacy" if under_test.legacy else adapter.era)

@@ -74,7 +74,7 @@ def load_pack(protocol: str) -> Pack:
     described = protocols()[protocol]
     if described.onboarding is None:
         raise UsageError(
-            f"otmcp init cannot propose bindings for {described.name} yet; docs/subject-file.md says how to write them"
+            f"otmcp init cannot propose bindings for {described.name} yet; 'otmcp docs subject-file' says how to write them"
         )
     pack: Pack = import_module(described.onboarding).PACK
     return pack

@@ -82,7 +82,11 @@ class Device(Protocol):
         answered, and those that are sent meanwhile are never delivered."""
 
     async def start(self) -> None:
-        """Bring its endpoints back at the same addresses, with an empty journal; ``accepting_ns`` says when."""
+        """Bring its endpoints back at the same addresses, with an empty journal; ``accepting_ns`` says when.
+
+        Raises:
+            ExhaustedError: another program has taken one of them.
+        """
 
     async def close(self) -> None:
         """End it for good."""

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import asyncio
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-__all__ = ["Endpoint", "first_port"]
+from ..core.errors import ExhaustedError
+
+__all__ = ["Endpoint", "check_free", "first_port", "occupied"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,3 +34,28 @@ class Endpoint:
 def first_port(endpoints: Mapping[str, Endpoint]) -> Endpoint | None:
     """Return the first endpoint that is a TCP or UDP port; None if there is none."""
     return next((endpoint for endpoint in endpoints.values() if endpoint.kind != "pty"), None)
+
+
+def occupied(endpoint: Endpoint) -> ExhaustedError:
+    """Return the error that says that another program has taken an endpoint while its device was away."""
+    return ExhaustedError(
+        f"another program has taken {endpoint.host}:{endpoint.port}, the address of a mock device, while the device was stopped; "
+        "end that program (`ss -ltnp` names it) and run again"
+    )
+
+
+async def check_free(endpoints: Iterable[Endpoint]) -> None:
+    """Make sure that nobody listens on the TCP ports of a device that is stopped; nothing is sent to who does.
+
+    Raises:
+        ExhaustedError: another program does. On Linux one of the same user can take a port that is only reserved (SO_REUSEPORT).
+    """
+    for endpoint in endpoints:
+        if endpoint.kind != "tcp":
+            continue
+        try:
+            _, writer = await asyncio.open_connection(endpoint.host, endpoint.port)
+        except OSError:
+            continue
+        writer.transport.abort()
+        raise occupied(endpoint)

@@ -22,7 +22,7 @@ from ..protocols.journal import JournalEntry
 from ..protocols.registry import protocols
 from ..session.process import subject_environment
 from .device import Journal, check_kept
-from .endpoint import Endpoint, first_port
+from .endpoint import Endpoint, first_port, occupied
 from .owners import Peer, PeerProcess, Sessions
 
 __all__ = ["MockDevice"]
@@ -33,6 +33,8 @@ _LINE_LIMIT = 64 * 1024 * 1024
 _STDERR_KEPT = 8192
 _EXHAUSTED = 75
 """Exit code of a launcher or device that has run out of something: EX_TEMPFAIL of ``sysexits.h``."""
+_OCCUPIED = 69
+"""Exit code of a device whose port another program has taken: EX_UNAVAILABLE of ``sysexits.h``."""
 
 
 class _ClosedError(KitError):
@@ -165,6 +167,9 @@ class MockDevice:
         event: dict[str, object] = json.loads(line)
         if event.get("event") == "died" and event.get("exit") == _EXHAUSTED:
             raise self._exhausted()
+        taken = first_port(self.endpoints)
+        if event.get("event") == "died" and event.get("exit") == _OCCUPIED and taken is not None:
+            raise occupied(taken)
         if event.get("event") != expected:
             raise KitError(f"the {self._name} mock said {event} where {expected!r} was expected")
         return event
@@ -222,6 +227,7 @@ class MockDevice:
 
         Raises:
             SubjectError: an adapter under test got hold of its control channel.
+            ExhaustedError: another program has taken its port; it can be started once that program has ended.
         """
         await self._command("start")
         await self._ready()

@@ -13,7 +13,7 @@ from ..core.errors import KitError
 from ..protocols.journal import JournalEntry
 from ..protocols.protocol import Framing
 from .device import Journal, check_kept
-from .endpoint import Endpoint
+from .endpoint import Endpoint, check_free
 from .owners import Sessions
 from .tap.faults import Action, FaultRule
 from .tap.tap import Tap, new_tap
@@ -90,7 +90,12 @@ class TappedDevice:
         self.running = False
 
     async def start(self) -> None:
-        """Bring the tap's endpoint back on the same port, with an empty journal that counts from 0 again."""
+        """Bring the tap's endpoint back on the same port, with an empty journal that counts from 0 again.
+
+        Raises:
+            ExhaustedError: another program has taken the port.
+        """
+        await check_free(self.endpoints.values())
         self.tap.begin_journal()
         await self.tap.up()
         self._serves()

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from importlib.util import find_spec
@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from ..core.errors import UsageError
+from ..core.matrix import BENCHMARK, REQUIREMENTS
 
 if TYPE_CHECKING:
     from ..trial.task import Task
@@ -29,14 +30,17 @@ __all__ = [
     "asks_for_suite",
     "default_to_suite",
     "ignore_warnings",
+    "is_needed",
     "is_shipped",
     "is_shipped_id",
+    "names_unasked_requirements",
     "suite_root",
     "task_of",
 ]
 
 _PACKAGE = __package__.partition(".")[0]
 SUITE = f"{_PACKAGE}.conformance"
+_REQUIREMENTS_MODULE = f"test_{REQUIREMENTS}.py"
 
 
 @cache
@@ -87,6 +91,26 @@ class ShippedModule(pytest.Module):
             except UsageError as error:
                 pytest.exit(str(error), returncode=2)
             return list(super().collect())
+
+
+def is_needed(path: Path, suites: Collection[str]) -> bool:
+    """Tell whether a run that has asked for these suites needs a shipped file: the benchmark's modules belong together.
+
+    What is not needed is not collected, so that pytest counts the items that the run is about.
+    """
+    if path.suffix != ".py":
+        return True
+    about = {REQUIREMENTS} if path.name == _REQUIREMENTS_MODULE else {*BENCHMARK}
+    return not about.isdisjoint(suites)
+
+
+def names_unasked_requirements(config: pytest.Config, suites: Collection[str]) -> str | None:
+    """Return the argument that names the requirement suite in a run that has not asked for it."""
+    if REQUIREMENTS in suites:
+        return None
+    named = (str(argument) for argument in config.args)
+    file, module = suite_root() / _REQUIREMENTS_MODULE, f"{SUITE}.{_REQUIREMENTS_MODULE.removesuffix('.py')}"
+    return next((name for name in named if _path(config, name) == file or name.partition("::")[0] == module), None)
 
 
 @contextmanager

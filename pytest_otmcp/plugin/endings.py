@@ -25,12 +25,12 @@ class Endings:
 
     Attributes:
         name: of the signal that ended the run; None as long as none did. Ctrl-C is ``SIGINT``.
-        workers: numbers of the processes of pytest-xdist, which the signal is passed on to.
+        workers: the workers of pytest-xdist by the numbers of their processes, which are told to end as well.
     """
 
     def __init__(self) -> None:
         self.name: str | None = None
-        self.workers: list[int] = []
+        self.workers: dict[int, Any] = {}
         self._before: dict[int, Any] = {}
         self._ending = False
         self._patient = True
@@ -83,8 +83,8 @@ class Endings:
         # Whoever has pressed Ctrl-C once presses it again to have it end at once.
         self._patient = number != signal.SIGINT
         self.name = signal.Signals(number).name
-        for worker in self.workers if number != signal.SIGINT else ():
-            # A terminal sends Ctrl-C to all of its processes itself.
+        for worker in self.workers:
+            # A terminal sends Ctrl-C to all of its processes itself, everything else to this one alone; a worker ends once.
             with suppress(ProcessLookupError):
                 os.kill(worker, signal.SIGTERM)
         raise KeyboardInterrupt

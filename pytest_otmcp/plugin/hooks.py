@@ -17,7 +17,7 @@ import pytest
 
 from ..core.errors import UsageError
 from ..core.exhaustion import exhausted
-from ..core.matrix import SUITES
+from ..core.matrix import REQUIREMENTS, SUITES
 from ..core.text import MARK, marked, one_line
 from ..core.verdict import ExitCode
 from ..protocols.own import OWN
@@ -28,8 +28,10 @@ from .collection import (
     asks_for_suite,
     default_to_suite,
     ignore_warnings,
+    is_needed,
     is_shipped,
     is_shipped_id,
+    names_unasked_requirements,
     task_of,
 )
 from .fixtures.definitions import (
@@ -41,6 +43,7 @@ from .fixtures.definitions import (
     otmcp_subject,
 )
 from .options import add_options, read_settings
+from .parallel import UNFINISHED, ended, untaken
 from .stash import ENDINGS, INTERFERENCE, PLANNED, PROGRESS, RECORDER, RESULT, RUN, SETTINGS, STARTED
 
 if TYPE_CHECKING:
@@ -105,6 +108,8 @@ def pytest_configure(config: pytest.Config) -> None:
     except UsageError as error:
         _refuse(error)
     default_to_suite(config)
+    if (named := names_unasked_requirements(config, config.stash[SETTINGS].suites)) is not None:
+        _refuse(UsageError(f"{named}: the requirement suite runs when it is asked for: --otmcp-suite={REQUIREMENTS}"))
 
 
 def _refuse(error: UsageError) -> NoReturn:
@@ -150,8 +155,10 @@ def pytest_report_header(config: pytest.Config) -> str | None:
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_ignore_collect(collection_path: Path) -> bool | None:
-    return False if is_shipped(collection_path) else None
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    if not is_shipped(collection_path):
+        return None
+    return not is_needed(collection_path, config.stash[SETTINGS].suites)
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -203,7 +210,6 @@ def _drop_unrequired_items(items: list[pytest.Item], required: list[str]) -> dic
 
 def _check_rows(asked: tuple[str, ...]) -> None:
     """End the run when there is no check of a row that was asked for."""
-    from ..core.matrix import REQUIREMENTS
     from ..suite.catalogue import all_tasks
     from ..suite.requirements import requirements
 
@@ -219,7 +225,7 @@ def _check_rows(asked: tuple[str, ...]) -> None:
                 )
             )
         near = difflib.get_close_matches(name.upper(), sorted(known), 1)
-        hint = f"did you mean {near[0]}?" if near else "docs/checks.md lists them"
+        hint = f"did you mean {near[0]}?" if near else "'otmcp docs checks' lists them"
         _refuse(UsageError(f"--otmcp-only: there is no row or check {name!r}; {hint}"))
 
 
@@ -329,7 +335,7 @@ def pytest_testnodeready(node: Any) -> None:
     """Note the process of a worker; one on another machine has none here."""
     process = getattr(getattr(node.gateway, "_io", None), "popen", None)
     if process is not None:
-        _endings(node.config).workers.append(process.pid)
+        _endings(node.config).workers[process.pid] = node
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -456,7 +462,9 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
             if recorder is not None and run.unfinished is not None:
                 with _writable(recorder):
                     recorder.add(run.unfinished, "main", run.facts())
-            run.facts()
+            facts = run.facts()
+            if recorder is None and run.unfinished is not None and hasattr(config, "workeroutput"):
+                config.workeroutput[UNFINISHED] = json.dumps([run.unfinished, facts])
             run.close()
         if interference is None:
             return
@@ -467,9 +475,24 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
         limit = config.getoption("maxfail", 0)
         if limit and session.testsfailed >= limit and recorder.missing:
             interference.note(f"the run ended at failure number {limit} (-x or --maxfail)")
+        if endings is not None and endings.name is not None:
+            _take_from_workers(config, recorder, list(endings.workers.values()))
         with _writable(recorder):
             recorder.finish(interrupted=_interruption(exitstatus, endings))
     session.exitstatus = _exit_status(exitstatus, recorder, session.testsfailed)
+
+
+def _take_from_workers(config: pytest.Config, recorder: RunRecorder, nodes: list[Any]) -> None:
+    """Take what the workers have measured, and pytest-xdist does not hand on any more."""
+    ended(nodes)
+    for report in untaken(config):
+        config.hook.pytest_runtest_logreport(report=report)
+    for node in nodes:
+        content = getattr(node, "workeroutput", {}).get(UNFINISHED)
+        if content is not None:
+            result, facts = json.loads(content)
+            with _writable(recorder):
+                recorder.add(result, node.gateway.id, facts)
 
 
 def _interruption(exitstatus: int, endings: Endings | None) -> str | None:

@@ -84,11 +84,14 @@ class Progress:
     def _draw(self, text: str) -> None:
         if not self._line_open:
             self._write("\n")
-        with self._uncaptured():
-            # The terminal cannot be asked for its width through a stream that is captured.
-            edge = self._writer.fullwidth - 1
+        edge = self._edge()
         self._overwrite(text[:edge].ljust(min(_MOVING_WIDTH, edge)))
         self._line_open = True
+
+    def _edge(self) -> int:
+        with self._uncaptured():
+            # The terminal cannot be asked for its width through a stream that is captured.
+            return self._writer.fullwidth - 1
 
     def _estimate_rest(self, task: Task, done: int, planned: int) -> str:
         remaining = sum(self._guess.values()) - self._guess.get(task.id, 0.0) * done / planned
@@ -130,6 +133,8 @@ class Progress:
     def _begin_row(self) -> None:
         self._row_of_inapplicable = 0
         if self._line_open:
+            # A row may be shorter than the moving line.
+            self._overwrite(" " * min(_MOVING_WIDTH, self._edge()))
             self._overwrite("")
         else:
             self._write("\n")

@@ -361,6 +361,9 @@ class ReplayRig(Rig):
             raise HistoryError(f"the session at {self.name} began at entry {self._cursor.began}, not at {begin}")
         return [entry for entry in self._until(end, seen["seen_ns"]) if entry["seq"] >= begin]
 
+    async def _check_away(self) -> None:
+        """It was so, or the item ended there."""
+
     async def _feed(self) -> None:
         seen = self._seen("followed")
         end = seen["followed"]

@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from ..core.matrix import SUITES
 from ..record.consistency import count_calls
 from ..record.warnings import said, warnings
+from ..suite.levels import NOT_SHOWN, standings
 from ..suite.levels import said as level_of
-from ..suite.levels import standings
 from ..suite.requirements import catalogue
 from . import Run, applied, applies, least, tally, timing_valid
 from .applying import not_applying
@@ -149,8 +149,12 @@ def _counts(run: Run, width: int) -> Iterator[Line]:
 
 
 def _levels(run: Run, width: int) -> Iterator[Line]:
-    for found in standings(catalogue(), run["items"], run["subject"]["adapters"]):
-        for line in wrapped(f"level: {level_of(found)}", width, "  "):
+    told = [level_of(found) for found in standings(catalogue(), run["items"], run["subject"]["adapters"])]
+    if not told and run["footer"].get("verdict") == "CONFORMANT":
+        # Of a run that failed nobody expects a level.
+        told = [NOT_SHOWN]
+    for text in told:
+        for line in wrapped(f"level: {text}", width, "  "):
             yield line, "plain"
 
 

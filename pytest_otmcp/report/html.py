@@ -11,7 +11,7 @@ from ..core.matrix import SUITES
 from ..record.warnings import warnings
 from ..suite.catalogue import all_tasks
 from ..suite.explanations import item as explained_item
-from ..suite.levels import said, shown, standings
+from ..suite.levels import NOT_SHOWN, said, shown, standings
 from ..suite.requirements import catalogue, requirements
 from . import Item, Run, applied, applies, command, deadlines, overview, tally, timing_valid
 from .capabilities import earned
@@ -84,6 +84,7 @@ def page(run: Run) -> str:
         identity=identity(run),
         capabilities=earned(run),
         levels=_levels(run),
+        no_level=NOT_SHOWN,
         causes=causes(run),
         failures=failing,
         anchors=anchors,

@@ -12,6 +12,9 @@ from pathlib import Path
 
 from ..core.matrix import SUITES
 from ..record.warnings import said, warnings
+from ..suite.levels import NOT_SHOWN, standings
+from ..suite.levels import said as level_of
+from ..suite.requirements import catalogue
 from . import Item, Run, applied, applies, command, deadlines, tally
 from .capabilities import earned
 from .causes import causes
@@ -75,6 +78,7 @@ def summary(run: Run) -> str:
         f"**{applied(run)}**, **{good}** of **{planned}** repetitions passed.",
         "",
         *(f"- warning: {code(said(one))}" for one in warnings(items)),
+        *(f"- level: {escape(told)}" for told in _levels(run)),
         *(f"- deadlines of a call: {escape(told)}" for told in [deadlines(run)] if told),
         *(f"- {escape(reason)}" for reason in narrowed(run)),
         *(f"- Note: {escape(sentence)}." for sentence in strangers(run)),
@@ -100,6 +104,11 @@ def summary(run: Run) -> str:
 
 def _table(head: list[str], rows: list[list[str]]) -> list[str]:
     return [f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *rows)] + [""]
+
+
+def _levels(run: Run) -> list[str]:
+    found = standings(catalogue(), run["items"], run["subject"]["adapters"])
+    return list(map(level_of, found)) or [NOT_SHOWN]
 
 
 def _earned(run: Run) -> list[str]:

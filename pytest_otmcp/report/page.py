@@ -9,17 +9,19 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import re
 from importlib import resources
 from typing import Any
 
 from jinja2 import Environment, StrictUndefined
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from .families import style_sheet
 from .text import clipped, printable
 
 __all__ = ["filled"]
 
+_CODE = re.compile(r"`([^`]+)`")
 _LONGEST = 4_000
 """Letters of one value on the page at most."""
 
@@ -34,6 +36,7 @@ def filled(name: str, **values: Any) -> str:
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, finalize=_shown, trim_blocks=True, lstrip_blocks=True
     )
+    environment.filters["worded"] = _worded
     html: str = environment.from_string(_resource(name)).render(
         style=Markup(style),  # noqa: S704  (our own file, and the colours of the protocols)
         style_hash=base64.b64encode(hashlib.sha256(style.encode()).digest()).decode(),
@@ -44,6 +47,11 @@ def filled(name: str, **values: Any) -> str:
 
 def _resource(name: str) -> str:
     return (resources.files(__package__) / name).read_text(encoding="utf-8")
+
+
+def _worded(text: str) -> Markup:
+    """Return a sentence of the kit's own, escaped, with what stands between backticks as code."""
+    return Markup(_CODE.sub(r"<code>\1</code>", str(escape(text))))  # noqa: S704
 
 
 def _shown(value: object) -> Any:

@@ -16,7 +16,7 @@ from mcp.types import (
 )
 from pydantic import ValidationError
 
-from .limits import is_too_large
+from .limits import Allowance, is_too_large
 
 __all__ = ["MAX_STRAY_LINES", "META_KEY", "FrameRecorder", "Measurement"]
 
@@ -27,6 +27,7 @@ the specification gives for such keys (basic, "General fields"), and servers mus
 MAX_STRAY_LINES = 1000
 _KEPT_STRAY_LINES = 5
 _LONGEST_ID = 100
+_LONGEST_STRAY = 1000
 
 
 @dataclass(slots=True)
@@ -48,7 +49,8 @@ class FrameRecorder:
         unknown_ids: ids of responses to requests that were never sent.
         repeated_ids: ids of requests that were answered more than once (JSON-RPC 2.0, section 5: one response for each).
         too_deep: number of messages that are nested deeper than the client's parser reads.
-        overflow: True when a message arrived that is larger than the kit accepts.
+        overflow: True when a message arrived that is larger than the kit accepts, or one more than it keeps.
+        allowance: the room for answers to calls.
     """
 
     stray_count: int = 0
@@ -57,6 +59,8 @@ class FrameRecorder:
     repeated_ids: list[str] = field(default_factory=list)
     too_deep: int = 0
     overflow: bool = False
+    allowance: Allowance = field(default_factory=Allowance)
+    _listing: Allowance = field(default_factory=Allowance)
     _answered: set[object] = field(default_factory=set)
     _pending: dict[int, Measurement] = field(default_factory=dict)
     _by_request_id: dict[object, Measurement] = field(default_factory=dict)
@@ -103,11 +107,13 @@ class FrameRecorder:
                 return error
             self.stray_count += 1
             if len(self.stray) < _KEPT_STRAY_LINES:
-                self.stray.append(frame)
+                self.stray.append(frame[:_LONGEST_STRAY])
             return error
         if isinstance(message, JSONRPCResponse | JSONRPCError):
             measurement = self._by_request_id.pop(message.id, None)
-            if measurement is not None:
+            if not (self._listing if measurement is None else self.allowance).has_room_for(frame):
+                self.overflow = True
+            elif measurement is not None:
                 measurement.response = frame
                 measurement.received_ns = now
             if message.id is None:

@@ -179,7 +179,7 @@ class _RecordedBody(httpx2.AsyncByteStream):
         self._unread += chunk
         if len(self._unread) + self._data_bytes > MAX_FRAME_BYTES:
             self._recorder.overflow = True
-            raise httpx2.ReadError(f"the adapter sent a message of {TOO_LARGE}")
+            raise httpx2.ReadError(f"the adapter sent {TOO_LARGE}")
         if not self._events:
             if len(self._unread) == self._length or self._is_whole(chunk):
                 self._receive(now, bytes(self._unread))
@@ -211,9 +211,10 @@ class _RecordedBody(httpx2.AsyncByteStream):
             return False
 
     def _receive(self, now: int, frame: bytes) -> None:
-        if not self._recorder.accepts(frame):
-            raise httpx2.ReadError(f"the adapter sent a message of {TOO_LARGE}")
-        self._recorder.received(now, frame)
+        if self._recorder.accepts(frame):
+            self._recorder.received(now, frame)
+        if self._recorder.overflow:
+            raise httpx2.ReadError(f"the adapter sent {TOO_LARGE}")
 
     async def aclose(self) -> None:
         await self._stream.aclose()

@@ -215,8 +215,11 @@ class SubjectProcess:
         return self._pipes.stdout_closed
 
     def stderr_tail(self, lines: int = 12) -> list[str]:
-        """Return the newest non-empty lines of stderr, oldest first."""
-        return [line for line in self._pipes.stderr if line.strip()][-lines:]
+        """Return the newest lines of stderr that say something, oldest first.
+
+        Lines that underline a place in the line above, as tracebacks have them, say nothing in another width.
+        """
+        return [line for line in self._pipes.stderr if line.strip(" \t^~")][-lines:]
 
     async def settle(self) -> None:
         """Wait for a short time, after stdout was closed, until the exit code is known and stderr has been read to its end."""

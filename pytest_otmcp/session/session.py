@@ -14,7 +14,7 @@ import json
 import time
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import cast
 
@@ -30,7 +30,7 @@ from .exchange import CANCELLED, Exchange
 from .footprint import footprint
 from .frames import MAX_STRAY_LINES, META_KEY, FrameRecorder, Measurement
 from .http import HttpTransport
-from .limits import TOO_LARGE
+from .limits import TOO_LARGE, Allowance
 from .output_schema import OutputCheck
 from .pace import Pace
 from .process import StopReport, subject_environment
@@ -49,6 +49,7 @@ class SessionOptions:
         exit_grace_s: time that the process gets to end after each step before SIGKILL.
         url: URL of the subject's streamable HTTP endpoint; None for stdio.
         pace: the adapter's limit of calls; None without one.
+        allowance: the room for its answers to calls.
     """
 
     era: str = "auto"
@@ -56,6 +57,7 @@ class SessionOptions:
     exit_grace_s: float = 3.0
     url: str | None = None
     pace: Pace | None = None
+    allowance: Allowance = field(default_factory=Allowance)
 
 
 class McpSession:
@@ -70,7 +72,7 @@ class McpSession:
     def __init__(self, command: Sequence[str], env: Mapping[str, str], cwd: Path | None, options: SessionOptions):
         self._command = list(command)
         self._options = options
-        self._recorder = FrameRecorder()
+        self._recorder = FrameRecorder(allowance=options.allowance)
         self._transport: StdioTransport | HttpTransport
         env = subject_environment(env)
         if options.url is None:
@@ -371,7 +373,7 @@ class McpSession:
         if isinstance(error, FileNotFoundError):
             return f"the command {self._command[0]!r} was not found; the launch command is: {self._command_line()}"
         if self._recorder.overflow:
-            return f"the adapter sent a message of {TOO_LARGE} during its handshake"
+            return f"the adapter sent {TOO_LARGE} during its handshake"
         if self._recorder.stray_count >= MAX_STRAY_LINES:
             first = self._recorder.stray[0][:120].decode("utf-8", "replace")
             return f"the adapter floods stdout with lines that are no MCP messages, the first: {first!r}"

@@ -147,7 +147,9 @@ class StdioTransport:
             self._end_reading()
             return
         message = self._recorder.received(now, line.rstrip(b"\r"))
-        if isinstance(message, ValidationError):
+        if self._recorder.overflow:
+            self._end_reading()
+        elif isinstance(message, ValidationError):
             # The client takes it as an error and says so in its log; a few are enough.
             if self._recorder.stray_count + self._recorder.too_deep <= _PASSED_ON:
                 self._pass_on(len(line), message)

@@ -16,12 +16,31 @@ from ..trial.explanation import explanation
 from ..trial.task import Task
 from .catalogue import all_tasks
 from .keys import keys_of_code, keys_of_task
-from .requirements import Requirement, catalogue, requirements
+from .requirements import Level, Profile, Requirement, catalogue, requirements
 
-__all__ = ["Explained", "Part", "error_code", "explained", "finding_code", "findings", "item", "near", "requirement"]
+__all__ = [
+    "HOW_A_LEVEL_IS_EARNED",
+    "Explained",
+    "Part",
+    "error_code",
+    "explained",
+    "finding_code",
+    "findings",
+    "identifiers",
+    "item",
+    "level",
+    "near",
+    "profile",
+    "requirement",
+]
 
 Part = tuple[str, tuple[str, ...]]
 """A label, and the paragraphs below it."""
+
+HOW_A_LEVEL_IS_EARNED = (
+    "A level is earned for each protocol apart. It needs every MUST of its own profiles and of those of the levels below, as far as "
+    "the subject claims what the row is about."
+)
 
 _SOCKETS = ("pytest_otmcp.core", "errors.toml", "socket")
 _REPEAT = {
@@ -36,7 +55,7 @@ class Explained:
     """One id in words.
 
     Attributes:
-        kind: ``item``, ``requirement``, ``error code`` or ``finding code``.
+        kind: ``item``, ``requirement``, ``level``, ``profile``, ``error code`` or ``finding code``.
         about: the sentence for it.
         parts: what else there is to say; none is empty.
     """
@@ -54,6 +73,10 @@ def explained(identifier: str) -> list[Explained]:
         found.append(item(task))
     if (row := requirements().get(identifier)) is not None:
         found.append(requirement(row))
+    if identifier in _levels():
+        found.append(level(_levels()[identifier]))
+    if (part := catalogue().profiles.get(identifier)) is not None:
+        found.append(profile(part))
     if (code := registry().get(identifier)) is not None:
         found.append(error_code(code))
     if identifier in findings():
@@ -63,9 +86,14 @@ def explained(identifier: str) -> list[Explained]:
 
 def near(identifier: str) -> list[str]:
     """Return the ids that an unknown one may have been meant for, the nearest first."""
-    known = dict.fromkeys([*all_tasks(), *requirements(), *registry(), *findings()])
-    folded = {name.casefold(): name for name in known}
+    folded = {name.casefold(): name for name in identifiers()}
     return [folded[name] for name in difflib.get_close_matches(identifier.casefold(), folded, 3)]
+
+
+def identifiers() -> list[str]:
+    """Return every id that can be explained, each once."""
+    names = [*all_tasks(), *requirements(), *_levels(), *catalogue().profiles, *registry(), *findings()]
+    return list(dict.fromkeys(names))
 
 
 def findings() -> dict[str, tuple[FindingCode, str | None]]:
@@ -86,6 +114,8 @@ def _explained(
 def item(task: Task) -> Explained:
     """Explain an item of the suite."""
     steps, before, after = map(explanation, (task.steps, task.begin, task.end))
+    # A check is about its rows, which say what they take away.
+    about = f"; about {_words(task.capabilities)}" if task.capabilities else ""
     return _explained(
         task.id,
         "item",
@@ -96,7 +126,7 @@ def item(task: Task) -> Explained:
         ("Once before", (before.asked, before.said, before.seen)),
         ("Once afterwards", (after.asked, after.said, after.seen)),
         ("Why", (steps.why,)),
-        ("Suite", (f"{task.suite.capitalize()}, {task.family}; about {_words(task.capabilities)}",)),
+        ("Suite", (f"{task.suite.capitalize()}, {task.family}{about}",)),
         ("Applies to", (f"A subject that claims {_list(task.needs)}",)),
         ("Rules", tuple(map(_cited, task.requirements))),
         ("In the subject file", tuple(keys_of_task(task))),
@@ -121,6 +151,45 @@ def requirement(row: Requirement) -> Explained:
         ("Source", (source,)),
         ("What it takes away", (lost if row.capabilities else "",)),
         ("Items about it", (_list([task.id for task in all_tasks().values() if row.id in task.requirements]),)),
+    )
+
+
+def level(level: Level) -> Explained:
+    """Explain a level of conformance."""
+    rows = [row for row in requirements().values() if row.level is level and row.strength == "MUST"]
+    not_yet = [row.id for row in rows if row.not_yet]
+    return _explained(
+        level.capitalize(),
+        "level",
+        f"An adapter of this level {level.meaning}.",
+        ("How it is earned", (HOW_A_LEVEL_IS_EARNED,)),
+        ("Profiles that begin with it", tuple(map(_profile, _beginning(level)))),
+        ("Rows that begin with it", (_list([row.id for row in rows if not row.not_yet]),)),
+        ("Not yet judged", (_list(not_yet),)),
+    )
+
+
+def _levels() -> dict[str, Level]:
+    return {level.capitalize(): level for level in Level}
+
+
+def _beginning(level: Level) -> list[Profile]:
+    return [profile for profile in catalogue().profiles.values() if profile.level is level]
+
+
+def _profile(profile: Profile) -> str:
+    return f"{profile.id}: {profile.meaning}"
+
+
+def profile(profile: Profile) -> Explained:
+    """Explain a profile: a part of an adapter that rows are about."""
+    rows = [row.id for row in requirements().values() if profile.id in row.profiles]
+    return _explained(
+        profile.id,
+        "profile",
+        f"{profile.meaning[0].upper()}{profile.meaning[1:]}.",
+        ("Level", (f"{profile.level.capitalize()} and above",)),
+        ("Rows about it", (_list(rows),)),
     )
 
 

@@ -27,7 +27,10 @@ from ..record.schema import Item
 from ..record.warnings import failing, findings_of
 from .requirements import Catalogue, Level, Requirement
 
-__all__ = ["Standing", "said", "shown", "standing", "standings"]
+__all__ = ["NOT_SHOWN", "Standing", "said", "shown", "standing", "standings"]
+
+NOT_SHOWN = "none is shown without the requirement suite; otmcp certify runs it beside the benchmark"
+"""Said of the level of a run without the requirement suite."""
 
 _NAMED = 5
 """Rows that a line names at most."""
@@ -216,7 +219,7 @@ def said(found: Standing) -> str:
         f"{counted(len(names), noun)} {what} ({_some(names)})"
         for names, noun, what in (
             (tuple(found.failed), "row", "not met"),
-            (found.unattributed, "item", "failed for a cause of its own"),
+            (found.unattributed, "item", "failed without a finding about a row"),
             (found.not_run, "row", "not shown"),
         )
         if names

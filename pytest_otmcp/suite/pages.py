@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from ..core.error_registry import registry
 from ..core.matrix import BENCHMARK, REQUIREMENTS
 from .catalogue import all_tasks
-from .explanations import Explained, error_code, finding_code, findings, item, requirement
+from .explanations import HOW_A_LEVEL_IS_EARNED, Explained, error_code, finding_code, findings, item, requirement
 from .requirements import Level, Requirement, catalogue, requirements
 
 __all__ = ["PAGES", "page"]
@@ -50,10 +50,7 @@ def _requirements() -> Iterator[str]:
         "the same."
     )
     yield "## Levels and profiles"
-    yield (
-        "A level is earned for each protocol apart. It needs every MUST of its own profiles and of those of the levels below, as far as "
-        "the subject claims what the row is about. Gold cannot be earned yet: rows that it needs are not yet judged."
-    )
+    yield f"{HOW_A_LEVEL_IS_EARNED} Gold cannot be earned yet: rows that it needs are not yet judged."
     yield _table(("level", "what its adapter is good for"), ((level.capitalize(), level.meaning) for level in Level))
     profiles = catalogue().profiles.values()
     yield _table(
@@ -122,9 +119,13 @@ def _linked(text: str) -> str:
         name = match.group()
         if name in requirements():
             return f"[{name}](requirements.md#requirement-{name})"
-        return f"[{name}](items.md#item-{name})" if name in all_tasks() else name
+        if name not in all_tasks():
+            return name
+        page = "checks" if all_tasks()[name].suite == REQUIREMENTS else "items"
+        return f"[{name}]({page}.md#item-{name})"
 
-    return re.sub(r"(?<![\w`-])[A-Z][A-Z0-9]*(?:-?[A-Za-z0-9]+)*(?![\w`-])", link, text)
+    # The id of a check has the key of its protocol behind a stop; a stop at the end of a sentence has nothing behind it.
+    return re.sub(r"(?<![\w`-])[A-Z][A-Z0-9]*(?:-?[A-Za-z0-9]+)*(?:\.[a-z]+(?!\w))?(?![\w`-])", link, text)
 
 
 def page(name: str) -> str:

@@ -27,6 +27,7 @@ from ..protocols.registry import protocols
 from ..record.schema import AdapterFacts, StoredBinding, ToolListing
 from ..record.schema import Device as DeviceFacts
 from ..session.exchange import Exchange, joined
+from ..session.limits import Allowance
 from ..session.pace import Pace
 from ..session.process import StopReport
 from ..session.session import McpSession, SessionOptions
@@ -144,7 +145,14 @@ class AdapterUnderTest:
     """
 
     def __init__(
-        self, adapter: Adapter, variant: str, device: Device, options: BenchOptions, *, first: int = 0
+        self,
+        adapter: Adapter,
+        variant: str,
+        device: Device,
+        options: BenchOptions,
+        *,
+        first: int = 0,
+        allowance: Allowance | None = None,
     ) -> None:
         self.adapter = adapter
         self.variant = variant
@@ -154,6 +162,7 @@ class AdapterUnderTest:
         self.tools: Mapping[str, Mapping[str, object]] | None = None
         self.unmet: set[str] = set()
         self._options = options
+        self._allowance = allowance or Allowance()
         self._start_failure: SubjectError | None = None
         self._work: tempfile.TemporaryDirectory[str] | None = None
         self._token: str | None = None
@@ -254,6 +263,7 @@ class AdapterUnderTest:
             start_timeout_s=self.adapter.start_timeout_s * self._options.time_scale,
             exit_grace_s=_EXIT_GRACE_S * self._options.time_scale,
             pace=self._pace,
+            allowance=self._allowance,
             url=None if self.adapter.url is None else str(replace_placeholders(self.adapter.url, values)),
         )
         self._token = new_token()

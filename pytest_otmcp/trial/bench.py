@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable
 
 from ..plant.devices import Plant
 from ..record.schema import AdapterFacts, Device
+from ..session.limits import Allowance
 from ..subject import Subject
 from ..subject.binding_check import check_bindings
 from ..subject.model import READ_WRITE
@@ -26,12 +27,16 @@ class Bench:
         subject: the subject that is tested.
         options: see :class:`BenchOptions`.
         plant: the devices; they outlive the bench.
+
+    Attributes:
+        allowance: the room for what all its adapters answer in one repetition.
     """
 
     def __init__(self, subject: Subject, options: BenchOptions, plant: Plant) -> None:
         self.subject = subject
         self.options = options
         self.spent = TimeSpent()
+        self.allowance = Allowance()
         self._plant = plant
         self._adapters: dict[str, AdapterUnderTest] = {}
 
@@ -93,7 +98,10 @@ class Bench:
             adapter = self.subject.adapters[protocol]
             first = await device.first()
             self._adapters.setdefault(
-                name, AdapterUnderTest(adapter, variant or READ_WRITE, device, self.options, first=first)
+                name,
+                AdapterUnderTest(
+                    adapter, variant or READ_WRITE, device, self.options, first=first, allowance=self.allowance
+                ),
             )
         return self._adapters[name]
 
@@ -128,9 +136,10 @@ class Bench:
         return {under_test.device_name: under_test.device_facts() for under_test in self._adapters.values()}
 
     async def close(self) -> None:
-        """End every session."""
+        """End every session: first those that anybody on this machine can tell to write, as long as they live."""
+        every = list(self._adapters.values())
+        first = [one for one in every if one.adapter.url is not None and one.variant == READ_WRITE]
         with self.spent.on("adapter starts"):
-            await asyncio.gather(
-                *(under_test.close() for under_test in self._adapters.values()), return_exceptions=True
-            )
+            for wave in (first, [one for one in every if one not in first]):
+                await asyncio.gather(*(under_test.close() for under_test in wave), return_exceptions=True)
         self._adapters.clear()

@@ -63,6 +63,10 @@ class LiveDriver:
             for name in participants(self._task, self._bench.subject.adapters):
                 self._states.append(LiveItemState(await self._bench.adapter(name)))
         for state in self._states:
+            if not state.under_test.device.running:
+                # Another program had its port when an item before wanted to start it again.
+                await state.under_test.device.start()
+                state.under_test.cursor.restart()
             await state.under_test.device.reset()
             # Those ended with earlier items.
             state.under_test.take_ended()
@@ -78,7 +82,8 @@ class LiveDriver:
         ]
 
     def repetition(self, rep: int, role: Role) -> Repetition:
-        """Return a repetition on this bench."""
+        """Return a repetition on this bench; what the one before it was answered is not kept any more."""
+        self._bench.allowance.renew()
         return Repetition(
             self._task.id,
             rep,

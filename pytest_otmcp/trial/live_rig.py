@@ -12,6 +12,7 @@ from typing import Any, cast
 from ..core.errors import KitError
 from ..core.finding import Finding
 from ..plant.device import Journal
+from ..plant.endpoint import check_free
 from ..protocols.journal import ADAPTER
 from ..protocols.protocol import Declared
 from ..record.images import Images, keep_image
@@ -183,6 +184,9 @@ class LiveRig(Rig):
 
     async def _perform(self, operation: str, inputs: Mapping[str, object], altered: Alteration | None = None) -> Reply:
         return self._observed(await self.under_test.call(operation, inputs, altered=altered))
+
+    async def _check_away(self) -> None:
+        await check_free(self.device.endpoints.values())
 
     async def _perform_and_cancel(
         self,

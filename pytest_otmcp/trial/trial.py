@@ -255,7 +255,7 @@ class Trial:
     def _take(self, sessions: list[SessionFacts]) -> None:
         for facts in sessions:
             if facts.overflow:
-                self._note("frame_too_long", f"the adapter sent a message of {TOO_LARGE}", "ADR-009")
+                self._note("frame_too_long", f"the adapter sent {TOO_LARGE}", "ADR-009")
             if facts.died is not None:
                 self._note("session_lost", facts.died, "MCP-007")
             if facts.overstayed is not None:

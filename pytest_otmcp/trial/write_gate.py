@@ -87,9 +87,11 @@ class WriteGate(ABC):
         elif self._cursor.proven is None:
             raise KitError(f"the steps write while {self.protocol} is stopped, and did not prove the session before")
         else:
+            await self._check_away()
             problem = await why_reachable(self, time_scale=self._ledger.time_scale)
             if problem is not None:
                 self._refuse(problem)
+            await self._check_away()
         return True
 
     def _after(self, reply: Reply) -> None:
@@ -164,6 +166,10 @@ class WriteGate(ABC):
     async def _perform(
         self, operation: str, inputs: Mapping[str, object], altered: Alteration | None = None
     ) -> Reply: ...
+
+    @abstractmethod
+    async def _check_away(self) -> None:
+        """Make sure that nobody else listens where the stopped device was: the write would reach who does."""
 
     @abstractmethod
     async def _feed(self) -> None:

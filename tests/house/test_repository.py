@@ -6,6 +6,12 @@ import re
 import tomllib
 from collections import defaultdict
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
+
+import pytest
+
+from pytest_otmcp.plugin.options import add_options
 
 CHECKOUT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((CHECKOUT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -62,3 +68,13 @@ def test_the_lock_of_continuous_integration_has_every_version_with_hashes_and_no
     files = re.split(versions, lock)[3::3]
     assert all(re.match(r"( \\\n +--hash=sha256:[0-9a-f]{64})+$", one.rstrip("\n")) for one in files), files
     assert "://" not in lock
+
+
+def test_the_readme_lists_every_option_of_the_plugin() -> None:
+    asked: list[str] = []
+    group = SimpleNamespace(addoption=lambda name, **_: asked.append(name))
+    parser = SimpleNamespace(getgroup=lambda *_, **__: group, addini=lambda *_, **__: None)
+    add_options(cast(pytest.Parser, parser))
+    readme = (CHECKOUT / "README.md").read_text(encoding="utf-8")
+    assert [name for name in asked if f"| `{name}" not in readme] == []
+    assert "--otmcp-reps" in asked

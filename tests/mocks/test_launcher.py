@@ -76,6 +76,20 @@ async def test_the_port_of_a_stopped_device_is_given_to_nobody(modbus: MockProgr
             other.bind((modbus.host, modbus.port))
 
 
+async def test_a_device_does_not_share_its_port_with_a_program_that_took_it_meanwhile(modbus: MockProgram) -> None:
+    modbus.say("stop")
+    await modbus.event()
+    with socket.socket() as other:
+        # One of the same user can: the reservation has the option, too, as the device will have it.
+        other.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
+        other.bind((modbus.host, modbus.port))
+        other.listen()
+        modbus.say("start")
+        assert await modbus.event() == {"event": "died", "port": modbus.port, "exit": 69}
+    modbus.say("start")
+    await modbus.ready()
+
+
 async def test_two_hundred_restarts_with_a_client_connected_each_time(modbus: MockProgram) -> None:
     """A killed server leaves its side of connections in TIME_WAIT; none may keep the next server from the port."""
     writers = []

@@ -245,10 +245,10 @@ result = {{ values = "registers" }}
     (tmp_path / "otmcp.toml").write_text(text, encoding="utf-8")
     done = otmcp("doctor")
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "old 1.9.4, MCP 2024-11-05, 1 tools" in done.stdout
+    assert "old 1.9.4, MCP 2024-11-05, 1 tool" in done.stdout
     assert "a random value went between the mock device and the adapter: it talks to the mock" in done.stdout
     assert "nothing yet" not in done.stdout
-    assert done.stdout.splitlines()[-1] == "all is well, next: pytest"
+    assert done.stdout.splitlines()[-1] == "all is well, next: pytest --otmcp-reps=3"
     addressed = (tmp_path / "addressed").read_text(encoding="utf-8").split()
     advice = "ends at the first request of today's handshake, or never answers it, so it was given that of 2025: say era = 'legacy'"
     if era == "auto":
@@ -276,8 +276,12 @@ def test_a_protocol_that_cannot_be_seen_is_asked_for(otmcp: Otmcp) -> None:
 def test_an_adapter_that_does_not_start_is_no_proposal(otmcp: Otmcp, tmp_path: Path) -> None:
     done = otmcp("init", "--protocol", "modbus", "--", sys.executable, "-c", "import mcp.server.fastmcp")
     assert done.returncode == 1
-    assert done.stderr.startswith("otmcp: no proposal: the adapter exited with code 1 during its handshake")
-    assert "No module named 'mcp.server.fastmcp'" in done.stderr
+    # Without the command it would examine the reference adapters.
+    doctor = "'otmcp doctor' with the same COMMAND may know why"
+    assert done.stderr.startswith(f"otmcp: no proposal ({doctor}): the adapter exited with code 1")
+    # What the adapter wrote stays lines, each marked, without those that only underline.
+    assert "\n    | ModuleNotFoundError: No module named 'mcp.server.fastmcp'" in done.stderr
+    assert "^^^" not in done.stderr
     assert not (tmp_path / "otmcp.toml").exists()
 
 

@@ -42,6 +42,10 @@ LATE = "no reply within the deadline of 3 s"
 SILENT = "the device should have answered at least 1 request(s)"
 
 
+def peak_mib(repository: Repository) -> int:
+    return int((repository.root / "peak.txt").read_text()) // 1024
+
+
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("kind", "said"),
@@ -72,4 +76,24 @@ def test_what_an_adapter_sends_does_not_fill_the_memory(empty_repository: Reposi
     assert outcome.statuses == {"M1": "FAIL"}, outcome.output
     assert said in " ".join(outcome.output.split())
     assert (said == TOO_LARGE) == (TOO_LARGE in " ".join(outcome.output.split()))
-    assert int((empty_repository.root / "peak.txt").read_text()) // 1024 < LIMIT_MIB
+    assert peak_mib(empty_repository) < LIMIT_MIB
+
+
+FIFTY_CALLS = ("--pyargs", "pytest_otmcp.conformance", "--otmcp-reps=1", "-k", "[S7]")
+
+BOUND = """
+[adapter.modbus.bind]
+read_input = { tool = "ping", result = { values = "data.values" } }
+"""
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["most-bytes", "most-values", "most-members"])
+def test_fifty_of_the_largest_answers_do_not_fill_the_memory(empty_repository: Repository, kind: str) -> None:
+    command = json.dumps([sys.executable, str(HOSTILE), kind, "token"])
+    subject = SUBJECT.format(command=command).replace('read_input = "no", ', "") + BOUND
+    empty_repository.write(peak_py=PEAK, otmcp_toml=subject)
+    outcome = empty_repository.pytest(*FIFTY_CALLS, plugins="peak", path=(empty_repository.root,))
+    assert outcome.statuses == {"S7": "FAIL"}, outcome.output
+    assert TOO_LARGE in " ".join(outcome.output.split())
+    assert peak_mib(empty_repository) < LIMIT_MIB

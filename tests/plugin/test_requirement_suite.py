@@ -46,7 +46,7 @@ def test_the_long_form_of_a_check_is_judged_again_in_its_long_form(
     ("asked", "said"),
     [
         ("MCP-04", "there is no row or check 'MCP-04'; did you mean MCP-004"),
-        ("xyzzy", "there is no row or check 'xyzzy'; docs/checks.md lists them"),
+        ("xyzzy", "there is no row or check 'xyzzy'; 'otmcp docs checks' lists them"),
         ("TLS-001", "TLS-001 has no check of its own; otmcp explain TLS-001 says where it is judged"),
     ],
 )
@@ -55,6 +55,26 @@ def test_a_row_without_a_check_is_one_sentence(empty_repository: Repository, ask
     outcome = empty_repository.pytest(*SUITE, f"--otmcp-only={asked}")
     assert outcome.code == 2
     assert f"--otmcp-only: {said}" in outcome.output
+
+
+@pytest.mark.parametrize("named", [".test_requirements", ".test_requirements::test_requirements[MCP-004.modbus]"])
+def test_naming_the_requirement_suite_is_not_yet_asking_for_it(empty_repository: Repository, named: str) -> None:
+    empty_repository.reference_subject()
+    outcome = empty_repository.pytest("--pyargs", f"pytest_otmcp.conformance{named}")
+    assert outcome.code == 2
+    assert "the requirement suite runs when it is asked for: --otmcp-suite=requirements" in outcome.output
+
+
+def test_what_a_run_is_not_about_is_not_counted_among_what_was_collected(empty_repository: Repository) -> None:
+    empty_repository.reference_subject()
+    assert len(empty_repository.collected(*SUITE)) == 38
+    # Those of other rows are deselected, as pytest says.
+    assert "3/203 tests collected (200 deselected)" in collect_only(empty_repository, "--otmcp-only=WR-003")
+    assert "7/38 tests collected (31 deselected)" in collect_only(empty_repository, "--otmcp-suite=fault")
+
+
+def collect_only(repository: Repository, *options: str) -> str:
+    return repository.pytest("--collect-only", "-q", *SUITE, *options).output
 
 
 def test_a_bare_run_is_the_benchmark(empty_repository: Repository) -> None:

@@ -220,21 +220,65 @@ def test_an_http_adapter_with_writes_enabled_does_not_outlive_a_run_that_is_ende
 
 
 @pytest.mark.long
-def test_a_parallel_run_that_is_ended_leaves_nothing_running(repository: Repository, waiting: socket.socket) -> None:
+@pytest.mark.parametrize("ending", ["SIGTERM", "SIGINT"])
+def test_a_parallel_run_that_is_ended_records_what_was_running_and_leaves_nothing(
+    repository: Repository, waiting: socket.socket, ending: str
+) -> None:
     repository.subject("write_register", "3", port_of(waiting), program=WAITING)
     command = [*SUITE, "--otmcp-reps=3", "-k", "normal and (M1 or M2 or M3)", "-n", "2", "-p", "xdist.plugin"]
     with started(repository, *command) as process:
         connection, _ = waiting.accept()
         with connection:
             running = descendants(process)
-            process.send_signal(signal.SIGTERM)
+            process.send_signal(signal.Signals[ending])
             output, _ = process.communicate(timeout=PATIENCE_S)
     outcome = repository.outcome(process.returncode, output)
     assert outcome.code == pytest.ExitCode.INTERRUPTED, output
-    assert outcome.record["footer"]["reason"] == "ended by SIGTERM"
+    assert outcome.record["footer"]["reason"] == (
+        "interrupted by the user" if ending == "SIGINT" else "ended by SIGTERM"
+    )
     assert "VERDICT: INCOMPLETE" in output
+    # The other worker may have had any of the others, or none.
+    assert outcome.statuses["M3"] == "INTERRUPTED"
+    assert [len(item["samples"]) for item in outcome.record["items"] if item["id"] == "M3"] == [1]
+    assert set(outcome.statuses.values()) <= {"PASS", "INTERRUPTED"}
+    assert "M3 INTERRUPTED" in output
     assert "Traceback" not in output
     assert all_end(running)
+
+
+ENDED_BEFORE_IT_TOOK_A_RESULT = """
+import os, signal
+
+class Controller:
+    def __init__(self):
+        os.mkfifo("done")
+
+    def pytest_runtest_logstart(self, nodeid):
+        # The only worker opens the other end when it has sent all that it will send.
+        open("done").close()
+        os.kill(os.getpid(), signal.SIGTERM)
+
+class Worker:
+    def pytest_runtest_logfinish(self, nodeid):
+        if "M2" in nodeid:
+            open("done", "w").close()
+
+def pytest_configure(config):
+    config.pluginmanager.register(Worker() if hasattr(config, "workerinput") else Controller())
+"""
+
+
+@pytest.mark.long
+@pytest.mark.usefixtures("interruptible")
+def test_a_result_that_was_sent_before_a_parallel_run_is_ended_is_in_the_record(repository: Repository) -> None:
+    repository.subject()
+    repository.write(ending_py=ENDED_BEFORE_IT_TOOK_A_RESULT)
+    options = ("--otmcp-reps=1", "-k", "normal and (M1 or M2)", "-n", "1")
+    outcome = repository.pytest(*SUITE, *options, plugins="xdist.plugin ending", path=(repository.root,))
+    assert outcome.code == pytest.ExitCode.INTERRUPTED, outcome.output
+    assert outcome.statuses == {"M1": "PASS", "M2": "PASS"}
+    assert outcome.record["footer"]["reason"] == "ended by SIGTERM"
 
 
 @pytest.mark.long

@@ -78,7 +78,9 @@ NOTHING_WRONG = r"the device should have answered at least 1 request\(s\) during
     ],
 )
 def test_the_finding_says_what_the_adapter_did(judge: Judge, token: str, kind: str, expected: str) -> None:
-    results = judge("modbus", command=hostile(kind, token), tasks="M1", time_scale=IMPATIENT)
+    # What is too large has to be made first, which on a busy machine takes longer than an impatient deadline.
+    time_scale = 1.0 if expected == TOO_LARGE else IMPATIENT
+    results = judge("modbus", command=hostile(kind, token), tasks="M1", time_scale=time_scale)
     assert failing(results) == {"M1"}
     assert results["M1"]["status"] == "FAIL"
     assert re.search(expected, words(results), re.DOTALL | re.IGNORECASE), words(results)

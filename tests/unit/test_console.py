@@ -10,7 +10,7 @@ import pytest
 from pytest_otmcp.report.console import summary
 from pytest_otmcp.suite.requirements import requirements
 
-from .samples import finding, item, run
+from .samples import finding, item, run, written_twice
 from .test_latex import ALL
 
 
@@ -177,4 +177,6 @@ def test_a_run_of_the_requirement_suite_says_the_level_of_each_protocol_in_a_lin
         r"^level: Modbus: no level; for Bronze: 1 row not met \(RD-001\); 44 rows not shown ", shown, re.MULTILINE
     )
     assert len(re.findall(r"^level: ", shown, re.MULTILINE)) == 3
-    assert "level:" not in text(run([item("M3", "normal", "Modbus", "Write.", [1.0])]))
+    assert "level: none is shown without the requirement suite; otmcp certify runs it" in text(run(ALL))
+    # Of a run that failed nobody expects a level.
+    assert "level:" not in text(run([written_twice()]))

@@ -56,6 +56,36 @@ def test_the_code_of_a_finding_is_told_with_what_to_change(capsys: pytest.Captur
     assert "In the subject file deadline_s: Time within which every call must have answered." in text
 
 
+def test_a_level_is_told_with_its_meaning_and_its_rows(capsys: pytest.CaptureFixture[str]) -> None:
+    text = told(capsys, "Bronze", "Gold")
+    bronze, gold = text.split("Gold (level): ")
+    assert bronze.startswith("Bronze (level): An adapter of this level may be connected to a plant for reading.")
+    assert "mb-r: reading by Modbus" in bronze
+    assert "RD-001" in bronze.partition("Not yet judged")[0]
+    # Every row that Gold begins with waits for its check, so it names none that could be earned.
+    assert "Rows that begin with it" not in gold
+    assert "TLS-001" in gold.partition("Not yet judged")[2]
+
+
+def test_a_profile_is_told_with_its_level_and_its_rows(capsys: pytest.CaptureFixture[str]) -> None:
+    text = told(capsys, "mb-w")
+    assert text.startswith("mb-w (profile): Writing by Modbus. Level Silver and above Rows about it WR-001, ")
+
+
+def test_a_check_is_about_a_row_and_its_protocol(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "Suite Requirements, Modbus Applies to" in told(capsys, "WR-003.modbus")
+
+
+@pytest.mark.parametrize("columns", [40, 60])
+def test_no_line_is_wider_than_the_terminal(
+    columns: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    assert cli.main(["explain", "WR-003", "M3", "illegal_address"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert columns - 10 < max(map(len, lines)) <= columns
+
+
 def test_an_id_with_two_meanings_is_told_twice() -> None:
     assert [one.kind for one in explained("internal_error")] == ["error code", "finding code"]
 
@@ -65,8 +95,9 @@ def test_an_id_with_two_meanings_is_told_twice() -> None:
     [
         ("m3", "did you mean M3?"),
         ("WR-03", "WR-003"),
+        ("bronze", "did you mean Bronze?"),
         ("wrong value", "did you mean wrong_value"),
-        ("xyzzy", "docs/items.md, docs/checks.md, docs/requirements.md and docs/codes.md list them all"),
+        ("xyzzy", "'otmcp docs' prints the pages items, checks, requirements and codes, which list them all"),
     ],
 )
 def test_an_unknown_id_is_one_sentence(unknown: str, hint: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -74,7 +105,7 @@ def test_an_unknown_id_is_one_sentence(unknown: str, hint: str, capsys: pytest.C
     printed = capsys.readouterr()
     assert printed.out == ""
     assert printed.err.count("\n") == 1
-    assert f"there is no item, requirement or code {unknown!r}; " in printed.err
+    assert f"there is no item, requirement, level, profile or code {unknown!r}; " in printed.err
     assert hint in printed.err
 
 

@@ -563,6 +563,16 @@ def test_a_browser_shows_the_page_runs_nothing_and_complains_about_nothing(tmp_p
     assert any("Content Security Policy" in line for line in console)
 
 
+def test_what_stands_between_backticks_in_a_rule_is_code_and_is_escaped() -> None:
+    failing = item("M4", "normal", "Modbus", "Write.", [1.0], failing=1)
+    for sample in failing["samples"]:
+        sample["findings"] = [finding("not_refused", "it was written", "MCP-005")]
+    assert '`"70"`' in requirements()["MCP-005"].statement
+    shown = page(run([{**failing, "requirements": ["MCP-005"]}]))
+    assert "<code>&#34;70&#34;</code>" in shown
+    assert "`" not in shown.partition("<body>")[2]
+
+
 def test_a_run_of_the_requirement_suite_has_a_section_about_levels() -> None:
     judged = item("WR-001.modbus", "requirements", "Modbus", "Write.", [1.0])
     shown = Page(page(run([written_twice(), judged])))
@@ -570,4 +580,7 @@ def test_a_run_of_the_requirement_suite_has_a_section_about_levels() -> None:
     assert "#levels" in shown.values("href")
     assert "Modbus: no level; for Bronze: 45 rows not shown (" in shown.text
     assert "Not yet judged: KEY-001 (" in shown.text
-    assert "levels" not in Page(page(run([M1]))).values("id")
+    benchmark = Page(page(run([M1])))
+    assert "levels" not in benchmark.values("id")
+    assert "Level: none is shown without the requirement suite; otmcp certify runs it" in benchmark.text
+    assert "none is shown" not in shown.text
