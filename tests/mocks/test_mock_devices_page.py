@@ -38,7 +38,9 @@ def test_every_set_of_nodes_and_every_condition_of_the_network_is_on_the_page() 
 
 
 @pytest.mark.asyncio
-@pytest.mark.parametrize(("protocol", "mock"), [("Modbus", "modbus"), ("MQTT", "mqtt"), ("OPC UA", "opcua"), ("S7comm", "s7")])
+@pytest.mark.parametrize(
+    ("protocol", "mock"), [("Modbus", "modbus"), ("MQTT", "mqtt"), ("OPC UA", "opcua"), ("S7comm", "s7")]
+)
 async def test_every_example_is_understood(start_mock: StartMock, protocol: str, mock: str) -> None:
     found = examples(SECTIONS[protocol])
     assert len(found) > 8
