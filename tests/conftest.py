@@ -7,10 +7,11 @@ from collections.abc import Generator, Iterator
 
 import pytest
 
+from pytest_otmcp.soundness.warm_start import WarmStart
+
 from . import long_tests
 from .long_tests import pytest_collection_modifyitems, pytest_sessionfinish, pytest_testnodedown
 from .outside_witnesses import not_run
-from .warm_start import WarmStart
 
 __all__ = [
     "pytest_collection_modifyitems",

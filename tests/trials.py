@@ -7,23 +7,13 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from pytest_otmcp.record.reader import StoredRun
-from pytest_otmcp.record.schema import Run, Sample, check
+from pytest_otmcp.record.schema import Run, check
 from pytest_otmcp.suite.catalogue import suite_digest
 from pytest_otmcp.trial.bench import Bench
-from pytest_otmcp.trial.live_driver import LiveDriver
-from pytest_otmcp.trial.task import Task
-from pytest_otmcp.trial.trial import Trial
 
 from .stored_runs import run_of
 
-__all__ = ["as_read", "measured", "recorded"]
-
-
-async def measured(bench: Bench, task: Task, repetitions: int = 1) -> dict[str, Any]:
-    """Run a task and return the item with its samples."""
-    samples: list[Sample] = []
-    item = await Trial(LiveDriver(bench, task, seed=0), task, repetitions, keep=samples.append).run()
-    return {**item, "samples": samples}
+__all__ = ["as_read", "recorded"]
 
 
 def recorded(bench: Bench, items: Iterable[Mapping[str, Any]]) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """The checks of the requirement suite: one module for each area of the catalogue.
 
-A check is one row of ``requirements.toml``, one function here, and the defects in ``tests/soundness`` that it has to notice.
+A check is one row of ``requirements.toml``, one function here, and the defects in ``reference_adapters/defects`` that it has to notice.
 """
 
 from __future__ import annotations

@@ -28,11 +28,10 @@ version = "2.4.1"
 
 [adapter.modbus]
 start_timeout_s = 300
-command = ["{python}", "%s", "MU-14"]
+command = ["{python}", "-m", "pytest_otmcp.reference_adapters.defects", "MU-14"]
 env = { MODBUS_HOST = "{host}", MODBUS_PORT = "{port}" }
 rw = { env = { MODBUS_WRITES_ENABLED = "true" } }
 """
-LYING = HERE.parents[1] / "tests" / "soundness" / "mutants" / "program.py"
 
 NO_BREAK_SPACE = "\N{NO-BREAK SPACE}"
 LINE, LETTER, LEFT, TOP = 20.0, 8.43, 16.0, 44.0
@@ -45,7 +44,7 @@ def told() -> list[str]:
     """Run the suite and return the lines between pytest's head and foot, with their colours."""
     with tempfile.TemporaryDirectory() as name:
         directory = Path(name)
-        (directory / "otmcp.toml").write_text(SUBJECT % LYING)
+        (directory / "otmcp.toml").write_text(SUBJECT)
         (directory / "pytest.ini").write_text("[pytest]\n")
         command = [sys.executable, "-m", *COMMAND.split(), "--color=yes", "-p", "no:cacheprovider"]
         environment = {**os.environ, "COLUMNS": str(COLUMNS)}

@@ -23,7 +23,7 @@ from ..core.verdict import ExitCode
 
 __all__ = ["Refusal", "cut", "main", "place_of", "show", "tell"]
 
-_COMMANDS = ("init", "doctor", "call", "certify", "verify", "explain", "report", "mock", "docs")
+_COMMANDS = ("init", "doctor", "call", "certify", "verify", "explain", "report", "mock", "self-check", "docs")
 _LONGEST = 2000
 _COMPLETING = "_ARGCOMPLETE"
 """Variable by which argcomplete's part in the shell asks the program for the words that fit."""
@@ -142,7 +142,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.set_defaults(run=None)
     subparsers = parser.add_subparsers(metavar="COMMAND", title="commands")
     for name in _COMMANDS:
-        import_module(f".{name}", __name__).add_parser(subparsers)
+        import_module(f".{name.replace('-', '_')}", __name__).add_parser(subparsers)
     return parser
 
 

@@ -56,6 +56,19 @@ async def reads_registers(work: Work, operation: str) -> bool:
     return True
 
 
+async def reads_bits(work: Work, operation: str) -> bool:
+    table, function = {"read_coils": ("coils", 1), "read_discrete_inputs": ("discrete_inputs", 2)}[operation]
+    for count in (9, 1):
+        values = [random.random() < 0.5 for _ in range(count)]
+        await work.device.poke(unit=1, table=table, address=3, values=values)
+        reply = await work.call(operation, address=3, count=count)
+        if reply.outputs != {"values": values} or {entry.get("function") for entry in work.entries} - {None} != {
+            function
+        }:
+            return False
+    return True
+
+
 async def writes_a_register(work: Work, operation: str) -> bool:
     await work.call(operation, address=7, value=40123)
     held = (await work.device.image())["points"]["1/holding_registers/7"]
@@ -135,6 +148,8 @@ Check = Callable[[Work, str], Awaitable[bool]]
 CHECKS: dict[str, Check] = {
     "read_input": reads_registers,
     "read_holding": reads_registers,
+    "read_coils": reads_bits,
+    "read_discrete_inputs": reads_bits,
     "subscribe": subscribes,
     "messages": receives,
     "read": reads_nodes,

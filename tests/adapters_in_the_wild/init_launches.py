@@ -57,6 +57,7 @@ LAUNCHES = (
         proven={
             "read_input": "read_input_registers",
             "read_holding": "read_multiple_holding_registers",
+            "read_coils": "read_coils",
             "write_holding": "write_register",
         },
         left=3,
@@ -90,7 +91,13 @@ LAUNCHES = (
         command=(".venv/bin/modbus-mcp", "--host", "127.0.0.1", "--port", "{http_port}"),
         url="http://127.0.0.1:{http_port}/mcp",
         env={"MODBUS_MCP_MODBUS__HOST": "{host}", "MODBUS_MCP_MODBUS__PORT": "{port}"},
-        proven={"read_input": "read_registers", "read_holding": "read_registers", "write_holding": "write_register"},
+        proven={
+            "read_input": "read_registers",
+            "read_holding": "read_registers",
+            "read_coils": "read_coils",
+            "read_discrete_inputs": "read_discrete_inputs",
+            "write_holding": "write_register",
+        },
         left=3,
     ),
     Launch(

@@ -13,11 +13,11 @@ from pytest_otmcp.plant.devices import Plant
 from pytest_otmcp.record.schema import Item
 from pytest_otmcp.record.warnings import failing, findings_of
 from pytest_otmcp.session.loop import LoopThread
+from pytest_otmcp.soundness.judging import measured
 from pytest_otmcp.subject import load_subject
 from pytest_otmcp.suite.catalogue import tasks_by_id
 from pytest_otmcp.trial.adapter_under_test import BenchOptions
 from pytest_otmcp.trial.bench import Bench
-from tests.trials import measured
 
 from .conftest import Install
 from .examples import EXAMPLES, NAMES, requirement_files

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import pytest
+from pytest_otmcp.reference_adapters.defects.table import MUTANTS
 
 from pytest_otmcp.core.matrix import REQUIREMENTS
 from pytest_otmcp.protocols.own import OWN
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.suite.catalogue import all_tasks
 from pytest_otmcp.suite.requirements import Level, catalogue, requirements
-from tests.soundness.mutants.table import MUTANTS
 
 CHECKS = {task.id: task for task in all_tasks().values() if task.suite == REQUIREMENTS}
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from pytest_otmcp.reference_adapters.defects.table import MUTANTS
 
 from pytest_otmcp.core.error_registry import registry, wire_codes
 from pytest_otmcp.core.matrix import SUITES
@@ -16,7 +17,6 @@ from pytest_otmcp.protocols.protocol import OtProtocol
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.subject import reference_subject
 from pytest_otmcp.suite.catalogue import all_tasks
-from tests.soundness.mutants.table import MUTANTS
 
 CHECKOUT = Path(__file__).parents[2]
 

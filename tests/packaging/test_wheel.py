@@ -125,6 +125,15 @@ def test_a_subject_file_is_certified_and_the_certificate_verified(
     assert verified.returncode == 0, verified.stdout + verified.stderr
 
 
+def test_the_installed_kit_shows_that_it_notices_defects(empty: Path) -> None:
+    done = run(empty, "otmcp", "self-check", "MU-13", "MU-12q", "-n", "2")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert re.search(r"^MU-12q +noticed +mqtt: ", done.stdout, re.MULTILINE)
+    assert re.search(r"^MU-13 +noticed +modbus: ", done.stdout, re.MULTILINE)
+    assert "by MCP-004.modbus for MCP-004" in done.stdout
+    assert done.stdout.splitlines()[-1] == "all as expected"
+
+
 def test_a_changed_file_of_the_installed_kit_is_on_record(empty: Path) -> None:
     [module] = (empty / ".venv" / "lib").glob("python*/site-packages/pytest_otmcp/conformance/test_normal.py")
     genuine = module.read_bytes()

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.warm_start import WarmStart
+from pytest_otmcp.soundness.warm_start import WarmStart
 
 from .vendor import PATIENCE_S, Repository
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from pytest_otmcp.soundness.warm_start import WarmStart
 from tests.once import once
-from tests.warm_start import WarmStart
 
 from .vendor import Repository
 

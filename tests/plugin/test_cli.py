@@ -51,8 +51,8 @@ def test_help_names_every_command_and_imports_nothing_heavy(tmp_path: Path) -> N
     )
     done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    for command in ("init", "doctor", "certify", "verify", "explain", "report", "mock"):
-        assert re.search(rf"^ +{command} ", done.stdout, re.MULTILINE)
+    for command in ("init", "doctor", "certify", "verify", "explain", "report", "mock", "self-check"):
+        assert re.search(rf"^ +{command}\b", done.stdout, re.MULTILINE)
 
 
 @pytest.mark.parametrize(

@@ -18,8 +18,8 @@ from pytest_otmcp.cli import Refusal, main
 from pytest_otmcp.cli.confined import Bounds, confined
 from pytest_otmcp.cli.examination import examine
 from pytest_otmcp.record import load
+from pytest_otmcp.soundness.warm_start import WarmStart
 from tests.stored_runs import store
-from tests.warm_start import WarmStart
 
 from .reference_run import reference_run
 

@@ -16,8 +16,8 @@ import pytest
 from pytest_otmcp.cli import Refusal
 from pytest_otmcp.cli.examination import examine
 from pytest_otmcp.record import load
+from pytest_otmcp.soundness.warm_start import WarmStart
 from tests.stored_runs import store
-from tests.warm_start import WarmStart
 
 from .places import Change, Record, call, calls, entry, facts, item, journal, look, moved, parts, sample
 from .reference_run import reference_run

@@ -15,7 +15,7 @@ from pytest_otmcp.protocols.oracle import state_changing
 from pytest_otmcp.protocols.own import OWN
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.session.loop import LoopThread
-from tests.warm_start import WarmStart
+from pytest_otmcp.soundness.warm_start import WarmStart
 
 from .vendor import Repository
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from pytest_otmcp.protocols.registry import protocols
+from pytest_otmcp.soundness.warm_start import WarmStart
 from pytest_otmcp.subject import load_subject
-from tests.warm_start import WarmStart
 
 FOREIGN = Path(__file__).parents[1] / "soundness" / "foreign.py"
 OTMCP = [sys.executable, "-m", "pytest_otmcp.cli"]

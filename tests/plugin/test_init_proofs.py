@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from pytest_otmcp.soundness.warm_start import WarmStart
 from pytest_otmcp.subject import Adapter, load_subject
-from tests.warm_start import WarmStart
 
 # It asks the device for its state, and may say the same whatever came of it.
 STATUS = """

@@ -15,19 +15,22 @@ from pytest_otmcp.plant.devices import Plant
 from pytest_otmcp.record import load
 from pytest_otmcp.replay import rejudge as replay
 from pytest_otmcp.session.loop import LoopThread
+from pytest_otmcp.soundness.defect import DEFECTS
+from pytest_otmcp.soundness.judging import measured
+from pytest_otmcp.soundness.warm_start import WarmStart
 from pytest_otmcp.subject import Subject, load_subject, reference_subject
 from pytest_otmcp.suite.catalogue import tasks_by_id
 from pytest_otmcp.trial.adapter_under_test import BenchOptions
 from pytest_otmcp.trial.bench import Bench
-from tests.trials import as_read, measured, recorded
-from tests.warm_start import WarmStart
+from tests.trials import as_read, recorded
 
 from .reference_run import reference_run
 
 Record = dict[str, Any]
 
 SOUNDNESS = Path(__file__).parents[1] / "soundness"
-DEFECTIVE, MUTANT, ROGUE = (str(SOUNDNESS / name) for name in ("defective.py", "mutants/program.py", "rogue.py"))
+DEFECTIVE, ROGUE = ((str(SOUNDNESS / name),) for name in ("defective.py", "rogue.py"))
+MUTANT = ("-P", "-m", DEFECTS)
 
 FOREIGN_SUBJECT = """
 [subject]
@@ -212,22 +215,22 @@ WAITED_FOR = ("hang", "wrong-id")
 @pytest.mark.parametrize(
     ("command", "tasks", "code"),
     [
-        ((DEFECTIVE, "wrong-value"), "M2 S1", "wrong_value"),
-        pytest.param((DEFECTIVE, "hang"), "S10", "no_reply", marks=pytest.mark.long),
-        ((MUTANT, "MU-49"), "M1", "stdout_noise"),
-        pytest.param((MUTANT, "MU-126"), "S10", "not_successful", marks=pytest.mark.long),
-        ((MUTANT, "MU-20"), "M4", "wrote"),
-        ((ROGUE, "not-json"), "M1", "not_strict_json"),
-        ((ROGUE, "huge-reply"), "M1", "frame_too_long"),
-        ((ROGUE, "dies-in-call"), "M2 M3", "session_lost"),
-        ((ROGUE, "wrong-id"), "M1", "unknown_id"),
-        ((ROGUE, "dead"), "M1", "cannot_start"),
+        ((*DEFECTIVE, "wrong-value"), "M2 S1", "wrong_value"),
+        pytest.param((*DEFECTIVE, "hang"), "S10", "no_reply", marks=pytest.mark.long),
+        ((*MUTANT, "MU-49"), "M1", "stdout_noise"),
+        pytest.param((*MUTANT, "MU-126"), "S10", "not_successful", marks=pytest.mark.long),
+        ((*MUTANT, "MU-20"), "M4", "wrote"),
+        ((*ROGUE, "not-json"), "M1", "not_strict_json"),
+        ((*ROGUE, "huge-reply"), "M1", "frame_too_long"),
+        ((*ROGUE, "dies-in-call"), "M2 M3", "session_lost"),
+        ((*ROGUE, "wrong-id"), "M1", "unknown_id"),
+        ((*ROGUE, "dead"), "M1", "cannot_start"),
     ],
 )
 def test_findings_come_out_again(
-    bench_of: Callable[..., Record], command: tuple[str, str], tasks: str, code: str
+    bench_of: Callable[..., Record], command: tuple[str, ...], tasks: str, code: str
 ) -> None:
-    run = bench_of(program(*command), tasks, time_scale=0.3 if command[1] in WAITED_FOR else 1.0)
+    run = bench_of(program(*command), tasks, time_scale=0.3 if command[-1] in WAITED_FOR else 1.0)
     found = [finding for item in run["items"] for part in (item, *item["samples"]) for finding in part["findings"]]
     assert code in {finding["code"] for finding in found}
     assert rejudge(run) == []
@@ -300,7 +303,7 @@ def test_a_device_need_not_keep_what_the_record_has(warm_start: WarmStart) -> No
 
 
 def test_a_recovery_trial_without_a_first_success_ends_there(bench_of: Callable[..., Record]) -> None:
-    run = bench_of(program(ROGUE, "not-json"), "R-modbus")
+    run = bench_of(program(*ROGUE, "not-json"), "R-modbus")
     (item,) = run["items"]
     assert [len(sample["calls"]) for sample in item["samples"]] == [1, 1]
     assert [sample["ok"] for sample in item["samples"]] == [False, False]

@@ -25,7 +25,7 @@ import pytest
 
 from pytest_otmcp.errors import UsageError
 from pytest_otmcp.plugin.options import read_settings
-from tests.warm_start import WarmStart
+from pytest_otmcp.soundness.warm_start import WarmStart
 
 from .vendor import PATIENCE_S, WAITING, Outcome, Repository, port_of
 

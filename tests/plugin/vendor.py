@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_otmcp.record import load
-from tests.warm_start import WarmStart
+from pytest_otmcp.soundness.warm_start import WarmStart
 
 __all__ = ["PATIENCE_S", "WAITING", "Outcome", "Repository", "port_of"]
 

@@ -13,21 +13,45 @@ from typing import Any
 import pytest
 
 from pytest_otmcp.plant.devices import Plant
-from pytest_otmcp.record.schema import AdapterFacts, Device
 from pytest_otmcp.replay.rejudge import rejudge
 from pytest_otmcp.session.loop import LoopThread
+from pytest_otmcp.soundness import judging
+from pytest_otmcp.soundness.among_genuine import AmongGenuine, with_command
+from pytest_otmcp.soundness.defect import DEFECTS
+from pytest_otmcp.soundness.judging import IMPATIENT, measured
+from pytest_otmcp.soundness.warm_start import WarmStart
 from pytest_otmcp.subject import Adapter, Subject, load_subject, reference_subject
 from pytest_otmcp.suite.catalogue import all_tasks, tasks_by_id
-from pytest_otmcp.trial.adapter_under_test import AdapterUnderTest, BenchOptions
+from pytest_otmcp.trial.adapter_under_test import BenchOptions
 from pytest_otmcp.trial.bench import Bench
 from pytest_otmcp.trial.task import Task
-from tests.trials import as_read, measured, recorded
-from tests.warm_start import WarmStart
+from tests.trials import as_read, recorded
+
+__all__ = [
+    "DEFECT",
+    "HERE",
+    "IMPATIENT",
+    "SUBJECTS",
+    "Judge",
+    "Results",
+    "failing",
+    "foreign_subject",
+    "judge",
+    "judge_described",
+    "judge_foreign",
+    "loop",
+    "lying",
+    "passing",
+    "perform",
+    "plant",
+    "requirements",
+    "words",
+]
 
 HERE = Path(__file__).parent
 SUBJECTS = HERE / "subjects"
-IMPATIENT = 0.3
-"""Time scale for adapters that hang: deadlines of 1.5 s, still long enough for the honest adapters beside them."""
+DEFECT = ("-P", "-m", DEFECTS)
+"""Words that start the adapter with the catalogue's defect whose id follows."""
 
 
 @pytest.fixture(scope="session")
@@ -42,34 +66,6 @@ def plant(loop: LoopThread) -> Iterator[Plant]:
     shared = Plant()
     yield shared
     loop.run(shared.close())
-
-
-class AmongGenuine(Bench):
-    """A bench on which only the adapter of one protocol has other deadlines; the others have their usual ones.
-
-    The others end with the bench: an adapter that connects to a device again after an outage would be taken for the
-    next adapter of that device.
-    """
-
-    def __init__(self, subject: Subject, plant: Plant, protocol: str, time_scale: float) -> None:
-        super().__init__(subject, BenchOptions(time_scale=time_scale), plant)
-        self._protocol = protocol
-        self._genuine = Bench(subject, BenchOptions(), plant)
-
-    async def adapter(self, name: str) -> AdapterUnderTest:
-        if name.partition("@")[0] == self._protocol:
-            return await super().adapter(name)
-        return await self._genuine.adapter(name)
-
-    async def close(self) -> None:
-        await self._genuine.close()
-        await super().close()
-
-    def adapters(self) -> dict[str, AdapterFacts]:
-        return self._genuine.adapters() | super().adapters()
-
-    def devices(self) -> dict[str, Device]:
-        return self._genuine.devices() | super().devices()
 
 
 Results = dict[str, dict[str, Any]]
@@ -105,16 +101,13 @@ def judge(loop: LoopThread, plant: Plant, warm_start: WarmStart) -> Judge:
         repetitions: int = 1,
         described: Callable[[Adapter], Adapter] | None = None,
     ) -> Results:
-        reference = warm_start.subject(reference_subject())
-        replaced = reference.adapters[protocol]
         if command is None:
-            command = (*warm_start.python, str(HERE / program[0]), *program[1:])
-        variants = {name: replace(variant, command=command, cwd=None) for name, variant in replaced.variants.items()}
-        replacing = replace(replaced, variants=variants)
+            first = (str(HERE / program[0]),) if program[0].endswith(".py") else (program[0],)
+            command = (*warm_start.python, *first, *program[1:])
+        subject = with_command(warm_start.subject(reference_subject()), protocol, command)
         if described is not None:
-            replacing = described(replacing)
-        adapters: dict[str, Adapter] = {**reference.adapters, protocol: replacing}
-        subject = Subject(name="defective", version="0", adapters=adapters, source=HERE)
+            changed = described(subject.adapters[protocol])
+            subject = replace(subject, adapters={**subject.adapters, protocol: changed})
         chosen = [task for task in _known(tasks) if protocol in task.adapters]
         if shuffled is not None:
             random.Random(shuffled).shuffle(chosen)
@@ -198,7 +191,7 @@ def lying(subject: Subject, lie: str, **env: str) -> Subject:
 
 def failing(results: Results) -> set[str]:
     """Return the ids of all items but those that passed and those that do not apply."""
-    return {identifier for identifier, result in results.items() if result["status"] not in ("PASS", "NOT_APPLICABLE")}
+    return judging.failing(results.values())
 
 
 def passing(results: Results) -> set[str]:
@@ -218,10 +211,4 @@ def words(results: Results) -> str:
 
 def requirements(results: Results) -> set[str]:
     """Return the requirements that the findings cite, and the codes of findings that cite none."""
-    return {
-        finding["requirement"] or finding["code"]
-        for result in results.values()
-        for findings in (result["findings"], *(sample["findings"] for sample in result["samples"]))
-        for finding in findings
-        if finding["cause"] is None
-    }
+    return judging.noted(results.values())

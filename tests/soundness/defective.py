@@ -11,22 +11,13 @@ import contextlib
 import socket
 import sys
 from collections.abc import Callable
-from dataclasses import replace
 from importlib import import_module
 from typing import Any
 
 from pytest_otmcp.reference_adapters.core import AdapterServer, Call
 from pytest_otmcp.reference_adapters.core import server as core_server
 from pytest_otmcp.reference_adapters.core.run import serve
-
-Handler = Callable[[Call, Any], Any]
-
-
-def wrap(server: AdapterServer, name: str, handler: Callable[[Handler], Handler], **changes: Any) -> None:
-    """Replace a tool's handler by one that is made from the original."""
-    tool = server._tools[name]
-    server._tools[name] = replace(tool, handler=handler(tool.handler), **changes)
-
+from pytest_otmcp.reference_adapters.defects.mutant import Handler, wrap
 
 # -- Modbus ---------------------------------------------------------------------------------------------------
 

@@ -15,7 +15,8 @@ from pytest_otmcp.reference_adapters.core.run import serve
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from tests.soundness.defective import Handler, wrap
+from pytest_otmcp.reference_adapters.defects.mutant import Handler, wrap
+
 from tests.soundness.honest import modbus_choices, mqtt_choices
 
 if TYPE_CHECKING:

@@ -12,10 +12,11 @@ import pytest
 from pytest_otmcp.plant.devices import Plant
 from pytest_otmcp.replay.rejudge import rejudge
 from pytest_otmcp.session.loop import LoopThread
+from pytest_otmcp.soundness.judging import measured
 from pytest_otmcp.suite.catalogue import tasks_by_id
 from pytest_otmcp.trial.adapter_under_test import BenchOptions
 from pytest_otmcp.trial.bench import Bench
-from tests.trials import as_read, measured, recorded
+from tests.trials import as_read, recorded
 
 from .conftest import SUBJECTS, Judge, Results, foreign_subject, lying, passing
 

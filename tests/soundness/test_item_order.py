@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import pytest
+from pytest_otmcp.reference_adapters.defects.table import MUTANTS
 
-from .conftest import Judge, Results, failing
-from .mutants.table import MUTANTS
+from .conftest import DEFECT, Judge, Results, failing
 
 pytestmark = pytest.mark.long
-
-PROGRAM = "mutants/program.py"
 
 BAD = ("MU-126", "MU-126q", "MU-14")
 """Defects that one item could hand on to the next: lost connections, and writes that were never sent.
@@ -25,25 +23,27 @@ def verdicts(results: Results) -> dict[str, str]:
 @pytest.mark.parametrize("name", ["MU-126", "MU-126q"])
 def test_items_in_another_order_have_the_same_verdicts(judge: Judge, name: str) -> None:
     protocol = MUTANTS[name].protocol
-    usual = judge(protocol, PROGRAM, name)
+    usual = judge(protocol, *DEFECT, name)
     assert failing(usual) >= set(MUTANTS[name].items.split())
-    assert verdicts(judge(protocol, PROGRAM, name, shuffled=1)) == verdicts(usual)
+    assert verdicts(judge(protocol, *DEFECT, name, shuffled=1)) == verdicts(usual)
 
 
-ADAPTERS = [("modbus", "defective.py", "none"), *((MUTANTS[name].protocol, PROGRAM, name) for name in BAD)]
-
-
-@pytest.mark.parametrize(("protocol", "program", "name"), ADAPTERS)
-def test_more_repetitions_have_the_same_verdicts(judge: Judge, protocol: str, program: str, name: str) -> None:
-    once = judge(protocol, program, name)
-    assert verdicts(judge(protocol, program, name, repetitions=3)) == verdicts(once)
+ADAPTERS = [("modbus", ("defective.py",), "none"), *((MUTANTS[name].protocol, DEFECT, name) for name in BAD)]
 
 
 @pytest.mark.parametrize(("protocol", "program", "name"), ADAPTERS)
-def test_an_item_alone_has_the_same_verdict(judge: Judge, protocol: str, program: str, name: str) -> None:
-    usual = judge(protocol, program, name)
-    assert verdicts(judge(protocol, program, name, shuffled=2)) == verdicts(usual)
+def test_more_repetitions_have_the_same_verdicts(
+    judge: Judge, protocol: str, program: tuple[str, ...], name: str
+) -> None:
+    once = judge(protocol, *program, name)
+    assert verdicts(judge(protocol, *program, name, repetitions=3)) == verdicts(once)
+
+
+@pytest.mark.parametrize(("protocol", "program", "name"), ADAPTERS)
+def test_an_item_alone_has_the_same_verdict(judge: Judge, protocol: str, program: tuple[str, ...], name: str) -> None:
+    usual = judge(protocol, *program, name)
+    assert verdicts(judge(protocol, *program, name, shuffled=2)) == verdicts(usual)
     alone: Results = {}
     for item in usual:
-        alone |= judge(protocol, program, name, tasks=item)
+        alone |= judge(protocol, *program, name, tasks=item)
     assert verdicts(alone) == verdicts(usual)

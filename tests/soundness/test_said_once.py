@@ -7,21 +7,21 @@ import pytest
 from pytest_otmcp.core.finding import kind_of
 from pytest_otmcp.report.findings import faults
 
-from .conftest import Judge
+from .conftest import DEFECT, Judge
 
 
 @pytest.mark.parametrize(
     ("program", "defect", "task"),
     [
-        ("defective.py", "wrong-value", "M2"),
-        ("mutants/program.py", "MU-08", "FM2"),
-        ("mutants/program.py", "MU-20", "M4"),
+        (("defective.py",), "wrong-value", "M2"),
+        (DEFECT, "MU-08", "FM2"),
+        (DEFECT, "MU-20", "M4"),
     ],
 )
 def test_a_fault_that_a_repetition_repeats_is_not_said_of_the_warm_up_too(
-    judge: Judge, program: str, defect: str, task: str
+    judge: Judge, program: tuple[str, ...], defect: str, task: str
 ) -> None:
-    item = judge("modbus", program, defect, tasks=task)[task]
+    item = judge("modbus", *program, defect, tasks=task)[task]
     assert item["status"] == "FAIL"
     assert item["around"][0]["role"] == "warmup"
     repeated = {

@@ -9,13 +9,13 @@ from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import pytest
+from pytest_otmcp.reference_adapters.defects.table import MUTANTS
 
 from pytest_otmcp.plant.devices import Plant
 from pytest_otmcp.session.loop import LoopThread
 from pytest_otmcp.subject import reference_subject
 
-from .conftest import HERE, IMPATIENT, Judge, Results, failing, passing, requirements, words
-from .mutants.table import MUTANTS
+from .conftest import DEFECT, HERE, IMPATIENT, Judge, Results, failing, passing, requirements, words
 from .test_rogue_processes import rogue
 
 EVERYWHERE = ("modbus", "modbus@ro", "mqtt", "mqtt@ro", "opcua", "opcua@ro")
@@ -111,7 +111,7 @@ def test_a_strangers_exchange_proves_nothing_for_an_adapter_that_answers_from_me
     judge: Judge, beside: Beside
 ) -> None:
     with beside("mqtt-exchange", "mqtt"):
-        results = judge("mqtt", "mutants/program.py", "MU-36q")
+        results = judge("mqtt", *DEFECT, "MU-36q")
     assert failing(results) == {*MUTANTS["MU-36q"].items.split(), "R-mqtt"}, words(results)
     assert requirements(results) == set(MUTANTS["MU-36q"].requirements.split()), words(results)
     with beside("modbus-read", "modbus"):
@@ -122,5 +122,5 @@ def test_a_strangers_exchange_proves_nothing_for_an_adapter_that_answers_from_me
 
 def test_a_strangers_write_proves_nothing_for_an_adapter_that_writes_nothing(judge: Judge, beside: Beside) -> None:
     with beside("modbus-write", "modbus"):
-        results = judge("modbus", "mutants/program.py", "MU-15", tasks="M3")
+        results = judge("modbus", *DEFECT, "MU-15", tasks="M3")
     assert passing(results) == set()

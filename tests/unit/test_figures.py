@@ -74,7 +74,7 @@ def test_a_record_cannot_break_a_figure_with_the_names_it_makes_up(tmp_path: Pat
 
 
 def test_a_family_and_times_that_nobody_thought_of_are_drawn(tmp_path: Path) -> None:
-    lost = item("R-modbus", "recovery", "Modbus", "x", [1.0])
+    lost = item("R-profinet", "recovery", "PROFINET", "x", [1.0])
     lost["samples"][0]["phases"] |= {"detect": 0.0, "same_session": None, "same_session_ok": False}
     write_figures(run([item("M1", "normal", "PROFINET", "x", [0.0, 1e9]), lost]), tmp_path)
     assert {path.stem for path in tmp_path.glob("*.png")} == {
@@ -82,6 +82,13 @@ def test_a_family_and_times_that_nobody_thought_of_are_drawn(tmp_path: Path) -> 
         "recovery_phases",
         "protocol_map",
     }
+
+
+def test_a_family_that_stands_apart_is_in_the_map_alone(tmp_path: Path) -> None:
+    write_figures(
+        run([item("M1", "fault", "Modbus", "x", [1.0]), item("N1", "normal", "PROFINET", "x", [1.0])]), tmp_path
+    )
+    assert {path.stem for path in tmp_path.glob("*.png")} == {"protocol_map"}
 
 
 def test_the_map_of_the_papers_protocols_is_the_papers_alone(tmp_path: Path) -> None:

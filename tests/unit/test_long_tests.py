@@ -24,7 +24,7 @@ def test_short():
 def suite(pytester: pytest.Pytester) -> pytest.Pytester:
     """A long test and another one, in a directory of their own."""
     pytester.makeini("[pytest]\nmarkers = long: left out\n")
-    pytester.makeconftest(inspect.getsource(long_tests))
+    pytester.makeconftest(f"{inspect.getsource(long_tests)}\npytest_terminal_summary = say_what_was_left_out\n")
     pytester.makepyfile(TESTS)
     return pytester
 

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
-
-from tests.soundness.defective import Handler, wrap
+from pytest_otmcp.reference_adapters.defects.mutant import Handler, wrap
 
 if TYPE_CHECKING:
     from pytest_otmcp.subject import Adapter

@@ -8,11 +8,10 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
+from pytest_otmcp.reference_adapters.defects.mutant import Handler, wrap
 from pytest_otmcp.reference_adapters.modbus.link import Link
 from pytest_otmcp.reference_adapters.modbus.shapes import Registers, Unit
 from pytest_otmcp.reference_adapters.modbus.tools import Tools
-
-from tests.soundness.defective import Handler, wrap
 
 from .choice import Bend, backed_off, choices, in_background, one_call_at_a_time, twice_where_missing
 

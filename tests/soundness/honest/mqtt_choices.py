@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import paho.mqtt.client as paho
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
+from pytest_otmcp.reference_adapters.defects.mutant import Handler, wrap
 from pytest_otmcp.reference_adapters.mqtt import connection as connections
 from pytest_otmcp.reference_adapters.mqtt.connection import Connection, ConnectionLostError, Message
 from pytest_otmcp.reference_adapters.mqtt.edge_node import EdgeNode, Life
@@ -21,8 +22,6 @@ from pytest_otmcp.reference_adapters.mqtt.payload import Metric
 from pytest_otmcp.reference_adapters.mqtt.tools import Tools
 from pytest_otmcp.reference_adapters.mqtt.tools import _payload as payload_of
 from pytest_otmcp.reference_adapters.mqtt.topics import check_name
-
-from tests.soundness.defective import Handler, wrap
 
 from .choice import Bend, backed_off, choices, in_background
 

@@ -10,10 +10,9 @@ from typing import Any
 
 from asyncua import ua
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
+from pytest_otmcp.reference_adapters.defects.mutant import Handler, wrap
 from pytest_otmcp.reference_adapters.opcua.link import Link, Session
 from pytest_otmcp.reference_adapters.opcua.services import Services
-
-from tests.soundness.defective import Handler, wrap
 
 from .choice import backed_off, choices, in_background, one_call_at_a_time, twice_where_missing
 

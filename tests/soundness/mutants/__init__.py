@@ -1,1 +1,1 @@
-"""The catalogue's defects, each as a reference adapter that has this defect and no other (ids ``MU-nn``)."""
+"""Tests of the catalogue's defects, which are in ``reference_adapters/defects``."""

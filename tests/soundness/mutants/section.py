@@ -5,11 +5,11 @@ A test compares it with the declarations.
 
 from __future__ import annotations
 
-from tests.soundness.document import DOCUMENT, with_section
+from pytest_otmcp.reference_adapters.defects.mutant import catalogue_id, number
+from pytest_otmcp.reference_adapters.defects.not_yet import GROUPS, NOT_YET, TOTAL
+from pytest_otmcp.reference_adapters.defects.table import MUTANTS
 
-from .mutant import catalogue_id, number
-from .not_yet import GROUPS, NOT_YET, TOTAL
-from .table import MUTANTS
+from tests.soundness.document import DOCUMENT, with_section
 
 __all__ = ["section"]
 

@@ -4,23 +4,21 @@ from __future__ import annotations
 
 import os
 import sys
-from pathlib import Path
 
 import pytest
+from pytest_otmcp.reference_adapters.defects.listing import listing
+from pytest_otmcp.reference_adapters.defects.mutant import Mutant, catalogue_id
+from pytest_otmcp.reference_adapters.defects.not_yet import GROUPS, NOT_YET, TOTAL
+from pytest_otmcp.reference_adapters.defects.table import MUTANTS, REPRESENTATIVE
 
-from pytest_otmcp.core.matrix import REQUIREMENTS
-from pytest_otmcp.suite.catalogue import all_tasks
-from pytest_otmcp.trial.task import Task
-from tests.soundness.conftest import IMPATIENT, Judge, failing, requirements, words
+from pytest_otmcp.soundness.defect import read
+from pytest_otmcp.soundness.judging import IMPATIENT, tasks_of
+from tests.soundness.conftest import DEFECT, Judge, failing, requirements, words
 from tests.soundness.document import DOCUMENT, with_section
 
-from .mutant import Mutant, catalogue_id
-from .not_yet import GROUPS, NOT_YET, TOTAL
 from .section import section
-from .table import MUTANTS, REPRESENTATIVE
 
-PROGRAM = Path(__file__).parent / "program.py"
-
+DEFECTS = {defect.id: defect for defect in read(listing()).defects}
 
 WHOLE_MATRIX = "OTMCP_WHOLE_MATRIX" in os.environ
 
@@ -36,20 +34,14 @@ def marks(mutant: Mutant) -> list[pytest.MarkDecorator]:
 
 @pytest.mark.parametrize("name", [pytest.param(mutant.id, marks=marks(mutant)) for mutant in MUTANTS.values()])
 def test_a_defect_fails_exactly_its_items_for_exactly_its_requirements(judge: Judge, name: str) -> None:
-    mutant = MUTANTS[name]
-    tasks = " ".join(task.id for task in all_tasks().values() if _is_run(task, mutant))
-    time_scale = IMPATIENT if mutant.waits else 1.0
-    command = (sys.executable, str(PROGRAM), name) if mutant.cold else None
-    results = judge(mutant.protocol, "mutants/program.py", name, command=command, tasks=tasks, time_scale=time_scale)
-    assert failing(results) == set(mutant.items.split()), words(results)
-    assert requirements(results) == set(mutant.requirements.split()), words(results)
+    defect = DEFECTS[name]
+    tasks = " ".join(task.id for task in tasks_of(defect))
+    time_scale = IMPATIENT if defect.waits else 1.0
+    command = (sys.executable, *DEFECT, name) if defect.cold else None
+    results = judge(defect.protocol, *DEFECT, name, command=command, tasks=tasks, time_scale=time_scale)
+    assert failing(results) == set(defect.items), words(results)
+    assert requirements(results) == set(defect.requirements), words(results)
     assert "KIT_ERROR" not in {result["status"] for result in results.values()}
-
-
-def _is_run(task: Task, mutant: Mutant) -> bool:
-    if task.suite == REQUIREMENTS:
-        return task.id.partition("-")[0].lower() in mutant.areas.split()
-    return not mutant.areas and (mutant.recovers or task.suite != "recovery")
 
 
 def test_every_defect_of_the_catalogue_is_noticed_or_listed_with_its_group() -> None:

@@ -1,0 +1,52 @@
+"""``python -m pytest_otmcp.reference_adapters.defects ID``: the reference adapter with the defect of this id.
+
+With ``--list`` in place of the id it prints the declarations of all defects as JSON. An id has to be given, and the adapter says
+in its introduction and on stderr that it is defective: nobody gets one by accident, or takes it for the reference adapter.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from importlib import import_module
+from typing import Any
+
+from mcp.types import SERVER_INFO_META_KEY
+
+from ..core import AdapterServer, ConfigError
+from ..core.run import serve
+from .listing import listing
+from .mutant import Mutant
+from .table import MUTANTS
+
+
+def main() -> int:
+    """Build the adapter, give it its defect, serve, and return the exit code."""
+    asked = sys.argv[1] if len(sys.argv) == 2 else ""
+    if asked == "--list":
+        print(json.dumps(listing()))
+        return 0
+    if asked not in MUTANTS:
+        print("usage: python -m pytest_otmcp.reference_adapters.defects {--list | ID, such as MU-13}", file=sys.stderr)
+        return 2
+    mutant = MUTANTS[asked]
+    try:
+        server: AdapterServer = import_module(f"..{mutant.protocol}", __package__).build()
+    except ConfigError as error:
+        print(f"configuration: {error}", file=sys.stderr)
+        return 2
+    introduce(server, mutant)
+    mutant.bend(server)
+    return serve(server)
+
+
+def introduce(server: AdapterServer, mutant: Mutant) -> None:
+    """Let everything that names the server say that it is defective."""
+    server.name = server.mcp.name = f"{server.name} with defect {mutant.id}"
+    meta: Any = server._completion["_meta"]
+    meta[SERVER_INFO_META_KEY]["name"] = server.name
+    print(f"{server.name}, for the kit's mock devices only: {mutant.sentence}", file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,464 @@
+"""Defects of envelope, session and guard: they could be any adapter's, and one adapter or several have them here."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import json
+import os
+from collections.abc import Callable
+from typing import Any
+
+from ..core import AdapterError, AdapterServer, Call
+from ..core import server as core_server
+from .mutant import Bend, Data, Handler, Mutant, each, failing, wrap
+
+__all__ = [
+    "MUTANTS",
+    "answers_twice_from_one_exchange",
+    "banner",
+    "complains",
+    "error_is_a_word",
+    "extra_member",
+    "is_error_never_set",
+    "named_after_exceptions",
+    "result",
+    "stays",
+    "text_says_otherwise",
+]
+
+_GONE = ("connect_failed", "connection_lost")
+
+
+# -- envelope -----------------------------------------------------------------------------------------------
+
+
+def result(change: Callable[[Data, Callable[[Data], Data]], Data]) -> Bend:
+    """Return the defect that results are made otherwise.
+
+    Args:
+        change: returns the result for an envelope; it is given the genuine function for it as well.
+    """
+
+    def bend(server: AdapterServer) -> None:
+        genuine = core_server._result
+        core_server._result = lambda envelope: change(envelope, genuine)
+
+    return bend
+
+
+def is_error_never_set(envelope: Data, genuine: Callable[[Data], Data]) -> Data:
+    return {**genuine(envelope), "isError": False}
+
+
+def text_says_otherwise(envelope: Data, genuine: Callable[[Data], Data]) -> Data:
+    text = json.dumps({**envelope, "data": None})
+    return {**genuine(envelope), "content": [{"type": "text", "text": text}]}
+
+
+def extra_member(envelope: Data, genuine: Callable[[Data], Data]) -> Data:
+    return genuine({**envelope, "status": "ok"})
+
+
+def error_is_a_word(envelope: Data, genuine: Callable[[Data], Data]) -> Data:
+    error = envelope["error"]
+    return genuine({**envelope, "error": error and error["code"]})
+
+
+def named_after_exceptions() -> Callable[[Data, Callable[[Data], Data]], Data]:
+    """Return a function that gives errors the names of exceptions, one and then the other."""
+    names = itertools.cycle(("ModbusIOException", "ConnectionException"))
+
+    def change(envelope: Data, genuine: Callable[[Data], Data]) -> Data:
+        error = envelope["error"]
+        return genuine({**envelope, "error": error and {**error, "code": next(names)}})
+
+    return change
+
+
+def endpoint_with_password(server: AdapterServer) -> None:
+    scheme, _, place = server.endpoint.partition("://")
+    server.endpoint = f"{scheme}://operator:geheim@{place}"
+
+
+# -- session ------------------------------------------------------------------------------------------------
+
+
+def banner(server: AdapterServer) -> None:
+    print("Connected to Modbus device", flush=True)
+
+
+def complains(server: AdapterServer) -> None:
+    # While the adapter serves, its own print() goes to stderr.
+    stdout = os.dup(1)
+
+    def change(call: Call, error: AdapterError) -> None:
+        os.write(stdout, f"Modbus error: {error}\n".encode())
+
+    failing(change=change)(server)
+
+
+def _dies(call: Call, error: AdapterError) -> None:
+    os._exit(1)
+
+
+def stays(server: AdapterServer) -> None:
+    async def for_ever() -> None:
+        await asyncio.Event().wait()
+
+    server._close = for_ever
+
+
+def rejects_everything(genuine: Handler) -> Handler:
+    async def handler(call: Call, arguments: Any) -> Data:
+        raise AdapterError("access_denied", "this is not allowed", outcome="not_sent" if call.writes else None)
+
+    return handler
+
+
+# -- guard --------------------------------------------------------------------------------------------------
+
+
+def guard_after_sending(name: str) -> Bend:
+    """Return the defect that a tool writes, and then says that writes are disabled."""
+
+    def bend(server: AdapterServer) -> None:
+        enabled = server.writes_enabled
+
+        def guarded(genuine: Handler) -> Handler:
+            async def handler(call: Call, arguments: Any) -> Data:
+                data: Data = await genuine(call, arguments)
+                if enabled:
+                    return data
+                raise AdapterError("writes_disabled", "writes are disabled", outcome="not_sent")
+
+            return handler
+
+        wrap(server, name, guarded, writes=False)
+
+    return bend
+
+
+def enabled_by_default(switch: str) -> Bend:
+    """Return the defect that writes are enabled unless the switch says otherwise."""
+
+    def bend(server: AdapterServer) -> None:
+        server.writes_enabled = server.writes_enabled or switch not in os.environ
+
+    return bend
+
+
+def enabled_by_any_word(server: AdapterServer) -> None:
+    word = os.environ.get("MODBUS_WRITES_ENABLED", "").lower()
+    server.writes_enabled = word not in ("", "false", "no", "off", "0")
+
+
+# -- memory and outages -------------------------------------------------------------------------------------
+
+
+def answers_from_memory_when_gone(name: str) -> Bend:
+    """Return the defect that a tool that finds its device gone answers what it has last found, as a success."""
+    memory: dict[str, Data] = {}
+
+    def remembering(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            asked = arguments.model_dump_json()
+            try:
+                memory[asked] = await genuine(call, arguments)
+            except AdapterError as error:
+                if error.code not in _GONE or asked not in memory:
+                    raise
+            return memory[asked]
+
+        return handler
+
+    return each(name, change=remembering)
+
+
+def answers_twice_from_one_exchange(name: str) -> Bend:
+    """Return the defect that every other call with the same arguments is answered from memory, as if from the device.
+
+    A cache that is valid for half a second does this to two calls within this time, on a machine of any speed.
+    """
+    memory: dict[str, tuple[Data, Call]] = {}
+
+    def remembering(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            asked = arguments.model_dump_json()
+            if asked in memory:
+                data, earlier = memory.pop(asked)
+                call.source, call.attempts, call.trace = earlier.source, earlier.attempts, earlier.trace
+                return data
+            found: Data = await genuine(call, arguments)
+            memory[asked] = found, call
+            return found
+
+        return handler
+
+    return each(name, change=remembering)
+
+
+def never_reconnects() -> Bend:
+    """Return the defect that a lost connection is never made again."""
+    lost = False
+
+    def once(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            nonlocal lost
+            if lost:
+                raise AdapterError("connect_failed", "the connection is gone", outcome="not_sent")
+            try:
+                data: Data = await genuine(call, arguments)
+            except AdapterError as error:
+                lost = error.code in _GONE
+                raise
+            return data
+
+        return handler
+
+    return each(change=once)
+
+
+MUTANTS = (
+    Mutant(
+        id="MU-20",
+        protocol="modbus",
+        sentence="With writes disabled the write is sent, and then denied.",
+        bend=guard_after_sending("write_register"),
+        items="M4",
+        requirements="WR-004",
+    ),
+    Mutant(
+        id="MU-20q",
+        protocol="mqtt",
+        sentence="With writes disabled the message is published, and then denied.",
+        bend=guard_after_sending("publish_message"),
+        items="Q3",
+        requirements="WR-004",
+        quick=True,
+    ),
+    Mutant(
+        id="MU-20s",
+        protocol="mqtt",
+        sentence="With writes disabled the births of a Sparkplug device are published, and then denied.",
+        bend=guard_after_sending("publish_device_birth"),
+        items="Q4",
+        requirements="WR-004",
+    ),
+    Mutant(
+        id="MU-20o",
+        protocol="opcua",
+        sentence="With writes disabled the Write is sent, and then denied.",
+        bend=guard_after_sending("write_opcua_node"),
+        items="O3",
+        requirements="WR-004",
+    ),
+    Mutant(
+        id="MU-21",
+        protocol="modbus",
+        sentence="Writes are enabled where nobody has said so.",
+        bend=enabled_by_default("MODBUS_WRITES_ENABLED"),
+        items="M4",
+        requirements="WR-004",
+    ),
+    Mutant(
+        id="MU-21b",
+        protocol="modbus",
+        sentence="A write switch with a value that means nothing enables writes.",
+        bend=enabled_by_any_word,
+        items="M4",
+        requirements="WR-005",
+    ),
+    Mutant(
+        id="MU-21q",
+        protocol="mqtt",
+        sentence="Messages and births are published where nobody has allowed it.",
+        bend=enabled_by_default("MQTT_WRITES_ENABLED"),
+        items="Q3 Q4",
+        requirements="WR-004",
+    ),
+    Mutant(
+        id="MU-21o",
+        protocol="opcua",
+        sentence="OPC UA nodes are written where nobody has allowed it.",
+        bend=enabled_by_default("OPCUA_WRITES_ENABLED"),
+        items="O3",
+        requirements="WR-004",
+    ),
+    Mutant(
+        id="MU-35",
+        protocol="modbus",
+        sentence="While the device is gone, a read succeeds with the values that were read before.",
+        bend=answers_from_memory_when_gone("read_input_registers"),
+        items="S10 R-modbus",
+        requirements="REC-002 not_proven",
+        recovers=True,
+    ),
+    Mutant(
+        id="MU-35q",
+        protocol="mqtt",
+        sentence="While the broker is gone, its status is told as it was before.",
+        bend=answers_from_memory_when_gone("get_broker_info"),
+        items="S11 R-mqtt",
+        requirements="REC-002 not_proven",
+        recovers=True,
+    ),
+    Mutant(
+        id="MU-35o",
+        protocol="opcua",
+        sentence="While the server is gone, a read succeeds with the value that was read before.",
+        bend=answers_from_memory_when_gone("read_opcua_node"),
+        items="S12 R-opcua",
+        requirements="REC-002 not_proven",
+        recovers=True,
+    ),
+    Mutant(
+        id="MU-36",
+        protocol="modbus",
+        sentence="A read soon after another is answered from memory, as if from the device.",
+        bend=answers_twice_from_one_exchange("read_input_registers"),
+        items="M2 X1 X1p FX1 S7 S10",
+        requirements="ENV-008 RD-001 RD-004",
+    ),
+    Mutant(
+        id="MU-36o",
+        protocol="opcua",
+        sentence="A node read soon after another is answered from memory, as if from the server.",
+        bend=answers_twice_from_one_exchange("read_opcua_node"),
+        items="O1 O3 FO1 S9 S12",
+        requirements="ENV-008 OUA-002 RD-001 RD-004",
+    ),
+    Mutant(
+        id="MU-47",
+        protocol="modbus",
+        sentence="isError is always false.",
+        bend=result(is_error_never_set),
+        items="M4 FM1 FM2 S10",
+        requirements="MCP-006",
+    ),
+    Mutant(
+        id="MU-48",
+        protocol="modbus",
+        sentence="The text block is JSON, and it is not the structured content.",
+        bend=result(text_says_otherwise),
+        items="M1 M2 M3 M4 X1 X2 X1p X2p FM1 FM2 FX1 S1 S4 S7 S10",
+        requirements="MCP-006",
+    ),
+    Mutant(
+        id="MU-49",
+        protocol="modbus",
+        sentence="A banner is printed to stdout at the start.",
+        bend=banner,
+        items="M1 M2 M3 M4 X1 X2 X1p X2p FM1 FM2 FX1 S1 S4 S7 S10",
+        requirements="MCP-001",
+    ),
+    Mutant(
+        id="MU-50",
+        protocol="modbus",
+        sentence="Failures are printed to stdout.",
+        bend=complains,
+        items="FM1 S10",
+        requirements="MCP-001",
+    ),
+    Mutant(
+        id="MU-52",
+        protocol="modbus",
+        sentence="The process does not exit when its stdin ends.",
+        bend=stays,
+        items="M2 M4 R-modbus",
+        requirements="MCP-009",
+        recovers=True,
+    ),
+    Mutant(
+        id="MU-99",
+        protocol="modbus",
+        sentence="meta.endpoint holds user name and password.",
+        bend=endpoint_with_password,
+        items="M1 M2 M3 M4 X1 X2 X1p X2p FM1 FM2 FX1 S1 S4 S7 S10",
+        requirements="KEY-001",
+    ),
+    Mutant(
+        id="MU-111",
+        protocol="modbus",
+        sentence="Every call to the Modbus adapter is refused.",
+        bend=each(change=rejects_everything),
+        items="M1 M2 M3 M4 X1 X2 X1p X2p FM1 FM2 FX1 S1 S4 S7 S10",
+        requirements="ERR-002 RD-001 RD-004 REC-001 REC-002 not_proven",
+    ),
+    Mutant(
+        id="MU-111q",
+        protocol="mqtt",
+        sentence="Every call to the MQTT adapter is refused.",
+        bend=each(change=rejects_everything),
+        items="Q1 Q2 Q3 Q4 X1 X2 X1p X2p FQ1 FQ2 FX1 S2 S5 S8 S11",
+        requirements="MQT-002 MQT-004 RD-004 REC-001 REC-002 not_proven",
+        waits=True,
+    ),
+    Mutant(
+        id="MU-111o",
+        protocol="opcua",
+        sentence="Every call to the OPC UA adapter is refused.",
+        bend=each(change=rejects_everything),
+        items="O1 O2 O3 O4 X1 X2 X1p X2p FO1 FO2 FX1 S3 S6 S9 S12",
+        requirements="ERR-003 OUA-006 RD-001 RD-004 REC-001 REC-002 not_proven",
+    ),
+    Mutant(
+        id="MU-113",
+        protocol="modbus",
+        sentence="A failure in a tool ends the process.",
+        bend=failing(change=_dies),
+        items="FM1 S10",
+        requirements="MCP-007",
+    ),
+    Mutant(
+        id="MU-115",
+        protocol="modbus",
+        sentence="The envelope has a member of its own at the top.",
+        bend=result(extra_member),
+        items="M1 M2 M3 M4 X1 X2 X1p X2p FM1 FM2 FX1 S1 S4 S7 S10",
+        requirements="ENV-001 MCP-006",
+    ),
+    Mutant(
+        id="MU-115w",
+        protocol="modbus",
+        sentence="The envelope's error is a word instead of an object.",
+        bend=result(error_is_a_word),
+        items="M4 FM1 FM2 S10",
+        requirements="ENV-001",
+    ),
+    Mutant(
+        id="MU-117",
+        protocol="modbus",
+        sentence="Error codes are names of exceptions, and the same failure has now one, then another.",
+        bend=result(named_after_exceptions()),
+        items="M4 FM1 FM2 S10",
+        requirements="ENV-001 ERR-001",
+    ),
+    Mutant(
+        id="MU-126",
+        protocol="modbus",
+        sentence="A lost connection to the device is never made again.",
+        bend=never_reconnects(),
+        items="S10 R-modbus",
+        requirements="REC-001 not_proven",
+        recovers=True,
+    ),
+    Mutant(
+        id="MU-126q",
+        protocol="mqtt",
+        sentence="A lost connection to the broker is never used again.",
+        bend=never_reconnects(),
+        items="S11 R-mqtt",
+        requirements="REC-001 not_proven",
+        recovers=True,
+    ),
+    Mutant(
+        id="MU-126o",
+        protocol="opcua",
+        sentence="A lost session with the server is never made again.",
+        bend=never_reconnects(),
+        items="S12 R-opcua",
+        requirements="REC-001 not_proven",
+        recovers=True,
+    ),
+)

@@ -1,0 +1,307 @@
+"""Defects that the checks of the area ADR notice."""
+
+from __future__ import annotations
+
+from decimal import Decimal
+from typing import Any
+
+from pydantic import field_validator
+
+from ...core import AdapterServer
+from ...modbus import tools as modbus_tools
+from ...modbus.shapes import Registers, WriteRegister
+from ...mqtt import tools as mqtt_tools
+from ...mqtt.shapes import Publish, Subscribe
+from ...opcua import nodes
+from ...opcua import tools as opcua_tools
+from ...opcua import values as opcua_values
+from ...opcua.services import Services
+from ..modbus import fitted, next_register, write_only_remembered
+from ..mutant import Mutant, wrap
+from ..refusals import cuts_fractions_off, texts_are_true
+
+__all__ = ["MUTANTS"]
+
+_READ_INPUT, _READ_HOLDING, _WRITE = "read_input_registers", "read_multiple_holding_registers", "write_register"
+
+
+def _masked(value: Any, bits: int) -> Any:
+    return value & (1 << bits) - 1 if type(value) is int else value
+
+
+class MaskedRead(Registers):
+    """A block of registers of a unit of any number, of which the last eight bits count."""
+
+    @field_validator("unit_id", mode="before")
+    @classmethod
+    def _cut_off(cls, value: Any) -> Any:
+        return _masked(value, 8)
+
+
+class MaskedWrite(WriteRegister):
+    """A register at an address of any size, of which the last sixteen bits count."""
+
+    @field_validator("address", mode="before")
+    @classmethod
+    def _cut_off(cls, value: Any) -> Any:
+        return _masked(value, 16)
+
+
+class MaskedSubscribe(Subscribe):
+    """A quality of service of any size, of which the last two bits count."""
+
+    @field_validator("qos", mode="before")
+    @classmethod
+    def _cut_off(cls, value: Any) -> Any:
+        return _masked(value, 2) % 3 if type(value) is int else value
+
+
+class LargePublish(Publish):
+    """A message of any size."""
+
+    payload: str
+
+
+def unit_modulo_256(server: AdapterServer) -> None:
+    wrap(server, _READ_HOLDING, lambda genuine: genuine, model=MaskedRead)
+
+
+def address_modulo_65536(server: AdapterServer) -> None:
+    wrap(server, _WRITE, lambda genuine: genuine, model=MaskedWrite)
+
+
+def qos_modulo_3(server: AdapterServer) -> None:
+    wrap(server, "subscribe_topic", lambda genuine: genuine, model=MaskedSubscribe)
+
+
+def index_modulo_65536(server: AdapterServer) -> None:
+    genuine = nodes.parse_node
+
+    def parse(text: str, field: str) -> nodes.NodeName:
+        head, separator, rest = text.partition(";")
+        index = head.removeprefix("ns=")
+        if separator and index.isdecimal():
+            text = f"ns={int(index) % 0x10000};{rest}"
+        return genuine(text, field)
+
+    opcua_tools.parse_node = parse
+
+
+def bounds_of_the_scaled_value(server: AdapterServer) -> None:
+    """Compare the engineering value of a scaled tag with the range of its type, and send 16 bits of the raw value."""
+    genuine = modbus_tools.raw_value
+
+    def wrapped(tag: Any, value: float) -> Any:
+        raw = genuine(tag, value)
+        within = tag.scaled and tag.type == "int16" and -0x8000 <= value <= 0x7FFF
+        return (raw + 0x8000) % 0x1_0000 - 0x8000 if within else raw
+
+    modbus_tools.raw_value = wrapped
+
+
+def rounds_down(server: AdapterServer) -> None:
+    def truncated(tag: Any, value: float) -> Any:
+        return int((Decimal(str(value)) - Decimal(str(tag.offset))) / Decimal(str(tag.scale)))
+
+    modbus_tools.raw_value = truncated
+
+
+def wraps_integers(server: AdapterServer) -> None:
+    genuine = opcua_values._scalar
+
+    def scalar(value: Any, kind: Any, field: str) -> Any:
+        if kind in opcua_values._INTEGERS and type(value) is int:
+            low, high = opcua_values._INTEGERS[kind]
+            value = (value - low) % (high - low + 1) + low
+        return genuine(value, kind, field)
+
+    opcua_values._scalar = scalar
+
+
+def scalar_into_array(server: AdapterServer) -> None:
+    genuine = opcua_tools.to_variant
+
+    def variant(value: Any, kind: Any, rank: int, dimensions: Any, field: str) -> Any:
+        filled = [value, value, value] if rank == 1 and not isinstance(value, list) else value
+        return genuine(filled, kind, rank, dimensions, field)
+
+    opcua_tools.to_variant = variant
+
+
+def remembers_namespaces(server: AdapterServer) -> None:
+    genuine = Services.node
+    known: dict[str, int] = {}
+
+    async def node(self: Services, name: Any) -> Any:
+        if name.uri not in known:
+            found = await genuine(self, name)
+            known[name.uri] = found.NamespaceIndex
+            if name.uri is None:
+                known.clear()
+            return found
+        return name.at(known[name.uri])
+
+    Services.node = node
+
+
+def any_size(server: AdapterServer) -> None:
+    mqtt_tools.MAX_PAYLOAD_BYTES = 2**28
+    wrap(server, "publish_message", lambda genuine: genuine, model=LargePublish)
+
+
+MUTANTS: tuple[Mutant, ...] = (
+    Mutant(
+        id="MU-01a",
+        protocol="modbus",
+        sentence="Reads of holding registers go to the register after the one that was asked for.",
+        bend=next_register(_READ_HOLDING),
+        items="ADR-001.modbus ADR-002.modbus",
+        requirements="ADR-001 ERR-001 ERR-002 RD-001",
+        areas="adr",
+    ),
+    Mutant(
+        id="MU-02a",
+        protocol="modbus",
+        sentence="Writes and the reads of holding registers both go to the next register.",
+        bend=next_register(_WRITE, _READ_HOLDING),
+        items="ADR-001.modbus ADR-002.modbus ADR-003.modbus",
+        requirements="ADR-001 ERR-001 ERR-002 RD-001 WR-001",
+        areas="adr",
+    ),
+    Mutant(
+        id="MU-06",
+        protocol="modbus",
+        sentence="Unit 257 is unit 1.",
+        bend=unit_modulo_256,
+        items="ADR-002.modbus",
+        requirements="ADR-002 ERR-002",
+        areas="adr",
+        quick=True,
+    ),
+    Mutant(
+        id="MU-06a",
+        protocol="modbus",
+        sentence="Register 65536 is register 0.",
+        bend=address_modulo_65536,
+        items="ADR-002.modbus",
+        requirements="ADR-002",
+        areas="adr",
+    ),
+    Mutant(
+        id="MU-06q",
+        protocol="mqtt",
+        sentence="A quality of service is taken modulo 3.",
+        bend=qos_modulo_3,
+        items="ADR-002.mqtt ADR-007.mqtt",
+        requirements="ADR-002 ADR-007",
+        areas="adr",
+    ),
+    Mutant(
+        id="MU-06o",
+        protocol="opcua",
+        sentence="Namespace 65538 is namespace 2.",
+        bend=index_modulo_65536,
+        items="ADR-002.opcua",
+        requirements="ADR-002",
+        areas="adr",
+    ),
+    Mutant(
+        id="MU-08a",
+        protocol="modbus",
+        sentence="70000 is written as 4464, and told as a success.",
+        bend=lambda server: fitted(server, lambda value: value & 0xFFFF),
+        items="ADR-003.modbus",
+        requirements="ADR-003",
+        areas="adr",
+    ),
+    Mutant(
+        id="MU-08o",
+        protocol="opcua",
+        sentence="A number that does not fit into its type is cut down to its last bits.",
+        bend=wraps_integers,
+        items="ADR-003.opcua",
+        requirements="ADR-003",
+        areas="adr",
+    ),
+    Mutant(
+        id="MU-09a",
+        protocol="modbus",
+        sentence="70000 is written as 65535, and told as a success.",
+        bend=lambda server: fitted(server, lambda value: max(0, min(value, 0xFFFF))),
+        items="ADR-003.modbus",
+        requirements="ADR-003",
+        areas="adr",
+    ),
+    Mutant(
+        id="MU-10a",
+        protocol="modbus",
+        sentence="40.7 is written as 40.",
+        bend=cuts_fractions_off,
+        items="ADR-004.modbus",
+        requirements="ADR-004",
+        areas="adr",
+    ),
+    Mutant(
+        id="MU-11a",
+        protocol="opcua",
+        sentence="The text false is written as true.",
+        bend=texts_are_true,
+        items="ADR-004.opcua",
+        requirements="ADR-004",
+        areas="adr",
+    ),
+    Mutant(
+        id="MU-15a",
+        protocol="modbus",
+        sentence="A write succeeds, nothing is sent, and the value is read back from memory.",
+        bend=write_only_remembered,
+        items="ADR-001.modbus ADR-002.modbus ADR-003.modbus ADR-004.modbus ADR-009.modbus",
+        requirements="ADR-001 ADR-003 WR-001",
+        areas="adr",
+    ),
+    Mutant(
+        id="MU-83",
+        protocol="opcua",
+        sentence="A single value is written into an array.",
+        bend=scalar_into_array,
+        items="ADR-004.opcua",
+        requirements="ADR-004",
+        areas="adr",
+    ),
+    Mutant(
+        id="MU-24",
+        protocol="modbus",
+        sentence="The range of a scaled tag's type is compared with the value before it is scaled.",
+        bend=bounds_of_the_scaled_value,
+        items="ADR-005.modbus",
+        requirements="ADR-005",
+        areas="adr",
+    ),
+    Mutant(
+        id="MU-86",
+        protocol="opcua",
+        sentence="After a restart of the server a namespace has its old index.",
+        bend=remembers_namespaces,
+        items="ADR-008.opcua",
+        requirements="ADR-008",
+        areas="adr",
+    ),
+    Mutant(
+        id="MU-121",
+        protocol="modbus",
+        sentence="A scaled value is cut off instead of rounded.",
+        bend=rounds_down,
+        items="ADR-005.modbus",
+        requirements="ADR-005",
+        areas="adr",
+    ),
+    Mutant(
+        id="MU-122",
+        protocol="mqtt",
+        sentence="Ten megabytes are handed to the broker.",
+        bend=any_size,
+        items="ADR-009.mqtt",
+        requirements="ADR-009",
+        areas="adr",
+    ),
+)

@@ -1,0 +1,275 @@
+"""Defects that the checks of the area CON notice."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+import struct
+from typing import Any
+
+from ...core import AdapterError, AdapterServer, Call
+from ...modbus.codec import decode
+from ..life import address_of
+from ..mutant import Bend, Data, Handler, Mutant, each
+
+__all__ = ["MUTANTS", "Stream"]
+
+_READ_INPUT, _READ_HOLDING = "read_input_registers", "read_multiple_holding_registers"
+_HEADER = 9
+"""Bytes before the registers of an answer."""
+
+
+class Stream:
+    """A Modbus client that takes answers in the order in which they come, whatever request each of them belongs to.
+
+    Args:
+        patience_s: seconds for which it waits for the next part of an answer.
+        part: number of bytes in a part; 0 for a whole answer. With parts it makes a new connection when it has waited in vain.
+        pipelined: requests are sent while others wait.
+    """
+
+    def __init__(
+        self, server: AdapterServer, *, patience_s: float = 4.0, part: int = 0, pipelined: bool = False
+    ) -> None:
+        self._address = address_of(server)
+        self._patience_s = patience_s
+        self._part = part
+        self._sending = asyncio.Semaphore(64 if pipelined else 1)
+        self._taking = asyncio.Lock()
+        self._streams: tuple[asyncio.StreamReader, asyncio.StreamWriter] | None = None
+        self._number = 0
+
+    async def read(self, call: Call, function: int, address: int, count: int) -> list[int]:
+        """Read registers."""
+        async with self._sending:
+            fresh = self._streams is None
+            if self._streams is None:
+                self._streams = await asyncio.open_connection(*self._address)
+            reader, writer = self._streams
+            call.connection(generation=1, fresh=fresh)
+            self._number += 1
+            writer.write(struct.pack(">HHHBBHH", self._number, 0, 6, 1, function, address, count))
+            call.sending()
+            async with self._taking:
+                try:
+                    answer = await self._answer(reader, _HEADER + 2 * count)
+                except TimeoutError:
+                    if self._part:
+                        self._streams = None
+                    raise AdapterError("timeout", "the device did not reply in time") from None
+                except OSError as error:
+                    raise AdapterError("connection_lost", "the connection broke") from error
+            call.answered()
+            return list(struct.unpack(f">{count}H", answer[_HEADER:]))
+
+    async def _answer(self, reader: asyncio.StreamReader, size: int) -> bytes:
+        answer = b""
+        while len(answer) < size:
+            wanted = min(self._part or size, size - len(answer))
+            answer += await asyncio.wait_for(reader.readexactly(wanted), self._patience_s)
+        return answer
+
+
+def over_a_stream(name: str, function: int, **options: Any) -> Bend:
+    """Return the defect that a tool reads by such a client."""
+
+    def bend(server: AdapterServer) -> None:
+        streams: list[Stream] = []
+
+        def streaming(genuine: Handler) -> Handler:
+            async def handler(call: Call, arguments: Any) -> Data:
+                if not streams:
+                    streams.append(Stream(server, **options))
+                values = await streams[0].read(call, function, arguments.address, arguments.count)
+                return {"address": arguments.address, "count": arguments.count, "values": values}
+
+            return handler
+
+        each(name, change=streaming)(server)
+
+    return bend
+
+
+def torn_numbers(server: AdapterServer) -> None:
+    tools = server._tools[_READ_INPUT].handler.__self__
+
+    def parted(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            (high,) = await tools._holding(call, arguments, arguments.address, 1)
+            (low,) = await tools._holding(call, arguments, arguments.address + 1, 1)
+            return {"address": arguments.address, **decode([high, low], arguments.data_type, arguments.order)}
+
+        return handler
+
+    each("read_holding_typed", change=parted)(server)
+
+
+def lost_update(server: AdapterServer) -> None:
+    """Of several writes to one node at the same time only the last is sent, and all are told as successes."""
+    waiting: dict[str, int] = {}
+
+    def merging(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            waiting[arguments.node_id] = mine = waiting.get(arguments.node_id, 0) + 1
+            await asyncio.sleep(0.02)
+            if waiting[arguments.node_id] != mine:
+                return {"node_id": arguments.node_id, "value": arguments.value, "data_type": "Double", "status": "Good"}
+            data: Data = await genuine(call, arguments)
+            return data
+
+        return handler
+
+    each("write_opcua_node", change=merging)(server)
+
+
+def blocking(server: AdapterServer) -> None:
+    """Wait for the device in the event loop."""
+
+    def synchronous(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            count = arguments.count
+            with socket.create_connection(address_of(server), timeout=3.0) as connection:
+                call.connection(generation=1, fresh=True)
+                call.sending()
+                connection.sendall(struct.pack(">HHHBBHH", 1, 0, 6, 1, 3, arguments.address, count))
+                try:
+                    answer = connection.recv(300)
+                except TimeoutError:
+                    raise AdapterError("timeout", "the device did not reply in time") from None
+            call.answered()
+            values = list(struct.unpack(f">{count}H", answer[_HEADER:]))
+            return {"address": arguments.address, "count": count, "values": values}
+
+        return handler
+
+    each(_READ_HOLDING, change=synchronous)(server)
+
+
+def connection_for_each_read(server: AdapterServer) -> None:
+    held = []
+
+    def connecting(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            with contextlib.suppress(OSError):
+                held.append(await asyncio.open_connection(*address_of(server)))
+            data: Data = await genuine(call, arguments)
+            return data
+
+        return handler
+
+    each(_READ_HOLDING, change=connecting)(server)
+
+
+def connection_during_each_read(server: AdapterServer) -> None:
+    """Every call has a connection of its own, which is closed when it is over."""
+
+    def connecting(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            _, writer = await asyncio.open_connection(*address_of(server))
+            try:
+                # As long as a device takes that answers slowly.
+                await asyncio.sleep(0.05)
+                data: Data = await genuine(call, arguments)
+            finally:
+                writer.close()
+            return data
+
+        return handler
+
+    each(_READ_HOLDING, change=connecting)(server)
+
+
+def _first_granted() -> Bend:
+    """Return the defect that of several subscriptions at the same time all are told what was granted to the last of them."""
+    last: list[int] = [0]
+
+    def bend(server: AdapterServer) -> None:
+        def shared(genuine: Handler) -> Handler:
+            async def handler(call: Call, arguments: Any) -> Data:
+                data: Data = await genuine(call, arguments)
+                last[0] = data["granted_qos"]
+                await asyncio.sleep(0.02)
+                return {**data, "granted_qos": last[0]}
+
+            return handler
+
+        each("subscribe_topic", change=shared)(server)
+
+    return bend
+
+
+def _mutant(id: str, protocol: str, sentence: str, bend: Bend, items: str, requirements: str, **more: Any) -> Mutant:
+    return Mutant(
+        id=id,
+        protocol=protocol,
+        sentence=sentence,
+        bend=bend,
+        items=items,
+        requirements=requirements,
+        areas="con",
+        **more,
+    )
+
+
+MUTANTS: tuple[Mutant, ...] = (
+    _mutant(
+        "MU-37",
+        "modbus",
+        "Answers that come in another order are given to the wrong calls.",
+        over_a_stream(_READ_INPUT, 4, pipelined=True),
+        "CON-001.modbus",
+        "CON-001",
+    ),
+    _mutant(
+        "MU-37q",
+        "mqtt",
+        "Of several subscriptions at the same time each is told what was granted to another.",
+        _first_granted(),
+        "CON-001.mqtt",
+        "CON-001",
+    ),
+    _mutant(
+        "MU-38",
+        "modbus",
+        "A late answer is given to the next call.",
+        over_a_stream(_READ_HOLDING, 3),
+        "CON-002.modbus",
+        "CON-002",
+    ),
+    _mutant(
+        "MU-41c",
+        "modbus",
+        "The two registers of a number are read in two requests.",
+        torn_numbers,
+        "CON-004.modbus",
+        "CON-004",
+    ),
+    _mutant(
+        "MU-41o",
+        "opcua",
+        "Of two writes at the same time only one is sent, and both are told as successes.",
+        lost_update,
+        "CON-004.opcua",
+        "CON-004",
+    ),
+    _mutant(
+        "MU-90h",
+        "modbus",
+        "Every read makes a connection and leaves it open.",
+        connection_for_each_read,
+        "CON-006.modbus",
+        "CON-006",
+    ),
+    _mutant(
+        "MU-90p",
+        "modbus",
+        "Every read has a connection of its own while it lasts.",
+        connection_during_each_read,
+        "CON-006.modbus",
+        "CON-006",
+    ),
+    _mutant(
+        "MU-92", "modbus", "A device that is silent holds up the whole session.", blocking, "CON-005.modbus", "CON-005"
+    ),
+)

@@ -1,0 +1,242 @@
+"""Defects that the checks of the area MQT notice."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from ...core import AdapterError, AdapterServer
+from ...mqtt.connection import Connection, ConnectionLostError, Delivery, Message
+from ...mqtt.inbox import Inbox
+from ...mqtt.link import Link
+from ..mqtt import equal_topics_only, retained, subscribed_topics_only
+from ..mutant import Mutant, each, told
+
+__all__ = ["MUTANTS"]
+
+_PUBLISH = "publish_message"
+_PATIENCE_S = 1.0
+
+
+async def _delivered_at_once(connection: Connection, deliveries: Sequence[Delivery]) -> None:
+    return None
+
+
+def acknowledgements_not_awaited(server: AdapterServer) -> None:
+    Connection.delivered = _delivered_at_once
+
+
+def acknowledgements_awaited_in_vain(server: AdapterServer) -> None:
+    genuine = Connection.delivered
+
+    async def delivered(connection: Connection, deliveries: Sequence[Delivery]) -> None:
+        try:
+            async with asyncio.timeout(_PATIENCE_S):
+                await genuine(connection, deliveries)
+        except (AdapterError, ConnectionLostError, TimeoutError):
+            pass
+
+    Connection.delivered = delivered
+
+
+def granting(change: Callable[[int | None], int | None]) -> Callable[[AdapterServer], None]:
+    """Return the defect that the broker's answers to SUBSCRIBE are taken for others."""
+
+    def bend(server: AdapterServer) -> None:
+        genuine = Connection.subscribe
+
+        async def subscribe(connection: Connection, filters: Mapping[str, int]) -> list[int | None]:
+            return [change(granted) for granted in await genuine(connection, filters)]
+
+        Connection.subscribe = subscribe
+
+    return bend
+
+
+def subscriptions_not_awaited(server: AdapterServer) -> None:
+    genuine = Connection.subscribe
+
+    async def subscribe(connection: Connection, filters: Mapping[str, int]) -> list[int]:
+        try:
+            async with asyncio.timeout(_PATIENCE_S):
+                return await genuine(connection, filters)
+        except (AdapterError, ConnectionLostError, TimeoutError):
+            return list(filters.values())
+
+    Connection.subscribe = subscribe
+
+
+def unsubscribing_forgets_alone(server: AdapterServer) -> None:
+    async def unsubscribe(link: Link, call: Any, text: str) -> None:
+        await link.ask(call)
+        link.subscriptions.pop(text, None)
+
+    Link.unsubscribe = unsubscribe
+
+
+def uncounted(server: AdapterServer) -> None:
+    Inbox.take_dropped = lambda inbox: 0
+
+
+def newest_first(data: dict[str, Any]) -> dict[str, Any]:
+    return {**data, "messages": data["messages"][::-1]}
+
+
+def text_alone(server: AdapterServer) -> None:
+    genuine = Link._received
+
+    def received(link: Link, message: Message) -> None:
+        try:
+            message.payload.decode()
+        except UnicodeDecodeError:
+            return
+        genuine(link, message)
+
+    Link._received = received
+
+
+def retain_not_told(data: dict[str, Any]) -> dict[str, Any]:
+    return {**data, "messages": [{**message, "retain": False} for message in data["messages"]]}
+
+
+def stripped(server: AdapterServer) -> None:
+    genuine = Connection.send
+
+    def send(connection: Connection, message: Message) -> Delivery:
+        payload = message.payload.strip() if message.topic.startswith("control/") else message.payload
+        return genuine(
+            connection, Message(topic=message.topic, payload=payload[:16_384], qos=message.qos, retain=message.retain)
+        )
+
+    Connection.send = send
+
+
+MUTANTS: tuple[Mutant, ...] = (
+    Mutant(
+        id="MU-63",
+        protocol="mqtt",
+        sentence="A publish succeeds before its PUBACK.",
+        bend=acknowledgements_not_awaited,
+        items="MQT-001.mqtt",
+        requirements="MQT-001",
+        areas="mqt",
+    ),
+    Mutant(
+        id="MU-63w",
+        protocol="mqtt",
+        sentence="A PUBACK is waited for, and the publish succeeds without it.",
+        bend=acknowledgements_awaited_in_vain,
+        items="MQT-001.mqtt",
+        requirements="MQT-001",
+        areas="mqt",
+    ),
+    Mutant(
+        id="MU-64",
+        protocol="mqtt",
+        sentence="A subscription that the broker refuses is a success.",
+        bend=granting(lambda granted: granted if granted is not None and granted < 0x80 else 0),
+        items="MQT-002.mqtt",
+        requirements="ENV-007 MQT-002",
+        areas="mqt",
+    ),
+    Mutant(
+        id="MU-64g",
+        protocol="mqtt",
+        sentence="The QoS that was asked for is told as the one that was granted.",
+        bend=told("subscribe_topic", change=lambda data: {**data, "granted_qos": data["qos"]}),
+        items="MQT-002.mqtt",
+        requirements="MQT-002",
+        areas="mqt",
+    ),
+    Mutant(
+        id="MU-64s",
+        protocol="mqtt",
+        sentence="A SUBACK is waited for, and the subscription succeeds without it.",
+        bend=subscriptions_not_awaited,
+        items="MQT-002.mqtt",
+        requirements="MQT-002",
+        areas="mqt",
+    ),
+    Mutant(
+        id="MU-64u",
+        protocol="mqtt",
+        sentence="A subscription that is ended is only forgotten.",
+        bend=unsubscribing_forgets_alone,
+        items="MQT-002.mqtt",
+        requirements="ENV-007 MQT-002",
+        areas="mqt",
+    ),
+    Mutant(
+        id="MU-66m",
+        protocol="mqtt",
+        sentence="Messages are retained unless the call says otherwise.",
+        bend=each(_PUBLISH, change=retained),
+        items="MQT-001.mqtt MQT-003.mqtt",
+        requirements="MQT-003",
+        areas="mqt",
+    ),
+    Mutant(
+        id="MU-66f",
+        protocol="mqtt",
+        sentence="That a message was retained is not told.",
+        bend=told("read_messages", change=retain_not_told),
+        items="MQT-003.mqtt",
+        requirements="MQT-003",
+        areas="mqt",
+    ),
+    Mutant(
+        id="MU-66p",
+        protocol="mqtt",
+        sentence="Blanks at the ends of a payload, and what is above 16 KiB, are cut off.",
+        bend=stripped,
+        items="MQT-003.mqtt",
+        requirements="MQT-001",
+        areas="mqt",
+    ),
+    Mutant(
+        id="MU-67c",
+        protocol="mqtt",
+        sentence="Messages are looked up by their topic; a wildcard finds none.",
+        bend=equal_topics_only,
+        items="MQT-004.mqtt",
+        requirements="MQT-004",
+        areas="mqt",
+    ),
+    Mutant(
+        id="MU-67d",
+        protocol="mqtt",
+        sentence="A message is kept only if its topic is a subscription's text.",
+        bend=subscribed_topics_only,
+        items="MQT-004.mqtt",
+        requirements="MQT-004",
+        areas="mqt",
+    ),
+    Mutant(
+        id="MU-67o",
+        protocol="mqtt",
+        sentence="The newest message comes first.",
+        bend=told("read_messages", change=newest_first),
+        items="MQT-004.mqtt",
+        requirements="MQT-004",
+        areas="mqt",
+    ),
+    Mutant(
+        id="MU-89d",
+        protocol="mqtt",
+        sentence="Messages that are dropped are not counted.",
+        bend=uncounted,
+        items="MQT-004.mqtt",
+        requirements="MQT-004",
+        areas="mqt",
+    ),
+    Mutant(
+        id="MU-123w",
+        protocol="mqtt",
+        sentence="Messages that are no text are thrown away.",
+        bend=text_alone,
+        items="MQT-004.mqtt",
+        requirements="MQT-004",
+        areas="mqt",
+    ),
+)

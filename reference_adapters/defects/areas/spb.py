@@ -1,0 +1,312 @@
+"""Defects that the checks of the area SPB notice."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from ...core import AdapterError, AdapterServer, Call
+from ...mqtt import edge_node, nodes, sparkplug_tools
+from ...mqtt import link as mqtt_link
+from ...mqtt.connection import Message
+from ...mqtt.edge_node import EdgeNode
+from ...mqtt.link import Link
+from ...mqtt.payload import Metric
+from ..mqtt import link_of
+from ..mutant import Data, Handler, Mutant, each, wrap
+from ..sparkplug import (
+    birth_without_metrics,
+    births,
+    constant_count,
+    never_born,
+    no_will,
+    sequence_per_device,
+    swapped_field_numbers,
+)
+
+__all__ = ["MUTANTS"]
+
+_DATA = "publish_device_data"
+_LEVELS = Annotated[str, Field(min_length=1, pattern="^[^+#]+$")]
+_EVERY = " ".join(f"SPB-{number:03}.mqtt" for number in (1, 2, 3, 4, 5, 6, 8, 9, 12))
+"""The checks in which the adapter publishes as an edge node."""
+
+
+def encoding(change: Callable[[Metric], Metric]) -> Callable[[AdapterServer], None]:
+    """Return the defect that metrics of the edge node are encoded as others."""
+
+    def bend(server: AdapterServer) -> None:
+        genuine = edge_node.encode
+        edge_node.encode = lambda metrics, seq: genuine([change(metric) for metric in metrics], seq)
+
+    return bend
+
+
+def _unsigned(metric: Metric) -> Metric:
+    negative = metric.datatype.startswith("Int") and isinstance(metric.value, int) and metric.value < 0
+    return replace(metric, value=-metric.value) if negative else metric
+
+
+def _zero_for_null(metric: Metric) -> Metric:
+    return replace(metric, value=0) if metric.value is None and metric.datatype == "Double" else metric
+
+
+def number_255_left_out(server: AdapterServer) -> None:
+    genuine = EdgeNode.numbered
+
+    def numbered(node: EdgeNode, kind: str, device: str | None, metrics: Any) -> Message:
+        # Births begin at 255, so that NBIRTH has 0.
+        if node.seq == 254 and kind != "NBIRTH":
+            node.seq = 255
+        return genuine(node, kind, device, metrics)
+
+    EdgeNode.numbered = numbered
+
+
+def later_number_told(genuine: Handler) -> Handler:
+    async def handler(call: Call, arguments: Any) -> Data:
+        data: Data = await genuine(call, arguments)
+        return {**data, "seq": (data["seq"] + 4) % 256}
+
+    return handler
+
+
+def failures_use_up_numbers(genuine: Handler) -> Handler:
+    node = genuine.__self__._node
+
+    async def handler(call: Call, arguments: Any) -> Data:
+        try:
+            data: Data = await genuine(call, arguments)
+        except AdapterError:
+            node.seq = (node.seq + 1) % 256
+            raise
+        return data
+
+    return handler
+
+
+def unborn_devices_report(server: AdapterServer) -> None:
+    genuine = EdgeNode.new_values
+
+    def new_values(node: EdgeNode, device: str | None, values: Sequence[tuple[str, Any]]) -> list[Metric]:
+        if node.life is not None and device not in node.life.devices:
+            node.life = node.life.with_device(str(device), _doubles(values))
+        return genuine(node, device, values)
+
+    EdgeNode.new_values = new_values
+
+
+def _doubles(values: Sequence[tuple[str, Any]]) -> dict[str, Metric]:
+    return {name: Metric(name=name, datatype="Double", value=value) for name, value in values}
+
+
+def undeclared_metrics_reported(server: AdapterServer) -> None:
+    genuine = EdgeNode.new_values
+
+    def new_values(node: EdgeNode, device: str | None, values: Sequence[tuple[str, Any]]) -> list[Metric]:
+        told = node.living().metrics_of(device)
+        unknown = [(name, value) for name, value in values if name not in told and isinstance(value, float)]
+        known = [one for one in values if one not in unknown]
+        return [*genuine(node, device, known), *_doubles(unknown).values()]
+
+    EdgeNode.new_values = new_values
+
+
+def names_of_several_levels(server: AdapterServer) -> None:
+    tool = server._tools["publish_device_birth"]
+    anything = type("Anything", (tool.model,), {"__annotations__": {"device_id": _LEVELS}, "__module__": __name__})
+    wrap(server, "publish_device_birth", lambda genuine: genuine, model=anything)
+
+
+def rebirths_ignored(server: AdapterServer) -> None:
+    mqtt_link.is_rebirth_command = lambda data: False
+
+
+def commands_not_subscribed(server: AdapterServer) -> None:
+    server._tools[_DATA].handler.__self__._commands.clear()
+
+
+def dies_before_it_is_born_again(server: AdapterServer) -> None:
+    genuine = Link._be_born_again
+
+    async def be_born_again(link: Link) -> None:
+        link._connection.send(link.edge_node.death())
+        await genuine(link)
+
+    Link._be_born_again = be_born_again
+
+
+def reborn_without_devices(server: AdapterServer) -> None:
+    genuine = Link._be_born_again
+
+    async def be_born_again(link: Link) -> None:
+        life = link.edge_node.life
+        link.edge_node.life = replace(life, devices={})
+        try:
+            await genuine(link)
+        finally:
+            link.edge_node.life = life
+
+    Link._be_born_again = be_born_again
+
+
+def commands_unguarded(server: AdapterServer) -> None:
+    wrap(server, "publish_device_command", lambda genuine: genuine, writes=False)
+
+
+def commands_numbered(server: AdapterServer) -> None:
+    genuine = sparkplug_tools.encode
+    sparkplug_tools.encode = lambda metrics, seq: genuine(metrics, 7 if seq is None else seq)
+
+
+def commands_itself(genuine: Handler) -> Handler:
+    async def handler(call: Call, arguments: Any) -> Data:
+        own = link_name(genuine)
+        data: Data = await genuine(call, arguments.model_copy(update={"edge_node_id": own}))
+        return data
+
+    return handler
+
+
+def link_name(genuine: Handler) -> str:
+    name: str = genuine.__self__._link.edge_node.name
+    return name
+
+
+def commands_unchecked(server: AdapterServer) -> None:
+    nodes.NodeTracker.check_command = lambda tracker, *target: False
+
+
+def no_death_before_the_end(server: AdapterServer) -> None:
+    genuine, node = server._close, link_of(server).edge_node
+
+    async def close() -> None:
+        node.life = None
+        await genuine()
+
+    server._close = close
+
+
+def deaths_ignored(server: AdapterServer) -> None:
+    nodes._die = lambda node, payload: None
+
+
+def every_death_believed(server: AdapterServer) -> None:
+    def die(node: Any, payload: Any) -> None:
+        node.status, node.seq = "offline", None
+
+    nodes._die = die
+
+
+def aliases_unresolved(server: AdapterServer) -> None:
+    genuine = nodes._by_key
+    nodes._by_key = lambda payload: {key: metric for key, metric in genuine(payload).items() if isinstance(key, str)}
+
+
+def gaps_untold(server: AdapterServer) -> None:
+    genuine = nodes.NodeTracker.listing
+    nodes.NodeTracker.listing = lambda tracker: [{**node, "sequence_gap": False} for node in genuine(tracker)]
+
+
+def _mutant(identifier: str, sentence: str, bend: Any, items: str, requirements: str, *, quick: bool = False) -> Mutant:
+    return Mutant(
+        id=f"MU-{identifier}",
+        protocol="mqtt",
+        sentence=sentence,
+        bend=bend,
+        items=" ".join(item if item.endswith(".mqtt") else f"{item}.mqtt" for item in items.split()),
+        requirements=requirements,
+        areas="spb",
+        quick=quick,
+    )
+
+
+MUTANTS: tuple[Mutant, ...] = (
+    _mutant("70s", "Every device counts the sequence of its own messages.", sequence_per_device, _EVERY, "SPB-004"),
+    _mutant("71", "Sequence number 255 is left out.", number_255_left_out, "SPB-004", "SPB-004"),
+    _mutant(
+        "72",
+        "A publish that failed uses up a sequence number.",
+        each(_DATA, change=failures_use_up_numbers),
+        "SPB-003 SPB-005 SPB-009",
+        "SPB-004 SPB-005",
+    ),
+    _mutant(
+        "71t",
+        "The sequence number that is told is that of a later message.",
+        each(_DATA, change=later_number_told),
+        "SPB-004",
+        "SPB-004",
+    ),
+    _mutant(
+        "73s",
+        "A device's data are published, its birth never.",
+        never_born,
+        _EVERY,
+        "SPB-001 SPB-003 SPB-004 SPB-006 SPB-008 SPB-012",
+    ),
+    _mutant(
+        "73b",
+        "Data of a device that was never born are published.",
+        unborn_devices_report,
+        "SPB-003",
+        "SPB-003",
+    ),
+    _mutant(
+        "74s",
+        "The field numbers of Float and Double values are swapped.",
+        swapped_field_numbers,
+        f"{_EVERY} SPB-010",
+        "SPB-001 SPB-010",
+    ),
+    _mutant("75", "Negative numbers lose their sign.", encoding(_unsigned), "SPB-001", "SPB-001"),
+    _mutant("75n", "Null is encoded as 0.", encoding(_zero_for_null), "SPB-001", "SPB-001"),
+    _mutant("76w", "CONNECT carries no will.", no_will, _EVERY, "SPB-006"),
+    _mutant("76s", "bdSeq is the same with every connection.", constant_count, "SPB-003 SPB-005 SPB-006", "SPB-006"),
+    _mutant("76d", "The session ends with DISCONNECT and without NDEATH.", no_death_before_the_end, "", "SPB-012"),
+    _mutant("77s", "NBIRTH is published with QoS 1.", births(lambda birth: replace(birth, qos=1)), _EVERY, "SPB-002"),
+    _mutant(
+        "77l",
+        "A device may have a name of several levels.",
+        names_of_several_levels,
+        "SPB-002",
+        "SPB-001 SPB-002 SPB-004",
+    ),
+    _mutant("78", "The command to be born again has no effect.", rebirths_ignored, "SPB-008", "SPB-008", quick=True),
+    _mutant("78d", "The node dies before it is born again.", dies_before_it_is_born_again, "SPB-008", "SPB-008"),
+    _mutant(
+        "78n", "Born again is the node, without its devices.", reborn_without_devices, "SPB-008", "SPB-003 SPB-008"
+    ),
+    _mutant("78s", "The node does not subscribe to its commands.", commands_not_subscribed, "SPB-008", "SPB-008"),
+    _mutant("79", "Commands to devices pass the write guard.", commands_unguarded, "SPB-010", "WR-004"),
+    _mutant("79s", "Commands carry a sequence number.", commands_numbered, "SPB-010", "SPB-010"),
+    _mutant(
+        "79t",
+        "Commands go to the adapter's own edge node.",
+        each("publish_device_command", change=commands_itself),
+        "SPB-010",
+        "SPB-010",
+    ),
+    _mutant("79u", "Commands are not compared with the birth.", commands_unchecked, "SPB-010", "SPB-010"),
+    _mutant(
+        "127s",
+        "The birth of a device declares none of its metrics.",
+        birth_without_metrics,
+        _EVERY.replace("SPB-006.mqtt ", ""),
+        "SPB-001 SPB-009",
+    ),
+    _mutant(
+        "127b",
+        "Data with a metric that the birth did not declare are published.",
+        undeclared_metrics_reported,
+        "SPB-005 SPB-009",
+        "SPB-009",
+    ),
+    _mutant("128", "The metrics of a node that died stay good.", deaths_ignored, "SPB-011", "SPB-011"),
+    _mutant("128a", "Aliases are not resolved.", aliases_unresolved, "SPB-011", "SPB-011"),
+    _mutant("128b", "The death of an earlier life counts.", every_death_believed, "SPB-011", "SPB-011"),
+    _mutant("128g", "A gap in the sequence is not told.", gaps_untold, "SPB-011", "SPB-011"),
+)

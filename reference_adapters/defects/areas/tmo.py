@@ -1,0 +1,192 @@
+"""Defects that the checks of the area TMO notice."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+from ...core import AdapterError, AdapterServer, Call
+from ...mqtt import link as mqtt_link
+from ..mutant import Bend, Data, Handler, Mutant, each, failing
+from .con import over_a_stream
+
+__all__ = ["MUTANTS"]
+
+_READ, _WRITE = "read_multiple_holding_registers", "write_register"
+_LIBRARY_RETRIES, _ADAPTER_RETRIES = 4, 3
+
+
+def patient(seconds: float, tool: str) -> Bend:
+    """Return the defect that the adapter waits so long, whatever it was told."""
+
+    def bend(server: AdapterServer) -> None:
+        server._deadline_s = seconds
+        owner = server._tools[tool].handler.__self__
+        owner._link._timeout_s = seconds
+
+    return bend
+
+
+def patient_with_every_byte(server: AdapterServer) -> None:
+    server._deadline_s = 3600.0
+    over_a_stream(_READ, 3, part=1)(server)
+
+
+def nested_retries(server: AdapterServer) -> None:
+    """Repeat a read in the library, which nobody counts, and in the adapter."""
+    link = server._tools[_READ].handler.__self__._link
+    link._timeout_s = 0.3
+    attempt = link._attempt
+
+    async def library(call: Call, send: Any) -> Any:
+        counted = call.attempts + 1
+        for _ in range(1 if call.writes else _LIBRARY_RETRIES - 1):
+            try:
+                return await attempt(call, send)
+            except AdapterError as error:
+                if error.code != "timeout" or call.writes:
+                    raise
+            finally:
+                call.attempts = counted
+        try:
+            return await attempt(call, send)
+        finally:
+            call.attempts = counted
+
+    def again(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            for _ in range(_ADAPTER_RETRIES - 1):
+                try:
+                    return await genuine(call, arguments)  # type: ignore[no-any-return]
+                except AdapterError as error:
+                    if error.code != "timeout":
+                        raise
+            return await genuine(call, arguments)  # type: ignore[no-any-return]
+
+        return handler
+
+    link._attempt = library
+    each(_READ, change=again)(server)
+
+
+def repeated_when_cancelled(*names: str) -> Bend:
+    """Return the defect that a call that is cancelled begins anew, where nobody can cancel it."""
+    begun = []
+
+    def again(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            try:
+                data: Data = await genuine(call, arguments)
+            except asyncio.CancelledError:
+                begun.append(asyncio.create_task(genuine(call, arguments)))
+                raise
+            return data
+
+        return handler
+
+    return each(*names, change=again)
+
+
+def _not_sent(call: Call, error: AdapterError) -> Exception | None:
+    return AdapterError("timeout", "the write was given up", outcome="not_sent") if error.code == "timeout" else None
+
+
+def pausing(seconds: float) -> Bend:
+    """Return the defect that the pauses between attempts to connect are all so long."""
+
+    def bend(server: AdapterServer) -> None:
+        mqtt_link._FIRST_RETRY_S = mqtt_link._LAST_RETRY_S = seconds
+
+    return bend
+
+
+def _mutant(id: str, protocol: str, sentence: str, bend: Bend, items: str, requirements: str, **more: Any) -> Mutant:
+    return Mutant(
+        id=id,
+        protocol=protocol,
+        sentence=sentence,
+        bend=bend,
+        items=items,
+        requirements=requirements,
+        areas="tmo",
+        **more,
+    )
+
+
+MUTANTS: tuple[Mutant, ...] = (
+    _mutant(
+        "MU-30",
+        "modbus",
+        "A connection whose other end has vanished is waited for without end.",
+        patient(3600.0, _READ),
+        "TMO-001.modbus TMO-002.modbus TMO-004.modbus",
+        "TMO-001",
+        waits=True,
+    ),
+    _mutant(
+        "MU-30d",
+        "modbus",
+        "Every byte of an answer begins the time limit anew.",
+        patient_with_every_byte,
+        "TMO-001.modbus",
+        "TMO-001",
+    ),
+    _mutant(
+        "MU-31",
+        "opcua",
+        "The timeout that was set has no effect: it is 30 s.",
+        patient(30.0, "read_opcua_node"),
+        "TMO-001.opcua TMO-002.opcua TMO-004.opcua",
+        "TMO-001",
+    ),
+    _mutant(
+        "MU-32",
+        "modbus",
+        "Adapter and library both repeat a read, so twelve requests leave.",
+        nested_retries,
+        "TMO-002.modbus",
+        "TMO-002",
+    ),
+    _mutant(
+        "MU-33",
+        "modbus",
+        "A call that was cancelled begins anew.",
+        repeated_when_cancelled(_READ, _WRITE),
+        "TMO-003.modbus",
+        "TMO-003 WR-003",
+    ),
+    _mutant(
+        "MU-33o",
+        "opcua",
+        "A Write that was cancelled begins anew.",
+        repeated_when_cancelled("write_opcua_node"),
+        "TMO-003.opcua",
+        "TMO-003 WR-003",
+    ),
+    _mutant(
+        "MU-33q",
+        "mqtt",
+        "A publish that was cancelled begins anew.",
+        repeated_when_cancelled("publish_message"),
+        "TMO-003.mqtt",
+        "TMO-003 WR-003",
+    ),
+    _mutant(
+        "MU-34",
+        "modbus",
+        "A write whose answer did not come counts as not sent.",
+        failing(_WRITE, change=_not_sent),
+        "TMO-004.modbus",
+        "ERR-006 TMO-004",
+    ),
+    _mutant(
+        "MU-34o",
+        "opcua",
+        "A Write whose answer did not come counts as not sent.",
+        failing("write_opcua_node", change=_not_sent),
+        "TMO-004.opcua",
+        "ERR-006 TMO-004",
+    ),
+    _mutant("MU-125", "mqtt", "Connecting again is tried without a pause.", pausing(0.001), "", "TMO-005"),
+    _mutant("MU-125p", "mqtt", "Connecting again is tried every 0.2 s, without end.", pausing(0.2), "", "TMO-005"),
+)

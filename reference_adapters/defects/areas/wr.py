@@ -1,0 +1,425 @@
+"""Defects that the checks of the area WR notice."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ...core import AdapterError, AdapterServer, Call
+from ...modbus import link as modbus_link
+from ..any_protocol import enabled_by_any_word, enabled_by_default, guard_after_sending
+from ..modbus import write_not_sent, write_only_remembered
+from ..mqtt import made_up_for
+from ..mutant import Bend, Data, Handler, Mutant, each, wrap
+
+__all__ = ["MUTANTS"]
+
+_WRITE, _BLOCK, _MASK, _COIL = "write_register", "write_registers", "mask_write_register", "write_coil"
+
+
+def coil_not_sent(server: AdapterServer) -> None:
+    def instead(genuine: Handler) -> Handler:
+        async def write(call: Call, arguments: Any) -> Data:
+            return {"address": arguments.address, "value": arguments.value}
+
+        return write
+
+    each(_COIL, change=instead)(server)
+
+
+def node_not_written(server: AdapterServer) -> None:
+    def instead(genuine: Handler) -> Handler:
+        async def write(call: Call, arguments: Any) -> Data:
+            return {"node_id": arguments.node_id, "value": arguments.value, "data_type": "Double", "status": "Good"}
+
+        return write
+
+    each("write_opcua_node", change=instead)(server)
+
+
+def next_block(server: AdapterServer) -> None:
+    def shifted(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            data = await genuine(call, arguments.model_copy(update={"address": arguments.address + 1}))
+            return {**data, "address": arguments.address}
+
+        return handler
+
+    each(_BLOCK, change=shifted)(server)
+
+
+def always_unit_1(server: AdapterServer) -> None:
+    def one(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            data: Data = await genuine(call, arguments.model_copy(update={"unit_id": 1}))
+            return data
+
+        return handler
+
+    each(_WRITE, change=one)(server)
+
+
+def sent_again(*codes: str, names: tuple[str, ...]) -> Bend:
+    """Return the defect that these tools send a write again after a failure with one of these codes."""
+
+    def again(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            try:
+                data: Data = await genuine(call, arguments)
+            except AdapterError as error:
+                if error.code not in codes:
+                    raise
+                data = await genuine(call, arguments)
+            return data
+
+        return handler
+
+    return each(*names, change=again)
+
+
+def impatient_and_sent_again(server: AdapterServer) -> None:
+    """Send a write again when its answer is late. The second try has the usual time: a busy machine must not let it fail, too."""
+    link = server._tools[_WRITE].handler.__self__._link
+    usual = link._timeout_s
+
+    def again(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            link._timeout_s = 0.1
+            try:
+                data: Data = await genuine(call, arguments)
+            except AdapterError as error:
+                if error.code != "timeout":
+                    raise
+            else:
+                return data
+            finally:
+                link._timeout_s = usual
+            data = await genuine(call, arguments)
+            return data
+
+        return handler
+
+    each(_WRITE, change=again)(server)
+
+
+def unguarded(*names: str) -> Bend:
+    """Return the defect that the guard has forgotten these tools."""
+
+    def bend(server: AdapterServer) -> None:
+        for name in () if server.writes_enabled else names:
+            wrap(server, name, lambda genuine: genuine, writes=False)
+
+    return bend
+
+
+def denied_after_sending(server: AdapterServer) -> None:
+    if not server.writes_enabled:
+        guard_after_sending(_WRITE)(server)
+
+
+def split_blocks(server: AdapterServer) -> None:
+    """Take blocks of any length, and write them in parts."""
+    tools = server._tools[_BLOCK].handler.__self__
+    anything = _without_bounds(server, _BLOCK)
+
+    def parted(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            values = arguments.values
+            for first in range(0, len(values), 100):
+                await tools._write_block(call, arguments, arguments.address + first, values[first : first + 100])
+            return {"address": arguments.address, "count": len(values), "values": values}
+
+        return handler
+
+    wrap(server, _BLOCK, parted, model=anything)
+
+
+def _without_bounds(server: AdapterServer, name: str) -> Any:
+    genuine = server._tools[name].model
+    return type("Anything", (genuine,), {"__annotations__": {"values": list[int]}, "__module__": __name__})
+
+
+def too_long_a_block(server: AdapterServer) -> None:
+    """Send the device a block that is longer than a request may be."""
+    tools = server._tools[_BLOCK].handler.__self__
+
+    def whole(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            values = arguments.values
+            await tools._write_block(call, arguments, arguments.address, values[:123])
+            return {"address": arguments.address, "count": len(values), "values": values}
+
+        return handler
+
+    wrap(server, _BLOCK, whole, model=_without_bounds(server, _BLOCK))
+
+
+def any_echo(server: AdapterServer) -> None:
+    """Take every answer of the function for a confirmation."""
+    genuine = modbus_link.reply_pdu
+
+    def lenient(request: Any, received: bytes) -> bytes:
+        if request.pdu[0] in (5, 6, 15, 16, 22):
+            return received[7:]
+        return genuine(request, received)
+
+    modbus_link.reply_pdu = lenient
+
+
+def any_value_echoed(server: AdapterServer) -> None:
+    """Compare the address of a confirmation, and not its value."""
+    genuine = modbus_link.reply_pdu
+
+    def lenient(request: Any, received: bytes) -> bytes:
+        if request.pdu[0] == 6 and received[7:10] == request.pdu[:3]:
+            return received[7:]
+        return genuine(request, received)
+
+    modbus_link.reply_pdu = lenient
+
+
+def written_later(server: AdapterServer) -> None:
+    """Keep the writes that failed for want of a connection, and send them before the next read."""
+    tools = server._tools[_WRITE].handler.__self__
+    kept: list[Any] = []
+
+    def keeping(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            try:
+                data: Data = await genuine(call, arguments)
+            except AdapterError as error:
+                if error.code in ("connect_failed", "connection_lost"):
+                    kept.append(arguments)
+                raise
+            return data
+
+        return handler
+
+    def making_up(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            data: Data = await genuine(call, arguments)
+            while kept:
+                late = kept.pop()
+                await tools.write_register(call, late)
+            return data
+
+        return handler
+
+    each(_WRITE, change=keeping)(server)
+    each("read_multiple_holding_registers", change=making_up)(server)
+
+
+def emulated_mask_write(server: AdapterServer) -> None:
+    tools = server._tools[_MASK].handler.__self__
+
+    def emulated(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            (old,) = await tools._holding(call, arguments, arguments.address, 1)
+            and_mask, or_mask = arguments.and_mask, arguments.or_mask
+            await tools._write_block(
+                call, arguments, arguments.address, [(old & and_mask) | (or_mask & ~and_mask & 0xFFFF)]
+            )
+            return {"address": arguments.address, "and_mask": and_mask, "or_mask": or_mask}
+
+        return handler
+
+    each(_MASK, change=emulated)(server)
+
+
+def clamping_ignored(server: AdapterServer) -> None:
+    def asked(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            data: Data = await genuine(call, arguments)
+            return {**{name: value for name, value in data.items() if name != "clamped"}, "value": arguments.value}
+
+        return handler
+
+    each("write_opcua_node", change=asked)(server)
+
+
+def _mutant(id: str, protocol: str, sentence: str, bend: Bend, items: str, requirements: str, **more: Any) -> Mutant:
+    return Mutant(
+        id=id,
+        protocol=protocol,
+        sentence=sentence,
+        bend=bend,
+        items=items,
+        requirements=requirements,
+        areas="wr",
+        **more,
+    )
+
+
+MUTANTS: tuple[Mutant, ...] = (
+    _mutant(
+        "MU-02w",
+        "modbus",
+        "Blocks are written one register further.",
+        next_block,
+        "WR-001.modbus WR-002.modbus WR-008.modbus",
+        "WR-001 WR-002",
+    ),
+    _mutant(
+        "MU-05w", "modbus", "Whatever unit is asked for, it is unit 1.", always_unit_1, "WR-002.modbus", "WR-001 WR-002"
+    ),
+    _mutant(
+        "MU-14w",
+        "modbus",
+        "A write succeeds, and nothing is sent.",
+        write_not_sent,
+        "WR-001.modbus WR-002.modbus WR-003.modbus WR-004.modbus WR-005.modbus WR-009.modbus WR-010.modbus",
+        "WR-001 WR-009",
+    ),
+    _mutant(
+        "MU-14c",
+        "modbus",
+        "A coil is told as switched, and nothing is sent.",
+        coil_not_sent,
+        "WR-001.modbus WR-002.modbus WR-004.modbus WR-009.modbus",
+        "WR-001 WR-009",
+    ),
+    _mutant(
+        "MU-14o",
+        "opcua",
+        "A Write succeeds, and nothing is sent.",
+        node_not_written,
+        "WR-001.opcua WR-002.opcua WR-003.opcua WR-004.opcua WR-005.opcua WR-010.opcua",
+        "OUA-001 WR-001 WR-012",
+    ),
+    _mutant(
+        "MU-15w",
+        "modbus",
+        "A write succeeds, nothing is sent, and it is read back from memory.",
+        write_only_remembered,
+        "WR-001.modbus WR-002.modbus WR-003.modbus WR-004.modbus WR-005.modbus WR-009.modbus WR-010.modbus",
+        "WR-001 WR-009",
+    ),
+    _mutant("MU-16", "modbus", "The device confirms anything, and nobody minds.", any_echo, "WR-009.modbus", "WR-009"),
+    _mutant(
+        "MU-16v",
+        "modbus",
+        "The device confirms another value than the one that was written, and nobody minds.",
+        any_value_echoed,
+        "WR-009.modbus",
+        "WR-009",
+    ),
+    _mutant(
+        "MU-17",
+        "opcua",
+        "The server cuts a value off and says so, and nobody is told.",
+        clamping_ignored,
+        "",
+        "WR-012",
+    ),
+    _mutant(
+        "MU-18", "modbus", "With writes disabled a mask write is sent.", unguarded(_MASK), "WR-004.modbus", "WR-004"
+    ),
+    _mutant(
+        "MU-18c",
+        "modbus",
+        "With writes disabled coils are switched.",
+        unguarded(_COIL, "write_coils_bulk"),
+        "WR-004.modbus",
+        "WR-004",
+    ),
+    _mutant(
+        "MU-18t", "modbus", "With writes disabled a tag is written.", unguarded("write_tag"), "WR-004.modbus", "WR-004"
+    ),
+    _mutant(
+        "MU-19w",
+        "opcua",
+        "With writes disabled a method is called.",
+        unguarded("call_opcua_method"),
+        "WR-004.opcua",
+        "WR-004",
+    ),
+    _mutant(
+        "MU-79w",
+        "mqtt",
+        "With writes disabled commands to devices are sent.",
+        unguarded("publish_device_command"),
+        "WR-004.mqtt",
+        "WR-004",
+    ),
+    _mutant(
+        "MU-20w",
+        "modbus",
+        "With writes disabled the write is sent, and then denied.",
+        denied_after_sending,
+        "WR-004.modbus WR-005.modbus",
+        "WR-004 WR-005",
+    ),
+    _mutant(
+        "MU-21w",
+        "modbus",
+        "Writes are enabled unless they are switched off.",
+        enabled_by_default("MODBUS_WRITES_ENABLED"),
+        "WR-004.modbus WR-005.modbus",
+        "WR-004",
+    ),
+    _mutant(
+        "MU-21c",
+        "modbus",
+        "Any word in the write switch enables writes.",
+        enabled_by_any_word,
+        "WR-005.modbus",
+        "WR-005",
+    ),
+    _mutant(
+        "MU-25",
+        "modbus",
+        "A write without an answer is sent again.",
+        sent_again("timeout", "connection_lost", names=(_WRITE,)),
+        "WR-003.modbus",
+        "WR-003",
+    ),
+    _mutant(
+        "MU-25l",
+        "modbus",
+        "A write whose answer is late is sent again.",
+        impatient_and_sent_again,
+        "WR-003.modbus",
+        "WR-003",
+    ),
+    _mutant(
+        "MU-25o",
+        "opcua",
+        "A Write without an answer is sent again.",
+        sent_again("timeout", "connection_lost", names=("write_opcua_node",)),
+        "WR-003.opcua",
+        "WR-003",
+    ),
+    _mutant(
+        "MU-25q",
+        "mqtt",
+        "A publish without an acknowledgement is sent again as a new message.",
+        sent_again("timeout", "connection_lost", names=("publish_message",)),
+        "WR-003.mqtt",
+        "WR-003",
+    ),
+    _mutant("MU-27", "modbus", "A long block is written in parts.", split_blocks, "WR-008.modbus", "ERR-006 WR-008"),
+    _mutant(
+        "MU-27c",
+        "modbus",
+        "Of a block that is too long a part is written.",
+        too_long_a_block,
+        "WR-008.modbus",
+        "ERR-006 WR-008",
+    ),
+    _mutant("MU-28", "modbus", "A mask write is a read and a write.", emulated_mask_write, "WR-011.modbus", "WR-011"),
+    _mutant(
+        "MU-29m",
+        "modbus",
+        "A register write that failed is made up for after the outage.",
+        written_later,
+        "WR-003.modbus WR-010.modbus",
+        "WR-003 WR-010",
+    ),
+    _mutant(
+        "MU-29q",
+        "mqtt",
+        "A publish that failed is made up for after the outage.",
+        made_up_for,
+        "WR-003.mqtt WR-010.mqtt",
+        "WR-003 WR-010",
+    ),
+)

@@ -1,0 +1,60 @@
+"""All defective adapters by id."""
+
+from __future__ import annotations
+
+from . import any_protocol, areas, claims, life, modbus, mqtt, opcua, refusals, s7, sparkplug
+from .mutant import Mutant, number
+
+__all__ = ["MUTANTS", "REPRESENTATIVE", "SAMPLE"]
+
+_ALL = (
+    *modbus.MUTANTS,
+    *mqtt.MUTANTS,
+    *sparkplug.MUTANTS,
+    *opcua.MUTANTS,
+    *any_protocol.MUTANTS,
+    *claims.MUTANTS,
+    *life.MUTANTS,
+    *refusals.MUTANTS,
+    *areas.MUTANTS,
+    *s7.MUTANTS,
+)
+
+MUTANTS: dict[str, Mutant] = {mutant.id: mutant for mutant in sorted(_ALL, key=lambda one: number(one.id))}
+"""In the order of the catalogue."""
+
+assert len(MUTANTS) == len(_ALL), "an id is there twice"
+
+
+def _first_of_their_kind() -> frozenset[str]:
+    """Return the ids of the first defects that the requirement suite notices for each row and each defect of the catalogue."""
+    seen: set[str] = set()
+    found = []
+    for mutant in MUTANTS.values():
+        if not mutant.areas:
+            continue
+        kinds = {mutant.catalogue_id, *(name.partition(".")[0] for name in mutant.items.split())}
+        if not kinds <= seen:
+            found.append(mutant.id)
+        seen |= kinds
+    return frozenset(found)
+
+
+REPRESENTATIVE = _first_of_their_kind()
+"""Defects of the requirement suite that are run with the long tests: for each row and each defect of the catalogue one at least."""
+
+
+def _one_for_each_area() -> frozenset[str]:
+    """Return the ids of the quick defects, and of the first defect of each area of which none is quick."""
+    quick = [mutant for mutant in MUTANTS.values() if mutant.quick]
+    seen = {mutant.areas for mutant in quick}
+    found = {mutant.id for mutant in quick}
+    for mutant in MUTANTS.values():
+        if mutant.areas not in seen:
+            seen.add(mutant.areas)
+            found.add(mutant.id)
+    return frozenset(found)
+
+
+SAMPLE = _one_for_each_area()
+"""What ``otmcp self-check`` runs unless it is asked for more: some defects of the benchmark and one at least of each area."""
