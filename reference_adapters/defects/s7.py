@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import Any
 
-from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
-from pytest_otmcp.reference_adapters.s7 import tools
-
-from tests.soundness.defective import Handler, wrap
-
+from ..core import AdapterError, AdapterServer, Call
 from .any_protocol import guard_after_sending
-from .mutant import Data, Mutant, each
+from .mutant import Data, Handler, Mutant, each, wrap
 
 __all__ = ["MUTANTS"]
 
 _READ, _WRITE, _MARKER = "read_db_typed", "write_db", "write_marker"
 
 
+def _tools() -> Any:
+    """Return the adapter's module; its library is an extra, and the table of the defects is read without it."""
+    return import_module("..s7.tools", __package__)
+
+
 def little_endian(server: AdapterServer) -> None:
     """Swap the bytes of every INT and DINT, in reads and writes alike."""
+    tools = _tools()
     encode, decode = tools.encode, tools.decode
 
     def swapped(content: bytes, kind: str) -> bytes:
@@ -30,6 +33,7 @@ def little_endian(server: AdapterServer) -> None:
 
 def cut_off(server: AdapterServer) -> None:
     """Write the lower half of a number that is too large."""
+    tools = _tools()
     encode = tools.encode
 
     def fitting(value: Any, kind: Any, *rest: Any) -> bytes:
@@ -46,7 +50,7 @@ def write_not_sent(server: AdapterServer) -> None:
                 "start": arguments.start_offset,
                 "type": arguments.data_type,
                 "value": arguments.value,
-                "raw": tools.encode(arguments.value, arguments.data_type).hex(),
+                "raw": _tools().encode(arguments.value, arguments.data_type).hex(),
             }
 
         return write
@@ -91,7 +95,7 @@ def refused_is_zero(server: AdapterServer) -> None:
                 if error.code != "access_denied":
                     raise
                 call.trace.clear()
-                data = {"start": arguments.start_offset, **tools.decode(bytes(2), "INT")}
+                data = {"start": arguments.start_offset, **_tools().decode(bytes(2), "INT")}
             return data
 
         return handler
