@@ -14,6 +14,7 @@ from .plugin.fixtures.device_handles import (
 from .plugin.fixtures.modbus_handles import AsyncModbusDevice, ModbusDevice, ModbusEntry
 from .plugin.fixtures.mqtt_handles import AsyncBroker, Broker, MqttEntry
 from .plugin.fixtures.opcua_handles import AsyncOpcUaPlant, OpcUaEntry, OpcUaPlant
+from .plugin.fixtures.s7_handles import AsyncS7Device, S7Device, S7Entry
 
 __all__ = [
     "AnyDevice",
@@ -23,6 +24,7 @@ __all__ = [
     "AsyncDevice",
     "AsyncModbusDevice",
     "AsyncOpcUaPlant",
+    "AsyncS7Device",
     "BacnetDevice",
     "BacnetEntry",
     "Broker",
@@ -34,6 +36,8 @@ __all__ = [
     "MqttEntry",
     "OpcUaEntry",
     "OpcUaPlant",
+    "S7Device",
+    "S7Entry",
     "SubjectError",
     "UsageError",
 ]

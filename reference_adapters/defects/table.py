@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from . import any_protocol, areas, bacnet, claims, life, modbus, mqtt, opcua, refusals, sparkplug
+from . import any_protocol, areas, bacnet, claims, life, modbus, mqtt, opcua, refusals, s7, sparkplug
 from .mutant import Mutant, number
 
 __all__ = ["MUTANTS", "REPRESENTATIVE", "SAMPLE"]
@@ -18,6 +18,7 @@ _ALL = (
     *life.MUTANTS,
     *refusals.MUTANTS,
     *areas.MUTANTS,
+    *s7.MUTANTS,
 )
 
 MUTANTS: dict[str, Mutant] = {mutant.id: mutant for mutant in sorted(_ALL, key=lambda one: number(one.id))}

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-__all__ = ["BACNET", "CASES", "MODBUS", "MODBUS_TAGS", "MQTT", "OPCUA", "Case", "Unfit"]
+__all__ = ["BACNET", "CASES", "MODBUS", "MODBUS_TAGS", "MQTT", "OPCUA", "S7", "S7_TAGS", "Case", "Unfit"]
 
 Tools = Mapping[str, Mapping[str, Any]]
 Fields = Mapping[str, Any]
@@ -424,4 +424,118 @@ OPCUA = Case(
     farewell=("CloseSession", "CloseSecureChannel", "DISCONNECTED"),
 )
 
-CASES = (MODBUS, MQTT, OPCUA)
+# -- S7comm ------------------------------------------------------------------------------------------------------
+
+S7_TAGS: dict[str, dict[str, Any]] = {
+    "valve": {"db": 10, "start": 0, "type": "INT", "unit": "%", "writable": True},
+    "rate": {"db": 10, "start": 8, "type": "REAL", "writable": True},
+    "manual": {"area": "M", "start": 3, "bit": 5, "type": "BOOL", "writable": True},
+    "temperature": {"db": 1, "start": 16, "type": "REAL", "unit": "degC"},
+}
+_VALVE = {"db_number": 10, "start_offset": 0, "data_type": "INT"}
+_S7_SERVICES = {"ping": "szl"}
+
+
+def _s7_settings(port: int, name: str, folder: Path) -> dict[str, str]:
+    tags = folder / "tags.json"
+    tags.write_text(json.dumps(S7_TAGS))
+    return {"S7_HOST": "127.0.0.1", "S7_PORT": str(port), "S7_TAG_MAP": str(tags), "S7_CONTROL_ENABLED": "true"}
+
+
+def _refused_value(data_type: str, value: object, code: str) -> Unfit:
+    arguments = {"db_number": 10, "start_offset": 0, "data_type": data_type, "value": value}
+    return Unfit("write_db", arguments, code, in_tool=True)
+
+
+S7 = Case(
+    protocol="s7",
+    settings=_s7_settings,
+    prefix="S7",
+    reads={
+        "ping": {},
+        "get_connection_status": {},
+        "read_plc_info": {},
+        "read_cpu_state": {},
+        "read_system_time": {},
+        "read_szl": {"szl_id": 0x0424},
+        "read_db": {"db_number": 1, "start_offset": 0, "size": 20},
+        "read_db_typed": _VALVE,
+        "read_input": {"start_byte": 0, "size": 1},
+        "read_output": {"start_byte": 0, "size": 1},
+        "read_marker": {"start_byte": 3, "size": 1},
+        "read_multiple_vars": {
+            "variables": [
+                {"area": "DB", "db_number": 1, "start_byte": 16, "data_type": "REAL"},
+                {"area": "Q", "start_byte": 0, "data_type": "BOOL"},
+            ]
+        },
+        "list_tags": {},
+        "read_tag": {"name": "valve"},
+    },
+    silent=frozenset({"list_tags"}),
+    writes={
+        "write_db": {**_VALVE, "value": 7},
+        "write_output": {"start_byte": 0, "data_type": "BOOL", "value": False},
+        "write_marker": {"start_byte": 3, "bit_index": 5, "data_type": "BOOL", "value": True},
+        "write_multiple_vars": {
+            "variables": [
+                {"area": "DB", "db_number": 10, "start_byte": 2, "data_type": "BYTE", "value": 7},
+                {"area": "M", "start_byte": 3, "bit_index": 5, "data_type": "BOOL", "value": True},
+            ]
+        },
+        "write_tag": {"name": "rate", "value": 12.5},
+        "set_cpu_state": {"state": "STOP"},
+    },
+    probe="ping",
+    write="write_db",
+    answered=("write_db", "write_output", "write_marker", "write_multiple_vars", "write_tag"),
+    requests=lambda tool: {"kind": "request", "service": _S7_SERVICES.get(tool, "write")},
+    rules=lambda tool: {"service": _S7_SERVICES.get(tool, "write")},
+    image=("areas", "cpu"),
+    unfit=(
+        _refused_value("INT", 70000, "range_overflow"),
+        _refused_value("UINT", -1, "range_overflow"),
+        _refused_value("INT", 40.7, "type_mismatch"),
+        _refused_value("INT", True, "type_mismatch"),
+        _refused_value("BOOL", 1, "type_mismatch"),
+        _refused_value("REAL", "abc", "type_mismatch"),
+        _refused_value("REAL", 1e39, "range_overflow"),
+        _refused_value("CHAR", "ab", "type_mismatch"),
+        _refused_value("CHAR", "\u20ac", "type_mismatch"),
+        _refused_value("STRING", "x" * 255, "limit_exceeded"),
+        Unfit("write_db", {**_VALVE, "value": [1]}, "invalid_input"),
+        Unfit("write_db", {**_VALVE, "value": None}, "invalid_input"),
+        Unfit("write_db", {**_VALVE, "value": 1, "bit_index": 1}, "invalid_input"),
+        Unfit("write_db", {**_VALVE, "value": 1, "string_length": 5}, "invalid_input"),
+        Unfit("write_db", {**_VALVE, "value": 1, "db_number": 0}, "invalid_input"),
+        Unfit("write_db", {**_VALVE, "value": 1, "start_offset": -1}, "invalid_input"),
+        Unfit("write_db", {**_VALVE, "value": 1, "data_type": "int"}, "invalid_input"),
+        Unfit("write_db", {**_VALVE, "value": 1, "rack": 1}, "invalid_input"),
+        Unfit("write_output", {"start_byte": 0, "value": "x", "data_type": "STRING"}, "unsupported_operation"),
+        Unfit("set_cpu_state", {"state": "HALT"}, "invalid_input"),
+        Unfit("read_db", {"db_number": 1, "start_offset": 0, "size": 463}, "limit_exceeded"),
+        Unfit("read_db", {"db_number": 1, "start_offset": 0, "size": 0}, "invalid_input"),
+        Unfit("read_multiple_vars", {"variables": []}, "invalid_input"),
+        Unfit(
+            "read_multiple_vars",
+            {"variables": [{"area": "M", "start_byte": 0, "data_type": "INT"}] * 21},
+            "limit_exceeded",
+        ),
+        Unfit(
+            "read_multiple_vars", {"variables": [{"area": "DB", "start_byte": 0, "data_type": "INT"}]}, "invalid_input"
+        ),
+    ),
+    bad_settings=(
+        ("S7_PORT", "many"),
+        ("S7_SLOT", "32"),
+        ("S7_RACK", "-1"),
+        ("S7_TIMEOUT_S", "nan"),
+        ("S7_DEADLINE_S", "-1"),
+        ("S7_TAG_MAP", "/does/not/exist.json"),
+    ),
+    unknown_host={"S7_HOST": "no-such-host.invalid"},
+    farewell=("DISCONNECTED",),
+    concurrent=False,
+)
+
+CASES = (MODBUS, MQTT, OPCUA, S7)

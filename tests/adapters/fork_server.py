@@ -30,7 +30,15 @@ from typing import Any, NoReturn
 STEP_S = 25.0
 """Seconds: more than an adapter's time-out for an exchange, less than its deadline and half a watchdog's period."""
 
-_PRELOADED = ("core.run", "core.stdio", "bacnet.adapter", "modbus.adapter", "mqtt.adapter", "opcua.adapter")
+_PRELOADED = (
+    "core.run",
+    "core.stdio",
+    "bacnet.adapter",
+    "modbus.adapter",
+    "mqtt.adapter",
+    "opcua.adapter",
+    "s7.adapter",
+)
 
 
 class _Clock:

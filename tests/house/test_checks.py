@@ -24,6 +24,7 @@ def test_every_check_is_about_one_row_that_is_judged() -> None:
 # A further protocol earns no level yet: not every rule of one has a check on it.
 @pytest.mark.parametrize("protocol", [key for key in OWN if protocols()[key].always])
 def test_every_rule_of_a_level_has_a_check_on_the_protocol(protocol: str) -> None:
+    """A further protocol without some of them has no adapter that earns the level, which is what a missing check is worth."""
     needed = [
         row.id for row in catalogue().needs(Level.SILVER, protocol) if row.not_yet is None and row.strength == "MUST"
     ]

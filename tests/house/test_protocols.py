@@ -88,12 +88,20 @@ def test_every_extra_and_colour_is_told_apart() -> None:
 
 
 def test_the_packages_that_a_record_states_are_what_the_project_depends_on() -> None:
+    """A protocol that is part of every run is a dependency; a further one is an extra of its name, and of development."""
     project = tomllib.loads((CHECKOUT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    dependencies = {text.partition(">")[0] for text in project["dependencies"]}
     extras = project["optional-dependencies"]
-    for protocol in (protocols()[key] for key in OWN):
-        extra = {text.partition(">")[0] for text in extras.get(protocol.key, ())}
-        assert set(protocol.packages) <= (dependencies if protocol.always else extra), protocol.key
+    for key in OWN:
+        packages = set(protocols()[key].packages)
+        if protocols()[key].always:
+            assert packages <= _names(project["dependencies"])
+        else:
+            assert packages == _names(extras.get(key, []))
+            assert packages <= _names(extras["dev"])
+
+
+def _names(requirements: list[str]) -> set[str]:
+    return {text.partition(">")[0] for text in requirements}
 
 
 def test_every_protocol_s_data_is_shipped(protocol: OtProtocol) -> None:

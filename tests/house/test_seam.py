@@ -20,7 +20,8 @@ KIT = Path(pytest_otmcp.__file__).parent
 OTHER_ROOMS = ("conformance", "mocks", "reference_adapters")
 """Folders of their own in the checkout that lie in the kit's folder in a wheel."""
 
-NAME = re.compile(r"modbus|mqtt|opc[ _-]?ua|opc\.tcp|sparkplug", re.IGNORECASE)
+NAME = re.compile(r"modbus|mqtt|opc[ _-]?ua|opc\.tcp|sparkplug|snap7|(?-i:(?<![a-z])s7)", re.IGNORECASE)
+"""``S7`` in capital letters is also the id of an item, and ``S7comm`` one of the further protocols that the paper lists."""
 
 LISTS = {"protocols/own.py", "devices.py"}
 

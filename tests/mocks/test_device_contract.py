@@ -25,6 +25,7 @@ from mock_program import PATIENCE_S, MockProgram, RefusedError
 from mqtt_tools import connect_bytes, frame, utf8
 from pytest_otmcp.mocks.journal import JournalEntry
 from pytest_otmcp.mocks.packages import built_in
+from s7_tools import RawS7, item
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 
@@ -117,6 +118,23 @@ class OpcUaClient:
 
     async def close(self) -> None:
         await self._client.disconnect()
+
+
+class S7ContractClient:
+    """A client for the S7 controller, whose requests are one read and one write of a byte."""
+
+    async def open(self, program: MockProgram) -> None:
+        self._raw = RawS7()
+        await self._raw.open(program)
+
+    async def read(self) -> None:
+        await self._raw.read(item(0x84, 10, 0))
+
+    async def write(self) -> None:
+        await self._raw.write(item(0x84, 10, 50), 4, 8, "07")
+
+    async def close(self) -> None:
+        await self._raw.close()
 
 
 class Answers(asyncio.DatagramProtocol):
@@ -290,6 +308,26 @@ CASES = {
                 {"action": {"drop": True}, "times": "often"},
                 "cannot have 'often' as 'times': expected an integer from 0",
             ),
+        ],
+    ),
+    "s7": Case(
+        client=S7ContractClient,
+        asked_by_reading="request",
+        asked_by_writing="request",
+        written=("DB10.DBB50", 7),
+        poke={"area": "DB10", "byte": 51, "data": "08"},
+        poked=("DB10.DBB51", 8),
+        wrong_pokes=[
+            ({}, "the poke lacks 'data'"),
+            ({"area": "DB99", "byte": 0, "data": "00"}, "unknown area 'DB99'"),
+            ({"area": "DB10", "byte": "0", "data": "00"}, "it has 0..63"),
+            ({"area": "DB10", "byte": 0, "data": [0]}, "hexadecimal digits, found [0]"),
+        ],
+        fault={"service": "read", "action": {"error": 0x8104}},
+        wrong_rules=[
+            ({"action": {"error": 0}}, "cannot have 0 as 'error': expected an integer from 1 to 65535"),
+            ({"service": "wish", "action": {"drop": True}}, "cannot have 'wish' as 'service'"),
+            ({"action": {"answer_data": "0"}}, "cannot have '0' as 'answer_data'"),
         ],
     ),
     "bacnet": Case(

@@ -18,12 +18,16 @@ from asyncua import ua as untyped_ua
 from paho.mqtt import properties as untyped_properties
 from paho.mqtt.subscribeoptions import SubscribeOptions
 from pymodbus.client import AsyncModbusTcpClient
+from pyS7 import S7Client
+from snap7.async_client import AsyncClient
+from snap7.error import S7Error
 
 from pytest_otmcp.plant.mock_device import MockDevice
 from pytest_otmcp.plant.tap.stream import StreamTap
 from pytest_otmcp.protocols.modbus import oracle as modbus_oracle
 from pytest_otmcp.protocols.mqtt import oracle as mqtt_oracle
 from pytest_otmcp.protocols.registry import protocols
+from pytest_otmcp.protocols.s7.decoder import contradiction as s7_contradiction
 
 from ..feeding import fed
 
@@ -98,6 +102,43 @@ async def test_pymodbus_and_the_mock_agree_with_the_modbus_witness() -> None:
     assert len(ours) == 20
     assert ours == others
     assert modbus_oracle.exception_sent(mine, 2) == []
+
+
+async def test_two_s7_clients_and_the_mock_agree_with_the_s7_witness() -> None:
+    async with tapped("s7") as (device, tap):
+        refused = AsyncClient()
+        with pytest.raises(S7Error):
+            await refused.connect("127.0.0.1", 0, 2, tap.port)
+        client = AsyncClient()
+        await client.connect("127.0.0.1", 0, 1, tap.port)
+        await client.db_read(1, 0, 20)
+        await client.db_write(10, 0, bytearray(b"\0\x2a\7"))
+        await client.get_plc_datetime()
+        await client.get_cpu_info()
+        await client.plc_stop()
+        with pytest.raises(S7Error):
+            await client.db_read(99, 0, 1)
+        with pytest.raises(S7Error):
+            await client.get_cpu_state()
+        await client.disconnect()
+
+        def other() -> None:
+            with S7Client("127.0.0.1", 0, 1, port=tap.port) as peer:
+                peer.read(["DB1,R0", "Q0.0", "DB10,B1", "DB10,I2"])
+                peer.write(["M3.5", "DB10,B17", "DB10,R8"], [True, 9, 2.5])
+                peer.get_cpu_status()
+
+        await asyncio.to_thread(other)
+        await tap.journal.wait(0, {"kind": "DISCONNECTED"}, 3, 60.0)
+        assert len(await device.wait(0, {"kind": "DISCONNECTED"}, count=3, timeout_s=60.0)) == 3
+        mine, theirs = tap.journal.since(0), (await device.journal(0)).entries
+    for direction in ("in", "out"):
+        ours, others = (
+            [entry for entry in comparable(entries) if entry["direction"] == direction] for entries in (mine, theirs)
+        )
+        assert len(ours) == (15 if direction == "out" else 16)
+        assert ours == others
+    assert [s7_contradiction(entry) for entry in mine] == [None] * len(mine)
 
 
 def _paho(protocol: int, port: int, connected: asyncio.Event) -> Any:

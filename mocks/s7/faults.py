@@ -1,0 +1,127 @@
+"""The fault plan of the S7 controller: which request gets which fault."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from ..fault_rules import FLAG, SKIP, Field, Plan, Table, integer, number, one_of
+from ..network import AT_ONCE, MANNERS, Manner
+
+__all__ = ["TABLE", "FaultPlan", "Rule"]
+
+_HEX = re.compile("(?:[0-9a-f]{2}){0,400}")
+TABLE = Table(
+    conditions={
+        "service": one_of("setup", "read", "write", "control", "stop", "szl", "clock", "set_clock", "other"),
+        "db": integer(0, 0xFFFF),
+        "byte": integer(0, 0xFFFF),
+        "skip": SKIP,
+    },
+    actions={
+        "error": integer(1, 0xFFFF),
+        "return_code": integer(0, 0xFE),
+        "delay_s": number(0, 3600),
+        "drop": FLAG,
+        "garbage": FLAG,
+        "truncate": integer(0, 1024),
+        "close": FLAG,
+        "reset": FLAG,
+        "ack_only": FLAG,
+        "reference": integer(-0xFFFF, 0xFFFF),
+        "answer_reference": integer(0, 0xFFFF),
+        "answer_function": integer(0, 0xFF),
+        "answer_count": integer(0, 0xFF),
+        "answer_data": Field(
+            accepts=lambda value: isinstance(value, str) and bool(_HEX.fullmatch(value)),
+            expected="at most 400 bytes as hexadecimal digits",
+        ),
+        "data_length": integer(-4000, 4000),
+        "length": integer(-1000, 1000),
+        **MANNERS,
+    },
+    example="{'drop': true}",
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rule:
+    """One rule: conditions (None matches everything), how often it applies, and what happens.
+
+    Attributes:
+        service: what the request asks for; ``db`` and ``byte`` are those of its first variable.
+        skip: so many requests that fit pass first.
+        times: applied at most this often, None without limit.
+        action: the action as it was given, for the journal.
+        error: not executed; class and code of the answer's header, or the error of user data.
+        return_code: not executed; the code of every variable, or of user data.
+        delay_s: answer this many seconds later; later requests are not delayed by it.
+        drop: execute, but do not answer.
+        garbage: execute, answer with bytes that are no TPKT.
+        truncate: send only this many bytes of the answer.
+        close, reset: execute, then close the connection, or reset it.
+        ack_only: acknowledge a write or a control without doing it.
+        reference: added to the PDU reference of the answer.
+        answer_reference: PDU reference of the answer.
+        answer_function, answer_count: of the answer's parameters.
+        answer_data: bytes that a successful read answers with for each variable, however many were asked for; also for user data.
+        data_length: added to the length of each variable that a read answers with; its bytes stay.
+        length: added to the length of the TPKT; the bytes stay.
+        manner: how the answer travels, see :class:`~..network.Manner`.
+    """
+
+    service: str | None = None
+    db: int | None = None
+    byte: int | None = None
+    skip: int = 0
+    times: int | None = None
+    action: Mapping[str, Any] = field(default_factory=dict)
+    error: int | None = None
+    return_code: int | None = None
+    delay_s: float = 0.0
+    drop: bool = False
+    garbage: bool = False
+    truncate: int | None = None
+    close: bool = False
+    reset: bool = False
+    ack_only: bool = False
+    reference: int = 0
+    answer_reference: int | None = None
+    answer_function: int | None = None
+    answer_count: int | None = None
+    answer_data: bytes | None = None
+    data_length: int = 0
+    length: int = 0
+    manner: Manner = AT_ONCE
+
+
+class FaultPlan(Plan[Rule]):
+    """The plan that the rules of the control channel make.
+
+    Raises:
+        ValueError: a rule is not understood.
+    """
+
+    def __init__(self, rules: list[dict[str, Any]]) -> None:
+        super().__init__([_read(rule) for rule in rules])
+
+    def match(self, request: Mapping[str, Any]) -> Rule | None:
+        """Return the rule that applies to this request, if any; count it."""
+        first: Mapping[str, Any] = next(iter(request.get("items", ())), {})
+        return self.first(
+            # The agreement on a PDU belongs to connecting: only a rule that names it is about it.
+            lambda rule: (
+                (rule.service == request["service"] or (rule.service is None and request["service"] != "setup"))
+                and rule.db in (None, first.get("db"))
+                and rule.byte in (None, first.get("byte"))
+            )
+        )
+
+
+def _read(source: Mapping[str, Any]) -> Rule:
+    values = TABLE.read(source)
+    if "answer_data" in values:
+        values["answer_data"] = bytes.fromhex(values["answer_data"])
+    return Rule(action=dict(source["action"]), manner=Manner.of(values), **values)

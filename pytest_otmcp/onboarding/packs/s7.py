@@ -1,0 +1,117 @@
+"""Words and experiments for tools that speak S7comm."""
+
+from __future__ import annotations
+
+import re
+
+from ...protocols.journal import Entries
+from ...protocols.s7 import oracle
+from ...protocols.s7.entries import as_s7, describe
+from ..experimenter import Experimenter
+from ..guess import Guess
+from ..pack import Hints, Pack
+from ..proposal import Proposal
+from ..status import reach
+
+__all__ = ["PACK"]
+
+_BLOCK, _MISSING_BLOCK = 10, 99
+_PLACE = 44
+_VALUES = range(2000, 0x8000)
+"""Values that cannot be mistaken for an offset, a size or a default."""
+
+
+async def _read_db(experimenter: Experimenter, guess: Guess) -> Proposal:
+    content = experimenter.random.randbytes(6)
+    await experimenter.device.poke(area=f"DB{_BLOCK}", byte=_PLACE, data=content.hex())
+    shown = await experimenter.call(guess, {}, db=_BLOCK, start=_PLACE, size=len(content))
+    proven = oracle.reached(shown.entries, db=_BLOCK, start=_PLACE, size=len(content))
+    proposal = experimenter.propose(guess, shown, proven=proven, seen=_seen(shown.entries))
+    experimenter.locate(proposal, "values", list(content))
+    return proposal
+
+
+async def _read_typed(experimenter: Experimenter, guess: Guess) -> Proposal:
+    value = experimenter.random.choice(_VALUES)
+    await experimenter.device.poke(area=f"DB{_BLOCK}", byte=_PLACE, data=value.to_bytes(2, "big").hex())
+    shown = await experimenter.call(guess, {}, db=_BLOCK, start=_PLACE, type="INT")
+    proven = oracle.reached(shown.entries, db=_BLOCK, start=_PLACE, size=2)
+    proposal = experimenter.propose(guess, shown, proven=proven, seen=_seen(shown.entries))
+    experimenter.locate(proposal, "value", value)
+    if proven:
+        await experimenter.provoke(proposal, "illegal_address", db=_MISSING_BLOCK, start=0, type="INT")
+    return proposal
+
+
+async def _write_db(experimenter: Experimenter, guess: Guess) -> Proposal:
+    value = experimenter.random.choice(_VALUES)
+    shown = await experimenter.call(guess, {}, db=_BLOCK, start=_PLACE, type="INT", value=value)
+    written = value.to_bytes(2, "big")
+    proven = not oracle.exactly_one_write(shown.entries, db=_BLOCK, start=_PLACE, written=written)
+    proposal = experimenter.propose(guess, shown, proven=proven, seen=_seen(shown.entries))
+    if proven:
+        experimenter.locate_echo(proposal, "value", value)
+        await experimenter.provoke(proposal, "range_overflow", db=_BLOCK, start=_PLACE, type="INT", value=70000)
+    return proposal
+
+
+def _seen(entries: Entries) -> str:
+    """Say which requests came; nothing when there were none."""
+    asked = [entry for entry in entries if as_s7(entry)["kind"] == "request"]
+    return "; ".join(dict.fromkeys(map(describe, asked)))
+
+
+def _plain(words: str, names: str) -> Hints:
+    """Return the hints for a voluntary operation, which is proposed for tools with such a name alone."""
+    return Hints(likely=words, unlikely="", experiment=None, named=re.compile(names, re.IGNORECASE))
+
+
+PACK = Pack(
+    protocol="s7",
+    operations={
+        "ping": Hints(
+            likely="ping status health connection probe info",
+            unlikely="read write list job template connect disconnect reconnect command tag state time szl",
+            needed="ping status health connection probe info check",
+            experiment=reach,
+        ),
+        "read_db": Hints(
+            likely="read get db data block bytes",
+            unlikely="write set typed input output marker tag szl state time info multiple",
+            needed="read get",
+            experiment=_read_db,
+        ),
+        "read_typed": Hints(
+            likely="read get db typed value",
+            unlikely="write set input output marker tag szl state time info multiple",
+            needed="read get",
+            experiment=_read_typed,
+        ),
+        "write_db": Hints(
+            likely="write set db value",
+            unlikely="read get input output marker tag state time multiple",
+            needed="write set",
+            experiment=_write_db,
+        ),
+        "write_marker": _plain("marker flag bit", r"write_?(marker|flag|memory)_?bit"),
+        "read_cpu_state": _plain("cpu state", r"(read|get)_?(plc|cpu)_?(state|status|mode)"),
+        "set_cpu_state": _plain("cpu state", r"set_?(plc|cpu)_?(state|mode)"),
+    },
+    arguments={
+        "db": "db_number db dbnumber db_num block",
+        "start": "start_offset start offset byte start_byte address byte_offset",
+        "size": "size length count num_bytes",
+        "type": "data_type type datatype dtype",
+        "byte": "start_byte byte byte_offset offset",
+        "bit": "bit_index bit bit_offset",
+        "state": "state mode",
+    },
+    lists=frozenset(),
+    constants={r"^rack$": 0, r"^slot$": 1},
+    names=("s7", "s7comm", "snap7"),
+    errors={
+        "illegal_address": (r"(?i)object does not exist|invalid address|0x0a\b|0x05\b",),
+        "range_overflow": (r"(?i)out of range|does not fit|overflow|must be between|format requires",),
+        "access_denied": (r"(?i)not allowed|access denied|0x8104|function refused",),
+    },
+)

@@ -1,0 +1,1 @@
+"""Classic S7 communication (S7comm): description, operations, decoder and oracles."""
