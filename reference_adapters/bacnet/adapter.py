@@ -24,7 +24,7 @@ def build() -> AdapterServer:
     if priority == MINIMUM_ON_OFF:
         raise ConfigError("BACNET_PRIORITY: 6 is reserved for minimum on and off times")
     aliases = load_aliases(environment.optional("BACNET_ALIAS_MAP"))
-    link = Link(host, port, environment.seconds("BACNET_TIMEOUT_S", 1.0))
+    link = Link(host, port, environment.seconds("BACNET_TIMEOUT_S", 2.0))
     server = AdapterServer(
         name="bacnet-reference",
         version="0.1.0",

@@ -90,7 +90,7 @@ class Link:
 
     Args:
         host, port: where devices are asked who they are.
-        timeout_s: seconds to wait for the answer to one transmission.
+        timeout_s: seconds to wait for an answer, over all transmissions of the request.
     """
 
     def __init__(self, host: str, port: int, timeout_s: float) -> None:
@@ -117,7 +117,9 @@ class Link:
         Raises:
             AdapterError: silence, a refusal, or an answer that cannot be read.
         """
-        return await self._exchange(call, device, make, [self._timeout_s] * _TRANSMISSIONS, changes_state=False)
+        return await self._exchange(
+            call, device, make, [self._timeout_s / _TRANSMISSIONS] * _TRANSMISSIONS, changes_state=False
+        )
 
     async def command(self, call: Call, device: int, make: Callable[[Address], ConfirmedRequestPDU]) -> Any:
         """Send a write, once, and return its acknowledgement.
@@ -125,7 +127,7 @@ class Link:
         Raises:
             AdapterError: see :meth:`ask`; after silence only the device knows whether it was executed.
         """
-        return await self._exchange(call, device, make, [self._timeout_s * _TRANSMISSIONS], changes_state=True)
+        return await self._exchange(call, device, make, [self._timeout_s], changes_state=True)
 
     async def _exchange(
         self,
@@ -191,7 +193,7 @@ class Link:
 
         for _ in range(_TRANSMISSIONS):
             try:
-                async with asyncio.timeout(self._timeout_s):
+                async with asyncio.timeout(self._timeout_s / _TRANSMISSIONS):
                     await self._who_is(call, heard, lambda: asyncio.shield(found), device)
                 break
             except TimeoutError:
@@ -241,7 +243,7 @@ class Link:
     def _silence(self, call: Call, what: str = "the device did not answer") -> AdapterError:
         self._answers = False
         call.disconnected()
-        return AdapterError("timeout", f"{what} within {self._timeout_s * _TRANSMISSIONS:g} s")
+        return AdapterError("timeout", f"{what} within {self._timeout_s:g} s")
 
     async def _opened(self) -> tuple[_Client, Address]:
         async with self._opening:

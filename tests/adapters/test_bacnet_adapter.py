@@ -36,7 +36,7 @@ def adapter(rig: Any) -> Any:
 @pytest.fixture(scope="module")
 def hasty(rig: Any) -> Any:
     """An adapter that does not wait long for an answer that does not come."""
-    return rig.start("hasty", writes="true", BACNET_TIMEOUT_S="0.3")
+    return rig.start("hasty", writes="true", BACNET_TIMEOUT_S="0.6")
 
 
 @pytest.fixture(autouse=True)

@@ -217,7 +217,10 @@ async def test_a_mock_can_take_the_port_of_one_that_just_ended(
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["profinet"], "there is no mock 'profinet'; there are modbus, mqtt, opcua, sparkplug, and modules by their"),
+        (
+            ["profinet"],
+            "there is no mock 'profinet'; there are bacnet, modbus, mqtt, opcua, s7, sparkplug, and modules by their",
+        ),
         (["thirdparty.profinet"], "thirdparty.profinet cannot be imported: No module named 'thirdparty.profinet'"),
         (["thirdparty.nothing"], "thirdparty.nothing offers no mock: it lacks ENDPOINTS, warm, create"),
         (["thirdparty.terminal", "--port", "1502"], "--port: thirdparty.terminal serves on a pseudo terminal"),

@@ -247,8 +247,8 @@ OBJECTIONABLE: list[tuple[Change, str]] = [
     ),
     (lambda run: run["footer"].pop("tool_calls"), "the record does not count its tool calls"),
     (
-        lambda run: run["subject"]["adapters"].update(bacnet=adapter("acme-bacnet", "2026-07-28")),
-        "adapter 'bacnet' is none that the kit knows",
+        lambda run: run["subject"]["adapters"].update(ethercat=adapter("acme-ethercat", "2026-07-28")),
+        "adapter 'ethercat' is none that the kit knows",
     ),
     (
         lambda run: by_id(run, "M2").update(started_at="2026-11-20T07:03:43.000Z"),
