@@ -28,8 +28,9 @@ def section() -> str:
 
 
 def _row(launch: Launch) -> str:
-    operations = [name for name, one in protocols()[launch.protocol].operations.items() if not one.voluntary]
     found = {**launch.proven, **launch.unfilled}
+    known = protocols()[launch.protocol].operations
+    operations = [name for name, one in known.items() if not one.voluntary or name in found]
     shown = ", ".join(f"{name} by `{found[name]}`" for name in operations if name in found)
     neither = ", ".join(name for name in operations if name not in found)
     cells = (

@@ -370,7 +370,7 @@ FORGERIES: dict[str, tuple[str, Change]] = {
     ),
     "an item that overlaps another": (
         "M2: it began before the item before it had ended",
-        lambda run: item(run, "M2").update(began_ns=item(run, "M1")["began_ns"]),
+        lambda run: item(run, "M2").update(began_ns=item(run, "M1")["ended_ns"] - 10**6),
     ),
     "an item that goes on after its end": (
         "M2: it went on until",

@@ -213,8 +213,14 @@ def test_a_replaced_function_of_the_kit_is_on_record(repository: Repository, con
             "36 of 38 items were taken out by -k [M1] or [Q1]: M2, M3, M4, Q2, Q3, Q4 and 30 more",
         ),
         (("-m", "otmcp_stress and not otmcp_modbus"), "by -m otmcp_stress and not otmcp_modbus: "),
-        (("--otmcp-suite=normal", "-k", "[M1]"), "only the suite normal was asked for (--otmcp-suite)"),
-        (("--otmcp-time-scale=2", "-k", "[M1]"), "multiplied by 2 (--otmcp-time-scale)"),
+        pytest.param(
+            ("--otmcp-suite=normal", "-k", "[M1]"),
+            "only the suite normal was asked for (--otmcp-suite)",
+            marks=pytest.mark.long,
+        ),
+        pytest.param(
+            ("--otmcp-time-scale=2", "-k", "[M1]"), "multiplied by 2 (--otmcp-time-scale)", marks=pytest.mark.long
+        ),
         (
             ("--pyargs", "pytest_otmcp.conformance.test_normal", "-k", "[M1]"),
             "22 of 38 items were not collected: pytest was asked for",

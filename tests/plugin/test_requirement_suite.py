@@ -11,6 +11,7 @@ from .vendor import Repository
 SUITE = ("--pyargs", "pytest_otmcp.conformance")
 
 
+@pytest.mark.long
 def test_one_row_runs_on_every_protocol_and_is_judged_again(
     empty_repository: Repository, capsys: pytest.CaptureFixture[str]
 ) -> None:

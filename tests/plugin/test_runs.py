@@ -136,7 +136,7 @@ def all_end(processes: list[psutil.Process]) -> bool:
     return not psutil.wait_procs(processes, timeout=PATIENCE_S)[1]
 
 
-ENDINGS = ["SIGINT", "SIGTERM", pytest.param("SIGHUP", marks=pytest.mark.long)]
+ENDINGS = ["SIGINT", *(pytest.param(name, marks=pytest.mark.long) for name in ("SIGTERM", "SIGHUP"))]
 """The signals that ask a run to end: Ctrl-C, ``docker stop``, a closed terminal."""
 
 

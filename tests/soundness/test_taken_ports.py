@@ -11,12 +11,13 @@ from pytest_otmcp.plant.device import Device
 from pytest_otmcp.plant.devices import Plant
 from pytest_otmcp.replay.rejudge import rejudge
 from pytest_otmcp.session.loop import LoopThread
+from pytest_otmcp.soundness.judging import measured
+from pytest_otmcp.soundness.warm_start import WarmStart
 from pytest_otmcp.subject import Subject, reference_subject
 from pytest_otmcp.suite.catalogue import tasks_by_id
 from pytest_otmcp.trial.adapter_under_test import BenchOptions
 from pytest_otmcp.trial.bench import Bench
-from tests.trials import as_read, measured, recorded
-from tests.warm_start import WarmStart
+from tests.trials import as_read, recorded
 
 from .conftest import Results
 

@@ -71,6 +71,7 @@ def record(tmp_path: Path) -> Any:
     return json.loads((tmp_path / "reports/latest/run.json").read_text(encoding="utf-8"))
 
 
+@pytest.mark.long
 def test_toys_are_collected_run_witnessed_recorded_reported_and_judged_again(run: Run, tmp_path: Path) -> None:
     subject(tmp_path)
     done = run("pytest", "--otmcp-reps=3", "-p", "no:cacheprovider")

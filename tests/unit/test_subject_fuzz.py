@@ -119,7 +119,7 @@ def original(which: str) -> dict[str, Any]:
     return tomllib.loads(FOREIGN if which == "foreign" else reference)
 
 
-@pytest.mark.parametrize("which", ["reference", "foreign"])
+@pytest.mark.parametrize("which", [pytest.param("reference", marks=pytest.mark.long), "foreign"])
 def test_anything_is_understood_or_refused_in_one_sentence(
     which: str, load: Callable[[dict[str, Any]], tuple[Subject | None, str]]
 ) -> None:
