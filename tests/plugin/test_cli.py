@@ -66,7 +66,7 @@ def test_help_names_every_command_and_imports_nothing_heavy(tmp_path: Path) -> N
         (["certify", "--out", "broken.toml"], "broken.toml"),
         (["verify", "nowhere.json", "nowhere.json"], "nowhere.json: there is no such file"),
         (["report", "nowhere.json"], "nowhere.json: there is no such file"),
-        (["mock", "bacnet"], "invalid choice: 'bacnet'"),
+        (["mock", "ethercat"], "invalid choice: 'ethercat'"),
         (["mock", "modbus", "--port", "70000"], "--port: expected 0 to 65535, found '70000'"),
         (["mock", "modbus", "--port", "many"], "--port: expected 0 to 65535, found 'many'"),
     ],
