@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from importlib.util import find_spec
@@ -64,7 +64,7 @@ def is_shipped(path: Path) -> bool:
     return _is_root(path)
 
 
-def task_of(item: pytest.Item) -> Task | None:
+def task_of(item: pytest.Item | pytest.Collector) -> Task | None:
     """Return the task of an item that is a conformance item, or claims to be one; None for any other item."""
     callspec = getattr(item, "callspec", None)
     task = callspec.params.get("task") if callspec is not None else None
@@ -74,7 +74,13 @@ def task_of(item: pytest.Item) -> Task | None:
 
 
 class ShippedModule(pytest.Module):
-    """Module of the shipped suite; ``python_functions`` and ``python_classes`` do not apply to it."""
+    """Module of the shipped suite; ``python_functions`` and ``python_classes`` do not apply to it.
+
+    Attributes:
+        required: returns the ids of the tasks that the run must have.
+    """
+
+    required: Callable[[], Collection[str]]
 
     def funcnamefilter(self, name: str) -> bool:
         return name.startswith("test_")
@@ -90,7 +96,10 @@ class ShippedModule(pytest.Module):
                 protocols()
             except UsageError as error:
                 pytest.exit(str(error), returncode=2)
-            return list(super().collect())
+            found = list(super().collect())
+            required = self.required()
+        # Items on a protocol that the run is not about are not collected: pytest counts what is.
+        return [one for one in found if (task := task_of(one)) is None or task.id in required]
 
 
 def is_needed(path: Path, suites: Collection[str]) -> bool:

@@ -10,8 +10,9 @@ import json
 import time
 from collections.abc import Generator, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -44,6 +45,7 @@ from .fixtures.definitions import (
 )
 from .options import add_options, read_settings
 from .parallel import UNFINISHED, ended, untaken
+from .selected import refuse, required_tasks, select_adapters
 from .stash import ENDINGS, INTERFERENCE, PLANNED, PROGRESS, RECORDER, RESULT, RUN, SETTINGS, STARTED
 
 if TYPE_CHECKING:
@@ -106,15 +108,10 @@ def pytest_configure(config: pytest.Config) -> None:
     try:
         config.stash[SETTINGS] = read_settings(config)
     except UsageError as error:
-        _refuse(error)
+        refuse(error)
     default_to_suite(config)
     if (named := names_unasked_requirements(config, config.stash[SETTINGS].suites)) is not None:
-        _refuse(UsageError(f"{named}: the requirement suite runs when it is asked for: --otmcp-suite={REQUIREMENTS}"))
-
-
-def _refuse(error: UsageError) -> NoReturn:
-    """End the run with one sentence and exit code 2."""
-    pytest.exit(one_line(str(error)), returncode=2)
+        refuse(UsageError(f"{named}: the requirement suite runs when it is asked for: --otmcp-suite={REQUIREMENTS}"))
 
 
 def _is_worker(config: pytest.Config) -> bool:
@@ -126,23 +123,13 @@ def _worker(config: pytest.Config) -> str | None:
     return str(config.workerinput["workerid"]) if hasattr(config, "workerinput") else None
 
 
-def _select_adapters(config: pytest.Config) -> Selection:
-    from ..subject.reference import select
-
-    settings = config.stash[SETTINGS]
-    try:
-        return select(settings.subject, settings.protocols)
-    except UsageError as error:
-        _refuse(error)
-
-
 def pytest_sessionstart(session: pytest.Session) -> None:
     config = session.config
     if not _is_worker(config):
         config.pluginmanager.register(_ResultReceiver(config))
         if config.getoption("dist", "no") != "no" and asks_for_suite(config):
             # An error in the subject file is reported once here, instead of by each of the workers that start later.
-            _select_adapters(config)
+            select_adapters(config)
 
 
 def pytest_report_header(config: pytest.Config) -> str | None:
@@ -163,7 +150,11 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> pytest.Module | None:
-    return ShippedModule.from_parent(parent, path=module_path) if is_shipped(module_path) else None
+    if not is_shipped(module_path):
+        return None
+    module: ShippedModule = ShippedModule.from_parent(parent, path=module_path)
+    module.required = partial(required_tasks, parent.config)
+    return module
 
 
 @pytest.hookimpl(wrapper=True)
@@ -185,7 +176,7 @@ def pytest_collection_modifyitems(
     from .interference import Interference
 
     with ignore_warnings():
-        required = list(_required_tasks(config))
+        required = list(required_tasks(config))
     _check_rows(config.stash[SETTINGS].only)
     tasks = _drop_unrequired_items(items, required)
     interference = config.stash[INTERFERENCE] = Interference(config)
@@ -219,14 +210,14 @@ def _check_rows(asked: tuple[str, ...]) -> None:
         if name in known:
             continue
         if name in requirements():
-            _refuse(
+            refuse(
                 UsageError(
                     f"--otmcp-only: {name} has no check of its own; otmcp explain {name} says where it is judged"
                 )
             )
         near = difflib.get_close_matches(name.upper(), sorted(known), 1)
         hint = f"did you mean {near[0]}?" if near else "'otmcp docs checks' lists them"
-        _refuse(UsageError(f"--otmcp-only: there is no row or check {name!r}; {hint}"))
+        refuse(UsageError(f"--otmcp-only: there is no row or check {name!r}; {hint}"))
 
 
 def _mark_items(tasks: dict[pytest.Item, Task]) -> None:
@@ -249,17 +240,6 @@ def _sort_in_suite_order(items: list[pytest.Item], tasks: dict[pytest.Item, Task
     where they are. An item may be in the list twice."""
     ordered = iter(sorted((item for item in items if item in tasks), key=lambda item: required.index(tasks[item].id)))
     items[:] = [next(ordered) if item in tasks else item for item in items]
-
-
-def _required_tasks(config: pytest.Config) -> dict[str, Task]:
-    """Return the tasks that a run with this subject must have, by id."""
-    from ..protocols.registry import protocols
-    from ..suite.catalogue import tasks_by_id
-
-    suites = config.stash[SETTINGS].suites
-    if all(protocol.always for protocol in protocols().values()):
-        return tasks_by_id(suites=suites)
-    return tasks_by_id(_select_adapters(config).subject.adapters, suites)
 
 
 def _task_ids(items: list[pytest.Item]) -> list[str]:
@@ -287,7 +267,7 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     interference.check_execution_plan(config.stash.get(PLANNED, []), _task_ids(session.items))
     with ignore_warnings():
         interference.note(*changed_files())
-        selection = _select_adapters(config)
+        selection = select_adapters(config)
         run = config.stash[RUN] = Run(config.stash[SETTINGS], selection.subject, tasks, worker=_worker(config))
         if not _is_worker(config):
             _begin_recording(config, selection, tasks, workers=0)
@@ -309,13 +289,13 @@ def _begin_recording(config: pytest.Config, selection: Selection, tasks: list[Ta
         config.stash[RECORDER] = RunRecorder(
             settings,
             selection,
-            required=list(_required_tasks(config)),
+            required=list(required_tasks(config)),
             narrowed=interference.sentences,
             workers=workers,
             begun=config.stash[STARTED],
         )
     except UsageError as error:
-        _refuse(error)
+        refuse(error)
     config.add_cleanup(config.stash[RECORDER].close)
     config.stash[PROGRESS] = Progress(config, tasks, settings.repetitions, workers=workers)
 
@@ -348,12 +328,12 @@ def pytest_xdist_node_collection_finished(node: Any, ids: list[str]) -> None:
     if not (shipped or asks_for_suite(config)):
         return
     with ignore_warnings():
-        known = _required_tasks(config)
+        known = required_tasks(config)
         planned = [
             known[name] for identifier in shipped if (name := identifier.rpartition("[")[2].rstrip("]")) in known
         ]
         workers = config.getoption("numprocesses") or 1
-        _begin_recording(config, _select_adapters(config), planned, workers=workers)
+        _begin_recording(config, select_adapters(config), planned, workers=workers)
 
 
 # -- execution ----------------------------------------------------------------------------------------------------

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 if TYPE_CHECKING:
+    from ..subject.reference import Selection
     from .controller import RunRecorder
     from .endings import Endings
     from .interference import Interference
@@ -23,12 +24,16 @@ __all__ = [
     "RECORDER",
     "RESULT",
     "RUN",
+    "SELECTION",
     "SETTINGS",
     "STARTED",
 ]
 
 SETTINGS: pytest.StashKey[RunSettings] = pytest.StashKey()
 """On the config: the checked settings."""
+
+SELECTION: pytest.StashKey[Selection] = pytest.StashKey()
+"""On the config: the adapters that the run measures, once they were asked for."""
 
 STARTED: pytest.StashKey[float] = pytest.StashKey()
 """On the config: monotonic time at which the session began."""

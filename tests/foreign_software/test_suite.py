@@ -6,12 +6,12 @@ import os
 import subprocess
 import sys
 from collections.abc import Mapping
-from importlib import resources
 from pathlib import Path
 
 import pytest
 
 from pytest_otmcp.record import load
+from tests.reference_text import reference_text
 
 from .conftest import mock, running_mosquitto
 
@@ -55,7 +55,7 @@ def test_the_whole_suite_passes_with_a_mock_as_a_broker_of_the_users_own(tmp_pat
 
 
 def test_the_whole_suite_passes_with_all_three_adapters_over_http(tmp_path: Path) -> None:
-    shipped = resources.files("pytest_otmcp.subject").joinpath("reference.toml").read_text()
+    shipped = reference_text()
     tables = shipped.count("[adapter.") // 2
     over_http = (
         shipped.replace("{kit_version}", "1")

@@ -8,12 +8,12 @@ import socket
 import subprocess
 import sys
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from pytest_otmcp.record import load
 from pytest_otmcp.soundness.warm_start import WarmStart
+from tests.reference_text import reference_text
 
 __all__ = ["PATIENCE_S", "WAITING", "Outcome", "Repository", "port_of"]
 
@@ -104,8 +104,8 @@ class Repository:
         self.write(otmcp_toml=_ADAPTER.format(command=command) + more)
 
     def reference_subject(self) -> None:
-        """Write an ``otmcp.toml`` for the reference adapters of all protocols."""
-        text = (resources.files("pytest_otmcp.subject") / "reference.toml").read_text(encoding="utf-8")
+        """Write an ``otmcp.toml`` for the reference adapters that every run has."""
+        text = reference_text()
         started, warm = '["{python}", ', json.dumps(self._warm_start.python)[:-1] + ", "
         assert started in text
         self.write(otmcp_toml=text.replace(started, warm))

@@ -14,6 +14,7 @@ from pytest_otmcp.plant.device import Device
 from pytest_otmcp.plant.devices import Plant
 from pytest_otmcp.protocols.oracle import state_changing
 from pytest_otmcp.protocols.own import OWN
+from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.replay.rejudge import rejudge
 from pytest_otmcp.session.loop import LoopThread
 from pytest_otmcp.soundness.judging import measured
@@ -26,9 +27,18 @@ from tests.trials import as_read, recorded
 
 from .conftest import HERE, SUBJECTS, Results
 
-WRITING = {"modbus": "M3 M4 FM2 S4", "mqtt": "Q3 Q4 FQ1", "opcua": "O3 FO2 S6"}
-OUTAGE = {"modbus": "S10", "mqtt": "S11", "opcua": "S12"}
-READING = {"modbus": "M2", "mqtt": "Q1", "opcua": "O1"}
+WRITING = {
+    "modbus": "M3 M4 FM2 S4",
+    "mqtt": "Q3 Q4 FQ1",
+    "opcua": "O3 FO2 S6",
+    "s7": "K3 K4 FK3 SK2",
+    "bacnet": "B3 B4 FB3 SB2",
+}
+GUARDED = ("M4", "K4", "B4")
+"""Items about the variant with writes disabled alone."""
+
+OUTAGE = {"modbus": "S10", "mqtt": "S11", "opcua": "S12", "s7": "SK4"}
+READING = {"modbus": "M2", "mqtt": "Q1", "opcua": "O1", "s7": "K2", "bacnet": "B2"}
 
 Elsewhere = Callable[[str], Device]
 
@@ -64,7 +74,8 @@ def address(device: Device) -> str:
 async def run_items(subject: Subject, plant: Plant, names: str) -> Results:
     bench = Bench(subject, BenchOptions(), plant)
     try:
-        results = {name: await measured(bench, tasks_by_id()[name]) for name in names.split()}
+        tasks = tasks_by_id(subject.adapters)
+        results = {name: await measured(bench, tasks[name]) for name in names.split()}
         record = recorded(bench, results.values())
     finally:
         await bench.close()
@@ -120,15 +131,15 @@ def test_an_adapter_that_talks_to_the_plant_is_never_told_to_write(
         assert results[name]["status"] == "FAIL"
         assert [call for sample in results[name]["samples"] for call in sample["calls"] if call["role"] == "task"] == []
         # The session with writes disabled is another one, with a device of its own.
-        assert results[name]["findings"][0]["cause"] == (None if name == "M4" else first)
+        assert results[name]["findings"][0]["cause"] == (None if name in GUARDED else first)
 
 
 def reference_scheme(protocol: str) -> str:
-    return {"modbus": "modbus+tcp", "mqtt": "mqtt", "opcua": "opc.tcp"}[protocol]
+    return protocols()[protocol].scheme
 
 
 @pytest.mark.parametrize(
-    "protocol", [pytest.param(name, marks=() if name == "mqtt" else pytest.mark.long) for name in OWN]
+    "protocol", [pytest.param(name, marks=() if name == "mqtt" else pytest.mark.long) for name in OUTAGE]
 )
 def test_an_adapter_that_goes_over_to_the_plant_in_an_outage_is_not_told_to_write_there(
     loop: LoopThread, plant: Plant, elsewhere: Elsewhere, warm_start: WarmStart, protocol: str
@@ -156,10 +167,12 @@ def test_an_adapter_that_goes_over_to_the_plant_in_an_outage_is_not_told_to_writ
 
 @pytest.mark.parametrize("protocol", OWN)
 def test_a_write_that_is_not_given_the_address_that_reads_are_given_is_refused(tmp_path: Path, protocol: str) -> None:
-    read, write = {
-        "modbus": ("read_holding", "write_holding"),
-        "mqtt": ("info", "publish"),
-        "opcua": ("variables", "write"),
+    read, write, results = {
+        "modbus": ("read_holding", "write_holding", "values = 'a'"),
+        "mqtt": ("info", "publish", ""),
+        "opcua": ("variables", "write", "node_ids = 'a'"),
+        "s7": ("read_db", "write_db", "values = 'a'"),
+        "bacnet": ("read", "write", "value = 'a'"),
     }[protocol]
     text = f"""
 [subject]
@@ -171,7 +184,7 @@ answer = "json"
 [adapter.{protocol}.bind.{read}]
 tool = "read"
 arguments = {{ where = "{{url}}" }}
-result = {{ {"node_ids = 'a'" if protocol == "opcua" else "values = 'a'" if protocol == "modbus" else ""} }}
+result = {{ {results} }}
 [adapter.{protocol}.bind.{write}]
 tool = "write"
 arguments = {{ PLACE }}
