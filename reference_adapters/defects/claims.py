@@ -89,7 +89,7 @@ MUTANTS = (
         protocol="modbus",
         sentence="attempts is always 1.",
         bend=meta(one_attempt),
-        items="M4 FM2",
+        items="M4 FM1 FM2",
         requirements="ENV-005",
     ),
     Mutant(

@@ -171,7 +171,7 @@ MUTANTS: tuple[Mutant, ...] = (
         protocol="mqtt",
         sentence="attempts is twice the number of requests.",
         bend=meta(counts_twice),
-        items=on("mqtt", "ENV-002 ENV-003 ENV-004 ENV-005 ENV-007"),
+        items=on("mqtt", "ENV-001 ENV-002 ENV-003 ENV-004 ENV-005 ENV-006 ENV-007 ENV-008"),
         requirements="ENV-005",
         areas="env",
     ),
