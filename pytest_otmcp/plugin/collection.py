@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -76,11 +76,13 @@ def task_of(item: pytest.Item | pytest.Collector) -> Task | None:
 class ShippedModule(pytest.Module):
     """Module of the shipped suite; ``python_functions`` and ``python_classes`` do not apply to it.
 
-    Attributes:
+    Args:
         required: returns the ids of the tasks that the run must have.
     """
 
-    required: Callable[[], Collection[str]]
+    def __init__(self, *, required: Callable[[], Collection[str]], **arguments: Any) -> None:
+        super().__init__(**arguments)
+        self.required = required
 
     def funcnamefilter(self, name: str) -> bool:
         return name.startswith("test_")

@@ -150,11 +150,11 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> pytest.Module | None:
-    if not is_shipped(module_path):
-        return None
-    module: ShippedModule = ShippedModule.from_parent(parent, path=module_path)
-    module.required = partial(required_tasks, parent.config)
-    return module
+    return _shipped_module(parent, module_path) if is_shipped(module_path) else None
+
+
+def _shipped_module(parent: pytest.Collector, path: Path) -> ShippedModule:
+    return ShippedModule.from_parent(parent, path=path, required=partial(required_tasks, parent.config))
 
 
 @pytest.hookimpl(wrapper=True)
@@ -163,7 +163,7 @@ def pytest_collect_file(
 ) -> Generator[None, list[pytest.Collector], list[pytest.Collector]]:
     found = yield
     if not found and is_shipped(file_path):
-        return [ShippedModule.from_parent(parent, path=file_path)]
+        return [_shipped_module(parent, file_path)]
     return found
 
 
