@@ -196,7 +196,7 @@ def a_run(seed: int) -> list[dict[str, Any]]:
     return items
 
 
-SEEDS = range(60)
+SEEDS = range(30)
 
 
 def test_the_runs_at_random_earn_each_level() -> None:

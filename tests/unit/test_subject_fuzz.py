@@ -125,7 +125,7 @@ def test_anything_is_understood_or_refused_in_one_sentence(
 ) -> None:
     document = original(which)
     understood = 0
-    for seed in range(1500):
+    for seed in range(700):
         subject, refusal = load(mutated(document, random.Random(seed)))
         if subject is None:
             assert "\n" not in refusal
@@ -138,7 +138,7 @@ def test_anything_is_understood_or_refused_in_one_sentence(
             for variant in adapter.variants.values():
                 variant.for_endpoint({"host": "127.0.0.1", "port": "1"})
     # Some documents are understood and some are not: otherwise the mutations, or the reader, would be worth little.
-    assert 50 < understood < 1400
+    assert 50 < understood < 650
 
 
 BY_KIT_ALONE = (
@@ -202,7 +202,7 @@ def test_the_editors_schema_and_the_kit_agree(
     validator = jsonschema.Draft202012Validator(schema(protocols()))
     grammar = subject_file(protocols())
     understood, refused = 0, 0
-    for seed in range(400):
+    for seed in range(400 if which == "drawn" else 160):
         choice = random.Random(seed)
         document = drawn(grammar, choice) if which == "drawn" else original(which)
         if which != "drawn" or seed % 2:
