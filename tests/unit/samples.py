@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 from pytest_otmcp.core.matrix import BENCHMARK
 from pytest_otmcp.core.verdict import Status, Verdict, decide
 from pytest_otmcp.record.consistency import count_calls
 from pytest_otmcp.suite.catalogue import all_tasks
+
+_TASKS = cache(all_tasks)
 
 RUN_ID = "7" * 32
 DIGEST = "sha256:" + "0" * 64
@@ -83,11 +86,11 @@ def item(
     return {
         "id": identifier,
         "run_id": RUN_ID,
-        "order": list(all_tasks()).index(identifier) if identifier in all_tasks() else 1000,
+        "order": list(_TASKS()).index(identifier) if identifier in _TASKS() else 1000,
         "suite": suite,
         "family": family,
         "title": title,
-        "capabilities": list(all_tasks()[identifier].capabilities) if identifier in all_tasks() else [],
+        "capabilities": list(_TASKS()[identifier].capabilities) if identifier in _TASKS() else [],
         "requirements": [],
         "status": "FAIL" if failing else "PASS",
         "reason": None,
