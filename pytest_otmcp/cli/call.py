@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
     from ..session.loop import LoopThread
 
     subject = subject_or_reference(args.subject)
-    adapter = _adapter(subject, args.operation, args.protocol)
+    adapter = _adapter(subject, args.operation, args.protocol, args.inputs)
     inputs = _inputs(args.operation, protocols()[adapter.protocol].operations[args.operation], args.inputs)
     _check_filling(adapter, args.operation, inputs)
     loop = LoopThread()
@@ -88,8 +88,8 @@ def run(args: argparse.Namespace) -> int:
 # -- what is asked ----------------------------------------------------------------------------------------------
 
 
-def _adapter(subject: Subject, operation: str, protocol: str | None) -> Adapter:
-    """Return the adapter that the operation is for.
+def _adapter(subject: Subject, operation: str, protocol: str | None, words: Sequence[str]) -> Adapter:
+    """Return the adapter that the operation is for; of several the one whose operation has the inputs that are written.
 
     Raises:
         UsageError: there is none, or more than one.
@@ -101,9 +101,11 @@ def _adapter(subject: Subject, operation: str, protocol: str | None) -> Adapter:
     if not able:
         known = {name for key in asked for name in protocols()[key].operations}
         raise UsageError(describe_unknown("operation", operation, known))
-    if len(able) > 1:
-        raise UsageError(f"{operation}: {' and '.join(able)} have it; say which by --protocol")
-    return subject.adapters[able[0]]
+    named = {word.partition("=")[0] for word in words}
+    fitting = [key for key in able if named <= {*protocols()[key].operations[operation].accepted}] or able
+    if len(fitting) > 1:
+        raise UsageError(f"{operation}: {' and '.join(fitting)} have it; say which by --protocol")
+    return subject.adapters[fitting[0]]
 
 
 def _inputs(name: str, operation: Operation, words: Sequence[str]) -> dict[str, object]:
