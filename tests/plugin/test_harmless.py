@@ -12,7 +12,6 @@ import pytest
 
 from pytest_otmcp.plant.mock_device import MockDevice
 from pytest_otmcp.protocols.oracle import state_changing
-from pytest_otmcp.protocols.own import OWN
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.session.loop import LoopThread
 from pytest_otmcp.soundness.warm_start import WarmStart
@@ -73,7 +72,7 @@ class Elsewhere:
         self._loop.run(self._device.close())
 
 
-@pytest.fixture(params=[pytest.param(name, marks=() if name == "mqtt" else pytest.mark.long) for name in OWN])
+@pytest.fixture(params=[pytest.param(name, marks=() if name == "mqtt" else pytest.mark.long) for name in WRITES])
 def protocol(request: pytest.FixtureRequest) -> str:
     found: str = request.param
     return found
