@@ -134,6 +134,7 @@ class OpcUaDevice(Device):
         self._state.limits = Limits()
         self._state.subscribe("normal")
         self._state.network.become("open")
+        await self._state.close_abandoned_sessions()
         await self._advertise()
         await self._extra_nodes.clear()
         await self._namespaces.put_before([])

@@ -31,7 +31,7 @@ class Limits:
     methods_per_call: int = 100
     references_per_node: int = 0
     continuation_points: int = 10
-    sessions: int = 1000
+    sessions: int = 100
 
     def changed(self, source: Mapping[str, Any]) -> Limits:
         """Return these limits, with those in ``source`` replaced.

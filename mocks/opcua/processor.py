@@ -53,6 +53,7 @@ class _Processor(UaProcessor):  # type: ignore[misc]
         self._device = device
         self._number = number
         self._late: set[asyncio.Task[None]] = set()
+        device.connections.add(self)
 
     def open_secure_channel(self, algohdr: Any, seqhdr: Any, body: Buffer) -> None:
         Exchange(self._device, self._number, "OpenSecureChannel", 0).asked()
@@ -138,6 +139,7 @@ class _Processor(UaProcessor):  # type: ignore[misc]
             self._device.journal.append(connection=self._number, direction="out", kind="Publish", nodes=nodes)
 
     async def close(self) -> None:
+        self._device.connections.discard(self)
         for task in list(self._late):
             task.cancel()
         await super().close()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Protocol
 
 from asyncua import ua
 from asyncua.server.internal_session import InternalSession
@@ -20,6 +21,12 @@ SUBSCRIPTIONS = ("normal", "stale", "silent")
 """What subscriptions send: everything; messages without data, as if nothing changed; nothing, until they are something else again."""
 
 
+class Connection(Protocol):
+    """A connection, and the session that its last requests were about."""
+
+    session: InternalSession | None
+
+
 @dataclass(slots=True, kw_only=True)
 class DeviceState:
     """The state of one device.
@@ -32,6 +39,7 @@ class DeviceState:
         network: the way between the server and its clients.
         subscriptions: one of :data:`SUBSCRIPTIONS`.
         sessions: the open sessions of clients.
+        connections: the open connections.
         withheld: number of notifications whose values were not sent when they were due, since :meth:`subscribe`.
     """
 
@@ -42,8 +50,19 @@ class DeviceState:
     faults: FaultPlan = field(default_factory=lambda: FaultPlan([]))
     limits: Limits = field(default_factory=Limits)
     sessions: set[InternalSession] = field(default_factory=set)
+    connections: set[Connection] = field(default_factory=set)
     withheld: int = 0
     _held: list[Callable[[], None]] = field(default_factory=list)
+
+    async def close_abandoned_sessions(self) -> None:
+        """Close the sessions that no connection is used for.
+
+        A session with subscriptions outlives its connection until it times out (OPC 10000-4, 6.7), and clients ask for an hour: what
+        adapters have left in earlier items would count against the limit for the next one.
+        """
+        used = {connection.session for connection in self.connections}
+        for session in self.sessions - used:
+            await session.close_session()
 
     def notify(self, message: ua.NotificationMessage, send: Callable[[], None]) -> None:
         """Send a notification, or what the subscriptions make of it."""

@@ -484,6 +484,27 @@ async def test_every_service_is_on_the_journal_in_order(plant: MockProgram, conn
     assert await plant.control.journal(entries[-1]["seq"]) == [entries[-1]]
 
 
+class Silent:
+    """A subscriber to whom it does not matter what it is told."""
+
+    def datachange_notification(self, source: Any, value: Any, data: Any) -> None:
+        pass
+
+
+async def test_a_session_with_subscriptions_outlives_its_connection_until_the_reset(
+    plant: MockProgram, connect: Connect
+) -> None:
+    first, other = await connect(), await connect()
+    await (await first.create_subscription(1000, Silent())).subscribe_data_change(first.get_node(node("FanSpeed")))
+    mark = await plant.control.next()
+    first.disconnect_socket()
+    await plant.control.wait(mark, kind="DISCONNECTED")
+    assert (await plant.control.image())["clients"]["sessions"] == 2
+    await plant.control.ask("reset")
+    assert (await plant.control.image())["clients"]["sessions"] == 1
+    assert await other.get_node(node("FanSpeed")).read_value() == 40.0
+
+
 async def test_sessions_are_counted_and_limited(plant: MockProgram, connect: Connect) -> None:
     await limit(plant, sessions=2)
     first, _ = await connect(), await connect()
