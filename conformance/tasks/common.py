@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from pytest_otmcp.core.finding import Finding
@@ -23,6 +24,7 @@ __all__ = [
     "UNCERTAIN",
     "Witness",
     "a_delay_shows",
+    "a_failed_write_is_not_made_up_for",
     "a_meaningless_switch_enables_nothing",
     "ends_when_its_stdin_closes",
     "fresh",
@@ -52,6 +54,9 @@ TRANSIT_MS = 100.0
 """How much older than it says a cached status may be: the device answered before the adapter had read the answer."""
 
 Witness = Callable[[Entries], list[Finding]]
+
+Asked = tuple[str, Mapping[str, Any]]
+"""An operation and its inputs."""
 
 
 async def survive_a_restart(run: Repetition, rig: Rig, operation: str, **inputs: Any) -> Reply:
@@ -229,6 +234,33 @@ async def start_without_device(run: Repetition, rig: Rig, operation: str, **inpu
     if rig.claims("recovery"):
         attempts = await rig.call_until_success(operation, window_s=rig.recovery_s, **inputs)
         run.succeeds(attempts[-1], requirement="REC-001")
+
+
+async def a_failed_write_is_not_made_up_for(
+    run: Repetition, rig: Rig, nothing_changed: Callable[..., list[Finding]], *, write: Asked, read: Asked
+) -> None:
+    """Write while the device is away, and read when it is back: what was reported as failed must not be sent later.
+
+    Args:
+        nothing_changed: the protocol's oracle ``(journal, requirement=…)`` that no request changes the device.
+        write, read: operations with their inputs.
+    """
+    writing, value = write
+    reading, place = read
+    if not rig.claims(writing):
+        return
+    await rig.prove()
+    await rig.stop_device()
+    reply = await rig.call(writing, **value)
+    run.fails(reply, *CONNECTION_FAULTS, outcome=UNCERTAIN, requirement="WR-001", code_requirement="REC-002")
+    await rig.start_device()
+    # An adapter that answers again has its connection back: a write that it had kept for later would have been sent by now.
+    last = (await rig.call_until_success(reading, window_s=rig.recovery_s, **place))[-1]
+    run.succeeds(last, requirement="REC-001")
+    await rig.stays_quiet(QUIET_S, partial(nothing_changed, requirement="WR-010"))
+    # A further answer shows that adapter and device ran during that time.
+    run.succeeds(await rig.call(reading, **place), requirement="REC-001")
+    run.witnessed(nothing_changed(await rig.journal(), requirement="WR-010"))
 
 
 def milliseconds(begin_ns: int, end_ns: int | None) -> float | None:

@@ -16,13 +16,12 @@ from pytest_otmcp.trial.rig import Rig
 from pytest_otmcp.trial.task import Tasks
 
 from .common import (
-    CONNECTION_FAULTS,
     NOTHING_SENT,
     QUIET_S,
     RAPID_CALLS,
-    UNCERTAIN,
     Witness,
     a_delay_shows,
+    a_failed_write_is_not_made_up_for,
     a_meaningless_switch_enables_nothing,
     ends_when_its_stdin_closes,
     fresh,
@@ -404,20 +403,9 @@ async def a_failed_register_write_is_not_delivered_later(run: Repetition, modbus
     Said: a failure for the write, success for the read.
     Seen: no write: what was reported as failed is not made up for.
     """
-    if not modbus.claims("write_holding"):
-        return
-    await modbus.prove()
-    await modbus.stop_device()
-    reply = await modbus.call("write_holding", address=30, value=run.rng.randrange(1, 0x10000))
-    run.fails(reply, *CONNECTION_FAULTS, outcome=UNCERTAIN, requirement="WR-001", code_requirement="REC-002")
-    await modbus.start_device()
-    # An adapter that answers again has its connection back: a write that it had kept for later would have been sent by now.
-    last = (await modbus.call_until_success("read_input", window_s=modbus.recovery_s, address=0, count=4))[-1]
-    run.succeeds(last, requirement="REC-001")
-    await modbus.stays_quiet(QUIET_S, partial(oracle.no_state_changing_request, requirement="WR-010"))
-    # A further answer shows that adapter and device ran during that time.
-    run.succeeds(await modbus.call("read_input", address=0, count=4), requirement="REC-001")
-    run.witnessed(oracle.no_state_changing_request(await modbus.journal(), requirement="WR-010"))
+    write = ("write_holding", {"address": 30, "value": run.rng.randrange(1, 0x10000)})
+    read = ("read_input", {"address": 0, "count": 4})
+    await a_failed_write_is_not_made_up_for(run, modbus, oracle.no_state_changing_request, write=write, read=read)
 
 
 @TASKS.task(

@@ -15,13 +15,12 @@ from pytest_otmcp.trial.rig import Rig
 from pytest_otmcp.trial.task import Tasks
 
 from .common import (
-    CONNECTION_FAULTS,
     NOTHING_SENT,
     QUIET_S,
     RAPID_CALLS,
-    UNCERTAIN,
     Witness,
     a_delay_shows,
+    a_failed_write_is_not_made_up_for,
     a_meaningless_switch_enables_nothing,
     ends_when_its_stdin_closes,
     fresh,
@@ -396,18 +395,9 @@ async def a_failed_node_write_is_not_delivered_later(run: Repetition, opcua: Rig
     Said: a failure for the write, success for the read.
     Seen: no write: what was reported as failed is not made up for.
     """
-    if not opcua.claims("write"):
-        return
-    await opcua.prove()
-    await opcua.stop_device()
-    reply = await opcua.call("write", node="ns=2;s=FanSpeed", value=round(run.rng.uniform(0.0, 100.0), 6))
-    run.fails(reply, *CONNECTION_FAULTS, outcome=UNCERTAIN, requirement="WR-001", code_requirement="REC-002")
-    await opcua.start_device()
-    read = await opcua.call_until_success("read", window_s=opcua.recovery_s, node="ns=2;s=Temperature")
-    run.succeeds(read[-1], requirement="REC-001")
-    await opcua.stays_quiet(QUIET_S, partial(oracle.no_state_changing_service, requirement="WR-010"))
-    run.succeeds(await opcua.call("read", node="ns=2;s=Temperature"), requirement="REC-001")
-    run.witnessed(oracle.no_state_changing_service(await opcua.journal(), requirement="WR-010"))
+    write = ("write", {"node": "ns=2;s=FanSpeed", "value": round(run.rng.uniform(0.0, 100.0), 6)})
+    read = ("read", {"node": "ns=2;s=Temperature"})
+    await a_failed_write_is_not_made_up_for(run, opcua, oracle.no_state_changing_service, write=write, read=read)
 
 
 @TASKS.task(

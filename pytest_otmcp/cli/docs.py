@@ -23,6 +23,7 @@ def add_parser(subparsers: Any) -> None:
         description="Print a page of the documentation (Markdown); without a name, list the pages.",
     )
     page = parser.add_argument("page", metavar="NAME", nargs="?", help="a page, such as subject-file")
+    # argcomplete asks an argument for its words by this attribute.
     page.completer = lambda **_: list(_pages())  # type: ignore[attr-defined]
     parser.set_defaults(run=run)
 

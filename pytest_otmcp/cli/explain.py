@@ -30,6 +30,7 @@ def add_parser(subparsers: Any) -> None:
         "which source.",
     )
     asked = parser.add_argument("id", metavar="ID", nargs="+", help="an id as reports print it")
+    # argcomplete asks an argument for its words by this attribute.
     asked.completer = _completed  # type: ignore[attr-defined]
     parser.set_defaults(run=run)
 

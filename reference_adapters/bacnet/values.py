@@ -83,10 +83,11 @@ def primitives(value: AnyValue) -> list[Read]:
             message = "the property has constructed data, which this adapter does not read"
             raise AdapterError("unsupported_operation", message)
         try:
-            found.append(_primitive(tag.app_to_object()))
+            decoded = tag.app_to_object()
         except Exception:
-            # The library has no class of its own for what it cannot decode.
+            # The library has no class of its own for what it cannot decode: struct.error, ValueError, DecodingError and more.
             raise AdapterError("protocol_error", "the answer holds a value that cannot be read") from None
+        found.append(_primitive(decoded))
     return found
 
 
