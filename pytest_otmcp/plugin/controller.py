@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from ..protocols.protocol import OtProtocol
     from ..record.schema import AdapterFacts, Counted, Footer, Header, ItemHead, Protocol, Settings
     from ..record.writer import RunWriter
-    from ..subject.reference import Selection
+    from ..subject.selection import Selection
     from .options import RunSettings
     from .results import ItemResult, Measured, WorkerFacts
 

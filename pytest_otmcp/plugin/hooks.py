@@ -49,7 +49,7 @@ from .selected import refuse, required_tasks, select_adapters
 from .stash import ENDINGS, INTERFERENCE, PLANNED, PROGRESS, RECORDER, RESULT, RUN, SETTINGS, STARTED
 
 if TYPE_CHECKING:
-    from ..subject.reference import Selection
+    from ..subject.selection import Selection
     from ..trial.task import Task
     from .controller import RunRecorder
     from .endings import Endings

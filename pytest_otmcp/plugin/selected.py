@@ -11,7 +11,7 @@ from ..core.text import one_line
 from .stash import SELECTION, SETTINGS
 
 if TYPE_CHECKING:
-    from ..subject.reference import Selection
+    from ..subject.selection import Selection
     from ..trial.task import Task
 
 __all__ = ["refuse", "required_tasks", "select_adapters"]
@@ -24,7 +24,7 @@ def refuse(error: UsageError) -> NoReturn:
 
 def select_adapters(config: pytest.Config) -> Selection:
     """Return the adapters of this run; a mistake in the subject file ends it."""
-    from ..subject.reference import select
+    from ..subject.selection import select
 
     if SELECTION not in config.stash:
         settings = config.stash[SETTINGS]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 if TYPE_CHECKING:
-    from ..subject.reference import Selection
+    from ..subject.selection import Selection
     from .controller import RunRecorder
     from .endings import Endings
     from .interference import Interference

@@ -12,7 +12,7 @@ from pytest_otmcp.core.errors import UsageError
 from pytest_otmcp.protocols.protocol import OtProtocol
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.subject import reference_subject
-from pytest_otmcp.subject.reference import ALL, select
+from pytest_otmcp.subject.selection import ALL, select
 
 ALWAYS = [key for key, protocol in protocols().items() if protocol.always]
 
@@ -24,7 +24,7 @@ def registry(monkeypatch: pytest.MonkeyPatch) -> Mapping[str, OtProtocol]:
     first, second, *_ = known
     known[first] = replace(known[first], always=False, packages=("pytest", "otmcp-no-such-library"))
     known[second] = replace(known[second], always=False, packages=("pytest",))
-    monkeypatch.setattr("pytest_otmcp.subject.reference.protocols", lambda: known)
+    monkeypatch.setattr("pytest_otmcp.subject.selection.protocols", lambda: known)
     return known
 
 

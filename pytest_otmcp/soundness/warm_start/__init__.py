@@ -20,7 +20,7 @@ from pathlib import Path
 from ...core.errors import KitError
 from ...plant.owners import TOKEN_VARIABLE, new_token
 from ...subject import Adapter, Subject
-from ...subject.reference import select
+from ...subject.selection import select
 from ..defect import ADAPTERS, DEFECTS
 
 __all__ = ["WarmStart"]
