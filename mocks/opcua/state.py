@@ -58,7 +58,7 @@ class DeviceState:
         """Close the sessions that no connection is used for.
 
         A session with subscriptions outlives its connection until it times out (OPC 10000-4, 6.7), and clients ask for an hour; one
-        whose connection ends in the middle of a message stays for a while as well: a check with a thousand mangled answers left a
+        whose connection ends in the middle of a message stays for a while as well: a check that mangles a hundred answers left a
         hundred. What one item has left must not count against the limit for the next.
         """
         used = {connection.session for connection in self.connections}
