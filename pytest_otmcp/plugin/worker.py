@@ -89,7 +89,7 @@ class Run:
                 self._bench = Bench(self.subject, options, self._plant)
                 if self._worker is None:
                     # The bounds of the verdict need it. While the adapters start, this process only waits.
-                    Thread(target=import_module, args=("scipy.special",), daemon=True).start()
+                    Thread(target=_import_ahead, args=("scipy.special",), daemon=True).start()
                 # A mock that cannot be started is reported by every task that needs it.
                 with suppress(KitError):
                     self._loop.run(self._bench.prepare(wanted, started=self.starting))
@@ -199,3 +199,9 @@ class Run:
                 self._loop.run(self._plant.close())
             self._loop.close()
         self._loop = self._plant = self._bench = None
+
+
+def _import_ahead(module: str) -> None:
+    # What fails here for want of descriptors or memory is tried again, and reported, where the module is needed.
+    with suppress(OSError, ImportError, MemoryError):
+        import_module(module)

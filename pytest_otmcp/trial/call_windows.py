@@ -28,17 +28,21 @@ class CallWindow:
 
     Attributes:
         calls: in the order of their requests.
+        begin_ns: the first request.
         end_ns: the last reply; infinite without one.
         during: entries from the first request to the last reply.
         until_next: entries from the first request to the adapter's next call.
         until_end: entries from the first request to the end of the repetition.
+        following: the adapter's next calls in the repetition; None after the last ones.
     """
 
     calls: tuple[Judged, ...]
+    begin_ns: int
     end_ns: float
     during: Entries
     until_next: Entries
     until_end: Entries
+    following: CallWindow | None
 
 
 def windows(calls: Iterable[Judged], entries: Entries) -> list[CallWindow]:
@@ -53,21 +57,26 @@ def windows(calls: Iterable[Judged], entries: Entries) -> list[CallWindow]:
         groups.setdefault(call.group, []).append(call)
     begins = [group[0].reply.exchange.sent_ns for group in groups.values()]
     times = [entry["t_ns"] for entry in entries]
-    found = []
-    for group, begin, following in zip(groups.values(), begins, [*begins[1:], math.inf], strict=False):
+    found: list[CallWindow] = []
+    # Each window knows the one after it.
+    for group, begin in zip(reversed(groups.values()), reversed(begins), strict=True):
+        following = found[-1] if found else None
         received = [call.reply.exchange.received_ns for call in group]
         end = math.inf if None in received else max(time for time in received if time is not None)
         first = bisect_left(times, begin)
+        until = math.inf if following is None else following.begin_ns
         found.append(
             CallWindow(
                 calls=tuple(group),
+                begin_ns=begin,
                 end_ns=end,
                 during=entries[first : max(first, bisect_right(times, end))],
-                until_next=entries[first : max(first, bisect_left(times, following))],
+                until_next=entries[first : max(first, bisect_left(times, until))],
                 until_end=entries[first:],
+                following=following,
             )
         )
-    return found
+    return found[::-1]
 
 
 def from_adapter(entries: Entries) -> list[Entry]:

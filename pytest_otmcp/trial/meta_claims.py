@@ -106,10 +106,7 @@ def _attempts(
 ) -> Iterator[Finding]:
     sent = from_adapter(seen)
     if attempts > len(sent):
-        # What arrives after the reply and is answered is a request of a later call.
-        known, answered = {entry["seq"] for entry in seen}, {entry["answers"] for entry in window.until_end}
-        late = [entry for entry in window.until_end if entry["t_ns"] <= window.end_ns + LATE_NS]
-        sent += from_adapter([entry for entry in late if entry["seq"] not in known | answered])
+        sent += _late(window, known={entry["seq"] for entry in seen})
     if attempts > len(sent):
         yield Finding(
             code="attempts",
@@ -167,6 +164,34 @@ def _member(trace: Mapping[str, object], path: Sequence[str]) -> object:
     for name in path:
         found = found.get(name) if isinstance(found, Mapping) else None
     return found
+
+
+def _late(window: CallWindow, known: Collection[int]) -> list[JournalEntry]:
+    """Return messages soon after the last reply that may be of these calls, without those whose ``seq`` is known.
+
+    What is answered is a request of a later call, and so are as many messages during a later call as that one says it sent.
+    """
+    until = window.end_ns + LATE_NS
+    answered = {entry["answers"] for entry in window.until_end}
+    late = [
+        entry
+        for entry in from_adapter(window.until_end)
+        if entry["t_ns"] <= until and entry["seq"] not in known and entry["seq"] not in answered
+    ]
+    later = window.following
+    while late and later is not None and later.begin_ns <= until:
+        during = {entry["seq"] for entry in from_adapter(later.during)}
+        spare = max(0, len(during) - sum(map(_stated_attempts, later.calls)))
+        unclaimed = [entry for entry in late if entry["seq"] in during][:spare]
+        late = [entry for entry in late if entry["seq"] not in during] + unclaimed
+        later = later.following
+    return late
+
+
+def _stated_attempts(call: Judged) -> int:
+    meta = (call.reply.envelope or {}).get("meta")
+    attempts = meta.get("attempts") if isinstance(meta, dict) else None
+    return attempts if isinstance(attempts, int) else 0
 
 
 def _latency(window: CallWindow, call: Judged, stated: object, attempts: int) -> Iterator[Finding]:

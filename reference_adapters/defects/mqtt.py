@@ -108,7 +108,8 @@ def equal_topics_only(server: AdapterServer) -> None:
 
 async def heartbeat(server: AdapterServer, call: Call) -> None:
     publish = server._tools[_PUBLISH]
-    await publish.handler(call, publish.model(topic="control/heartbeat", payload="1"))
+    # At QoS 1, so that the broker has it before the reply is sent, and not during the next call.
+    await publish.handler(call, publish.model(topic="control/heartbeat", payload="1", qos=1))
 
 
 def retained(genuine: Handler) -> Handler:
