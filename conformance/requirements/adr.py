@@ -278,28 +278,6 @@ def _wrong(reply: Reply, name: str, wanted: object) -> Finding:
     return Finding(code="wrong_value", message=message, requirement="ADR-005")
 
 
-# -- MQTT -------------------------------------------------------------------------------------------------------------
-
-
-@TASKS.check("ADR-002", "What is no quality of service is refused.", needs="mqtt.subscribe mqtt.publish")
-async def what_is_no_qos_is_refused(run: Repetition, mqtt: Rig) -> None:
-    """Subscribe and publish with a quality of service that there is not; before and after, with one that there is.
-
-    Said: failures with `invalid_input`, `limit_exceeded`, `range_overflow` or `type_mismatch`, and the outcome `not_sent`; success before and after.
-    Seen: nothing that changes the plant.
-    Why: a quality of service that is cut down to fit is another promise than the one that was asked for.
-    """
-    subscribing, publishing = exercise(mqtt).read(run.rng), exercise(mqtt).write(run.rng)
-    await a_read_works(run, mqtt)
-    await a_write_works(run, mqtt)
-    for qos in (-1, 257, 2**31, 1.5, "0x1"):
-        for asked in (subscribing, publishing):
-            if mqtt.accepts_input(asked.operation, "qos"):
-                await _refused(run, mqtt, asked.operation, asked.inputs, "qos", qos)
-    await a_read_works(run, mqtt)
-    await a_write_works(run, mqtt)
-
-
 # -- OPC UA -----------------------------------------------------------------------------------------------------------
 
 
@@ -460,6 +438,30 @@ async def _renumbered(run: Repetition, opcua: Rig) -> None:
 
 
 # -- any protocol -----------------------------------------------------------------------------------------------------
+
+
+@TASKS.every_protocol("ADR-002", "What is outside of an input's domain is refused.", writes=True, having="outside")
+async def what_is_outside_of_a_domain_is_refused(run: Repetition, at: Rig) -> None:
+    """Read and write with addresses, and other inputs that the protocol itself limits, that there cannot be; some are known ones when they
+    are cut down to fit. Before and after, with what there is.
+
+    Said: failures with `invalid_input`, `illegal_address`, `limit_exceeded`, `range_overflow` or `type_mismatch`, and the outcome
+        `not_sent` or `rejected`; success before and after.
+    Seen: nothing that changes the plant.
+    Why: an address that is cut down to fit is another machine.
+    """
+    asks = exercise(at)
+    reading, writing = asks.read(run.rng), asks.write(run.rng)
+    await a_read_works(run, at)
+    await a_write_works(run, at)
+    for name, values in asks.outside.items():
+        for value in values:
+            for asked in (reading, writing):
+                if name in asked.inputs and at.accepts_input(asked.operation, name):
+                    await _refused(run, at, asked.operation, asked.inputs, name, value)
+    await a_read_works(run, at)
+    await a_write_works(run, at)
+
 
 _CHARACTERS = 10_000_000
 

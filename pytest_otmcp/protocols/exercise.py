@@ -13,7 +13,7 @@ from typing import Any
 
 from .journal import Entries, JournalEntry
 
-__all__ = ["Asked", "Exercise", "every_change"]
+__all__ = ["Asked", "Contended", "Exercise", "every_change"]
 
 Poke = Mapping[str, object]
 """What a mock device is told to set out of band."""
@@ -32,6 +32,7 @@ class Asked:
         outputs: what a successful answer has to say.
         pokes: what is set at the mock before the call.
         points: what the device's image holds after a write, by point; empty where the device has no such image.
+        condition: of a fault plan, which the requests of this call meet, and those of calls for something else do not.
     """
 
     operation: str
@@ -39,6 +40,28 @@ class Asked:
     outputs: Mapping[str, Any] = field(default_factory=dict)
     pokes: tuple[Poke, ...] = ()
     points: Mapping[str, object] = field(default_factory=dict)
+    condition: Rule = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Contended:
+    """Writes and a read of one and the same target, for calls at the same time.
+
+    Attributes:
+        old: the value that the target holds before.
+        new: the values that are written, by one write each.
+        pokes: what sets the old value at the mock.
+        read: the call that reads; it has no outputs, since any of the values may be right.
+        output: the output of the read that is the value.
+        writes: the calls that write, in the order of the new values.
+    """
+
+    old: object
+    new: tuple[object, ...]
+    pokes: tuple[Poke, ...]
+    read: Asked
+    output: str
+    writes: tuple[Asked, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,6 +81,17 @@ class Exercise:
         silent: rules with which the device takes every request and never answers.
         reset: rules with which the device resets the connection instead of answering.
         refused: rules with which the device refuses what is read, by an answer of the protocol.
+        write_refused: action of a fault rule with which the device refuses a write, and the code of the failure that this is; None where
+            checks of the protocol's own have it.
+        outside: values that are outside of the protocol's own domain of an input of the read or the write, by input; some are the good
+            value when they are cut down to fit.
+        distinct: makes so many reads, at most 64, of different targets, each with a condition of its own; None where there are none.
+        every_read: makes reads by every operation that reads values, and of every type that has a form of its own; None where there are
+            none.
+        every_write: makes writes by every operation that writes; each changes what the device held before, by one request, and says all
+            points that it changes. None where there are none.
+        contended: makes writes and a read of one target; None where nothing can be read that was written.
+        asks_for: returns what a request that writes asks for, as the values of ``contended`` are; None for another request.
     """
 
     reading: str
@@ -72,6 +106,13 @@ class Exercise:
     silent: tuple[Rule, ...]
     reset: tuple[Rule, ...]
     refused: tuple[Rule, ...]
+    write_refused: tuple[Mapping[str, object], str] | None = None
+    outside: Mapping[str, tuple[object, ...]] = field(default_factory=dict)
+    distinct: Callable[[random.Random, int], tuple[Asked, ...]] | None = None
+    every_read: Callable[[random.Random], tuple[Asked, ...]] | None = None
+    every_write: Callable[[random.Random], tuple[Asked, ...]] | None = None
+    contended: Callable[[random.Random], Contended] | None = None
+    asks_for: Callable[[JournalEntry], object] | None = None
 
 
 def every_change(entries: Entries, asked: Asked) -> list[JournalEntry]:
