@@ -7,13 +7,13 @@ see :class:`Exercise`. A protocol without one has no such checks.
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from .journal import Entries, JournalEntry
 
-__all__ = ["Asked", "Contended", "Exercise", "every_change"]
+__all__ = ["Asked", "Contended", "Exercise", "Texts", "every_change"]
 
 Poke = Mapping[str, object]
 """What a mock device is told to set out of band."""
@@ -65,6 +65,21 @@ class Contended:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Texts:
+    """Reads and writes of a text.
+
+    Attributes:
+        encoding: the characters that the device can hold, as a codec of Python.
+        read: makes a read of a text that is set at the mock before.
+        write: makes a write of a text, with the points that hold it.
+    """
+
+    encoding: str
+    read: Callable[[str], Asked]
+    write: Callable[[str], Asked]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Exercise:
     """What checks for every protocol do on this one.
 
@@ -91,6 +106,12 @@ class Exercise:
         every_write: makes writes by every operation that writes; each changes what the device held before, by one request, and says all
             points that it changes. None where there are none.
         contended: makes writes and a read of one target; None where nothing can be read that was written.
+        large: makes a read of each of these whole numbers of 64 bits, of a type with a sign or of one without; None where checks of the protocol's own have it.
+        special: makes reads of what is no number, or infinite, each with the name as its output ``special``; None as for ``large``.
+        real: makes a write of a floating-point number, which is its input ``value``.
+        texts: reads and writes of a text; None as for ``large``.
+        bounds: makes writes of values at a bound of their type, each with a value just beyond; None as for ``large``.
+        misfits: makes writes, each with values of other kinds than the target's; None as for ``large``.
         asks_for: returns what a request that writes asks for, as the values of ``contended`` are; None for another request.
     """
 
@@ -113,6 +134,12 @@ class Exercise:
     every_write: Callable[[random.Random], tuple[Asked, ...]] | None = None
     contended: Callable[[random.Random], Contended] | None = None
     asks_for: Callable[[JournalEntry], object] | None = None
+    bounds: Callable[[], tuple[tuple[Asked, object], ...]] | None = None
+    misfits: Callable[[], tuple[tuple[Asked, tuple[object, ...]], ...]] | None = None
+    large: Callable[[Sequence[int], bool], tuple[Asked, ...]] | None = None
+    special: Callable[[], tuple[Asked, ...]] | None = None
+    real: Callable[[float], Asked] | None = None
+    texts: Texts | None = None
 
 
 def every_change(entries: Entries, asked: Asked) -> list[JournalEntry]:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Sequence
 from dataclasses import replace
 
-from ..exercise import Asked, Contended, Exercise
+from ..exercise import Asked, Contended, Exercise, Texts
 from ..journal import Entries, JournalEntry
 from .entries import as_bacnet, changes
 
@@ -15,6 +16,8 @@ _DEVICE, _PRIORITY = 12345, 8
 _LIMIT, _MODE = ("analog-value", 9), ("multi-state-value", 1)
 _FURTHER = 1000
 """Instance of the first further analog value that the mock can be given."""
+_LARGEST = 3.4028234663852886e38
+"""The largest REAL."""
 _ALIASES = ("otmcp_zone", "otmcp_valve")
 """Names that a launch of an adapter with names of its own has for the analog input 1, and for the analog output 1 at priority 8."""
 
@@ -137,6 +140,55 @@ def _asks_for(entry: JournalEntry) -> object:
     return writes[0]["values"][0]["value"] if len(writes) == 1 and len(writes[0]["values"]) == 1 else None
 
 
+def _further(kind: str, value: object, outputs: dict[str, object]) -> Asked:
+    """Return the read of an object of a datatype that few devices have."""
+    asked = _reading(kind, 1, value)
+    return replace(asked, pokes=({"types": True}, *asked.pokes), outputs=outputs)
+
+
+def _large(values: Sequence[int], signed: bool) -> tuple[Asked, ...]:
+    kind = "integer-value" if signed else "positive-integer-value"
+    return tuple(_further(kind, value, {"value": value}) for value in values)
+
+
+def _special() -> tuple[Asked, ...]:
+    return tuple(
+        _further(kind, value, {"special": name})
+        for kind in ("analog-input", "large-analog-value")
+        for name, value in (("NaN", "nan"), ("Infinity", "inf"), ("-Infinity", "-inf"))
+    )
+
+
+def _real(value: float) -> Asked:
+    return _writing("analog-output", 1, value, before=0.0)
+
+
+def _bounds() -> tuple[tuple[Asked, object], ...]:
+    # The device itself limits what the states of a multi-state object may be; its type is Unsigned.
+    return (
+        (_real(_LARGEST), 1e39),
+        (_real(-_LARGEST), -1e39),
+        (_writing(*_MODE, 1, before=2), -1),
+    )
+
+
+def _misfits() -> tuple[tuple[Asked, tuple[object, ...]], ...]:
+    # Null is no misfit: it gives the priority up.
+    return (
+        (_real(7.5), ("abc", "7.5", True, [7.5])),
+        (_writing(*_MODE, 2, before=1), (1.5, "abc", [2])),
+    )
+
+
+def _read_text(text: str) -> Asked:
+    return _further("characterstring-value", text, {"value": text})
+
+
+def _write_text(text: str) -> Asked:
+    asked = _writing("characterstring-value", 1, text, before="")
+    return replace(asked, pokes=({"types": True}, *asked.pokes))
+
+
 EXERCISE = Exercise(
     reading="read",
     read=_read,
@@ -163,4 +215,10 @@ EXERCISE = Exercise(
     every_write=_every_write,
     contended=_contended,
     asks_for=_asks_for,
+    bounds=_bounds,
+    misfits=_misfits,
+    large=_large,
+    special=_special,
+    real=_real,
+    texts=Texts(encoding="utf-8", read=_read_text, write=_write_text),
 )

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import random
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
-from ..exercise import Asked, Contended, Exercise, every_change
+from ..exercise import Asked, Contended, Exercise, Texts, every_change
 from ..journal import JournalEntry
 from .entries import as_s7, points
 
@@ -18,6 +18,8 @@ _TARGET = 12
 _FREE, _LARGE, _FIRST = 48, 1, 20
 """First byte of those that nothing uses; number of a larger data block, and the first byte there that the plant leaves alone."""
 _MARKER = 3
+_TEXT, _DECLARED = 160, 60
+"""First byte of a STRING in the larger data block, and the length that it is declared with."""
 
 
 def _read(rng: random.Random) -> Asked:
@@ -149,6 +151,92 @@ def _asks_for(entry: JournalEntry) -> object:
     return int.from_bytes(bytes.fromhex(items[0]["data"]), "big", signed=True)
 
 
+def _held(kind: str, content: bytes, outputs: dict[str, object]) -> Asked:
+    return Asked(
+        operation="read_typed",
+        inputs={"db": _BLOCK, "start": _FREE, "type": kind},
+        outputs=outputs,
+        pokes=(_poke(_FREE, content),),
+    )
+
+
+def _large_numbers(values: Sequence[int], signed: bool) -> tuple[Asked, ...]:
+    kind = "LINT" if signed else "ULINT"
+    return tuple(_held(kind, value.to_bytes(8, "big", signed=signed), {"value": value}) for value in values)
+
+
+def _special() -> tuple[Asked, ...]:
+    numbers = {"NaN": float("nan"), "Infinity": float("inf"), "-Infinity": float("-inf")}
+    return tuple(
+        _held(kind, struct.pack(form, value), {"special": name})
+        for kind, form in (("REAL", ">f"), ("LREAL", ">d"))
+        for name, value in numbers.items()
+    )
+
+
+def _real(value: float) -> Asked:
+    return Asked(operation="write_db", inputs={"db": _BLOCK, "start": _FREE, "type": "REAL", "value": value})
+
+
+_WHOLE = {"SINT": ">b", "USINT": ">B", "INT": ">h", "UINT": ">H", "DINT": ">i", "UDINT": ">I"}
+"""Types of whole numbers to their formats of ``struct``."""
+
+
+def _write_typed(kind: str, form: str, value: float) -> Asked:
+    return Asked(
+        operation="write_db",
+        inputs={"db": _BLOCK, "start": _FREE, "type": kind, "value": value},
+        outputs={"value": value},
+        points=points(f"DB{_BLOCK}", _FREE, struct.pack(form, value)),
+    )
+
+
+def _bounds() -> tuple[tuple[Asked, object], ...]:
+    found: list[tuple[Asked, object]] = []
+    for kind, form in _WHOLE.items():
+        bits = 8 * struct.calcsize(form)
+        lowest, highest = (0, 2**bits - 1) if kind.startswith("U") else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
+        found += [
+            (_write_typed(kind, form, lowest), lowest - 1),
+            (_write_typed(kind, form, highest), highest + 1),
+        ]
+    (largest,) = struct.unpack(">f", bytes.fromhex("7f7fffff"))
+    return (*found, (_write_typed("REAL", ">f", largest), 1e39))
+
+
+def _misfits() -> tuple[tuple[Asked, tuple[object, ...]], ...]:
+    flag = Asked(operation="write_marker", inputs={"byte": _MARKER, "bit": 0, "value": True})
+    return (
+        (_write_typed("INT", ">h", 7), (40.7, "abc", "40", [40], None)),
+        (_write_typed("REAL", ">f", 7.5), ("abc", "7.5", True, [7.5], None)),
+        (flag, ("false", "off", None)),
+    )
+
+
+def _string(text: str) -> dict[str, object]:
+    content = text.encode("latin-1")
+    return _poke(_TEXT, bytes([_DECLARED, len(content)]) + content, f"DB{_LARGE}")
+
+
+def _read_text(text: str) -> Asked:
+    return Asked(
+        operation="read_typed",
+        inputs={"db": _LARGE, "start": _TEXT, "type": "STRING"},
+        outputs={"value": text},
+        pokes=(_string(text),),
+    )
+
+
+def _write_text(text: str) -> Asked:
+    content = text.encode("latin-1", "replace")
+    return Asked(
+        operation="write_db",
+        inputs={"db": _LARGE, "start": _TEXT, "type": "STRING", "value": text},
+        pokes=(_string(""),),
+        points=points(f"DB{_LARGE}", _TEXT, bytes([_DECLARED, len(content)]) + content),
+    )
+
+
 EXERCISE = Exercise(
     reading="read_typed",
     read=_read,
@@ -173,4 +261,10 @@ EXERCISE = Exercise(
     every_write=_every_write,
     contended=_contended,
     asks_for=_asks_for,
+    bounds=_bounds,
+    misfits=_misfits,
+    large=_large_numbers,
+    special=_special,
+    real=_real,
+    texts=Texts(encoding="latin-1", read=_read_text, write=_write_text),
 )
