@@ -138,6 +138,14 @@ def test_a_failure_that_is_about_no_row_denies_every_level() -> None:
         assert said(found) == "Modbus: no level; for Bronze: 1 item failed without a finding about a row (M1)"
 
 
+def test_a_failure_about_a_row_of_another_protocol_denies_every_level() -> None:
+    items = all_passed("s7")
+    wrong = blamed(item("K5", "normal", "S7comm", "Write a bit.", [1.0]), "WR-011")
+    assert stands(items.values(), "s7").level is Level.SILVER
+    found = stands([*items.values(), wrong], "s7")
+    assert (found.level, found.unattributed) == (None, ("K5",))
+
+
 def test_a_finding_about_a_row_that_is_not_yet_judged_denies_the_level() -> None:
     found = stands([*{**all_passed(), "ENV-006": blamed(check("ENV-006"), "KEY-001")}.values()])
     assert (found.level, found.failed) == (None, {"KEY-001": ("ENV-006.modbus",)})
