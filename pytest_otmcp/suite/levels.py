@@ -243,7 +243,9 @@ def shown(found: Standing, catalogue: Catalogue) -> list[str]:
     wanted = found.wanted.capitalize()
     told = [f"{row} is not met, as {', '.join(items)} shows." for row, items in found.failed.items()]
     if found.unattributed:
-        told.append(f"{', '.join(found.unattributed)} failed for a cause that is no row of the catalogue for this protocol.")
+        told.append(
+            f"{', '.join(found.unattributed)} failed for a cause that is no row of the catalogue for this protocol."
+        )
     if found.not_run:
         told.append(f"No item has shown {', '.join(found.not_run)}.")
     if found.attainable and not found.shown:
