@@ -109,7 +109,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "A state below the first one is written as the first one.",
     ),
     _mutant(
-        "MU-12bac",
+        "MU-11bac",
         "adr",
         "ADR-004",
         "ADR-004",
