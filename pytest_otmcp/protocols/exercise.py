@@ -100,7 +100,7 @@ class Exercise:
             checks of the protocol's own have it.
         outside: values that are outside of the protocol's own domain of an input of the read or the write, by input; some are the good
             value when they are cut down to fit.
-        distinct: makes so many reads, at most 64, of different targets, each with a condition of its own; None where there are none.
+        distinct: makes so many reads, at most 64, of several targets, each with a condition of its own; None where there are none.
         every_read: makes reads by every operation that reads values, and of every type that has a form of its own; None where there are
             none.
         every_write: makes writes by every operation that writes; each changes what the device held before, by one request, and says all

@@ -14,8 +14,8 @@ __all__ = ["EXERCISE"]
 
 _DEVICE, _PRIORITY = 12345, 8
 _LIMIT, _MODE = ("analog-value", 9), ("multi-state-value", 1)
-_FURTHER = 1000
-"""Instance of the first further analog value that the mock can be given."""
+_REALS = (("analog-input", 1), ("analog-input", 2), ("analog-output", 1))
+"""Objects whose present value is any REAL that is set at the mock."""
 _LARGEST = 3.4028234663852886e38
 """The largest REAL."""
 _ALIASES = ("otmcp_zone", "otmcp_valve")
@@ -72,12 +72,11 @@ def _reading(kind: str, instance: int, value: object) -> Asked:
 
 
 def _distinct(rng: random.Random, count: int) -> tuple[Asked, ...]:
-    found = []
-    for instance in range(_FURTHER, _FURTHER + count):
-        one = _reading("analog-value", instance, _value(rng))
-        there = {"objects": instance - _FURTHER + 1}
-        found.append(replace(one, pokes=(there, *one.pokes), condition={"object": f"analog-value,{instance}"}))
-    return tuple(found)
+    # Objects that the device has from the start: an adapter may have listed them then.
+    reals = (_reading(kind, instance, _value(rng)) for kind, instance in _REALS)
+    objects = [*reals, _reading(*_LIMIT, rng.randrange(20) / 2), _reading(*_MODE, rng.randrange(1, 4))]
+    known = [replace(one, condition={"object": one.pokes[0]["object"]}) for one in objects]
+    return tuple(known[index % len(known)] for index in range(count))
 
 
 def _every_read(rng: random.Random) -> tuple[Asked, ...]:
