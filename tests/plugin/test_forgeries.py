@@ -758,6 +758,11 @@ INHERENT: dict[str, Change] = {
     "the number of a session": lambda run: item(run, "M2")["devices"]["modbus"].update(session=[7, 0]),
     "who had a connection": lambda run: [one["process"].update(name="plc") for one in processes(run)],
     "what protocols do not keep the bytes of": lambda run: entry(run, "Q1", kind="CONNECT").update(keepalive=7),
+    "the unit identifier of an answer": lambda run: entry(run, "M2", kind="response").update(unit=9),
+    "which further protocols were asked for": lambda run: run["settings"].update(
+        protocols=["all"], not_measured={"s7": "it was not there"}
+    ),
+    "what the server's own envelopes lack": lambda run: facts(run).update(unmet=["ENV-001"], unjudged=["reachable"]),
     "members that nobody knows": lambda run: run.update(awarded="Gold", approved_by="TUV"),
 }
 
