@@ -803,20 +803,6 @@ def further(name: str, *, number: int = 1, **schema: Any) -> None:
 
 further("two-hundred-tools", number=200)
 further(
-    "objects-of-objects",
-    required=["x"],
-    properties={"x": {"$ref": "#/$defs/a"}},
-    **{
-        "$defs": {
-            "a": {
-                "type": "object",
-                "required": [str(index) for index in range(100)],
-                "properties": {str(index): {"$ref": "#/$defs/a"} for index in range(100)},
-            }
-        }
-    },
-)
-further(
     "names-that-cannot-be-sorted",
     required=["x"],
     properties={"x": {"type": "object", "required": [*map(str, range(90_000)), 1]}},
