@@ -15,12 +15,18 @@ from .outside_witnesses import not_run
 
 __all__ = [
     "pytest_collection_modifyitems",
+    "pytest_configure",
     "pytest_sessionfinish",
     "pytest_terminal_summary",
     "pytest_testnodedown",
     "pytest_xdist_auto_num_workers",
     "warm_start",
 ]
+
+
+def pytest_configure() -> None:
+    """Keep options that are meant for this pytest from those that the tests start."""
+    os.environ.pop("PYTEST_ADDOPTS", None)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:

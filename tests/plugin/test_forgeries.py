@@ -178,6 +178,15 @@ def other_hour(run: Record) -> None:
     run["environment"]["started_at"] = "2001-01-01T00:00:00Z"
 
 
+def overlapped(run: Record) -> None:
+    """Let an item begin a millisecond before the one before it has ended, by both clocks."""
+    late = item(run, "M2")
+    by_ns = late["began_ns"] - item(run, "M1")["ended_ns"] + 10**6
+    late["began_ns"] -= by_ns
+    earlier = datetime.fromisoformat(late["started_at"]) - timedelta(microseconds=by_ns // 1000)
+    late["started_at"] = earlier.isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
 def a_guard_that_leaks(run: Record) -> None:
     """Let the adapter with writes disabled have sent a write."""
     request = entry(run, "M4", variant="ro", kind="request")
@@ -386,7 +395,7 @@ FORGERIES: dict[str, tuple[str, Change]] = {
     ),
     "an item that overlaps another": (
         "M2: it began before the item before it had ended",
-        lambda run: item(run, "M2").update(began_ns=item(run, "M1")["ended_ns"] - 10**6),
+        overlapped,
     ),
     "an item that goes on after its end": (
         "M2: it went on until",
