@@ -273,6 +273,10 @@ OBJECTIONABLE: list[tuple[Change, str]] = [
         "subject.adapters.modbus.unclaimed.ping has a control character: 'none\\x1b[2J'",
     ),
     (
+        lambda run: run["subject"].update(name="acme \u202egnitset"),
+        "subject.name has a control character: 'acme \\u202egnitset'",
+    ),
+    (
         lambda run: run["environment"].update(platform="Linux \u202e46_68x"),
         "environment.platform has a control character: 'Linux \\u202e46_68x'",
     ),
