@@ -140,7 +140,12 @@ def _counts(run: Run, width: int) -> Iterator[Line]:
     # A killed run has no elapsed time.
     elapsed = run["footer"].get("elapsed_s")
     took = "" if elapsed is None else f" in {elapsed:.1f} s"
-    texts = [f"{counted(samples, 'run')}, {counted(calls, 'tool call')}{took}"]
+    # Without a subject file a run is about the reference adapters, and nobody should take its verdict for another one's.
+    subject = run["subject"]
+    texts = [
+        f"subject: {subject['name']} {subject['version']}".rstrip(),
+        f"{counted(samples, 'run')}, {counted(calls, 'tool call')}{took}",
+    ]
     if not timing_valid(run):
         texts.append("latencies withheld: the run was parallel, so they measure the neighbours too")
     for text in texts:

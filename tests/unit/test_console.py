@@ -180,3 +180,8 @@ def test_a_run_of_the_requirement_suite_says_the_level_of_each_protocol_in_a_lin
     assert "level: none is shown without the requirement suite; otmcp certify runs it" in text(run(ALL))
     # Of a run that failed nobody expects a level.
     assert "level:" not in text(run([written_twice()]))
+
+
+def test_the_end_of_a_run_says_whom_it_is_about() -> None:
+    # Without a subject file, or in another directory than the vendor meant, it is about the reference adapters.
+    assert "subject: synthetic 0" in text(run(ALL)).splitlines()
