@@ -8,6 +8,7 @@ from typing import Any
 
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.core.strict_json import same_json
+from pytest_otmcp.protocols.journal import Image
 from pytest_otmcp.protocols.modbus import oracle as modbus_oracle
 from pytest_otmcp.protocols.modbus.tags import TAGS
 from pytest_otmcp.protocols.opcua import oracle as opcua_oracle
@@ -22,11 +23,13 @@ from .steps import (
     NOTHING_SENT,
     a_read_works,
     a_write_works,
+    citing,
     exact_or_refused,
     exercise,
     knows_node,
     nothing_arrived,
     refused_before_the_wire,
+    witness,
     works_again,
 )
 
@@ -278,28 +281,6 @@ def _wrong(reply: Reply, name: str, wanted: object) -> Finding:
     return Finding(code="wrong_value", message=message, requirement="ADR-005")
 
 
-# -- MQTT -------------------------------------------------------------------------------------------------------------
-
-
-@TASKS.check("ADR-002", "What is no quality of service is refused.", needs="mqtt.subscribe mqtt.publish")
-async def what_is_no_qos_is_refused(run: Repetition, mqtt: Rig) -> None:
-    """Subscribe and publish with a quality of service that there is not; before and after, with one that there is.
-
-    Said: failures with `invalid_input`, `limit_exceeded`, `range_overflow` or `type_mismatch`, and the outcome `not_sent`; success before and after.
-    Seen: nothing that changes the plant.
-    Why: a quality of service that is cut down to fit is another promise than the one that was asked for.
-    """
-    subscribing, publishing = exercise(mqtt).read(run.rng), exercise(mqtt).write(run.rng)
-    await a_read_works(run, mqtt)
-    await a_write_works(run, mqtt)
-    for qos in (-1, 257, 2**31, 1.5, "0x1"):
-        for asked in (subscribing, publishing):
-            if mqtt.accepts_input(asked.operation, "qos"):
-                await _refused(run, mqtt, asked.operation, asked.inputs, "qos", qos)
-    await a_read_works(run, mqtt)
-    await a_write_works(run, mqtt)
-
-
 # -- OPC UA -----------------------------------------------------------------------------------------------------------
 
 
@@ -460,6 +441,92 @@ async def _renumbered(run: Repetition, opcua: Rig) -> None:
 
 
 # -- any protocol -----------------------------------------------------------------------------------------------------
+
+
+@TASKS.every_protocol("ADR-002", "What is outside of an input's domain is refused.", writes=True, having="outside")
+async def what_is_outside_of_a_domain_is_refused(run: Repetition, at: Rig) -> None:
+    """Read and write with addresses, and other inputs that the protocol itself limits, that there cannot be; some are known ones when they
+    are cut down to fit. Before and after, with what there is.
+
+    Said: failures with `invalid_input`, `illegal_address`, `limit_exceeded`, `range_overflow` or `type_mismatch`, and the outcome
+        `not_sent` or `rejected`; success before and after.
+    Seen: nothing that changes the plant.
+    Why: an address that is cut down to fit is another machine.
+    """
+    asks = exercise(at)
+    reading, writing = asks.read(run.rng), asks.write(run.rng)
+    await a_read_works(run, at)
+    await a_write_works(run, at)
+    for name, values in asks.outside.items():
+        for value in values:
+            for asked in (reading, writing):
+                if name in asked.inputs and at.accepts_input(asked.operation, name):
+                    await _refused(run, at, asked.operation, asked.inputs, name, value)
+    await a_read_works(run, at)
+    await a_write_works(run, at)
+
+
+@TASKS.every_protocol(
+    "ADR-003", "A value that its target's type cannot hold is refused.", reads=False, writes=True, having="bounds"
+)
+async def what_does_not_fit_is_refused(run: Repetition, at: Rig) -> None:
+    """Write values at a bound of their type, and for each one that lies just beyond.
+
+    Said: success; failures with `range_overflow` and the outcome `not_sent`. A type that the adapter does not offer fails with
+        `unsupported_operation` or `invalid_input`.
+    Seen: the device holds the bounds; no request that changes the plant for what is beyond.
+    Why: a value that is cut down to fit is one that nobody asked for.
+    """
+    bounds = exercise(at).bounds
+    assert bounds is not None
+    await at.prove()
+    await a_write_works(run, at)
+    for asked, beyond in bounds():
+        for poke in asked.pokes:
+            await at.poke(**poke)
+        accepted = await at.call(asked.operation, **asked.inputs)
+        if not exact_or_refused(run, accepted, "unsupported_operation", "invalid_input", requirement="ADR-003"):
+            continue
+        before = await at.image()
+        run.witnessed(citing("ADR-003", witness(at).holds(before, asked.points)))
+        reply = await at.call(asked.operation, **{**asked.inputs, "value": beyond})
+        run.fails(reply, "range_overflow", outcome=NOTHING_SENT, requirement="ADR-003")
+        await _unchanged(run, at, reply, before, "ADR-003")
+
+
+async def _unchanged(run: Repetition, at: Rig, reply: Reply, before: Image, requirement: str) -> None:
+    """Expect that nothing of a call has reached the device and that the device is as it was."""
+    run.witnessed(
+        nothing_arrived(at, reply.during(await at.journal()), requirement=requirement),
+        witness(at).only_changed(before, await at.image(), {}, otherwise=requirement),
+    )
+
+
+@TASKS.every_protocol(
+    "ADR-004", "A value of another kind than its target's is refused.", reads=False, writes=True, having="misfits"
+)
+async def what_is_of_another_kind_is_refused(run: Repetition, at: Rig) -> None:
+    """Write fractions, texts, lists and nothing where they do not belong; before and after, what does.
+
+    Said: failures with `type_mismatch`, `invalid_input` or `range_overflow` and the outcome `not_sent`; success before and after.
+    Seen: no request that changes the plant; before and after, one.
+    Why: a value that is made to fit is one that nobody asked for: many languages take the text "false" for true.
+    """
+    misfits = exercise(at).misfits
+    assert misfits is not None
+    await at.prove()
+    await a_write_works(run, at)
+    for asked, values in misfits():
+        if not at.claims(asked.operation):
+            continue
+        for value in values:
+            before = await at.image()
+            reply = await _with(at, asked.operation, asked.inputs, "value", value)
+            if reply is not None:
+                run.fails(reply, *_WRONG_KIND, outcome=NOTHING_SENT, requirement="ADR-004")
+                await _unchanged(run, at, reply, before, "ADR-004")
+    await a_write_works(run, at)
+
 
 _CHARACTERS = 10_000_000
 

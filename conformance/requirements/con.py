@@ -10,8 +10,6 @@ from pytest_otmcp.core.strict_json import same_json
 from pytest_otmcp.protocols.journal import Entries
 from pytest_otmcp.protocols.modbus import oracle as modbus_oracle
 from pytest_otmcp.protocols.modbus.entries import as_modbus
-from pytest_otmcp.protocols.opcua import oracle as opcua_oracle
-from pytest_otmcp.protocols.opcua.entries import as_opcua
 from pytest_otmcp.protocols.oracle import state_changing
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.trial.check import Checks
@@ -26,6 +24,7 @@ from .steps import (
     exercise,
     faulty,
     silence,
+    witness,
     written_once,
 )
 
@@ -49,15 +48,13 @@ _MOST_CONNECTIONS = 8
 _CONSECUTIVE = {False: 50, True: 1000}
 _HELD_UP_S = 1.0
 
-_NODES = ("Temperature", "Pressure", "FlowRate", "TankLevel", "Vibration", "PhLevel", "Humidity", "MotorSpeed")
 
-
-def _has_its_own(run: Repetition, reply: Reply, count: int, output: str, value: object) -> None:
+def _has_its_own(run: Repetition, reply: Reply, count: int, **outputs: object) -> None:
     """Expect the answer to this very call; of many calls at the same time an adapter may refuse some."""
     if count > min(_PARALLEL) and reply.success is False:
         run.fails(reply, *_BUSY, requirement="CON-001")
         return
-    run.succeeds(reply, requirement="CON-001", **{output: value})
+    run.succeeds(reply, requirement="CON-001", **outputs)
 
 
 # -- CON-001 ------------------------------------------------------------------------------------------------
@@ -79,7 +76,7 @@ async def each_read_of_registers_gets_its_own(run: Repetition, modbus: Rig) -> N
         replies = await run.together(*(modbus.call("read_input", address=i, count=1) for i in range(count)))
         await modbus.fault()
         for reply, value in zip(replies, values, strict=True):
-            _has_its_own(run, reply, count, "values", [value])
+            _has_its_own(run, reply, count, values=[value])
     journal = await modbus.journal()
     # Where answers were given to other calls, how many requests wait says nothing more.
     if not run.ledger.failed:
@@ -118,25 +115,27 @@ def _transactions(entries: Entries) -> list[Finding]:
     return findings[:1]
 
 
-@TASKS.check("CON-001", "Each of several calls gets its own answer.", needs="opcua.read")
-async def each_read_of_a_node_gets_its_own(run: Repetition, opcua: Rig) -> None:
-    """Read variables by 4, 16 and 64 calls at the same time, while the server answers late for every fourth variable.
+@TASKS.every_protocol("CON-001", "Each of several calls gets its own answer.", having="distinct")
+async def each_read_gets_its_own(run: Repetition, at: Rig) -> None:
+    """Read several values by 4, 16 and 64 calls at the same time, while the device answers late for every fourth of them.
 
-    Said: in each answer the value of its own variable; of 16 and 64 calls some may be refused.
+    Said: in each answer the value that was asked for; of 16 and 64 calls some may be refused.
     Seen: nothing further.
     Why: an answer that belongs to another call is a wrong value that looks right.
     """
+    distinct = exercise(at).distinct
+    assert distinct is not None
     for count in _PARALLEL:
-        values = {name: round(run.rng.uniform(-50.0, 150.0), 6) for name in _NODES}
-        for name, value in values.items():
-            await opcua.poke(node=name, value=value)
-        late = run.rng.sample(_NODES, len(_NODES) // 4)
-        await opcua.fault(*({"node": f"ns=2;s={name}", "action": {"delay_s": _LATE_S}} for name in late))
-        asked = [_NODES[index % len(_NODES)] for index in range(count)]
-        replies = await run.together(*(opcua.call("read", node=f"ns=2;s={name}") for name in asked))
-        await opcua.fault()
-        for reply, name in zip(replies, asked, strict=True):
-            _has_its_own(run, reply, count, "value", values[name])
+        asked = distinct(run.rng, count)
+        for poke in {str(poke): poke for one in asked for poke in one.pokes}.values():
+            await at.poke(**poke)
+        conditions = {str(one.condition): one.condition for one in asked}
+        late = run.rng.sample(sorted(conditions), len(conditions) // 4)
+        await at.fault(*faulty([conditions[name] for name in late], delay_s=_LATE_S))
+        replies = await run.together(*(at.call(one.operation, **one.inputs) for one in asked))
+        await at.fault()
+        for reply, one in zip(replies, asked, strict=True):
+            _has_its_own(run, reply, count, **one.outputs)
 
 
 @TASKS.check("CON-001", "Each of several calls gets its own answer.", needs="mqtt.subscribe mqtt.subscribe.qos")
@@ -155,7 +154,7 @@ async def each_subscription_gets_its_own(run: Repetition, mqtt: Rig) -> None:
         replies = await run.together(*(mqtt.call("subscribe", filter=text, qos=qos) for text, qos in asked.items()))
         await mqtt.fault()
         for reply, qos in zip(replies, asked.values(), strict=True):
-            _has_its_own(run, reply, count, "granted_qos", qos)
+            _has_its_own(run, reply, count, granted_qos=qos)
         if mqtt.claims("unsubscribe"):
             await run.together(*(mqtt.call("unsubscribe", filter=text) for text in asked))
 
@@ -313,34 +312,47 @@ def _kept(findings: Sequence[Finding]) -> list[Finding]:
     return [Finding(code=finding.code, message=finding.message, requirement="CON-004") for finding in findings]
 
 
-@TASKS.check("CON-004", "Reads beside writes give the old or a new value.", needs="opcua.read opcua.write")
-async def variables_are_read_beside_writes(run: Repetition, opcua: Rig) -> None:
-    """Write a variable by two calls and read it by four, all at the same time, several times.
+@TASKS.every_protocol("CON-004", "Reads beside writes give the old or a new value.", writes=True, having="contended")
+async def values_are_read_beside_writes(run: Repetition, at: Rig) -> None:
+    """Write a value by two calls and read it by four, all at the same time, several times.
 
-    Said: success for the writes; for each read the old value or one of the new ones.
-    Seen: each write once; the variable holds what was written last.
+    Said: success for the writes; for each read the old value or one of the new ones. Of a write that the other one has overtaken an
+        adapter that reads back may also say `verify_failed`.
+    Seen: each write once; the device holds what was written last.
     Why: a lost write, or one that comes twice, shows only under load.
     """
-    node = "ns=2;s=FanSpeed"
-    await opcua.prove()
+    asks = exercise(at)
+    assert asks.contended is not None
+    assert asks.asks_for is not None
+    await at.prove()
     for _ in range(_ROUNDS):
-        old, *new = (round(run.rng.uniform(1.0, 99.0), 6) for _ in range(3))
-        await opcua.poke(node="FanSpeed", value=old)
-        writes = [opcua.call("write", node=node, value=value) for value in new]
-        reads = [opcua.call("read", node=node) for _ in range(4)]
+        one = asks.contended(run.rng)
+        for poke in one.pokes:
+            await at.poke(**poke)
+        writes = [at.call(write.operation, **write.inputs) for write in one.writes]
+        reads = [at.call(one.read.operation, **one.read.inputs) for _ in range(4)]
         replies = await run.together(reads[0], writes[0], reads[1], reads[2], writes[1], reads[3])
         for reply in (replies[0], replies[2], replies[3], replies[5]):
             run.succeeds(reply, requirement="CON-004")
-            run.one_of(reply, "value", old, *new)
+            run.one_of(reply, one.output, one.old, *one.new)
         written = [replies[1], replies[4]]
-        for reply in written:
-            run.succeeds(reply, requirement="CON-004")
-        seen = [
-            item.get("value") for entry in _since(written, await opcua.journal()) for item in as_opcua(entry)["nodes"]
-        ]
-        run.witnessed(_linear(opcua, written, new, seen))
-        if seen and all(reply.success for reply in written):
-            run.witnessed(_kept(opcua_oracle.image_holds(await opcua.image(), node, seen[-1])))
+        changes = protocols()[at.protocol].changes(_since(written, await at.journal()))
+        seen = [asks.asks_for(entry) for entry in changes]
+        for reply, value in zip(written, one.new, strict=True):
+            if reply.success is False and seen and not same_json(value, seen[-1]):
+                run.fails(reply, "verify_failed", outcome="applied", requirement="CON-004")
+            else:
+                run.succeeds(reply, requirement="CON-004")
+        run.witnessed(_linear(at, written, one.new, seen))
+        points = next(
+            (
+                write.points
+                for write, value in zip(one.writes, one.new, strict=True)
+                if seen and same_json(value, seen[-1])
+            ),
+            {},
+        )
+        run.witnessed(_kept(witness(at).holds(await at.image(), points)))
 
 
 @TASKS.check("CON-004", "Messages beside each other are sent once each.", needs="mqtt.publish mqtt.subscribe")

@@ -6,12 +6,13 @@ import base64
 import binascii
 import math
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime, timedelta
 from typing import Any
 
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.core.strict_json import same_json
+from pytest_otmcp.protocols.exercise import Asked, Texts
 from pytest_otmcp.protocols.modbus import oracle as modbus_oracle
 from pytest_otmcp.protocols.modbus.tags import TAGS
 from pytest_otmcp.protocols.opcua import oracle as opcua_oracle
@@ -24,7 +25,18 @@ from ..tasks.messages import publish_from_kit, sync_point
 from .opcua_values import as_said
 from .registers import FORMATS, ORDERS, WIDE, registers, same_bits, unpacked
 from .sparkplug_payload import DOUBLE, INT64, UINT64, payload_of
-from .steps import NOTHING_SENT, a_read_works, exact_or_refused, knows_node, nothing_arrived, read
+from .steps import (
+    NOTHING_SENT,
+    a_read_works,
+    a_write_works,
+    citing,
+    exact_or_refused,
+    exercise,
+    knows_node,
+    nothing_arrived,
+    read,
+    witness,
+)
 
 __all__ = ["TASKS"]
 
@@ -303,6 +315,39 @@ def _of_metric(reply: Reply, name: str, wanted: object, found: Mapping[str, Any]
     return Finding(code="wrong_value", message=message, requirement=requirement)
 
 
+@TASKS.every_protocol("ENC-004", "What is no number, or infinite, is told by its name.", having="special")
+async def special_numbers(run: Repetition, at: Rig) -> None:
+    """Read values that are NaN, infinite and minus infinite, of each type of floating-point numbers; read a number after them. Write texts with
+    these names, and a number that is too large.
+
+    Said: success, null, and the name beside it; then the number. Failures with `range_overflow`, `invalid_input` or `type_mismatch`.
+    Seen: no request that changes the plant.
+    Why: a sensor that has failed says NaN; told as 0 it is a plant that is cold.
+    """
+    asks = exercise(at)
+    assert asks.special is not None
+    assert asks.real is not None
+    for asked in asks.special():
+        reply = await _asked(at, asked)
+        if reply.success or reply.error_code not in _NOT_OFFERED:
+            _judge_special(run, at, reply, str(asked.outputs["special"]))
+    await a_read_works(run, at)
+    number = asks.real(0.5)
+    if at.claims(number.operation):
+        await a_write_works(run, at)
+        for beyond in ("NaN", "Infinity", 1e39):
+            reply = await at.call(number.operation, **{**number.inputs, "value": beyond})
+            run.fails(reply, *_NOT_WRITTEN, outcome=NOTHING_SENT, requirement="ENC-004")
+            run.witnessed(nothing_arrived(at, reply.during(await at.journal()), requirement="ENC-004"))
+
+
+async def _asked(at: Rig, asked: Asked) -> Reply:
+    """Set what a call needs, and make it."""
+    for poke in asked.pokes:
+        await at.poke(**poke)
+    return await at.call(asked.operation, **asked.inputs)
+
+
 # -- ENC-005 ----------------------------------------------------------------------------------------------------------
 
 
@@ -378,6 +423,26 @@ async def large_numbers_in_metrics(run: Repetition, mqtt: Rig) -> None:
     if run.succeeds(reply, requirement="ENC-005"):
         for name, _, value in values:
             _judge_large(run, reply, _metric(reply, name).get("value"), value, name)
+
+
+@TASKS.every_protocol("ENC-005", "Large whole numbers arrive digit by digit.", having="large")
+async def large_numbers(run: Repetition, at: Rig) -> None:
+    """Read whole numbers of 64 bits at and beyond 2^53 - 1 in both directions.
+
+    Said: decimal strings with all their digits; up to 2^53 - 1 numbers are as good. A type that the adapter does not offer fails with
+        `unsupported_operation` or `invalid_input`.
+    Seen: the device holds these numbers.
+    Why: a counter that is read by way of a floating-point number stands still, and then leaps.
+    """
+    large = exercise(at).large
+    assert large is not None
+    await a_read_works(run, at)
+    for signed in (False, True):
+        values = _large(run, signed=signed)
+        for asked, value in zip(large(values, signed), values, strict=True):
+            reply = await _asked(at, asked)
+            if exact_or_refused(run, reply, *_NOT_OFFERED, requirement="ENC-005"):
+                _judge_large(run, reply, reply.outputs.get("value"), value, "value")
 
 
 # -- ENC-006 ----------------------------------------------------------------------------------------------------------
@@ -513,29 +578,71 @@ async def texts_of_the_identification_arrive_as_they_are(run: Repetition, modbus
             run.judge(reply, [_wrong(reply, texts, "ENC-006", name="objects")])
 
 
+_UMLAUTS = "Gr\u00f6\u00dfe "
+
+
+@TASKS.every_protocol("ENC-006", "Text arrives as it is.", having="texts")
+async def texts_arrive_as_they_are(run: Repetition, at: Rig) -> None:
+    """Read texts of many writings, and texts with invisible characters, as far as the device can hold them; write texts, also some that it
+    cannot hold.
+
+    Said: each text. Of one with invisible characters, and where a byte is a character of one of several sets, at least the others. For what
+        the device cannot hold failures with `type_mismatch`, `invalid_input` or `range_overflow`.
+    Seen: the device holds the text that was written, character by character; nothing for what it cannot hold.
+    Why: a text that cannot be read must not end the reading of everything else, and one with question marks in it is another text.
+    """
+    texts = exercise(at).texts
+    assert texts is not None
+    await a_read_works(run, at)
+    nonce = f"{run.rng.getrandbits(32):08x}"
+    every = [text + nonce for text in (*_TEXTS, *_INVISIBLE, _UMLAUTS)]
+    holds = [text for text in every if _can_hold(texts.encoding, text)]
+    for text in holds:
+        asked = texts.read(text)
+        reply = await _asked(at, asked)
+        if not exact_or_refused(run, reply, *_NOT_OFFERED, requirement="ENC-006"):
+            return
+        found = reply.outputs.get("value")
+        exact = text.removesuffix(nonce) not in _INVISIBLE and (text.isascii() or texts.encoding == "utf-8")
+        if found != text if exact else nonce not in str(found):
+            run.judge(reply, [_wrong(reply, text, "ENC-006")])
+    if at.claims(texts.write(nonce).operation):
+        await _write_texts(run, at, texts, [text for text in every if text.removesuffix(nonce) not in _INVISIBLE])
+
+
+async def _write_texts(run: Repetition, at: Rig, texts: Texts, every: Sequence[str]) -> None:
+    await at.prove()
+    for text in every:
+        asked = texts.write(text)
+        reply = await _asked(at, asked)
+        if not _can_hold(texts.encoding, text):
+            run.fails(reply, *_NOT_WRITTEN, outcome=NOTHING_SENT, requirement="ENC-006")
+            run.witnessed(nothing_arrived(at, reply.during(await at.journal()), requirement="ENC-006"))
+        elif text.isascii() or texts.encoding == "utf-8":
+            run.succeeds(reply, requirement="ENC-006")
+            run.witnessed(citing("ENC-006", witness(at).holds(await at.image(), asked.points)))
+
+
+def _can_hold(encoding: str, text: str) -> bool:
+    try:
+        text.encode(encoding)
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
 # -- ENC-007 ----------------------------------------------------------------------------------------------------------
 
 
-@TASKS.check("ENC-007", "Times are in UTC.", needs="modbus.read_holding")
-async def the_time_of_a_register_is_utc(run: Repetition, modbus: Rig) -> None:
-    """Read a register.
+@TASKS.every_protocol("ENC-007", "Times are in UTC.", apart="opcua")
+async def the_time_of_an_answer_is_utc(run: Repetition, at: Rig) -> None:
+    """Read.
 
     Said: the value. `meta.started_at`, where there is one, is in UTC and lies within the call.
-    Seen: the register holds the value.
+    Seen: the device holds the value.
     Why: a local time without its offset puts an alarm an hour before its cause.
     """
-    await a_read_works(run, modbus)
-
-
-@TASKS.check("ENC-007", "Times are in UTC.", needs="mqtt.subscribe")
-async def the_time_of_a_subscription_is_utc(run: Repetition, mqtt: Rig) -> None:
-    """Subscribe.
-
-    Said: success. `meta.started_at`, where there is one, is in UTC and lies within the call.
-    Seen: the subscription.
-    Why: a local time without its offset puts an alarm an hour before its cause.
-    """
-    await a_read_works(run, mqtt)
+    await a_read_works(run, at)
 
 
 _MOMENTS = (

@@ -8,11 +8,17 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, TypeGuard
 
 __all__ = ["beyond", "good", "of_other_types", "properties", "required", "types"]
 
 _DEEPEST = 5
+_MOST = 1000
+"""Schemas that are looked at for the arguments of one call: a hundred alternatives that each refer to all of them are ten thousand
+millions."""
+_LONGEST = 10_000
+_LARGEST = 2**53
+"""Integers beyond it are not the same number to every reader of JSON (RFC 8259, section 6)."""
 _ANY = frozenset({"boolean", "number", "string", "null", "array", "object"})
 _WAITING = ("timeout", "wait", "second", "duration", "delay", "interval")
 """Parts of the names of arguments that say how long a call may take."""
@@ -30,15 +36,30 @@ def required(schema: object) -> list[str]:
     return [name for name in found if isinstance(name, str)] if isinstance(found, list) else []
 
 
-def types(argument: object, whole: object = None, depth: int = 0) -> frozenset[str]:
+class _Bounds:
+    """The bounds of what is looked at of an adapter's schema, which may refer to itself: how deep, and how many schemas."""
+
+    def __init__(self) -> None:
+        self._left = _MOST
+
+    def hold(self, depth: int) -> bool:
+        """Take one schema at this depth; return whether it lies within the bounds."""
+        self._left -= 1
+        return depth <= _DEEPEST and self._left >= 0
+
+
+def types(argument: object, whole: object = None) -> frozenset[str]:
     """Return the JSON types that a schema lets through; an ``integer`` counts as a ``number``.
 
     Args:
         argument: the schema.
         whole: the schema that it is a part of, where its references lead.
-        depth: of the references and alternatives that led here.
     """
-    if not isinstance(argument, Mapping) or depth > _DEEPEST:
+    return _types(argument, whole, 0, _Bounds())
+
+
+def _types(argument: object, whole: object, depth: int, bounds: _Bounds) -> frozenset[str]:
+    if not isinstance(argument, Mapping) or not bounds.hold(depth):
         return _ANY
     argument = _resolved(argument, whole)
     stated = argument.get("type")
@@ -51,7 +72,7 @@ def types(argument: object, whole: object = None, depth: int = 0) -> frozenset[s
         return frozenset({_type(argument["const"])})
     for word in ("anyOf", "oneOf"):
         if isinstance(members := argument.get(word), list) and members:
-            return frozenset().union(*(types(member, whole, depth + 1) for member in members))
+            return frozenset().union(*(_types(member, whole, depth + 1, bounds) for member in members))
     return _ANY
 
 
@@ -75,13 +96,13 @@ def beyond(rng: random.Random, argument: object) -> Iterator[Any]:
         return
     for word, step in (("minimum", -1), ("maximum", 1), ("exclusiveMinimum", 0), ("exclusiveMaximum", 0)):
         bound = argument.get(word)
-        if isinstance(bound, int | float) and not isinstance(bound, bool):
+        if _is_number(bound):
             yield bound + step
     if types(argument) == {"string"}:
         if isinstance(argument.get("enum"), list):
             yield f"otmcp-{rng.getrandbits(32):08x}"
         longest = argument.get("maxLength")
-        if isinstance(longest, int) and not isinstance(longest, bool) and 0 <= longest < 10_000:
+        if isinstance(longest, int) and not isinstance(longest, bool) and 0 <= longest < _LONGEST:
             yield "x" * (longest + 1)
 
 
@@ -92,18 +113,19 @@ def good(rng: random.Random, schema: object, known: Mapping[str, Any]) -> dict[s
         known: values for arguments with these names, which mean something to the device.
     """
     asked = set(required(schema))
+    bounds = _Bounds()
     found = {}
     for name, argument in properties(schema).items():
         if name in asked or name in known:
-            found[name] = known[name] if name in known else _value(rng, argument, schema)
-        elif any(part in name.lower() for part in _WAITING) and "number" in types(argument, schema):
+            found[name] = known[name] if name in known else _value(argument, schema, 0, bounds)
+        elif any(part in name.lower() for part in _WAITING) and "number" in _types(argument, schema, 0, bounds):
             # A call that may wait is to wait for the shortest time.
-            found[name] = _value(rng, argument, schema)
+            found[name] = _value(argument, schema, 0, bounds)
     return found
 
 
-def _value(rng: random.Random, argument: object, whole: object, depth: int = 0) -> Any:
-    if not isinstance(argument, Mapping) or depth > _DEEPEST:
+def _value(argument: object, whole: object, depth: int, bounds: _Bounds) -> Any:
+    if not isinstance(argument, Mapping) or not bounds.hold(depth):
         return 1
     argument = _resolved(argument, whole)
     if isinstance(values := argument.get("enum"), list) and values:
@@ -112,19 +134,24 @@ def _value(rng: random.Random, argument: object, whole: object, depth: int = 0) 
         return argument["const"]
     for word in ("anyOf", "oneOf"):
         if isinstance(members := argument.get(word), list) and members:
-            return _value(rng, members[0], whole, depth + 1)
+            return _value(members[0], whole, depth + 1, bounds)
     allowed = types(argument, whole)
     if "number" in allowed:
         lowest = argument.get("minimum", argument.get("exclusiveMinimum", 0))
-        return lowest + 1 if isinstance(lowest, int) and not isinstance(lowest, bool) else 1
+        return lowest + 1 if isinstance(lowest, int) and _is_number(lowest) else 1
     if "string" in allowed:
         shortest = argument.get("minLength")
-        return "otmcp".ljust(shortest if isinstance(shortest, int) else 0, "x")
+        return "otmcp".ljust(shortest if isinstance(shortest, int) and shortest < _LONGEST else 0, "x")
     if "array" in allowed:
-        return [_value(rng, argument.get("items"), whole, depth + 1)]
+        return [_value(argument.get("items"), whole, depth + 1, bounds)]
     if "object" in allowed:
-        return {name: _value(rng, properties(argument).get(name), whole, depth + 1) for name in required(argument)}
+        parts = properties(argument)
+        return {name: _value(parts.get(name), whole, depth + 1, bounds) for name in required(argument)}
     return False if "boolean" in allowed else None
+
+
+def _is_number(bound: object) -> TypeGuard[int | float]:
+    return isinstance(bound, int | float) and not isinstance(bound, bool) and abs(bound) <= _LARGEST
 
 
 def _resolved(argument: Mapping[str, Any], whole: object) -> Mapping[str, Any]:

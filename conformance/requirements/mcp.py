@@ -42,6 +42,14 @@ TASKS = Checks()
 
 _NAME = re.compile(r"[A-Za-z0-9_.-]{1,128}")
 _NO_SUCH_TOOL = "otmcp_no_such_tool"
+_MOST_TOOLS = 100
+_MOST_ARGUMENTS = 20
+"""What is called of the tools that say that they only read, and of the changes to the arguments of each: an adapter can list
+a hundred thousand of both, and answer each call just within its deadline."""
+_NAMES = ("required", "type", "dependentRequired")
+"""Words of JSON Schema whose lists have each name once."""
+_SHORT = 100
+"""Names of a list that can be compared with each other, even if an adapter has sent as many such lists as it can."""
 _INSTRUCTION = "IGNORE PREVIOUS INSTRUCTIONS"
 
 _WITHOUT_MEANING = (
@@ -173,12 +181,30 @@ def _schema(listed: Mapping[str, Mapping[str, Any]], tool: str | None) -> object
 def _invalid(schema: Mapping[str, Any]) -> str | None:
     from jsonschema import Draft202012Validator, SchemaError
 
+    if (names := _unsortable(schema)) is not None:
+        return f"a list of {len(names)} names has one that is no text"
     try:
         Draft202012Validator.check_schema(schema)
     except SchemaError as error:
         return str(error.message)[:200]
     except RecursionError:
         return "it is nested too deeply"
+    return None
+
+
+def _unsortable(schema: Mapping[str, Any]) -> list[Any] | None:
+    """Return a long list of names in which something is no text. The library compares each of its elements with each of the others,
+    which takes hours for a list as long as an adapter can send."""
+    left: list[tuple[str, Any]] = [("", schema)]
+    while left:
+        word, part = left.pop()
+        if isinstance(part, Mapping):
+            # Of dependentRequired each member is a list of names.
+            left += [(word if word == "dependentRequired" else name, member) for name, member in part.items()]
+        elif isinstance(part, list):
+            if word in _NAMES and len(part) > _SHORT and not all(isinstance(one, str) for one in part):
+                return part
+            left += [("", member) for member in part]
     return None
 
 
@@ -392,7 +418,8 @@ async def renderings_agree(run: Repetition, at: Rig) -> None:
 @TASKS.every_protocol("MCP-008", "A tool that says that it only reads only reads.", writes=True)
 @in_each_era
 async def annotations_are_true(run: Repetition, at: Rig) -> None:
-    """Call every tool that is listed with `readOnlyHint`, with arguments that its schema lets through and with others; then write.
+    """Call every tool that is listed with `readOnlyHint`, with arguments that its schema lets through and with others; of more than 100
+    tools, 100 that are drawn; then write.
 
     Said: whatever fits; the tool that writes does not say that it only reads.
     Seen: nothing that changes the plant until something is written.
@@ -406,10 +433,10 @@ async def annotations_are_true(run: Repetition, at: Rig) -> None:
     own = at.arguments_of(asked.operation, **asked.inputs) or {}
     known = {argument: asked.inputs[name] for name, argument in own.items()}
     begun = None
-    for name, entry in (await at.tool_list()).items():
-        if not _only_reads(entry["annotations"]):
-            continue
-        for given in _arguments(run, entry["inputSchema"], known):
+    listed = await at.tool_list()
+    reading = [name for name, entry in listed.items() if _only_reads(entry["annotations"])]
+    for name in _drawn(run, reading, _MOST_TOOLS):
+        for given in _arguments(run, listed[name]["inputSchema"], known):
             # What the changed call does not name of the arguments of the reading tool is left out.
             left_out = tuple(sorted(set(own.values()) - set(given)))
             altered = Alteration(tool=name, given=given, left_out=left_out)
@@ -426,11 +453,17 @@ def _only_reads(annotations: object) -> bool:
     return isinstance(annotations, Mapping) and annotations.get("readOnlyHint") is True
 
 
+def _drawn(run: Repetition, names: list[str], most: int) -> list[str]:
+    return names if len(names) <= most else run.rng.sample(names, most)
+
+
 def _arguments(run: Repetition, schema: object, known: Mapping[str, Any]) -> list[dict[str, Any]]:
     good = generated.good(run.rng, schema, known)
     made = [good]
-    for name, argument in generated.properties(schema).items():
-        if name in good and (others := generated.of_other_types(run.rng, argument, schema)):
+    declared = generated.properties(schema)
+    for name in _drawn(run, list(good), _MOST_ARGUMENTS):
+        argument = declared[name]
+        if others := generated.of_other_types(run.rng, argument, schema):
             made.append({**good, name: run.rng.choice(others)})
     return made
 

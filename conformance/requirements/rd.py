@@ -92,6 +92,27 @@ async def every_type_is_read_as_it_is(run: Repetition, opcua: Rig) -> None:
         run.succeeds(reply, requirement="RD-001", value=as_said(node, value, reply))
 
 
+@TASKS.every_protocol("RD-001", "What is read is what the device holds, whatever its type.", having="every_read")
+async def every_value_is_read_as_it_is(run: Repetition, at: Rig) -> None:
+    """Read by every operation that reads values, and a value of each type; they were set at random just before.
+
+    Said: these values; a type that the adapter does not offer fails with `unsupported_operation` or `invalid_input`.
+    Seen: the device holds them.
+    Why: a number that was read as another type is another number.
+    """
+    every = exercise(at).every_read
+    assert every is not None
+    await a_read_works(run, at)
+    for asked in every(run.rng):
+        if at.claims(asked.operation):
+            for poke in asked.pokes:
+                await at.poke(**poke)
+            reply = await at.call(asked.operation, **asked.inputs)
+            exact_or_refused(
+                run, reply, "unsupported_operation", "invalid_input", requirement="RD-001", **asked.outputs
+            )
+
+
 def _values(run: Repetition) -> Iterator[tuple[str, object]]:
     yield "Boolean", False
     yield "Boolean", True

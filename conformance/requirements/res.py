@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from statistics import median
 
 from pytest_otmcp.core.finding import Finding
+from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.trial.check import Checks
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
@@ -148,8 +149,8 @@ def _grown(before: Footprint, after: Footprint) -> dict[str, str]:
     return {name: f"{then}, then {now}" for name, (then, now, most) in more.items() if now > then + most}
 
 
-@TASKS.check("RES-003", _SURVIVES, needs="modbus.read_holding modbus.recovery")
-async def a_hostile_modbus_device(run: Repetition, modbus: Rig) -> None:
+@TASKS.every_protocol("RES-003", _SURVIVES, facets="recovery", apart="mqtt opcua")
+async def a_hostile_device(run: Repetition, at: Rig) -> None:
     """Read while every answer is mangled at random: bits, missing bytes, further bytes. After every batch read without a fault.
     Then have some answers mangled on connections that stay.
 
@@ -157,7 +158,7 @@ async def a_hostile_modbus_device(run: Repetition, modbus: Rig) -> None:
     Seen: the reads; the adapter's processes take no more than 20 MB more.
     Why: a device with a fault must not take the adapter with it, which has to tell of the fault.
     """
-    await _mangled_answers(run, modbus)
+    await _mangled_answers(run, at)
 
 
 @TASKS.check("RES-003", _SURVIVES, needs="opcua.read opcua.recovery")
@@ -181,9 +182,14 @@ async def _mangled_answers(run: Repetition, at: Rig) -> None:
     for _ in range(_BATCHES[run.soak]):
         rules = [{**rule, "times": 1} for _ in range(_BATCH) for rule in _mangling(asks.reads, run.rng, end=True)]
         await at.fault(*rules)
-        for _ in range(_BATCH):
-            asked = asks.read(run.rng)
-            await at.call(asked.operation, role="control", **asked.inputs)
+        mangled = [asks.read(run.rng) for _ in range(_BATCH)]
+        calls = (at.call(asked.operation, role="control", **asked.inputs) for asked in mangled)
+        if protocols()[at.protocol].has_connections:
+            for call in calls:
+                await call
+        else:
+            # Nothing ends where there is no connection, so nearly every one of them is waited for.
+            await run.together(*calls)
         await at.fault()
         await answers_again(run, at, requirement="RES-003")
         before = before or await at.footprint()

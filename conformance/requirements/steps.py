@@ -9,6 +9,7 @@ from typing import Any
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.exercise import Asked, Exercise
 from pytest_otmcp.protocols.journal import Entries
+from pytest_otmcp.protocols.oracle import Witness
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.protocols.unsolicited import nothing_commanded
 from pytest_otmcp.trial.repetition import Repetition
@@ -34,6 +35,7 @@ __all__ = [
     "silence",
     "since",
     "vanishing",
+    "witness",
     "works_again",
     "write",
     "written_once",
@@ -82,6 +84,11 @@ def reset(at: Rig) -> Mapping[str, object]:
 def vanishing(at: Rig) -> Mapping[str, object]:
     """Return the action of a fault rule with which a request is lost, and with it the connection, where there is one."""
     return {"half_open": True} if protocols()[at.protocol].has_connections else {"lose": True}
+
+
+def witness(at: Rig) -> Witness:
+    """Return the judge of what the device of this protocol has seen and what it holds."""
+    return Witness(noun="the device", describe=protocols()[at.protocol].describe)
 
 
 def citing(requirement: str, *findings: Iterable[Finding]) -> list[Finding]:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple, cast
+from collections.abc import Mapping, Sequence
+from typing import Any, cast
 
 from pytest_otmcp.core.finding import Finding
+from pytest_otmcp.protocols.exercise import Asked
 from pytest_otmcp.protocols.journal import Entries, JournalEntry
 from pytest_otmcp.protocols.modbus import oracle as modbus_oracle
 from pytest_otmcp.protocols.modbus.entries import as_modbus, describe, points
-from pytest_otmcp.protocols.modbus.tags import TAGS
 from pytest_otmcp.protocols.mqtt.entries import payload_of
 from pytest_otmcp.protocols.mqtt.oracle import Publications
 from pytest_otmcp.protocols.opcua import oracle as opcua_oracle
@@ -35,6 +35,7 @@ from .steps import (
     reset,
     silence,
     since,
+    witness,
     write,
 )
 
@@ -46,91 +47,21 @@ _UNCERTAIN = ("not_sent", "unknown")
 _LATE_S = 0.2
 """Seconds by which an answer is late, well below every timeout."""
 
-_VALVE, _PUMP = "ns=2;s=ValvePosition", "ns=2;s=PumpEnabled"
+_VALVE = "ns=2;s=ValvePosition"
 _METRICS = [{"name": "temperature", "datatype": "Double", "value": 20.0}]
-
-
-class _Write(NamedTuple):
-    """A write whose effect is known.
-
-    Attributes:
-        operation, inputs: of the call.
-        points: what the device's image holds after it, by point.
-        pokes: what the device holds before it.
-    """
-
-    operation: str
-    inputs: Mapping[str, Any]
-    points: Mapping[str, object]
-    pokes: Sequence[Mapping[str, Any]] = ()
 
 
 # -- what is written ----------------------------------------------------------------------------------------
 
 
-def _modbus_writes(run: Repetition, modbus: Rig) -> Iterator[_Write]:
+def _every_write(run: Repetition, at: Rig) -> list[Asked]:
     """Return a write by every operation that the subject has bound; each changes what the device held before."""
-    word = run.rng.randrange(0x100, 0x10000)
-    words = [run.rng.randrange(1, 0x10000) for _ in range(3)]
-    bits = [True, *(bool(run.rng.getrandbits(1)) for _ in range(8)), True]
-    old, and_mask, or_mask = (run.rng.randrange(0x10000) for _ in range(3))
-    raw = run.rng.randrange(1, 0x8000)
-    scaled = TAGS["otmcp_scaled"]
-    coils, registers = "coils", "holding_registers"
-    every = [
-        _modbus_write("write_holding", registers, 1, [word], value=word),
-        _modbus_write("write_registers", registers, 10, words, values=words),
-        _modbus_write("write_coil", coils, 4, [True], value=True),
-        _modbus_write("write_coils", coils, 20, bits, values=bits),
-        _modbus_write(
-            "mask_write",
-            registers,
-            30,
-            [(old & and_mask) | (or_mask & ~and_mask & 0xFFFF)],
-            before=[old],
-            and_mask=and_mask,
-            or_mask=or_mask,
-        ),
-        _Write(
-            operation="write_tag",
-            inputs={"name": "otmcp_scaled", "value": raw / 10},
-            pokes=[{"unit": 1, "table": registers, "address": scaled.address, "values": [0]}],
-            points=points(registers, scaled.address, [raw]),
-        ),
-    ]
-    return (one for one in every if modbus.claims(one.operation))
+    every = exercise(at).every_write
+    assert every is not None
+    return [asked for asked in every(run.rng) if at.claims(asked.operation)]
 
 
-def _modbus_write(
-    operation: str, table: str, address: int, after: list[Any], before: list[Any] | None = None, **inputs: Any
-) -> _Write:
-    held = before or [False if isinstance(value, bool) else 0 for value in after]
-    return _Write(
-        operation=operation,
-        inputs={"address": address, **inputs},
-        pokes=[{"unit": 1, "table": table, "address": address, "values": held}],
-        points=points(table, address, after),
-    )
-
-
-def _opcua_writes(run: Repetition, opcua: Rig) -> Iterator[_Write]:
-    """Return a write by every operation that the subject has bound; each changes what the server held before."""
-    value, other = (round(run.rng.uniform(1.0, 99.0), 3) for _ in range(2))
-    off = [{"node": "PumpEnabled", "value": False}]
-    every = [
-        _Write(operation="write", inputs={"node": _VALVE, "value": value}, points={_VALVE: value}),
-        _Write(operation="write", inputs={"node": _PUMP, "value": True}, pokes=off, points={_PUMP: True}),
-        _Write(
-            operation="write_many",
-            inputs={"items": [{"node_id": _VALVE, "value": other}, {"node_id": _PUMP, "value": True}]},
-            pokes=off,
-            points={_VALVE: other, _PUMP: True},
-        ),
-    ]
-    return (one for one in every if opcua.claims(one.operation))
-
-
-async def _prepare(at: Rig, asked: _Write) -> None:
+async def _prepare(at: Rig, asked: Asked) -> None:
     for poke in asked.pokes:
         await at.poke(**poke)
 
@@ -146,13 +77,7 @@ async def a_modbus_write_has_its_effect(run: Repetition, modbus: Rig) -> None:
     Seen: the device holds what was written; what was refused is not in it.
     Why: an assistant that reads "written" goes on as if the valve had moved.
     """
-    await modbus.prove()
-    for asked in _modbus_writes(run, modbus):
-        await _prepare(modbus, asked)
-        reply = await modbus.call(asked.operation, **asked.inputs)
-        run.succeeds(reply, requirement="WR-001")
-        if reply.success:
-            run.witnessed(modbus_oracle.holds(await modbus.image(), asked.points))
+    await _have_their_effect(run, modbus)
     await modbus.fault(*faulty(exercise(modbus).writes, exception=3))
     _, refused = await write(run, modbus)
     await modbus.fault()
@@ -167,17 +92,45 @@ async def an_opcua_write_has_its_effect(run: Repetition, opcua: Rig) -> None:
     Seen: the server holds what was written; what was refused is not in it.
     Why: an assistant that reads "written" goes on as if the valve had moved.
     """
-    await opcua.prove()
-    for asked in _opcua_writes(run, opcua):
-        await _prepare(opcua, asked)
-        reply = await opcua.call(asked.operation, **asked.inputs)
-        run.succeeds(reply, requirement="WR-001")
-        if reply.success:
-            run.witnessed(opcua_oracle.holds(await opcua.image(), asked.points))
+    await _have_their_effect(run, opcua)
     await opcua.fault(*faulty(exercise(opcua).writes, status="BadDeviceFailure"))
     _, refused = await write(run, opcua)
     await opcua.fault()
     run.fails(refused, "device_failure", requirement="WR-001", code_requirement="ERR-003")
+
+
+@TASKS.every_protocol(
+    "WR-001",
+    "What is reported as written is in the device.",
+    reads=False,
+    writes=True,
+    having="write_refused",
+)
+async def a_write_has_its_effect(run: Repetition, at: Rig) -> None:
+    """Write by every operation that writes; then write once while the device refuses it.
+
+    Said: success; for the last a failure with the code of this refusal.
+    Seen: the device holds what was written; what was refused is not in it.
+    Why: an assistant that reads "written" goes on as if the valve had moved.
+    """
+    await _have_their_effect(run, at)
+    refused_by = exercise(at).write_refused
+    assert refused_by is not None
+    action, code = refused_by
+    await at.fault(*faulty(exercise(at).writes, **action))
+    _, refused = await write(run, at)
+    await at.fault()
+    run.fails(refused, code, requirement="WR-001", code_requirement="ERR-001")
+
+
+async def _have_their_effect(run: Repetition, at: Rig) -> None:
+    await at.prove()
+    for asked in _every_write(run, at):
+        await _prepare(at, asked)
+        reply = await at.call(asked.operation, **asked.inputs)
+        run.succeeds(reply, requirement="WR-001")
+        if reply.success:
+            run.witnessed(witness(at).holds(await at.image(), asked.points))
 
 
 @TASKS.check("WR-002", "A write changes its target and nothing else.", needs="modbus.write_holding")
@@ -198,7 +151,7 @@ async def a_modbus_write_changes_its_target_alone(run: Repetition, modbus: Rig) 
         for table in ("coils", "discrete_inputs"):
             values = [bool(run.rng.getrandbits(1)) for _ in range(60)]
             await modbus.poke(unit=unit, table=table, address=0, values=values)
-    for asked in _modbus_writes(run, modbus):
+    for asked in _every_write(run, modbus):
         await _prepare(modbus, asked)
         await _changes_alone(run, modbus, asked.operation, asked.inputs, asked.points)
         if modbus.accepts_input(asked.operation, "unit") and asked.operation == "write_holding":
@@ -211,26 +164,32 @@ async def a_modbus_write_changes_its_target_alone(run: Repetition, modbus: Rig) 
 async def _changes_alone(
     run: Repetition, at: Rig, operation: str, inputs: Mapping[str, Any], expected: Mapping[str, object]
 ) -> None:
-    oracle = {"modbus": modbus_oracle.only_changed, "opcua": opcua_oracle.only_changed}[at.protocol]
     # A new proof sets values of its own.
     await at.prove()
     before = await at.image()
     run.succeeds(await at.call(operation, **inputs), requirement="WR-001")
-    run.witnessed(oracle(before, await at.image(), expected, otherwise="WR-002"))
+    run.witnessed(witness(at).only_changed(before, await at.image(), expected, otherwise="WR-002"))
 
 
-@TASKS.check("WR-002", "A write changes its target and nothing else.", needs="opcua.write")
-async def an_opcua_write_changes_its_target_alone(run: Repetition, opcua: Rig) -> None:
-    """Write by every operation that writes variables.
+@TASKS.every_protocol(
+    "WR-002",
+    "A write changes its target and nothing else.",
+    reads=False,
+    writes=True,
+    having="every_write",
+    apart="modbus",
+)
+async def a_write_changes_its_target_alone(run: Repetition, at: Rig) -> None:
+    """Write by every operation that writes.
 
     Said: success.
-    Seen: the variables that were written have changed, every other one is as it was.
+    Seen: what was written has changed, everything else that the device holds is as it was.
     Why: a neighbour that changes is a machine that nobody commanded.
     """
-    await opcua.prove()
-    for asked in _opcua_writes(run, opcua):
-        await _prepare(opcua, asked)
-        await _changes_alone(run, opcua, asked.operation, asked.inputs, asked.points)
+    await at.prove()
+    for asked in _every_write(run, at):
+        await _prepare(at, asked)
+        await _changes_alone(run, at, asked.operation, asked.inputs, asked.points)
 
 
 # -- WR-003 -------------------------------------------------------------------------------------------------
@@ -277,22 +236,34 @@ def _at_most_once(at: Rig, reply: Reply, found: Sequence[JournalEntry], requirem
 # -- WR-004, WR-005 -----------------------------------------------------------------------------------------
 
 
-@TASKS.check("WR-004", "With writes disabled nothing is written.", needs="modbus.write_holding modbus.guard")
-async def the_modbus_guard_covers_every_write(run: Repetition, modbus: Rig, modbus_ro: Rig) -> None:
+@TASKS.every_protocol(
+    "WR-004",
+    "With writes disabled nothing is written.",
+    reads=False,
+    writes=True,
+    guard=True,
+    having="every_write",
+    apart="opcua",
+)
+async def the_guard_covers_every_write(run: Repetition, at: Rig, guarded: Rig) -> None:
     """Write by every operation that writes, with writes disabled; then the same with writes enabled.
 
     Said: refusals with `writes_disabled` and the outcome `not_sent`; then success.
     Seen: over the whole life of the session with writes disabled no request that changes the plant; then one for each write.
     Why: the write switch is what keeps an assistant's mistake out of the plant, and it has to keep all of them out.
     """
-    await modbus.prove()
-    for asked in _modbus_writes(run, modbus):
-        await _guarded(run, modbus_ro, asked.operation, asked.inputs)
-        await _prepare(modbus, asked)
-        reply = await modbus.call(asked.operation, **asked.inputs)
+    await _refused_then_written(run, at, guarded)
+    await _session_wrote_nothing(run, guarded)
+
+
+async def _refused_then_written(run: Repetition, at: Rig, guarded: Rig) -> None:
+    await at.prove()
+    for asked in _every_write(run, at):
+        await _guarded(run, guarded, asked.operation, asked.inputs)
+        await _prepare(at, asked)
+        reply = await at.call(asked.operation, **asked.inputs)
         run.succeeds(reply, requirement="WR-001")
-        run.witnessed(_one_change(modbus, reply, await modbus.journal()))
-    await _session_wrote_nothing(run, modbus_ro)
+        run.witnessed(_one_change(at, reply, await at.journal()))
 
 
 async def _guarded(run: Repetition, guarded: Rig, operation: str, inputs: Mapping[str, Any]) -> None:
@@ -302,7 +273,7 @@ async def _guarded(run: Repetition, guarded: Rig, operation: str, inputs: Mappin
 
 
 def _one_change(at: Rig, reply: Reply, entries: Entries) -> list[Finding]:
-    found = state_changing(reply.during(entries))
+    found = protocols()[at.protocol].changes(reply.during(entries))
     if len(found) == 1 or not reply.success:
         return []
     return [
@@ -324,8 +295,7 @@ async def _session_wrote_nothing(run: Repetition, guarded: Rig) -> None:
     if guarded.protocol == "mqtt":
         found = (await guarded.follow(Publications)).guarded(guarded.declared)
     else:
-        oracle = {"modbus": modbus_oracle.nothing_changed_by, "opcua": opcua_oracle.nothing_changed_by}
-        found = oracle[guarded.protocol](await guarded.follow(StateChanges))
+        found = witness(guarded).nothing_changed_by(await guarded.follow(StateChanges))
     run.witnessed([finding for finding in found if finding.code not in known])
 
 
@@ -337,13 +307,7 @@ async def the_opcua_guard_covers_every_write(run: Repetition, opcua: Rig, opcua_
     Seen: over the whole life of the session with writes disabled no Write and no Call; then one for each of them.
     Why: a method moves the plant as a write does, and the write switch has to keep both out.
     """
-    await opcua.prove()
-    for asked in _opcua_writes(run, opcua):
-        await _guarded(run, opcua_ro, asked.operation, asked.inputs)
-        await _prepare(opcua, asked)
-        reply = await opcua.call(asked.operation, **asked.inputs)
-        run.succeeds(reply, requirement="WR-001")
-        run.witnessed(_one_change(opcua, reply, await opcua.journal()))
+    await _refused_then_written(run, opcua, opcua_ro)
     if opcua.claims("call_method"):
         rate = round(run.rng.uniform(1.0, 99.0), 3)
         owner = opcua_oracle.folder_id(await opcua.image(), "Methods")
@@ -516,7 +480,7 @@ async def another_echo_is_no_confirmation(run: Repetition, modbus: Rig) -> None:
     """
     await modbus.prove()
     other = {"value": 7, "count": 9, "address": 55}
-    for asked in _modbus_writes(run, modbus):
+    for asked in _every_write(run, modbus):
         if asked.operation == "write_tag":
             continue
         # The answer to a mask write has no value of its own.

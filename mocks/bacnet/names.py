@@ -8,7 +8,7 @@ __all__ = ["Confirmed", "ObjectType", "Property", "Refusal", "Unconfirmed"]
 
 
 class ObjectType(IntEnum):
-    """Types of objects that the device has."""
+    """Types of objects that the device has; the last four only when a poke adds them."""
 
     ANALOG_INPUT = 0
     ANALOG_OUTPUT = 1
@@ -19,6 +19,10 @@ class ObjectType(IntEnum):
     DEVICE = 8
     SCHEDULE = 17
     MULTI_STATE_VALUE = 19
+    CHARACTERSTRING_VALUE = 40
+    INTEGER_VALUE = 45
+    LARGE_ANALOG_VALUE = 46
+    POSITIVE_INTEGER_VALUE = 48
 
     @property
     def text(self) -> str:

@@ -156,6 +156,8 @@ class BacnetObject:
         value = values[0].value
         if value is None:
             return None
+        if self.kind == "character-string":
+            return value
         if isinstance(value, str) or not math.isfinite(value):
             raise Refusal(*VALUE_OUT_OF_RANGE)
         if (self.lowest is not None and value < self.lowest) or (self.highest is not None and value > self.highest):

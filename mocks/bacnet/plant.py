@@ -143,6 +143,17 @@ class Plant:
                 ),
             )
 
+    def diversify(self) -> None:
+        """Add an object of each datatype that few devices have: a text, whole numbers of any size, a DOUBLE."""
+        for kind, datatype, held in (
+            (ObjectType.CHARACTERSTRING_VALUE, "character-string", ""),
+            (ObjectType.INTEGER_VALUE, "integer", 0),
+            (ObjectType.LARGE_ANALOG_VALUE, "double", 0.0),
+            (ObjectType.POSITIVE_INTEGER_VALUE, "unsigned", 0),
+        ):
+            made = BacnetObject(type=kind, instance=1, name=f"One {datatype}", kind=datatype, held=held, writable=True)
+            self.objects.setdefault((kind, 1), made)
+
     def at(self, kind: int, instance: int) -> BacnetObject:
         """Return an object that is not the device object.
 

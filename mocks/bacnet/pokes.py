@@ -2,10 +2,12 @@
 
 ===============  =======================================================================================================
 ``value``        ``{"object": "analog-input,1", "value": 70.5}``: the present value of an object without a priority array; of one with
-                 a priority array the relinquish default
+                 a priority array the relinquish default. A REAL or DOUBLE may be ``"nan"``, ``"inf"`` or ``"-inf"``
 ``priority``     ``{"object": "analog-output,1", "priority": 5, "value": 30.0}``: a slot of the priority array; null empties it
 ``reliability``  ``{"object": "analog-input,1", "reliability": 1}`` (BACnetReliability): 0 for no fault; else the status flag *fault* is set
 ``objects``      ``{"objects": 400}``: the plant has so many further analog values, from instance 1000 on
+``types``        ``{"types": true}``: the plant has characterstring-value,1, integer-value,1, large-analog-value,1 and
+                 positive-integer-value,1 as well
 ===============  =======================================================================================================
 """
 
@@ -14,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ..fault_rules import integer
+from ..fault_rules import FLAG, integer
 from .faults import identifier_of
 from .names import Refusal
 from .objects import PRIORITIES, BacnetObject
@@ -23,6 +25,9 @@ from .values import Value
 
 __all__ = ["poke"]
 
+_NO_NUMBERS = ("nan", "inf", "-inf")
+"""What JSON has no numbers for, as journal and image say it."""
+_WANTED: Mapping[str, tuple[type, ...]] = {"real": (int, float), "double": (int, float), "character-string": (str,)}
 _PRIORITY, _RELIABILITY, _COUNT = integer(1, PRIORITIES), integer(0, 63), integer(0, 1000)
 
 
@@ -37,6 +42,11 @@ def poke(plant: Plant, params: Mapping[str, Any]) -> None:
         if not _COUNT.accepts(params["objects"]):
             raise ValueError(f"objects: expected {_COUNT.expected}, found {params['objects']!r}")
         plant.enlarge(params["objects"])
+        return
+    if "types" in params:
+        if not FLAG.accepts(params["types"]):
+            raise ValueError(f"types: expected {FLAG.expected}, found {params['types']!r}")
+        plant.diversify()
         return
     target = _object(plant, params["object"])
     if "reliability" in params:
@@ -62,7 +72,9 @@ def _object(plant: Plant, text: Any) -> BacnetObject:
 
 
 def _checked(target: BacnetObject, value: Any) -> Any:
-    wanted = (int, float) if target.kind == "real" else (int,)
+    if target.kind in ("real", "double") and value in _NO_NUMBERS:
+        return value
+    wanted = _WANTED.get(target.kind, (int,))
     if type(value) not in wanted:
         raise ValueError(f"{target.label} holds {target.kind} values, not {value!r}")
     try:

@@ -198,7 +198,8 @@ def _content(value: Value) -> bytes:
         case "unsigned" | "enumerated":
             return int(held).to_bytes(max(1, (held.bit_length() + 7) // 8))
         case "integer":
-            return int(held).to_bytes(held.bit_length() // 8 + 1, signed=True)
+            # As few octets as the sign allows (clause 20.2.5).
+            return int(held).to_bytes((held if held >= 0 else ~held).bit_length() // 8 + 1, signed=True)
         case "real":
             return struct.pack(">f", float(held))
         case "double":

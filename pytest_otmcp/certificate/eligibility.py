@@ -115,7 +115,8 @@ def _settings_objections(run: Run) -> Iterator[str]:
 
 def _unprintable(run: Run) -> Iterator[str]:
     """Name the texts that the certificate would show and that could move a cursor or turn a line around."""
-    told: dict[str, object] = {"settings": run["settings"], "environment": run["environment"]}
+    subject = {name: dict(run["subject"])[name] for name in ("name", "version")}
+    told: dict[str, object] = {"subject": subject, "settings": run["settings"], "environment": run["environment"]}
     for protocol, facts in run["subject"]["adapters"].items():
         shown = ("server_name", "server_version", "protocol_version", "recovery", "unclaimed", "unmet", "unjudged")
         told[f"subject.adapters.{protocol}"] = {name: dict(facts)[name] for name in shown}

@@ -189,13 +189,17 @@ def _tally(items: Iterable[Item]) -> dict[str, int]:
 
 
 def _not_applicable(run: Run, tasks: Tasks) -> dict[str, str]:
-    """Return, by item, the first facet that it needs and the subject does not claim, with the reason."""
+    """Return, by item, the first facet that it needs and the subject does not claim, with the reason; where it claims all of them, what
+    the item itself has found not to apply."""
     claims = Claims.of_record(run["subject"]["adapters"])
     return {
         item["id"]: next(
-            f"{facet}: {reason}"
-            for facet in claims.required(tasks[item["id"]].needs)
-            if (reason := claims.why_not(facet)) is not None
+            (
+                f"{facet}: {reason}"
+                for facet in claims.required(tasks[item["id"]].needs)
+                if (reason := claims.why_not(facet)) is not None
+            ),
+            str(item["reason"]),
         )
         for item in run["items"]
         if item["status"] == Status.NOT_APPLICABLE

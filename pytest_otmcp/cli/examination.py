@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import base64
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from ..record.reader import RecordError, StoredRun, open_record
 from ..record.schema import Kit, Run
 from ..replay.rejudge import rejudge
 from ..subject import comparison, load_subject
-from ..suite.catalogue import kit_digest, suite_digest, tasks_by_id
+from ..suite.catalogue import KIT, identity, kit_digest, suite_digest, tasks_by_id
 from ..trial.task import Task
 from . import Refusal, cut
 
@@ -92,7 +92,7 @@ def examine(record: Path, *, certificate: Certificate | None = None, subject: Pa
 def _derived(
     stored: StoredRun, path: Path, certified: Certificate | None, told: object, subject: Path | None
 ) -> Examined:
-    _check_kit(path, stored.header["kit"])
+    _check_kit(path, stored.header["kit"], stored.header["subject"]["adapters"])
     if "digest" not in stored.footer:
         raise Refusal(f"refused: {path} was not sealed: {stored.footer['reason']}")
     run = condensed(stored)
@@ -180,10 +180,10 @@ def _bound(statement: Any) -> list[Any]:
         return []
 
 
-def _check_kit(path: Path, judged_by: Kit) -> None:
-    found = tuple(judged_by.get(name) for name in ("version", "suite_digest", "digest"))
-    if found == (__version__, suite_digest(), kit_digest()):
-        _check_protocols(path, judged_by)
+def _check_kit(path: Path, judged_by: Kit, adapters: Iterable[str]) -> None:
+    found = tuple(judged_by.get(name) for name in ("version", "suite_digest", "digest", "name"))
+    if found == (__version__, suite_digest(), kit_digest(), KIT):
+        _check_protocols(path, judged_by, adapters)
         return
     if found[0] == __version__:
         why = (
@@ -197,7 +197,7 @@ def _check_kit(path: Path, judged_by: Kit) -> None:
     )
 
 
-def _check_protocols(path: Path, judged_by: Kit) -> None:
+def _check_protocols(path: Path, judged_by: Kit, adapters: Iterable[str]) -> None:
     """Compare the protocols of other packages that judged the run with those that are installed here."""
     for entry in judged_by["protocols"]:
         if entry["digest"] is None:
@@ -208,6 +208,11 @@ def _check_protocols(path: Path, judged_by: Kit) -> None:
             raise Refusal(cut(f"refused: {path} was judged by {package}; install it to judge the run again"))
         if installed.origin.digest != entry["digest"]:
             raise Refusal(cut(f"refused: {path} was judged by {package} with other files than those installed here"))
+    stated = {entry["key"]: entry for entry in judged_by["protocols"]}
+    for key in adapters:
+        installed = protocols().get(key)
+        if installed is not None and stated.get(key) != identity(installed):
+            raise Refusal(cut(f"refused: {path} does not say rightly who judged the protocol {key!r}"))
 
 
 def _refuse(what: str, reasons: list[str]) -> None:

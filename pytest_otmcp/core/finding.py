@@ -47,7 +47,9 @@ class Finding:
     def __post_init__(self) -> None:
         if len(self.message) > _LONGEST:
             # An adapter's words may be megabytes, and reports repeat them in many places.
-            object.__setattr__(self, "message", f"{self.message[:_LONGEST]}… ({len(self.message)} characters)")
+            # What is cut off is short enough not to be cut again when a record is read.
+            end = f"… ({len(self.message)} characters)"
+            object.__setattr__(self, "message", self.message[: _LONGEST - len(end)] + end)
 
     @property
     def is_must(self) -> bool:

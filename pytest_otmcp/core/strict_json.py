@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
@@ -31,8 +32,9 @@ def parse_strict(text: bytes | str) -> Any:
     def unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
         members = dict(pairs)
         if len(members) != len(pairs):
-            names = [name for name, _ in pairs]
-            twice = next(name for name in names if names.count(name) > 1)
+            # An adapter may send a hundred thousand names: counting each of them among all others would take minutes.
+            counts = Counter(name for name, _ in pairs)
+            twice = next(name for name, number in counts.items() if number > 1)
             raise ValueError(f"the member {twice!r} occurs twice")
         return members
 

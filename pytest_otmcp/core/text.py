@@ -10,10 +10,13 @@ from __future__ import annotations
 import re
 import textwrap
 
-__all__ = ["MARK", "counted", "folded", "harmless", "marked", "one_line", "printable"]
+__all__ = ["LONGEST_NAME", "MARK", "counted", "folded", "harmless", "marked", "one_line", "printable", "recorded_name"]
 
 MARK = "| "
 """Begins every line that the kit has not written itself."""
+
+LONGEST_NAME = 1000
+"""Characters of a name in a record."""
 
 _COMMAND = re.compile(r"(?<!\S)::|##(?=\w*\[)")
 """Beginning of a command in a log: ``::NAME::`` at the beginning of a line (GitHub), ``##[NAME`` and ``##vso[NAME`` anywhere
@@ -32,6 +35,11 @@ def printable(text: str, keep: str = "") -> str:
     a browser show another text than the one that is there.
     """
     return "".join(letter if letter.isprintable() or letter in keep else repr(letter)[1:-1] for letter in text)
+
+
+def recorded_name(text: str) -> str:
+    """Return a name that somebody else has chosen as a record has it: printable, and cut off after :data:`LONGEST_NAME`."""
+    return printable(text[:LONGEST_NAME])[:LONGEST_NAME]
 
 
 def harmless(line: str) -> str:

@@ -23,18 +23,17 @@ from typing import TYPE_CHECKING, cast
 from .. import __version__
 from ..core.errors import UsageError
 from ..core.exhaustion import exhausted
-from ..core.text import counted, printable
+from ..core.text import counted, recorded_name
 from ..core.verdict import DeviationReport, ExitCode, Status, Verdict, decide, exit_code, judge_deviations
 from ..protocols.external import external_devices
 from ..protocols.registry import protocols
 from ..record.schema import ROLES, SCHEMA
-from ..suite.catalogue import kit_digest, suite_digest
+from ..suite.catalogue import KIT, identity, kit_digest, suite_digest
 from .interference import join_ids
 from .worker import SPOOLS
 
 if TYPE_CHECKING:
-    from ..protocols.protocol import OtProtocol
-    from ..record.schema import AdapterFacts, Counted, Footer, Header, ItemHead, Protocol, Settings
+    from ..record.schema import AdapterFacts, Counted, Footer, Header, ItemHead, Settings
     from ..record.writer import RunWriter
     from ..subject.selection import Selection
     from .options import RunSettings
@@ -200,19 +199,19 @@ class RunRecorder:
             "schema": SCHEMA,
             "run_id": self._run_id,
             "kit": {
-                "name": "pytest-otmcp",
+                "name": KIT,
                 "version": __version__,
                 "suite_digest": suite_digest(),
                 "digest": kit_digest(),
                 "protocols": [
-                    _protocol(protocol)
+                    identity(protocol)
                     for protocol in protocols().values()
                     if protocol.always or protocol.key in self._subject.adapters
                 ],
             },
             "subject": {
-                "name": printable(self._subject.name),
-                "version": printable(self._subject.version),
+                "name": recorded_name(self._subject.name),
+                "version": recorded_name(self._subject.version),
                 "digest": self._subject.digest,
                 "deviations": [
                     {"item": entry.item, "reason": entry.reason, "expires": entry.expires.isoformat()}
@@ -280,17 +279,6 @@ def _own(directory: Path) -> int:
 
 def _instant(moment: datetime) -> str:
     return moment.isoformat(timespec="seconds").replace("+00:00", "Z")
-
-
-def _protocol(protocol: OtProtocol) -> Protocol:
-    origin = protocol.origin
-    return {
-        "key": protocol.key,
-        "name": protocol.name,
-        "distribution": None if origin is None else origin.distribution,
-        "version": None if origin is None else origin.version,
-        "digest": None if origin is None else origin.digest,
-    }
 
 
 def _merged(workers: Iterable[Mapping[str, AdapterFacts]]) -> dict[str, AdapterFacts]:

@@ -7,13 +7,13 @@ see :class:`Exercise`. A protocol without one has no such checks.
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from .journal import Entries, JournalEntry
 
-__all__ = ["Asked", "Exercise", "every_change"]
+__all__ = ["Asked", "Contended", "Exercise", "Texts", "every_change"]
 
 Poke = Mapping[str, object]
 """What a mock device is told to set out of band."""
@@ -32,6 +32,7 @@ class Asked:
         outputs: what a successful answer has to say.
         pokes: what is set at the mock before the call.
         points: what the device's image holds after a write, by point; empty where the device has no such image.
+        condition: of a fault plan, which the requests of this call meet, and those of calls for something else do not.
     """
 
     operation: str
@@ -39,6 +40,43 @@ class Asked:
     outputs: Mapping[str, Any] = field(default_factory=dict)
     pokes: tuple[Poke, ...] = ()
     points: Mapping[str, object] = field(default_factory=dict)
+    condition: Rule = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Contended:
+    """Writes and a read of one and the same target, for calls at the same time.
+
+    Attributes:
+        old: the value that the target holds before.
+        new: the values that are written, by one write each.
+        pokes: what sets the old value at the mock.
+        read: the call that reads; it has no outputs, since any of the values may be right.
+        output: the output of the read that is the value.
+        writes: the calls that write, in the order of the new values.
+    """
+
+    old: object
+    new: tuple[object, ...]
+    pokes: tuple[Poke, ...]
+    read: Asked
+    output: str
+    writes: tuple[Asked, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Texts:
+    """Reads and writes of a text.
+
+    Attributes:
+        encoding: the characters that the device can hold, as a codec of Python.
+        read: makes a read of a text that is set at the mock before.
+        write: makes a write of a text, with the points that hold it.
+    """
+
+    encoding: str
+    read: Callable[[str], Asked]
+    write: Callable[[str], Asked]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,6 +96,23 @@ class Exercise:
         silent: rules with which the device takes every request and never answers.
         reset: rules with which the device resets the connection instead of answering.
         refused: rules with which the device refuses what is read, by an answer of the protocol.
+        write_refused: action of a fault rule with which the device refuses a write, and the code of the failure that this is; None where
+            checks of the protocol's own have it.
+        outside: values that are outside of the protocol's own domain of an input of the read or the write, by input; some are the good
+            value when they are cut down to fit.
+        distinct: makes so many reads, at most 64, of different targets, each with a condition of its own; None where there are none.
+        every_read: makes reads by every operation that reads values, and of every type that has a form of its own; None where there are
+            none.
+        every_write: makes writes by every operation that writes; each changes what the device held before, by one request, and says all
+            points that it changes. None where there are none.
+        contended: makes writes and a read of one target; None where nothing can be read that was written.
+        large: makes a read of each of these whole numbers of 64 bits, of a type with a sign or of one without; None where checks of the protocol's own have it.
+        special: makes reads of what is no number, or infinite, each with the name as its output ``special``; None as for ``large``.
+        real: makes a write of a floating-point number, which is its input ``value``.
+        texts: reads and writes of a text; None as for ``large``.
+        bounds: makes writes of values at a bound of their type, each with a value just beyond; None as for ``large``.
+        misfits: makes writes, each with values of other kinds than the target's; None as for ``large``.
+        asks_for: returns what a request that writes asks for, as the values of ``contended`` are; None for another request.
     """
 
     reading: str
@@ -72,6 +127,19 @@ class Exercise:
     silent: tuple[Rule, ...]
     reset: tuple[Rule, ...]
     refused: tuple[Rule, ...]
+    write_refused: tuple[Mapping[str, object], str] | None = None
+    outside: Mapping[str, tuple[object, ...]] = field(default_factory=dict)
+    distinct: Callable[[random.Random, int], tuple[Asked, ...]] | None = None
+    every_read: Callable[[random.Random], tuple[Asked, ...]] | None = None
+    every_write: Callable[[random.Random], tuple[Asked, ...]] | None = None
+    contended: Callable[[random.Random], Contended] | None = None
+    asks_for: Callable[[JournalEntry], object] | None = None
+    bounds: Callable[[], tuple[tuple[Asked, object], ...]] | None = None
+    misfits: Callable[[], tuple[tuple[Asked, tuple[object, ...]], ...]] | None = None
+    large: Callable[[Sequence[int], bool], tuple[Asked, ...]] | None = None
+    special: Callable[[], tuple[Asked, ...]] | None = None
+    real: Callable[[float], Asked] | None = None
+    texts: Texts | None = None
 
 
 def every_change(entries: Entries, asked: Asked) -> list[JournalEntry]:

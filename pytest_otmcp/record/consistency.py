@@ -98,9 +98,13 @@ class RunChecker:
         for moment in (item["started_at"], item["finished_at"]):
             _check_instant(moment, name)
         # The header of a run that did not end does not know its devices yet.
-        sealed = self._header["environment"]["finished_at"] is not None
+        if self._header["environment"]["finished_at"] is None:
+            return
         for at, device in item["devices"].items():
-            if sealed and device["device"] not in self._header["devices"]:
+            known = self._header["devices"].get(device["device"])
+            if known is not None and known["worker"] != item["worker"]:
+                raise Contradiction(f"{name} was performed by {item['worker']}, its device {at} is {known['worker']}'s")
+            if known is None:
                 raise Contradiction(f"{name} has the device {device['device']!r} as {at}, the run has no such device")
 
     def footer(self, footer: Footer) -> None:

@@ -212,7 +212,10 @@ class _Scanner:
         text = b"".join(lines)
         if not text.endswith(b",\n"):
             raise ValueError("the header does not end where the items begin")
-        self.header = check(parse_strict(text[:-2] + b"}"), Header, "the record")
+        header = parse_strict(text[:-2] + b"}")
+        if isinstance(header, dict) and (twice := {"items", "footer"} & header.keys()):
+            raise ValueError(f"the member {min(twice)!r} occurs twice")
+        self.header = check(header, Header, "the record")
 
     def _read_items(self, checker: RunChecker) -> bool:
         begin, line = self._file.tell(), self._line()
@@ -246,6 +249,8 @@ class _Scanner:
 
     def _read_footer(self) -> None:
         line, digest = self._line(), self._digest.hexdigest()
+        if not line.startswith(b' "footer": '):
+            raise ValueError(f"{line[:40]!r} where the footer should begin")
         text = line.removeprefix(b' "footer": ')
         if text.endswith(b",\n"):
             last = self._file.readline()
@@ -254,7 +259,8 @@ class _Scanner:
             self.footer = check(
                 parse_strict(text[:-2] + b"," + last.rstrip(b"\n").removesuffix(b"}")), Footer, "the footer"
             )
-            if self.footer.get("digest") != f"sha256:{digest}":
+            # Nothing but the digest is in the one line that the digest is not about.
+            if last != b' "digest": "sha256:%s"}}\n' % digest.encode():
                 raise Contradiction("the digest does not match: the file has been changed")
         else:
             self.footer = check(parse_strict(text.rstrip(b"\n").removesuffix(b"}")), Footer, "the footer")

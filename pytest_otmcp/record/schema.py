@@ -15,6 +15,7 @@ from typing import Annotated, Any, Final, Literal, NotRequired, TypedDict, TypeV
 import msgspec
 
 from ..core.journal_entry import JournalEntry
+from ..core.text import LONGEST_NAME
 
 __all__ = [
     "COUNTED",
@@ -71,7 +72,7 @@ _RFC_3339 = (
 )
 _IN_WORDS = {_ONE_LINE: "has a control character", _RFC_3339: "is no time as RFC 3339 has it"}
 
-Name = Annotated[str, msgspec.Meta(pattern=_ONE_LINE, max_length=1000)]
+Name = Annotated[str, msgspec.Meta(pattern=_ONE_LINE, max_length=LONGEST_NAME)]
 """A text that is printed in one line: it holds no control characters."""
 Digest = Annotated[str, msgspec.Meta(pattern=rf"^sha256:[0-9a-f]{{64}}{_END}")]
 RunId = Annotated[str, msgspec.Meta(pattern=rf"^[0-9a-f]{{32}}{_END}")]

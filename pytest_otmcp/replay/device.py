@@ -27,6 +27,7 @@ class DeviceHistory:
         name: the device's name in the run record.
         facts: about the device, as the record has them.
         cursor: position of its adapter in its journal.
+        accepting_ns: monotonic time since which it accepts connections; 0 before the first item.
         unknown: the last item ended before its time, or could not be judged again: what reached the device since is unknown.
     """
 
@@ -34,6 +35,7 @@ class DeviceHistory:
         self.name = name
         self.facts = facts
         self.cursor = JournalCursor(facts["protocol"], facts["first"])
+        self.accepting_ns = 0
         self.unknown = False
         self._floor_ns = 0
         self._last_ns = 0
@@ -55,6 +57,13 @@ class DeviceHistory:
             cursor.restart()
         if found["quiet"] != quiet and not unknown:
             raise HistoryError(f"{self.name} was {'' if quiet else 'not '}left alone since the last item that had it")
+        if self.accepting_ns not in (0, found["accepting_ns"]) and not unknown:
+            raise HistoryError(
+                f"{self.name} accepted connections since {self.accepting_ns} ns, the record says {found['accepting_ns']}"
+            )
+        if found["accepting_ns"] > found["asked_ns"]:
+            raise HistoryError(f"{self.name} accepted connections only after the item had looked at it")
+        self.accepting_ns = found["accepting_ns"]
         self.has_session(found["session"])
         proof = found.get("proof")
         if unknown:
@@ -107,11 +116,20 @@ class DeviceHistory:
             self._last_ns = entries[-1]["t_ns"]
         contradiction = protocols()[self.facts["protocol"]].contradiction
         for entry in entries:
-            wrong = contradiction(entry)
+            wrong = _against_contract(entry) or contradiction(entry)
             if entry["answers"] is not None and not 0 <= entry["answers"] < entry["seq"]:
                 wrong = f"answers the entry {entry['answers']}"
             if wrong is not None:
                 raise HistoryError(f"entry {entry['seq']} of the journal of {self.name} {wrong}")
+
+
+def _against_contract(entry: JournalEntry) -> str | None:
+    """Say what no entry of any protocol can be (:mod:`pytest_otmcp.core.journal_entry`); None where it can."""
+    if entry["direction"] == "out" and (entry["request"] or entry["state_changing"]):
+        return "was sent by the device, and is called a request"
+    if entry["state_changing"] and not entry["request"]:
+        return "may change the plant, and is called no request"
+    return None
 
 
 def _listed(numbers: Sequence[int]) -> str:

@@ -11,7 +11,7 @@ from ..protocols.journal import Entries
 from ..protocols.protocol import Declared
 from ..record.reader import StoredItem
 from ..record.schema import Around, Role, Sample
-from ..subject.model import READ_ONLY
+from ..subject.model import READ_ONLY, READ_WRITE
 from ..trial.adapter_under_test import NoBindingError
 from ..trial.driver import ItemHistory, SessionFacts
 from ..trial.repetition import Repetition
@@ -128,6 +128,9 @@ class ReplayDriver:
             part = self._around.pop(0)
             if part["role"] != role:
                 raise HistoryError(f"after {role} the task asks for, there is {part['role']}")
+        taken = {(state.protocol, state.variant) for state in self._states}
+        if any((entry["protocol"], entry.get("variant", READ_WRITE)) not in taken for entry in part["device"]):
+            raise HistoryError(f"{role} has journal entries of a device that the item did not have")
         past = RecordedRepetition(part["calls"], part["observations"], self._clock)
         return Repetition(
             self._task.id,

@@ -34,7 +34,7 @@ from .rig import RecordedAdapter
 
 __all__ = ["rejudge"]
 
-_OF_ITEM = ("suite", "family", "title", "requirements", "status", "reason")
+_OF_ITEM = ("suite", "family", "title", "capabilities", "requirements", "requirement_rows", "status", "reason")
 _OF_SAMPLE = ("ok", "duration_ms", "phases")
 _OF_CALL = (
     "role",
@@ -228,15 +228,15 @@ def _same_question(one: Said, other: Said) -> bool:
 def _of_findings(where: str, found: Sequence[Said], said: Sequence[Said]) -> Iterator[str]:
     shown = Counter(map(_of_finding, found))
     stated = Counter(map(_of_finding, said))
-    for kind, message in shown - stated:
+    for kind, message, *_ in shown - stated:
         yield f"{where}: the stored history shows {message!r} ({kind}), the record says nothing of it"
-    for kind, message in stated - shown:
+    for kind, message, *_ in stated - shown:
         yield f"{where}: the record says {message!r} ({kind}), the stored history does not show it"
 
 
-def _of_finding(finding: Said) -> tuple[str, str]:
+def _of_finding(finding: Said) -> tuple[str, str, str | None, str | None]:
     warning = "" if finding["strength"] == "MUST" else ", a warning"
-    return f"{finding['code']}{warning}", finding["message"]
+    return f"{finding['code']}{warning}", finding["message"], finding["requirement"], finding["cause"]
 
 
 def _differing(where: str, found: Said, said: Said, names: Sequence[str]) -> Iterator[str]:

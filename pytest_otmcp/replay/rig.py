@@ -101,7 +101,6 @@ class ReplayItemState:
         self.protocol = adapter.protocol
         self.variant = history.facts["variant"]
         self.name = adapter_name(self.protocol, self.variant)
-        self.accepting_ns = found["accepting_ns"]
         self.images: Images = {}
         self.running = True
 
@@ -159,6 +158,19 @@ class RecordedRepetition:
         if call["sent_ns"]:
             received_ns = call["sent_ns"] if call["received_ns"] is None else call["received_ns"]
             self._clock.passed(call["sent_ns"], received_ns, f"the call of {call['tool']}", together=together)
+
+
+def _check_within(seen: Observation, what: str, *, ms: float, moment_ns: int | None = None) -> None:
+    """Check that what lasted so long, and was at that moment, took place between question and answer.
+
+    Raises:
+        HistoryError: it cannot have.
+    """
+    begun_ns, over_ns = seen["asked_ns"], seen["seen_ns"]
+    if moment_ns is not None and not begun_ns <= moment_ns <= over_ns:
+        raise HistoryError(f"{what} was at {moment_ns} ns, which is not between {begun_ns} and {over_ns}")
+    if not 0 <= round(ms * 1e6) <= over_ns - begun_ns:
+        raise HistoryError(f"{what} took {ms} ms, there were {(over_ns - begun_ns) / 1e6} ms")
 
 
 def _listed(inputs: Mapping[str, object]) -> str:
@@ -243,7 +255,7 @@ class ReplayRig(Rig):
 
     @property
     def accepting_ns(self) -> int:
-        return self._state.accepting_ns
+        return self._state.history.accepting_ns
 
     def finish(self) -> None:
         """Check, at the end of the steps, that the history of this repetition is used up.
@@ -267,6 +279,7 @@ class ReplayRig(Rig):
             if seen["at"] == self.name:
                 if "start" in seen:
                     cursor.restart()
+                    self._state.history.accepting_ns = seen["start"]["accepting_ns"]
                 elif "fresh_session" in seen:
                     cursor.open_session(seen["fresh_session"]["opened"])
                 elif (opened := seen.get("garbled")) is not None:
@@ -417,16 +430,23 @@ class ReplayRig(Rig):
 
     async def _stop(self) -> float:
         self._state.running = False
-        return self._seen("stop")["stop"]
+        seen = self._seen("stop")
+        _check_within(seen, f"the stop of {self.name}", ms=seen["stop"])
+        return seen["stop"]
 
     async def start_device(self) -> float:
-        started = self._seen("start")["start"]
-        self._state.running, self._state.accepting_ns = True, started["accepting_ns"]
+        seen = self._seen("start")
+        started = seen["start"]
+        _check_within(seen, f"the start of {self.name}", ms=started["ms"], moment_ns=started["accepting_ns"])
+        self._state.running, self._state.history.accepting_ns = True, started["accepting_ns"]
         self._cursor.restart()
         return started["ms"]
 
     async def _replace_session(self) -> FreshSession:
-        fresh = self._seen("fresh_session")["fresh_session"]
+        seen = self._seen("fresh_session")
+        fresh = seen["fresh_session"]
+        ended_ms = fresh["seconds"] * 1000
+        _check_within(seen, f"the new session of {self.name}", ms=ended_ms, moment_ns=fresh["spawned_ns"])
         self._cursor.open_session(fresh["opened"])
         return FreshSession(**fresh)
 

@@ -132,14 +132,15 @@ class _RecordingTransport(httpx2.AsyncBaseTransport):
         if response.status_code == httpx2.codes.CONTENT_TOO_LARGE:
             self._recorder.refused_as_too_large(time.monotonic_ns(), asked)
         response.headers.pop("content-encoding", None)
-        kind = response.headers.get("content-type", "").partition(";")[0].strip()
+        # As the client takes them: what it reads is recorded, and limited.
+        kind = response.headers.get("content-type", "").lower()
         assert isinstance(response.stream, httpx2.AsyncByteStream)
-        if kind in ("application/json", "text/event-stream"):
+        if kind.startswith(("application/json", "text/event-stream")):
             length = response.headers.get("content-length", "")
             response.stream = _RecordedBody(
                 response.stream,
                 self._recorder,
-                events=kind == "text/event-stream",
+                events=kind.startswith("text/event-stream"),
                 length=int(length) if length.isdecimal() else None,
             )
         return response

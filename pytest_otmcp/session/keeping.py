@@ -7,6 +7,7 @@ import atexit
 import errno
 import json
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -61,12 +62,26 @@ class _Keeper:
         with cls._lock:
             if cls._running is None or cls._running._process.poll() is not None or cls._running._owner != os.getpid():
                 cls._running = cls()
+            # An adapter may have stopped it.
+            cls._running._process.send_signal(signal.SIGCONT)
             socket.send_fds(cls._running._socket, [word], descriptors)
+
+    @classmethod
+    def replace(cls) -> None:
+        """Start another keeper for the next adapter: this one did not fork a watcher, as when an adapter has taken its descriptors."""
+        with cls._lock:
+            cls._running = None
 
     def _close(self) -> None:
         self._socket.close()
         if self._owner == os.getpid():
-            self._process.wait()
+            self._process.send_signal(signal.SIGCONT)
+            try:
+                self._process.wait(_WATCHED_S)
+            except subprocess.TimeoutExpired:
+                # Something stops it again and again. The watchers notice themselves that the kit has ended.
+                self._process.kill()
+                self._process.wait()
 
 
 class Watcher:
@@ -118,7 +133,12 @@ class Watcher:
             directory = os.getcwd() if cwd is None else str(cwd)
             request = {"command": list(command), "env": dict(env), "cwd": directory}
             writer.write(json.dumps(request).encode() + b"\n")
-            answer = await reader.readline()
+            try:
+                answer = await reader.readline()
+            except ConnectionError:
+                answer = b""
+            if not answer:
+                _Keeper.replace()
         except BaseException:
             writer.close()
             raise
@@ -159,12 +179,24 @@ class Watcher:
 
     async def close(self) -> list[str]:
         """Kill everything that is left of the adapter; return the names of what there was besides its own process."""
+        self._signal(signal.SIGCONT)
         self._say(b"K")
         await asyncio.wait({self._task}, timeout=_WATCHED_S)
+        if not self._task.done():
+            # Something stops it again and again; what it leaves is for the keeper to kill.
+            self._signal(signal.SIGKILL)
+            await asyncio.wait({self._task}, timeout=_WATCHED_S)
         self._task.cancel()
         await asyncio.gather(self._task, return_exceptions=True)
         self._writer.close()
         return self._left
+
+    def _signal(self, number: signal.Signals) -> None:
+        """Send a signal to the watcher, which an adapter may have stopped."""
+        # As long as its socket is open the number is no other process's.
+        if not self._task.done():
+            with suppress(ProcessLookupError):
+                os.kill(self.root, number)
 
     def _say(self, word: bytes) -> None:
         with suppress(ConnectionError):

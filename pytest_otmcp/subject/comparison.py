@@ -8,7 +8,7 @@ from dataclasses import asdict
 from typing import Any
 
 from ..core.strict_json import same_json
-from ..core.text import printable
+from ..core.text import recorded_name
 from ..record.redaction import REDACTED
 from ..record.schema import AdapterFacts
 from ..record.schema import Subject as RecordedSubject
@@ -29,7 +29,7 @@ def differences(subject: Subject, recorded: RecordedSubject) -> Iterator[str]:
     if recorded["digest"] != subject.digest:
         yield f"the digest of the subject is {recorded['digest']}, that of the file is {subject.digest}"
     for name, stated in (("name", subject.name), ("version", subject.version)):
-        if dict(recorded)[name] != printable(stated):
+        if dict(recorded)[name] != recorded_name(stated):
             yield f"the {name} of the subject is {dict(recorded)[name]!r}, the file says {stated!r}"
     declared = [{"item": one.item, "reason": one.reason, "expires": str(one.expires)} for one in subject.deviations]
     yield from _difference("the subject's deviations", recorded["deviations"], declared)

@@ -9,12 +9,17 @@ from types import ModuleType
 
 from ..core.digest import files_digest
 from ..core.matrix import BENCHMARK, REQUIREMENTS
+from ..protocols.protocol import OtProtocol
 from ..protocols.registry import protocols
+from ..record.schema import Protocol
 from ..trial.task import Task
 from .package import SUITE
 from .requirements import cited
 
-__all__ = ["SUITE", "all_tasks", "kit_digest", "suite_digest", "task_modules", "tasks_by_id"]
+__all__ = ["KIT", "SUITE", "all_tasks", "identity", "kit_digest", "suite_digest", "task_modules", "tasks_by_id"]
+
+KIT = "pytest-otmcp"
+"""Name of the kit in records."""
 
 _PACKAGE = __package__.partition(".")[0]
 
@@ -78,3 +83,15 @@ def kit_digest() -> str:
     """
     # In a wheel the other rooms lie inside of the kit's folder, in a checkout beside it; so each is read separately.
     return files_digest(_PACKAGE, SUITE, _MOCKS, excluded=(SUITE, _MOCKS, _ADAPTERS))
+
+
+def identity(protocol: OtProtocol) -> Protocol:
+    """Return what a record says about a protocol of its run: which package judged, where that is not the kit."""
+    origin = protocol.origin
+    return {
+        "key": protocol.key,
+        "name": protocol.name,
+        "distribution": None if origin is None else origin.distribution,
+        "version": None if origin is None else origin.version,
+        "digest": None if origin is None else origin.digest,
+    }

@@ -8,7 +8,8 @@ The rules of this file:
    an item, or whose item did not end, is not met.
 3. A level is about something: at least one of the rows that begin with it and belong to the protocol's own profiles is met.
 4. An adapter that may write has to show that its writes can be disabled, also where it does not claim that.
-5. A failure that is about no row of the catalogue denies every level.
+5. A failure that is about no row of the catalogue denies every level, and so does one of an item on this protocol alone that is about a
+   row that the protocol does not have.
 6. A row that is not yet judged is not asked for, but a finding about it counts. The highest level cannot be earned as long as
    rows that begin with it are not yet judged.
 """
@@ -68,7 +69,7 @@ class Standing:
         wanted: the next level.
         attainable: whether that level can be earned with this catalogue.
         failed: rows that it needs and that are not met, each with the items that show it.
-        unattributed: items with a failure that is about no row of the catalogue.
+        unattributed: items with a failure that is about no row of the catalogue, or about none of the protocol's own.
         not_run: rows that it needs and that no item has decided.
         unclaimed: rows that it would need of a subject that claims what they are about.
         not_yet: rows that it will need once they are judged.
@@ -131,6 +132,7 @@ class _Evidence:
         self._states: dict[str, _State] = {}
         self._blamed: dict[str, list[str]] = {}
         self._unattributed: list[str] = []
+        self._rows = {row.id for row in catalogue.needs(Level.GOLD, protocol)}
         for item in items:
             if protocol in _protocols(item):
                 self._look_at(item)
@@ -147,8 +149,10 @@ class _Evidence:
         if item["status"] == Status.KIT_ERROR:
             # Nothing that was seen in it says anything about the adapter.
             return
+        # What several protocols take part in may break a row of another one.
+        known = self._rows if _protocols(item) == {self._protocol} else self._catalogue.rows.keys()
         for name in cited:
-            if name in self._catalogue.rows:
+            if name in known:
                 self._blame(str(name), item["id"])
             elif item["id"] not in self._unattributed:
                 self._unattributed.append(item["id"])
@@ -239,7 +243,9 @@ def shown(found: Standing, catalogue: Catalogue) -> list[str]:
     wanted = found.wanted.capitalize()
     told = [f"{row} is not met, as {', '.join(items)} shows." for row, items in found.failed.items()]
     if found.unattributed:
-        told.append(f"{', '.join(found.unattributed)} failed for a cause that is no row of the catalogue.")
+        told.append(
+            f"{', '.join(found.unattributed)} failed for a cause that is no row of the catalogue for this protocol."
+        )
     if found.not_run:
         told.append(f"No item has shown {', '.join(found.not_run)}.")
     if found.attainable and not found.shown:

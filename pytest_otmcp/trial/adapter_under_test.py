@@ -18,7 +18,7 @@ from typing import TypedDict, cast
 from .. import __version__
 from ..core.errors import KitError, SubjectError, UsageError
 from ..core.strict_json import parse_strict
-from ..core.text import printable
+from ..core.text import recorded_name
 from ..plant.device import Device
 from ..plant.endpoint import Endpoint, first_port
 from ..plant.owners import TOKEN_VARIABLE, new_token
@@ -292,9 +292,9 @@ class AdapterUnderTest:
             self.session, self.tools = session, session.tools
             if not self._by_handshake:
                 self._server = {
-                    "server_name": printable(session.server_name),
-                    "server_version": printable(session.server_version),
-                    "protocol_version": printable(session.protocol_version),
+                    "server_name": recorded_name(session.server_name),
+                    "server_version": recorded_name(session.server_version),
+                    "protocol_version": recorded_name(session.protocol_version),
                     "tools": len(session.tools),
                 }
             await self._connect()
@@ -339,7 +339,7 @@ class AdapterUnderTest:
             self._by_handshake, self._refuses_handshake = False, True
             return None
         assert self.session is not None
-        return printable(self.session.protocol_version)
+        return recorded_name(self.session.protocol_version)
 
     @property
     def may_speak_by_handshake(self) -> bool:

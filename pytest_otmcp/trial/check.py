@@ -48,7 +48,16 @@ class Checks(Tasks):
         )
 
     def every_protocol(
-        self, row: str, title: str, *, reads: bool = True, writes: bool = False, guard: bool = False, facets: str = ""
+        self,
+        row: str,
+        title: str,
+        *,
+        reads: bool = True,
+        writes: bool = False,
+        guard: bool = False,
+        facets: str = "",
+        having: str = "",
+        apart: str = "",
     ) -> Callable[[Generic], Generic]:
         """Return a decorator that turns steps into a check of a row on each protocol that has an exercise.
 
@@ -57,12 +66,14 @@ class Checks(Tasks):
             reads, writes: the steps use the operation that the protocol's exercise reads, or writes, with.
             guard: the steps also get the read-only variant.
             facets: further facets, without their protocol, separated by blanks.
+            having: member of the exercise that the steps use, and that not every protocol has.
+            apart: keys of protocols that have a check of this row of their own, separated by blanks.
         """
 
         def declare(steps: Generic) -> Generic:
             for key, protocol in protocols().items():
                 exercise = protocol.exercise
-                if exercise is None:
+                if exercise is None or key in apart.split() or (having and not getattr(exercise, having)):
                     continue
                 wanted = [exercise.reading] * reads + [exercise.writing] * writes + [GUARD] * guard + facets.split()
                 needs = " ".join(f"{key}.{facet}" for facet in wanted)

@@ -159,7 +159,8 @@ class ObjectList(TypedDict):
 
 class PropertyValue(TypedDict):
     """A property. ``type`` is the datatype that the device sent, ``list`` where the property has not exactly one value;
-    ``special`` is nan, inf or -inf where ``value`` is null for want of a JSON number."""
+    ``special`` is NaN, Infinity or -Infinity where ``value`` is null for want of a JSON number; integers beyond 2^53 - 1 are decimal
+    strings."""
 
     device_id: int
     object_type: str

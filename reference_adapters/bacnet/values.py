@@ -33,7 +33,9 @@ from ..core import AdapterError
 __all__ = ["Read", "encoded", "known_property", "object_type", "primitives", "same"]
 
 Read = tuple[str, Any]
-"""Datatype and value of one primitive; a number that JSON does not have is a text."""
+"""Datatype and value of one primitive; a number that JSON does not have, or not exactly for everybody, is a text."""
+_EXACT_IN_JSON = 2**53 - 1
+"""Integers beyond this may be rounded by JSON readers that only have doubles (RFC 7493, section 2.2)."""
 
 _NAMES: list[tuple[type[Atomic], str]] = [
     (Null, "null"),
@@ -99,10 +101,12 @@ def _primitive(value: Any) -> Read:
         case "boolean":
             return name, bool(value)
         case "unsigned" | "integer" | "enumerated":
-            return name, int(value)
+            whole = int(value)
+            return name, whole if abs(whole) <= _EXACT_IN_JSON else str(whole)
         case "real" | "double":
             number = float(value)
-            return name, number if math.isfinite(number) else str(number)
+            special = "NaN" if math.isnan(number) else "Infinity" if number > 0 else "-Infinity"
+            return name, number if math.isfinite(number) else special
         case "bit-string":
             return name, "".join(str(int(bit)) for bit in value)
         case "octet-string":

@@ -27,11 +27,17 @@ MUTANTS: dict[str, Mutant] = {mutant.id: mutant for mutant in sorted(_ALL, key=l
 assert len(MUTANTS) == len(_ALL), "an id is there twice"
 
 
+_FURTHER = {mutant.protocol for mutant in (*s7.MUTANTS, *bacnet.MUTANTS)}
+"""Protocols whose adapters need a library that is an extra; their defects stand for a row only where no other does."""
+
+_BY_PREFERENCE = sorted(MUTANTS.values(), key=lambda one: one.protocol in _FURTHER)
+
+
 def _first_of_their_kind() -> frozenset[str]:
     """Return the ids of the first defects that the requirement suite notices for each row and each defect of the catalogue."""
     seen: set[str] = set()
     found = []
-    for mutant in MUTANTS.values():
+    for mutant in _BY_PREFERENCE:
         if not mutant.areas:
             continue
         kinds = {mutant.catalogue_id, *(name.partition(".")[0] for name in mutant.items.split())}
@@ -50,7 +56,7 @@ def _one_for_each_area() -> frozenset[str]:
     quick = [mutant for mutant in MUTANTS.values() if mutant.quick]
     seen = {mutant.areas for mutant in quick}
     found = {mutant.id for mutant in quick}
-    for mutant in MUTANTS.values():
+    for mutant in _BY_PREFERENCE:
         if mutant.areas not in seen:
             seen.add(mutant.areas)
             found.add(mutant.id)

@@ -14,11 +14,12 @@ from typing_extensions import TypedDict
 
 from ..core import AdapterError
 
-__all__ = ["DataType", "Plain", "Value", "decode", "encode", "width"]
+__all__ = ["DataType", "Plain", "Value", "decode", "encode", "exact", "width"]
 
 # fmt: off
 DataType = Literal[
-    "BOOL", "BYTE", "WORD", "DWORD", "SINT", "USINT", "INT", "UINT", "DINT", "UDINT", "REAL", "LREAL", "CHAR", "STRING"
+    "BOOL", "BYTE", "WORD", "DWORD", "LWORD", "SINT", "USINT", "INT", "UINT", "DINT", "UDINT", "LINT", "ULINT", "REAL", "LREAL",
+    "CHAR", "STRING",
 ]
 # fmt: on
 Plain = bool | int | float | str
@@ -27,21 +28,26 @@ _FORMATS = {
     "BYTE": "B",
     "WORD": "H",
     "DWORD": "I",
+    "LWORD": "Q",
     "SINT": "b",
     "USINT": "B",
     "INT": "h",
     "UINT": "H",
     "DINT": "i",
     "UDINT": "I",
+    "LINT": "q",
+    "ULINT": "Q",
     "REAL": "f",
     "LREAL": "d",
 }
 _LONGEST_STRING = 254
+_EXACT_IN_JSON = 2**53 - 1
+"""Integers beyond this may be rounded by JSON readers that only have doubles (RFC 7493, section 2.2)."""
 
 
 class Value(TypedDict):
-    """A value: ``special`` is NaN, Infinity or -Infinity where ``value`` is null for want of a JSON number; ``raw`` is its bytes in
-    hexadecimal."""
+    """A value: ``special`` is NaN, Infinity or -Infinity where ``value`` is null for want of a JSON number; integers beyond
+    2^53 - 1 are decimal strings; ``raw`` is its bytes in hexadecimal."""
 
     type: str
     value: bool | int | float | str | None
@@ -81,7 +87,19 @@ def decode(content: bytes, kind: DataType) -> Value:
         if isinstance(value, float) and not math.isfinite(value):
             special = "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"
             value = None
-    return {"type": kind, "value": value, "special": special, "raw": content.hex(), "quality": "good"}
+    return {
+        "type": kind,
+        "value": value if value is None else exact(value),
+        "special": special,
+        "raw": content.hex(),
+        "quality": "good",
+    }
+
+
+def exact(value: Plain) -> Plain:
+    """Return a value as an answer says it: a whole number that some readers of JSON would round as its digits."""
+    is_large = isinstance(value, int) and abs(value) > _EXACT_IN_JSON
+    return str(value) if is_large else value
 
 
 def encode(value: Plain, kind: DataType, field: str = "/value") -> bytes:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from snap7.datatypes import S7Area
 
 from ..core import AdapterError, Call, tool
-from .codec import DataType, Plain, decode, encode, width
+from .codec import DataType, Plain, decode, encode, exact, width
 from .cpu import Cpu
 from .link import Link
 from .refusals import refusal
@@ -248,4 +248,4 @@ def _of(variable: OneVariable) -> Variable:
 
 
 def _written(start: int, kind: DataType, value: Plain, content: bytes) -> Written:
-    return {"start": start, "type": kind, "value": value, "raw": content.hex()}
+    return {"start": start, "type": kind, "value": exact(value), "raw": content.hex()}

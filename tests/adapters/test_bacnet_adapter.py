@@ -224,10 +224,21 @@ def test_a_device_that_is_not_there_is_not_answered_for_by_another(hasty: Any, d
     assert {request["service"] for request in requests(device, mark)} == {8}
 
 
-def test_numbers_that_json_does_not_have_are_told_as_special(adapter: Any, device: Any) -> None:
-    device.fault({"action": {"answer_values": [{"type": "real", "value": "nan"}]}})
+@pytest.mark.parametrize(("value", "special"), [("nan", "NaN"), ("inf", "Infinity"), ("-inf", "-Infinity")])
+def test_numbers_that_json_does_not_have_are_told_as_special(
+    adapter: Any, device: Any, value: str, special: str
+) -> None:
+    device.fault({"action": {"answer_values": [{"type": "real", "value": value}]}})
     told = adapter.call("read_property", **ZONE).data
-    assert (told["value"], told["special"]) == (None, "nan")
+    assert (told["value"], told["special"]) == (None, special)
+
+
+@pytest.mark.parametrize(("value", "shown"), [(2**53 - 1, 2**53 - 1), (2**53, str(2**53)), (2**64 - 1, str(2**64 - 1))])
+def test_whole_numbers_that_json_rounds_are_told_digit_by_digit(
+    adapter: Any, device: Any, value: int, shown: object
+) -> None:
+    device.fault({"action": {"answer_values": [{"type": "unsigned", "value": value}]}})
+    assert adapter.call("read_property", **ZONE).data["value"] == shown
 
 
 @pytest.mark.parametrize(("name", "value"), BACNET.bad_settings)

@@ -110,6 +110,17 @@ def test_what_json_has_no_number_for_is_named(adapter: Any, device: Any, raw: st
     assert (data["value"], data["special"]) == (None, special)
 
 
+@pytest.mark.parametrize(
+    ("kind", "value"), [("LINT", -(2**63)), ("LINT", 2**53 - 1), ("ULINT", 2**64 - 1), ("LWORD", 2**53 + 1)]
+)
+def test_whole_numbers_of_64_bits_keep_every_digit(adapter: Any, device: Any, kind: str, value: int) -> None:
+    place = valve(start_offset=48, data_type=kind)
+    shown = value if abs(value) < 2**53 else str(value)
+    assert adapter.call("write_db", {**place, "value": value}).data["value"] == shown
+    assert area(device, "DB10")[48:56] == (value % 2**64).to_bytes(8, "big")
+    assert adapter.call("read_db_typed", place).data["value"] == shown
+
+
 def test_a_string_is_read_and_written_within_its_declared_length(adapter: Any, device: Any) -> None:
     text = valve(start_offset=20, data_type="STRING")
     assert adapter.call("read_db_typed", text).data["value"] == "ready"

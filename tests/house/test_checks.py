@@ -7,7 +7,6 @@ from pytest_otmcp.reference_adapters.defects.table import MUTANTS
 
 from pytest_otmcp.core.matrix import REQUIREMENTS
 from pytest_otmcp.protocols.own import OWN
-from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.suite.catalogue import all_tasks
 from pytest_otmcp.suite.requirements import Level, catalogue, requirements
 
@@ -21,10 +20,8 @@ def test_every_check_is_about_one_row_that_is_judged() -> None:
         assert requirements()[row].not_yet is None, f"{name} judges a row that the catalogue calls not yet judged"
 
 
-# A further protocol earns no level yet: not every rule of one has a check on it.
-@pytest.mark.parametrize("protocol", [key for key in OWN if protocols()[key].always])
+@pytest.mark.parametrize("protocol", OWN)
 def test_every_rule_of_a_level_has_a_check_on_the_protocol(protocol: str) -> None:
-    """A further protocol without some of them has no adapter that earns the level, which is what a missing check is worth."""
     needed = [
         row.id for row in catalogue().needs(Level.SILVER, protocol) if row.not_yet is None and row.strength == "MUST"
     ]

@@ -349,6 +349,30 @@ async def test_more_objects_than_fit_into_an_answer_are_read_one_by_one(bacnet: 
     assert (await peer.ask("0005010c 0c02003039 194c 2a019b")).endswith("3ec4008005773f")
 
 
+async def test_objects_of_further_datatypes_hold_texts_large_numbers_and_no_numbers(
+    bacnet: MockProgram, peer: BacnetPeer
+) -> None:
+    await bacnet.control.ask("poke", params={"types": True})
+    for name, value in (
+        ("positive-integer-value,1", 2**64 - 1),
+        ("integer-value,1", -(2**63)),
+        ("characterstring-value,1", "\u00e4"),
+        ("large-analog-value,1", "-inf"),
+        ("analog-input,1", "nan"),
+    ):
+        await bacnet.control.ask("poke", params={"object": name, "value": value})
+        assert (await points(bacnet))[f"{name}/present-value"] == value
+    for request, held in (
+        ("0c0c000001", "2508 ffffffffffffffff"),
+        ("0c0b400001", "3508 8000000000000000"),
+        ("0c0a000001", "7300 c3a4"),
+        ("0c0b800001", "5508 fff0000000000000"),
+        ("0c00000001", "44 7fc00000"),
+    ):
+        answer = await peer.ask(f"0005010c {request} 1955")
+        assert answer == f"30010c {request} 1955 3e {held} 3f".replace(" ", "")
+
+
 async def test_bytes_that_mean_nothing_are_survived_and_change_nothing(bacnet: MockProgram, peer: BacnetPeer) -> None:
     rng = random.Random(20261122)
     start = await points(bacnet)

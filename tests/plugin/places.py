@@ -84,3 +84,5 @@ def moved(part: Record, *, seq: int = 0, ns: int = 0) -> None:
                 seen[name] += seq
             if "start" in seen:
                 seen["start"]["accepting_ns"] += ns
+            if "fresh_session" in seen:
+                seen["fresh_session"]["spawned_ns"] += ns

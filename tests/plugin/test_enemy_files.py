@@ -176,6 +176,17 @@ def test_a_large_number_or_text_costs_nothing(run: Record, tmp_path: Path, chang
     assert "\n" not in str(refusal.value)
 
 
+def test_a_name_that_occurs_twice_among_many_costs_nothing(run: Record, tmp_path: Path) -> None:
+    run["settings"]["unknown"] = "here"
+    forged = store(tmp_path / "run.json", run, recount=True)
+    names = b",".join(b'"%d": 0' % number for number in range(60_000))
+    forged.write_bytes(forged.read_bytes().replace(b'"here"', b"{" + names + b', "59999": 1}'))
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_utime
+    with pytest.raises(Refusal, match=r"run\.json: not strict JSON: the member '59999' occurs twice"):
+        examine(forged)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_utime - before < 5
+
+
 def test_nesting_that_no_parser_follows_is_refused(run: Record, tmp_path: Path) -> None:
     run["settings"]["unknown"] = "here"
     forged = store(tmp_path / "run.json", run, recount=True)

@@ -178,6 +178,15 @@ def other_hour(run: Record) -> None:
     run["environment"]["started_at"] = "2001-01-01T00:00:00Z"
 
 
+def overlapped(run: Record) -> None:
+    """Let an item begin a millisecond before the one before it has ended, by both clocks."""
+    late = item(run, "M2")
+    by_ns = late["began_ns"] - item(run, "M1")["ended_ns"] + 10**6
+    late["began_ns"] -= by_ns
+    earlier = datetime.fromisoformat(late["started_at"]) - timedelta(microseconds=by_ns // 1000)
+    late["started_at"] = earlier.isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
 def a_guard_that_leaks(run: Record) -> None:
     """Let the adapter with writes disabled have sent a write."""
     request = entry(run, "M4", variant="ro", kind="request")
@@ -288,6 +297,22 @@ FORGERIES: dict[str, tuple[str, Change]] = {
         "with other files than this one (of another commit, or one of the two has been changed)",
         lambda run: run["kit"].update(digest="sha256:" + "0" * 64),
     ),
+    "a kit of another name": (
+        "with other files than this one (of another commit, or one of the two has been changed)",
+        lambda run: run["kit"].update(name="kit approved by TUV"),
+    ),
+    "a protocol that somebody else is said to have judged": (
+        "does not say rightly who judged the protocol 'modbus'",
+        lambda run: run["kit"]["protocols"][0].update(distribution="tuv", version="1"),
+    ),
+    "protocols that nobody is said to have judged": (
+        "does not say rightly who judged the protocol 'modbus'",
+        lambda run: run["kit"].update(protocols=[]),
+    ),
+    "an item of another worker": (
+        "M2 was performed by gw1, its device modbus is main's",
+        lambda run: item(run, "M2").update(worker="gw1"),
+    ),
     # time of day
     "an item of yesterday": (
         "M1: started_at 2020-11-21T07:03:43.000Z is not within the run, which lasted from",
@@ -370,7 +395,7 @@ FORGERIES: dict[str, tuple[str, Change]] = {
     ),
     "an item that overlaps another": (
         "M2: it began before the item before it had ended",
-        lambda run: item(run, "M2").update(began_ns=item(run, "M1")["ended_ns"] - 10**6),
+        overlapped,
     ),
     "an item that goes on after its end": (
         "M2: it went on until",
@@ -481,6 +506,34 @@ FORGERIES: dict[str, tuple[str, Change]] = {
     "a guard that leaks": (
         "M4 control: the steps ask for end of modbus, the history has garbled of modbus@ro",
         a_guard_that_leaks,
+    ),
+    "a write that is called something else": (
+        "says kind 'note', its PDU says 'request'",
+        lambda run: entry(run, "M3", function=6, direction="in").update(kind="note"),
+    ),
+    "a write that is called no request": (
+        "may change the plant, and is called no request",
+        lambda run: entry(run, "M3", function=6, direction="in").update(request=False),
+    ),
+    "a request that is called none": (
+        "says request False, its PDU says True",
+        lambda run: entry(run, "M2", kind="request").update(request=False),
+    ),
+    "an answer that is called a request": (
+        "was sent by the device, and is called a request",
+        lambda run: entry(run, "M2", kind="response").update(request=True),
+    ),
+    "entries of a device that was not there": (
+        "M1: task has journal entries of a device that the item did not have",
+        lambda run: journal(run, "M1").append({**journal(run, "M1")[0], "protocol": "opcua"}),
+    ),
+    "a device that accepts connections later": (
+        "M2: modbus accepted connections since",
+        lambda run: item(run, "M2")["devices"]["modbus"].update(accepting_ns=item(run, "M2")["began_ns"]),
+    ),
+    "a device that accepts connections when all is over": (
+        "M1: modbus accepted connections only after the item had looked at it",
+        lambda run: [one["devices"]["modbus"].update(accepting_ns=10**18) for one in run["items"]],
     ),
     # calls
     "a call that is lost": (
@@ -609,6 +662,14 @@ FORGERIES: dict[str, tuple[str, Change]] = {
         'M1: the stored history shows title "Ping the adapter and confirm the TCP mock is reachable.", the record says',
         lambda run: item(run, "M1").update(title="Read whatever there is."),
     ),
+    "other capabilities": (
+        'M1: the stored history shows capabilities ["',
+        lambda run: item(run, "M1").update(capabilities=[]),
+    ),
+    "a requirement that is said to be met": (
+        "M1: the stored history shows requirement_rows []",
+        lambda run: item(run, "M1").update(requirement_rows=[{"id": "WR-003", "status": "PASS"}]),
+    ),
     "other requirements": (
         'M1: the stored history shows requirements ["REC-002", "MCP-008"], the record says []',
         lambda run: item(run, "M1").update(requirements=[]),
@@ -706,6 +767,11 @@ INHERENT: dict[str, Change] = {
     "the number of a session": lambda run: item(run, "M2")["devices"]["modbus"].update(session=[7, 0]),
     "who had a connection": lambda run: [one["process"].update(name="plc") for one in processes(run)],
     "what protocols do not keep the bytes of": lambda run: entry(run, "Q1", kind="CONNECT").update(keepalive=7),
+    "the unit identifier of an answer": lambda run: entry(run, "M2", kind="response").update(unit=9),
+    "which further protocols were asked for": lambda run: run["settings"].update(
+        protocols=["all"], not_measured={"s7": "it was not there"}
+    ),
+    "what the server's own envelopes lack": lambda run: facts(run).update(unmet=["ENV-001"], unjudged=["reachable"]),
     "members that nobody knows": lambda run: run.update(awarded="Gold", approved_by="TUV"),
 }
 

@@ -156,9 +156,25 @@ def deny_a_connection(item: Record) -> None:
     item["samples"][0]["phases"]["same_session"] = 0.1
 
 
+def seen(item: Record, what: str) -> Record:
+    found: Record = next(seen for seen in item["samples"][0]["observations"] if what in seen)
+    return found
+
+
 def come_back_too_late(item: Record) -> None:
-    start = next(seen["start"] for seen in item["samples"][0]["observations"] if "start" in seen)
-    start["accepting_ns"] -= 10**9
+    seen(item, "start")["start"]["accepting_ns"] -= 10**9
+
+
+def start_for_an_hour(item: Record) -> None:
+    seen(item, "start")["start"]["ms"] = 3_600_000.0
+
+
+def stop_in_less_than_no_time(item: Record) -> None:
+    seen(item, "stop")["stop"] = -1.0
+
+
+def start_a_process_before_it_was_asked_for(item: Record) -> None:
+    seen(item, "fresh_session")["fresh_session"]["spawned_ns"] -= 10**10
 
 
 def lose_an_attempt(item: Record) -> None:
@@ -187,7 +203,10 @@ CHANGES: dict[Callable[[Record], None], tuple[str, str]] = {
     repeat_a_sequence_number: ("Q4", "Q4 repetition 2: the steps ask for wait of mqtt"),
     shift_a_slice: ("O1", "O1 repetition 1: the journal of opcua has 1 entries beyond its end"),
     deny_a_connection: ("R-modbus", "R-modbus repetition 1: the stored history shows phases"),
-    come_back_too_late: ("R-mqtt", "R-mqtt repetition 1: the stored history shows phases"),
+    come_back_too_late: ("R-mqtt", "R-mqtt repetition 1: the start of mqtt was at"),
+    start_for_an_hour: ("R-opcua", "R-opcua repetition 1: the start of opcua took 3600000.0 ms, there were"),
+    stop_in_less_than_no_time: ("S10", "S10 repetition 1: the stop of modbus took -1.0 ms, there were"),
+    start_a_process_before_it_was_asked_for: ("R-modbus", "R-modbus repetition 1: the new session of modbus was at"),
     lose_an_attempt: ("S11", "the history has no further call"),
     swap_concurrent_replies: ("S1", "S1 repetition 1: the stored history shows 'read_input_registers"),
     write_in_the_read_only_session: (

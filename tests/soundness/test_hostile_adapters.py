@@ -10,6 +10,8 @@ from collections.abc import Iterator
 import psutil
 import pytest
 
+from pytest_otmcp.soundness.defect import ADAPTERS
+
 from .conftest import HERE, IMPATIENT, Judge, failing, words
 
 LONG = pytest.mark.long
@@ -75,6 +77,30 @@ NOTHING_WRONG = r"the device should have answered at least 1 request\(s\) during
         pytest.param("nameless-tool", r"handshake failed", marks=LONG),
         pytest.param("long-description", TOO_LARGE, marks=LONG),
         pytest.param("bad-pattern", r"is not a 'regex'", marks=LONG),
+        pytest.param("many-duplicate-keys", r"the member '89999' occurs twice", marks=LONG),
+        pytest.param("very-long-names", NOTHING_WRONG, marks=LONG),
+        pytest.param("closes-stdout-in-call", r"no reply", marks=LONG),
+        pytest.param("puts-a-pipe-in-place-of-stdout", NOTHING_WRONG, marks=LONG),
+        pytest.param("floods-stderr-in-call", NOTHING_WRONG, marks=LONG),
+        pytest.param("never-reads-again", NOTHING_WRONG, marks=LONG),
+        pytest.param("says-the-list-has-changed", NOTHING_WRONG, marks=LONG),
+        pytest.param("cancels-the-request", NOTHING_WRONG, marks=LONG),
+        pytest.param("asks-by-the-same-id", NOTHING_WRONG, marks=LONG),
+        pytest.param("answers-what-comes-next", r"a response carries the id \d+, which no request had", marks=LONG),
+        pytest.param("in-a-batch", r"1 line\(s\) on stdout that are no MCP message", marks=LONG),
+        pytest.param("after-blanks", NOTHING_WRONG, marks=LONG),
+        pytest.param("structured-list", r"structuredContent", marks=LONG),
+        pytest.param("error-in-words", r"isError is no although success is True", marks=LONG),
+        pytest.param("odd-content", r"has no text block", marks=LONG),
+        pytest.param("wants-more-input", r"has no structuredContent object", marks=LONG),
+        pytest.param("becomes-a-task", r"has no structuredContent object", marks=LONG),
+        pytest.param("error-of-words", r"answered with a JSON-RPC error", marks=LONG),
+        pytest.param("error-code-of-any-size", r"answered with a JSON-RPC error", marks=LONG),
+        pytest.param("meta-of-any-size", r"meta\.latency_ms says 1e\+308 ms", marks=LONG),
+        pytest.param("meta-beyond-any-size", r"meta\.latency_ms says 9999", marks=LONG),
+        pytest.param("year-zero", r"should be an RFC 3339 time", marks=LONG),
+        pytest.param("dynamic-reference", r"Unresolvable: b\.json", marks=LONG),
+        pytest.param("a-tool-of-escapes", r"answered with a JSON-RPC error", marks=LONG),
     ],
 )
 def test_the_finding_says_what_the_adapter_did(judge: Judge, token: str, kind: str, expected: str) -> None:
@@ -97,6 +123,10 @@ def test_the_finding_says_what_the_adapter_did(judge: Judge, token: str, kind: s
         pytest.param("forks-when-it-ends", marks=LONG),
         pytest.param("never-ends", marks=LONG),
         pytest.param("kills-its-parent", marks=LONG),
+        pytest.param("stops-its-parent", marks=LONG),
+        pytest.param("stops-the-keeper", marks=LONG),
+        pytest.param("kills-the-keeper", marks=LONG),
+        pytest.param("leaves-a-writer", marks=LONG),
     ],
 )
 def test_nothing_that_an_adapter_starts_outlives_its_session(judge: Judge, token: str, kind: str) -> None:
@@ -109,3 +139,28 @@ def test_nothing_that_an_adapter_starts_outlives_its_session(judge: Judge, token
 def test_what_an_adapter_leaves_running_is_told(judge: Judge, token: str, kind: str) -> None:
     results = judge("modbus", command=hostile(kind, token), tasks="R-modbus")
     assert re.search(LEFT, words(results)), words(results)
+
+
+@LONG
+def test_who_comes_after_an_adapter_that_harms_the_keeper_is_not_accused(judge: Judge, token: str) -> None:
+    genuine = (sys.executable, "-P", "-m", ADAPTERS, "modbus")
+    judge("modbus", command=hostile("stops-the-keeper", token), tasks="M1")
+    assert judge("modbus", command=genuine, tasks="M1")["M1"]["status"] == "PASS"
+    judge("modbus", command=hostile("limits-its-parents", token), tasks="M1")
+    # The kit has a new keeper then.
+    assert [judge("modbus", command=genuine, tasks="M1")["M1"]["status"] for _ in range(2)] == ["KIT_ERROR", "PASS"]
+
+
+@LONG
+def test_a_schema_of_any_size_is_looked_at_in_time(judge: Judge, token: str) -> None:
+    results = judge("modbus", command=hostile("names-that-cannot-be-sorted", token), tasks="MCP-003.modbus")
+    assert results["MCP-003.modbus"]["status"] == "FAIL"
+    assert "a list of 90001 names has one that is no text" in words(results)
+
+
+@LONG
+def test_not_all_of_many_tools_are_called(judge: Judge, token: str) -> None:
+    results = judge("modbus", command=hostile("two-hundred-tools", token), tasks="MCP-008.modbus")
+    called = [call["tool"] for sample in results["MCP-008.modbus"]["samples"] for call in sample["calls"]]
+    # A hundred in each era of MCP, among them some that the reference adapter has.
+    assert 150 < sum(tool.startswith("t") for tool in called) <= 200

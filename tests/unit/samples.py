@@ -7,8 +7,9 @@ from typing import Any
 
 from pytest_otmcp.core.matrix import BENCHMARK
 from pytest_otmcp.core.verdict import Status, Verdict, decide
+from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.record.consistency import count_calls
-from pytest_otmcp.suite.catalogue import all_tasks
+from pytest_otmcp.suite.catalogue import all_tasks, identity
 
 _TASKS = cache(all_tasks)
 
@@ -163,7 +164,7 @@ def run(items: list[dict[str, Any]], *, complete: bool = True, timing_valid: boo
             "version": "0.0.0",
             "digest": DIGEST,
             "suite_digest": DIGEST,
-            "protocols": [],
+            "protocols": [identity(protocols()[key]) for key in ("modbus", "mqtt", "opcua")],
         },
         "subject": {
             "name": "synthetic",

@@ -97,6 +97,11 @@ def test_every_item_has_passed_or_says_why_it_does_not_apply(statement: dict[str
     assert {"M4", "O1", "R-opcua"} <= passed
 
 
+def test_an_item_that_found_nothing_to_judge_says_why(record: dict[str, Any]) -> None:
+    by_id(record, "M2").update(status="NOT_APPLICABLE", reason="there is nothing to judge")
+    assert told(certificate(record, FILE, TASKS))["not_applicable"]["M2"] == "there is nothing to judge"
+
+
 def test_facets_are_earned_not_exercised_or_not_claimed_with_the_reason(statement: dict[str, Any]) -> None:
     facets = told(statement)["adapters"]["modbus"]["facets"]
     assert facets["not_claimed"] == {"ping": NO_PING}
@@ -266,6 +271,10 @@ OBJECTIONABLE: list[tuple[Change, str]] = [
     (
         lambda run: run["subject"]["adapters"]["modbus"]["unclaimed"].update(ping="none\x1b[2J"),
         "subject.adapters.modbus.unclaimed.ping has a control character: 'none\\x1b[2J'",
+    ),
+    (
+        lambda run: run["subject"].update(name="acme \u202egnitset"),
+        "subject.name has a control character: 'acme \\u202egnitset'",
     ),
     (
         lambda run: run["environment"].update(platform="Linux \u202e46_68x"),

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import random
 from typing import Any
 
 import pytest
 from jsonschema import Draft202012Validator
-from pytest_otmcp.conformance.requirements import generated
+from pytest_otmcp.conformance.requirements import generated, mcp
 
 SCHEMAS: list[dict[str, Any]] = [
     {"type": "integer", "minimum": 0, "maximum": 65535},
@@ -75,6 +76,51 @@ def test_the_same_numbers_make_the_same_arguments() -> None:
     first, again = (generated.of_other_types(random.Random("seed"), SCHEMAS[0]) for _ in range(2))
     assert first == again
     assert first != generated.of_other_types(random.Random("other"), SCHEMAS[0])
+
+
+class Counted(dict[str, Any]):
+    """A schema that counts how often it is looked at."""
+
+    looks = 0
+
+    def get(self, *asked: Any) -> Any:
+        self.looks += 1
+        return super().get(*asked)
+
+
+def of(argument: Any) -> dict[str, Any]:
+    """Return a schema whose argument ``x`` has this definition, which the definition itself can refer to."""
+    properties = {"x": {"$ref": "#/$defs/a"}}
+    return {"type": "object", "required": ["x"], "properties": properties, "$defs": {"a": argument}}
+
+
+def test_alternatives_that_refer_to_each_other_end() -> None:
+    alternatives = Counted(anyOf=[{"$ref": "#/$defs/a"}] * 20)
+    whole = of(alternatives)
+    generated.types(generated.properties(whole)["x"], whole)
+    generated.good(random.Random(1), whole, {})
+    assert alternatives.looks < 100_000
+
+
+def test_objects_that_refer_to_each_other_end() -> None:
+    names = [str(number) for number in range(20)]
+    demanded = {"type": "object", "required": names, "properties": {name: {"$ref": "#/$defs/a"} for name in names}}
+    assert len(json.dumps(generated.good(random.Random(1), of(demanded), {}))) < 100_000
+
+
+def test_texts_and_numbers_of_any_size_are_not_made() -> None:
+    schema = {"type": "object", "required": ["x"], "properties": {"x": {"type": "string", "minLength": 10**8}}}
+    assert generated.good(random.Random(1), schema, {}) == {"x": "otmcp"}
+    huge = {"type": "integer", "minimum": 10**4299, "maximum": 10**4300 - 1}
+    assert [*generated.beyond(random.Random(1), huge)] == []
+    assert generated.good(random.Random(1), {"required": ["x"], "properties": {"x": huge}}, {}) == {"x": 1}
+
+
+def test_a_long_list_of_names_is_not_compared_with_itself() -> None:
+    # What follows from it is a finding of the check MCP-003.
+    inner = {"type": "object", "required": [*map(str, range(200)), 1]}
+    assert mcp._invalid({"type": "object", "properties": {"x": inner}}) == "a list of 201 names has one that is no text"
+    assert mcp._invalid({"type": "object", "properties": {"x": {"enum": [*range(200), "a"]}}}) is None
 
 
 @pytest.mark.parametrize("schema", [None, [], "x", {"properties": []}, {"properties": {"x": 5}, "required": "x"}])

@@ -8,6 +8,7 @@ import socket
 import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from pathlib import Path
 
 import pytest
 
@@ -96,3 +97,23 @@ async def test_a_server_that_ends_before_it_listens_says_why() -> None:
     with pytest.raises(SubjectError, match=r"exited with code 1 .*(?s:.*)no licence for this plant"):
         async with session(command):
             pass
+
+
+SERVER = Path(__file__).with_name("http_server.py")
+
+
+@pytest.mark.asyncio
+async def test_a_content_type_is_taken_as_the_client_takes_it() -> None:
+    # RFC 9110, section 8.3.1: the type is case-insensitive.
+    async with session([sys.executable, str(SERVER), "Application/JSON"], era="legacy") as http:
+        exchange = await http.call("ping", {}, timeout_s=60.0)
+    assert exchange.response is not None
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("kind", ["application/json", "Application/JSON", "application/json-seq"])
+async def test_an_answer_that_does_not_end_is_not_read_to_its_end(kind: str) -> None:
+    async with session([sys.executable, str(SERVER), kind, "endless"], era="legacy") as http:
+        exchange = await http.call("ping", {}, timeout_s=60.0)
+        assert exchange.response is None
+        assert http.overflow

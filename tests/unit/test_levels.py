@@ -15,7 +15,7 @@ from pytest_otmcp.suite.requirements import Catalogue, Level, catalogue, read
 
 from .samples import finding, item
 
-KEYS = ("modbus", "mqtt", "opcua")
+KEYS = ("modbus", "mqtt", "opcua", "s7", "bacnet")
 
 
 def check(row: str, protocol: str = "modbus", status: str = "PASS") -> dict[str, Any]:
@@ -136,6 +136,14 @@ def test_a_failure_that_is_about_no_row_denies_every_level() -> None:
         found = stands([*all_passed().values(), entry])
         assert (found.level, found.unattributed) == (None, ("M1",))
         assert said(found) == "Modbus: no level; for Bronze: 1 item failed without a finding about a row (M1)"
+
+
+def test_a_failure_about_a_row_of_another_protocol_denies_every_level() -> None:
+    items = all_passed("s7")
+    wrong = blamed(item("K5", "normal", "S7comm", "Write a bit.", [1.0]), "WR-011")
+    assert stands(items.values(), "s7").level is Level.SILVER
+    found = stands([*items.values(), wrong], "s7")
+    assert (found.level, found.unattributed) == (None, ("K5",))
 
 
 def test_a_finding_about_a_row_that_is_not_yet_judged_denies_the_level() -> None:

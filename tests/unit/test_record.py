@@ -368,6 +368,10 @@ def test_a_record_that_contradicts_itself_is_refused(tmp_path: Path, change: Cha
         (b"}\n  ]},", b"},\n  ]},", "a comma after the last sample of M1"),
         (b"}}\n", b"}}\n{}\n", "something follows the footer"),
         (b'"items": [\n', b'"items": [\n\n', "not strict JSON"),
+        (b' "items": [\n', b' "items": [],\n "items": [\n', "the member 'items' occurs twice"),
+        (b' "items": [\n', b' "footer": {},\n "items": [\n', "the member 'footer' occurs twice"),
+        (b' "footer": {', b"{", "where the footer should begin"),
+        (b' "digest"', b' "timing_valid": true, "digest"', "digest does not match"),
         (b'{"id": "M1"', b'{"id": "M1", "id": "M2"', "the member 'id' occurs twice"),
     ],
 )

@@ -507,7 +507,7 @@ def failing() -> Item:
     sample["calls"][1] |= {"ok": False, "outputs": {"values": [41]}}
     sample["calls"][1]["envelope"]["data"]["values"] = [41]
     message = f"{READ}(address=1, count=1): values should be [40], the reply says [41]"
-    sample["findings"] = [finding("wrong_value", message)]
+    sample["findings"] = [finding("wrong_value", message, "RD-001")]
     for one in sample["calls"]:
         text = {"type": "text", "text": json.dumps(one["envelope"])}
         result = {"content": [text], "structuredContent": one["envelope"], "isError": False}
@@ -519,6 +519,14 @@ def failing() -> Item:
 
 def test_a_finding_is_confirmed_from_the_frames() -> None:
     assert rejudge(run(failing())) == []
+
+
+@pytest.mark.parametrize(("member", "value"), [("requirement", "WR-003"), ("cause", "M2"), ("strength", "SHOULD")])
+def test_a_finding_that_is_about_something_else_is_found_out(member: str, value: str) -> None:
+    # The level of an adapter follows from the requirements that findings cite.
+    failed = failing()
+    failed["samples"][0]["findings"][0][member] = value
+    assert "(wrong_value), the record says nothing of it" in "\n".join(rejudge(run(failed)))
 
 
 def test_a_finding_that_was_deleted_is_found_out() -> None:
@@ -606,7 +614,7 @@ def test_an_item_that_nobody_knows_is_named() -> None:
 def test_an_item_is_stopped_for_the_reason_that_is_stored() -> None:
     stopped = item() | {"samples": [], "status": "FAIL", "planned": 3}
     stopped["ended"] = {"fault_of": "subject", "code": "cannot_start", "message": "no such command"}
-    stopped["findings"] = [finding("cannot_start", "no such command")]
+    stopped["findings"] = [finding("cannot_start", "no such command", "MCP-002")]
     assert rejudge(run(stopped)) == []
     stopped["findings"] = []
     assert "'no such command' (cannot_start), the record says nothing of it" in "\n".join(rejudge(run(stopped)))

@@ -8,7 +8,8 @@ from collections.abc import Callable
 import pytest
 
 from pytest_otmcp import cli
-from pytest_otmcp.core.text import MARK, folded
+from pytest_otmcp.core.finding import Finding
+from pytest_otmcp.core.text import LONGEST_NAME, MARK, folded, recorded_name
 
 
 class Terminal(io.StringIO):
@@ -74,3 +75,14 @@ def test_a_page_on_a_terminal_has_its_code_as_it_is_and_no_anchors(shown: Shown)
 def test_a_page_in_a_pipe_is_the_file(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["docs", "items"]) == 0
     assert '<a id="item-M3"></a>\n' in capsys.readouterr().out
+
+
+def test_a_name_of_any_length_fits_into_a_record() -> None:
+    assert recorded_name("acme \u202egnitset") == "acme \\u202egnitset"
+    assert len(recorded_name("\U000e0001" * 5000)) == LONGEST_NAME
+
+
+def test_the_message_of_a_finding_that_was_cut_off_is_not_cut_again() -> None:
+    cut = Finding(code="json_rpc_error", message="x" * 20_000)
+    assert cut.message.endswith("… (20000 characters)")
+    assert Finding(code="json_rpc_error", message=cut.message).message == cut.message

@@ -69,11 +69,18 @@ class BacnetConversation:
         return [message]
 
 
+_READ = ("request", "response", "message", "bvlc")
+_UNREAD = ("malformed", "network-message")
+"""Kinds of datagrams that say nothing to the device."""
+
+
 def contradiction(entry: JournalEntry) -> str | None:
     """Say where an entry differs from its datagram; None where it does not."""
-    if entry["kind"] not in ("request", "response", "message", "bvlc"):
-        return None
     members: Mapping[str, Any] = dict(entry)
+    # What came in with bytes is what they say, whatever it is called; what went out may have been damaged on the way.
+    came = entry["direction"] == "in" and "bytes" in members and entry["kind"] not in _UNREAD
+    if entry["kind"] not in _READ and not came:
+        return None
     try:
         datagram = bytes.fromhex(members["bytes"])
     except (KeyError, TypeError, ValueError):

@@ -38,6 +38,10 @@ _TYPES = {
     14: "multi-state-output",
     17: "schedule",
     19: "multi-state-value",
+    40: "characterstring-value",
+    45: "integer-value",
+    46: "large-analog-value",
+    48: "positive-integer-value",
 }
 _PROPERTIES = {
     8: "all",

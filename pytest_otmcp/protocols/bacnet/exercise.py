@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Sequence
+from dataclasses import replace
 
-from ..exercise import Asked, Exercise
+from ..exercise import Asked, Contended, Exercise, Texts
 from ..journal import Entries, JournalEntry
-from .entries import changes
+from .entries import as_bacnet, changes
 
 __all__ = ["EXERCISE"]
 
 _DEVICE, _PRIORITY = 12345, 8
+_LIMIT, _MODE = ("analog-value", 9), ("multi-state-value", 1)
+_FURTHER = 1000
+"""Instance of the first further analog value that the mock can be given."""
+_LARGEST = 3.4028234663852886e38
+"""The largest REAL."""
+_ALIASES = ("otmcp_zone", "otmcp_valve")
+"""Names that a launch of an adapter with names of its own has for the analog input 1, and for the analog output 1 at priority 8."""
 
 
 def _read(rng: random.Random) -> Asked:
@@ -44,6 +53,142 @@ def _done(entries: Entries, asked: Asked) -> list[JournalEntry]:
     return changes(entries)
 
 
+def _at(kind: str, instance: int) -> dict[str, object]:
+    return {"device": _DEVICE, "type": kind, "instance": instance}
+
+
+def _value(rng: random.Random) -> float:
+    # Halves below 2 to the 20 are exact in a REAL.
+    return rng.randrange(-(2**20), 2**20) + 0.5
+
+
+def _reading(kind: str, instance: int, value: object) -> Asked:
+    return Asked(
+        operation="read",
+        inputs=_at(kind, instance),
+        outputs={"value": value},
+        pokes=({"object": f"{kind},{instance}", "value": value},),
+    )
+
+
+def _distinct(rng: random.Random, count: int) -> tuple[Asked, ...]:
+    found = []
+    for instance in range(_FURTHER, _FURTHER + count):
+        one = _reading("analog-value", instance, _value(rng))
+        there = {"objects": instance - _FURTHER + 1}
+        found.append(replace(one, pokes=(there, *one.pokes), condition={"object": f"analog-value,{instance}"}))
+    return tuple(found)
+
+
+def _every_read(rng: random.Random) -> tuple[Asked, ...]:
+    value = _value(rng)
+    return (
+        _reading("analog-input", 2, _value(rng)),
+        _reading("analog-input", 2, -abs(_value(rng))),
+        _reading(*_LIMIT, rng.randrange(20) / 2),
+        *(_reading(*_MODE, state) for state in (1, 2, 3)),
+        Asked(
+            operation="read_alias",
+            inputs={"name": _ALIASES[0]},
+            outputs={"value": value},
+            pokes=({"object": "analog-input,1", "value": value},),
+        ),
+    )
+
+
+def _every_write(rng: random.Random) -> tuple[Asked, ...]:
+    value, limit, state = rng.randrange(1, 2**20) + 0.5, rng.randrange(1, 20) / 2, rng.randrange(2, 4)
+    return (
+        # Objects without a priority array: an adapter that takes no priority changes no other points than these.
+        _writing(*_LIMIT, limit, before=0.0),
+        _writing(*_MODE, state, before=1),
+        Asked(
+            operation="write_alias",
+            inputs={"name": _ALIASES[1], "value": value},
+            pokes=({"object": "analog-output,1", "priority": _PRIORITY, "value": None},),
+            points={
+                "analog-output,1/present-value": value,
+                f"analog-output,1/priority-array/{_PRIORITY}": value,
+            },
+        ),
+    )
+
+
+def _writing(kind: str, instance: int, value: object, *, before: object) -> Asked:
+    return Asked(
+        operation="write",
+        inputs={**_at(kind, instance), "value": value, "priority": _PRIORITY},
+        pokes=({"object": f"{kind},{instance}", "value": before},),
+        points={f"{kind},{instance}/present-value": value},
+    )
+
+
+def _contended(rng: random.Random) -> Contended:
+    old, *new = (value / 2 for value in rng.sample(range(20), 3))
+    return Contended(
+        old=old,
+        new=tuple(new),
+        pokes=({"object": "analog-value,9", "value": old},),
+        read=Asked(operation="read", inputs=_at(*_LIMIT)),
+        output="value",
+        writes=tuple(_writing(*_LIMIT, value, before=old) for value in new),
+    )
+
+
+def _asks_for(entry: JournalEntry) -> object:
+    writes = as_bacnet(entry).get("writes", [])
+    return writes[0]["values"][0]["value"] if len(writes) == 1 and len(writes[0]["values"]) == 1 else None
+
+
+def _further(kind: str, value: object, outputs: dict[str, object]) -> Asked:
+    """Return the read of an object of a datatype that few devices have."""
+    asked = _reading(kind, 1, value)
+    return replace(asked, pokes=({"types": True}, *asked.pokes), outputs=outputs)
+
+
+def _large(values: Sequence[int], signed: bool) -> tuple[Asked, ...]:
+    kind = "integer-value" if signed else "positive-integer-value"
+    return tuple(_further(kind, value, {"value": value}) for value in values)
+
+
+def _special() -> tuple[Asked, ...]:
+    return tuple(
+        _further(kind, value, {"special": name})
+        for kind in ("analog-input", "large-analog-value")
+        for name, value in (("NaN", "nan"), ("Infinity", "inf"), ("-Infinity", "-inf"))
+    )
+
+
+def _real(value: float) -> Asked:
+    return _writing("analog-output", 1, value, before=0.0)
+
+
+def _bounds() -> tuple[tuple[Asked, object], ...]:
+    # The device itself limits what the states of a multi-state object may be; its type is Unsigned.
+    return (
+        (_real(_LARGEST), 1e39),
+        (_real(-_LARGEST), -1e39),
+        (_writing(*_MODE, 1, before=2), -1),
+    )
+
+
+def _misfits() -> tuple[tuple[Asked, tuple[object, ...]], ...]:
+    # Null is no misfit: it gives the priority up.
+    return (
+        (_real(7.5), ("abc", "7.5", True, [7.5])),
+        (_writing(*_MODE, 2, before=1), (1.5, "abc", [2])),
+    )
+
+
+def _read_text(text: str) -> Asked:
+    return _further("characterstring-value", text, {"value": text})
+
+
+def _write_text(text: str) -> Asked:
+    asked = _writing("characterstring-value", 1, text, before="")
+    return replace(asked, pokes=({"types": True}, *asked.pokes))
+
+
 EXERCISE = Exercise(
     reading="read",
     read=_read,
@@ -58,4 +203,22 @@ EXERCISE = Exercise(
     # Datagrams have no connection that could be reset: what comes nearest is an answer that is lost.
     reset=({"action": {"drop": True}},),
     refused=({"action": {"error": [0, 25]}},),
+    write_refused=({"error": [0, 25]}, "device_failure"),
+    # An instance has 22 bits (clause 20.2.14).
+    outside={
+        "device": (-1, 2**22 + _DEVICE, 2**31, 12345.5, "0x3039"),
+        "instance": (-1, 2**22 + 1, 2**31, 1.5, "0x1"),
+        "priority": (-1, 0, 17, 2**8 + _PRIORITY, 8.5, "0x8"),
+    },
+    distinct=_distinct,
+    every_read=_every_read,
+    every_write=_every_write,
+    contended=_contended,
+    asks_for=_asks_for,
+    bounds=_bounds,
+    misfits=_misfits,
+    large=_large,
+    special=_special,
+    real=_real,
+    texts=Texts(encoding="utf-8", read=_read_text, write=_write_text),
 )

@@ -17,7 +17,7 @@ OPERATIONS: Mapping[str, Operation] = {
         inputs=_OBJECT,
         outputs=("value",),
         needed=("value",),
-        voluntary_outputs=("data_type",),
+        voluntary_outputs=("data_type", "special"),
     ),
     "write": Operation(
         meaning="write the present value of an object at a priority; null relinquishes it",

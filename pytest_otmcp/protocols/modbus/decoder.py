@@ -75,17 +75,18 @@ class ModbusConversation:
 
 def contradiction(entry: JournalEntry) -> str | None:
     """Say where an entry differs from its PDU; None where it does not."""
-    if entry["kind"] not in ("request", "response"):
-        return None
     members: Mapping[str, Any] = dict(entry)
+    # What came in with bytes is a request, whatever it is called; what went out may have been damaged on the way.
+    if entry["kind"] not in ("request", "response") and (entry["direction"] == "out" or "pdu" not in members):
+        return None
     try:
         pdu = bytes.fromhex(members["pdu"])
     except (KeyError, TypeError, ValueError):
         pdu = b""
     if not pdu:
         return f"has no PDU but {members.get('pdu')!r}"
-    if entry["kind"] == "request":
-        shown = {**_request(pdu), "state_changing": pdu[0] in STATE_CHANGING}
+    if entry["direction"] == "in":
+        shown = {"kind": "request", "request": True, **_request(pdu), "state_changing": pdu[0] in STATE_CHANGING}
     else:
         # How many bits were asked for only the request says; the last byte is padded.
         values = members.get("values")

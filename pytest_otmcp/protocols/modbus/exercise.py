@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import random
+from typing import Any
 
 from ..exercise import Asked, Exercise, every_change
+from .entries import points
+from .tags import TAGS
 
 __all__ = ["EXERCISE"]
 
@@ -33,6 +36,42 @@ def _write(rng: random.Random) -> Asked:
     )
 
 
+def _every_write(rng: random.Random) -> tuple[Asked, ...]:
+    word = rng.randrange(0x100, 0x10000)
+    words = [rng.randrange(1, 0x10000) for _ in range(3)]
+    bits = [True, *(bool(rng.getrandbits(1)) for _ in range(8)), True]
+    old, and_mask, or_mask = (rng.randrange(0x10000) for _ in range(3))
+    raw = rng.randrange(1, 0x8000)
+    scaled = TAGS["otmcp_scaled"]
+    coils, registers = "coils", "holding_registers"
+    masked = (old & and_mask) | (or_mask & ~and_mask & 0xFFFF)
+    return (
+        _write_of("write_holding", registers, 1, [word], value=word),
+        _write_of("write_registers", registers, 10, words, values=words),
+        _write_of("write_coil", coils, 4, [True], value=True),
+        _write_of("write_coils", coils, 20, bits, values=bits),
+        _write_of("mask_write", registers, 30, [masked], before=[old], and_mask=and_mask, or_mask=or_mask),
+        Asked(
+            operation="write_tag",
+            inputs={"name": "otmcp_scaled", "value": raw / 10},
+            pokes=({"unit": 1, "table": registers, "address": scaled.address, "values": [0]},),
+            points=points(registers, scaled.address, [raw]),
+        ),
+    )
+
+
+def _write_of(
+    operation: str, table: str, address: int, after: list[Any], before: list[Any] | None = None, **inputs: Any
+) -> Asked:
+    held = before or [False if isinstance(value, bool) else 0 for value in after]
+    return Asked(
+        operation=operation,
+        inputs={"address": address, **inputs},
+        pokes=({"unit": 1, "table": table, "address": address, "values": held},),
+        points=points(table, address, after),
+    )
+
+
 EXERCISE = Exercise(
     reading="read_holding",
     read=_read,
@@ -46,4 +85,5 @@ EXERCISE = Exercise(
     silent=({"action": {"drop": True}},),
     reset=({"action": {"reset": True}},),
     refused=({"action": {"exception": 4}},),
+    every_write=_every_write,
 )

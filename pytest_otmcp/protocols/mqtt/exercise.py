@@ -43,4 +43,5 @@ EXERCISE = Exercise(
     silent=tuple({"packet": packet, "action": {"no_answer": True}} for packet in ("SUBSCRIBE", "PUBLISH")),
     reset=tuple({"packet": packet, "action": {"reset": True}} for packet in ("SUBSCRIBE", "PUBLISH")),
     refused=({"packet": "SUBSCRIBE", "action": {"reason_code": 0x80}},),
+    outside={"qos": (-1, 257, 2**31, 1.5, "0x1")},
 )

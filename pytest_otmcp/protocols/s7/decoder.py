@@ -225,12 +225,17 @@ def _results(parameters: bytes, data: bytes) -> list[dict[str, Any]]:
 
 def contradiction(entry: JournalEntry) -> str | None:
     """Say where an entry differs from its PDU; None where it does not."""
-    if entry["kind"] not in ("request", "response", "setup", "setup_response"):
-        return None
     members: Mapping[str, Any] = dict(entry)
+    # What came in with a PDU is a request, whatever it is called; what went out may have been damaged on the way.
+    known = entry["kind"] in ("request", "response", "setup", "setup_response")
+    if not known and (entry["direction"] == "out" or "pdu" not in members):
+        return None
     try:
         raw = bytes.fromhex(members["pdu"])
         shown = _fields(entry["direction"], raw)
     except (KeyError, TypeError, ValueError, IndexError, struct.error):
         return f"has no PDU but {members.get('pdu')!r}"
+    if entry["direction"] == "in":
+        setting_up = shown["service"] == "setup"
+        shown |= {"kind": "setup" if setting_up else "request", "request": not setting_up}
     return difference(members, shown, "PDU")

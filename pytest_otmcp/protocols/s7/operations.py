@@ -21,6 +21,7 @@ OPERATIONS: Mapping[str, Operation] = {
         inputs=("db", "start", "type"),
         outputs=("value",),
         needed=("value",),
+        voluntary_outputs=("special",),
     ),
     "write_db": Operation(
         meaning="write one value to a data block",

@@ -1,0 +1,98 @@
+"""Defects that adapters for several further protocols have, whose own checks notice them."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Hashable
+from typing import Any
+
+from pydantic import create_model, field_validator
+
+from ...core import AdapterServer, Call
+from ..mutant import Bend, Data, Handler, Mutant, each, on, wrap
+
+__all__ = ["as_zero", "by_way_of_float", "cut_off", "declared", "last_answer", "merged", "stripped"]
+
+
+def declared(protocol: str, id: str, areas: str, rows: str, requirements: str, bend: Bend, sentence: str) -> Mutant:
+    """Return the declaration of a defect that the checks of these rows on the protocol notice."""
+    return Mutant(
+        id=id,
+        protocol=protocol,
+        sentence=sentence,
+        bend=bend,
+        items=on(protocol, rows),
+        requirements=requirements,
+        areas=areas,
+    )
+
+
+def last_answer(tool: str) -> Bend:
+    """Return the defect that of several calls at the same time all are told what the last of them has found."""
+
+    def bend(server: AdapterServer) -> None:
+        last: Data = {}
+
+        def shared(genuine: Handler) -> Handler:
+            async def handler(call: Call, arguments: Any) -> Data:
+                last.update(await genuine(call, arguments))
+                await asyncio.sleep(0.02)
+                return dict(last)
+
+            return handler
+
+        each(tool, change=shared)(server)
+
+    return bend
+
+
+def merged(tool: str, target: Callable[[Any], Hashable], answer: Callable[[Any], Data]) -> Bend:
+    """Return the defect that of several writes to one target at the same time only the last is sent, and all are told as successes."""
+
+    def bend(server: AdapterServer) -> None:
+        waiting: dict[Hashable, int] = {}
+
+        def merging(genuine: Handler) -> Handler:
+            async def handler(call: Call, arguments: Any) -> Data:
+                place = target(arguments)
+                waiting[place] = mine = waiting.get(place, 0) + 1
+                await asyncio.sleep(0.02)
+                if waiting[place] != mine:
+                    return answer(arguments)
+                data: Data = await genuine(call, arguments)
+                return data
+
+            return handler
+
+        each(tool, change=merging)(server)
+
+    return bend
+
+
+def cut_off(tool: str, argument: str, bits: int) -> Bend:
+    """Return the defect that of a whole number of any size only the last bits count."""
+
+    def masked(cls: Any, value: Any) -> Any:
+        return value & (1 << bits) - 1 if type(value) is int else value
+
+    def bend(server: AdapterServer) -> None:
+        check: Any = field_validator(argument, mode="before")(classmethod(masked))
+        genuine = server._tools[tool].model
+        model = create_model(genuine.__name__, __base__=genuine, __validators__={"cut": check})
+        wrap(server, tool, lambda handler: handler, model=model)
+
+    return bend
+
+
+def as_zero(data: Data) -> Data:
+    return {**data, "special": None, "value": 0.0} if data["special"] else data
+
+
+def by_way_of_float(data: Data) -> Data:
+    if isinstance(data["value"], str) and data["value"].lstrip("-").isdecimal():
+        data["value"] = int(float(data["value"]))
+    return data
+
+
+def stripped(data: Data) -> Data:
+    return {**data, "value": data["value"].strip()} if isinstance(data["value"], str) else data

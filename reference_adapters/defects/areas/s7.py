@@ -1,0 +1,173 @@
+"""Defects of an S7 adapter that the checks of the requirement suite notice.
+
+Its library is an extra: the adapter's modules are imported when a defect is built in, not when the table is read.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from importlib import import_module
+from typing import Any
+
+from ...core import AdapterServer, Call
+from ..any_protocol import guard_after_sending
+from ..claims import local_time
+from ..mutant import Data, Mutant, failing, told
+from ..refusals import _end
+from .further import as_zero, by_way_of_float, cut_off, declared, last_answer, merged, stripped
+
+__all__ = ["MUTANTS"]
+
+_READ, _WRITE = "read_db_typed", "write_db"
+_BLOCK_BITS = 16
+
+
+def _module(name: str) -> Any:
+    return import_module(f"...s7.{name}", __package__)
+
+
+def _four_bytes_for_an_int(server: AdapterServer) -> None:
+    tools = _module("tools")
+    encode = tools.encode
+    tools.encode = lambda value, kind, *rest: encode(value, kind, *rest) + (bytes(2) if kind == "INT" else b"")
+
+
+def _lower_half(server: AdapterServer) -> None:
+    tools = _module("tools")
+    encode = tools.encode
+
+    def fitting(value: Any, kind: Any, *rest: Any) -> bytes:
+        fits = (value + 0x8000) % 0x10000 - 0x8000 if kind == "INT" and type(value) is int else value
+        content: bytes = encode(fits, kind, *rest)
+        return content
+
+    tools.encode = fitting
+
+
+def _words_are_true(server: AdapterServer) -> None:
+    tools = _module("tools")
+    encode = tools.encode
+
+    def lenient(value: Any, kind: Any, *rest: Any) -> bytes:
+        content: bytes = encode(bool(value) if kind == "BOOL" else value, kind, *rest)
+        return content
+
+    tools.encode = lenient
+
+
+def _confirmed_at_once(server: AdapterServer) -> None:
+    async def confirmed(self: Any, call: Call, variables: Any, contents: Any) -> None:
+        """Send nothing."""
+
+    _module("tools").Tools._write = confirmed
+
+
+def _written(arguments: Any) -> Data:
+    content = _module("codec").encode(arguments.value, arguments.data_type)
+    return {
+        "start": arguments.start_offset,
+        "type": arguments.data_type,
+        "value": arguments.value,
+        "raw": content.hex(),
+    }
+
+
+def _signed(data: Data) -> Data:
+    return {**data, "value": data["value"] - 0x10000} if data["type"] == "WORD" else data
+
+
+_mutant = partial(declared, "s7")
+
+MUTANTS: tuple[Mutant, ...] = (
+    _mutant(
+        "MU-14kw",
+        "wr",
+        "WR-001 WR-002 WR-003 WR-004 WR-005 WR-010",
+        "WR-001",
+        _confirmed_at_once,
+        "S7 writes are told and not sent.",
+    ),
+    _mutant("MU-04kw", "rd", "RD-001", "RD-001", told(_READ, change=_signed), "A WORD is read with a sign."),
+    _mutant(
+        "MU-02k",
+        "wr",
+        "WR-002",
+        "WR-002",
+        _four_bytes_for_an_int,
+        "An INT is written with the two bytes that follow it.",
+    ),
+    _mutant(
+        "MU-20kb",
+        "wr",
+        "WR-004",
+        "WR-004",
+        guard_after_sending("write_marker"),
+        "With writes disabled a flag is written, and then denied.",
+    ),
+    _mutant(
+        "MU-08kw",
+        "adr",
+        "ADR-003",
+        "ADR-003",
+        _lower_half,
+        "Of a value that does not fit into an INT the lower half is written.",
+    ),
+    _mutant("MU-11k", "adr", "ADR-004", "ADR-004", _words_are_true, "The word false is true for a bit."),
+    _mutant(
+        "MU-06k",
+        "adr",
+        "ADR-002",
+        "ADR-002",
+        cut_off(_WRITE, "db_number", _BLOCK_BITS),
+        "Of the number of a data block the last 16 bits count.",
+    ),
+    _mutant(
+        "MU-37k",
+        "con",
+        "CON-001",
+        "CON-001",
+        last_answer(_READ),
+        "Of several S7 reads at the same time all are told what the last one has found.",
+    ),
+    _mutant(
+        "MU-41k",
+        "con",
+        "CON-004",
+        "CON-004",
+        merged(_WRITE, lambda asked: (asked.db_number, asked.start_offset), _written),
+        "Of two S7 writes at the same time only one is sent, and both are told as successes.",
+    ),
+    _mutant("MU-56k", "enc", "ENC-004", "ENC-004", told(_READ, change=as_zero), "A REAL that is NaN is 0."),
+    _mutant(
+        "MU-58k",
+        "enc",
+        "ENC-005",
+        "ENC-005",
+        told(_READ, change=by_way_of_float),
+        "A LINT above 2^53 is rounded.",
+    ),
+    _mutant(
+        "MU-123k",
+        "enc",
+        "ENC-006",
+        "ENC-006",
+        told(_READ, change=stripped),
+        "A STRING is read without the spaces around it.",
+    ),
+    _mutant(
+        "MU-124k",
+        "enc",
+        "ENC-004 ENC-005 ENC-006 ENC-007",
+        "ENC-007",
+        local_time,
+        "started_at of an S7 answer is the local time with a Z behind it.",
+    ),
+    _mutant(
+        "MU-93k",
+        "res",
+        "RES-003",
+        "MCP-007",
+        failing(change=_end),
+        "An S7 answer that does not belong to its request ends the adapter.",
+    ),
+)

@@ -1,0 +1,47 @@
+"""A server of streamable HTTP without an SDK: run as ``python http_server.py CONTENT-TYPE``, which is that of its answers to calls.
+
+With ``endless`` after it, an answer to a call never ends.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+
+CONTENT_TYPE, ENDLESS = sys.argv[1], "endless" in sys.argv[2:]
+
+
+class Server(BaseHTTPRequestHandler):
+    """It speaks MCP of the year 2025, and has one tool, ``ping``."""
+
+    def do_POST(self) -> None:
+        message = json.loads(self.rfile.read(int(self.headers["content-length"])))
+        method, params = message.get("method"), message.get("params") or {}
+        if "id" not in message:
+            self.send_response(202)
+            self.end_headers()
+        elif method == "initialize":
+            info = {"name": "s", "version": "0"}
+            said = {"protocolVersion": params["protocolVersion"], "capabilities": {"tools": {}}, "serverInfo": info}
+            self.answer(message["id"], said)
+        elif method == "tools/list":
+            self.answer(message["id"], {"tools": [{"name": "ping", "inputSchema": {"type": "object"}}]})
+        else:
+            self.answer(message["id"], {"content": []}, CONTENT_TYPE, endless=ENDLESS)
+
+    def answer(self, identifier: Any, result: Any, kind: str = "application/json", *, endless: bool = False) -> None:
+        body = json.dumps({"jsonrpc": "2.0", "id": identifier, "result": result}).encode()
+        self.send_response(200)
+        self.send_header("content-type", kind)
+        if not endless:
+            self.send_header("content-length", str(len(body)))
+        self.end_headers()
+        while endless:
+            self.wfile.write(b" " * 1_000_000)
+        self.wfile.write(body)
+
+
+ThreadingHTTPServer(("127.0.0.1", int(os.environ["MCP_HTTP_PORT"])), Server).serve_forever()
