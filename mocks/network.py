@@ -299,6 +299,12 @@ class Link(asyncio.Transport):
             self._waiting.append((bytes(data), self._manner.drip_s))
             self._go_on()
         else:
+            self._send(data)
+
+    def _send(self, data: Any) -> None:
+        # The client may have reset the connection while its requests are still being answered, and the loop tells of that
+        # end afterwards: each further write would be a line of asyncio's on stderr.
+        if not self._transport.is_closing():
             self._transport.write(data)
 
     def _go_on(self) -> None:
@@ -312,9 +318,9 @@ class Link(asyncio.Transport):
                 return
             data, drip_s = first
             if not drip_s:
-                self._transport.write(data)
+                self._send(data)
                 continue
-            self._transport.write(data[:1])
+            self._send(data[:1])
             if data[1:]:
                 self._waiting.appendleft((data[1:], drip_s))
             self._timer = asyncio.get_running_loop().call_later(drip_s, self._next_byte)

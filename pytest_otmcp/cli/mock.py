@@ -8,6 +8,7 @@ import sys
 from collections.abc import Mapping
 from typing import Any, NoReturn
 
+from ..core.errors import UsageError
 from ..protocols.protocol import Simulator
 from ..protocols.registry import protocols
 from . import show
@@ -35,16 +36,37 @@ def add_parser(subparsers: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> NoReturn:
-    """Replace this process by the mock, which checks its other options itself."""
+    """Replace this process by the mock, which checks the values of its options itself.
+
+    Raises:
+        UsageError: the mock has no such option, or lacks one.
+    """
     mock, clients = _mocks()[args.protocol]
-    options = [f"--{option}={value}" for option in _options() if (value := getattr(args, option)) is not None]
+    given = {option: value for option in _options() if (value := getattr(args, option)) is not None}
+    _check(args.protocol, given)
     show(
-        f"otmcp: the JSON line below says where the {args.protocol} mock serves; point {clients} at it. "
+        f"otmcp: a JSON line says where the {args.protocol} mock is as soon as it is ready; it is for {clients}. "
         "It ends with Ctrl-C, and when its standard input closes.",
         sys.stderr,
     )
+    options = [f"--{option}={value}" for option, value in given.items()]
     # A module of the working directory must not take the place of a module of the mock.
     os.execv(sys.executable, [sys.executable, "-P", "-m", "pytest_otmcp.mocks", mock, *options])  # noqa: S606
+
+
+def _check(name: str, given: Mapping[str, str | int]) -> None:
+    """Refuse options that a mock does not have: it would speak of a program whose name nobody has typed.
+
+    Raises:
+        UsageError: it has another option, or lacks one.
+    """
+    simulator = _simulators().get(name)
+    known = _OPTIONS if simulator is None else simulator.options
+    for option in given.keys() - known.keys():
+        raise UsageError(f"--{option}: the {name} mock has no such option; it has --{', --'.join(known)}")
+    for option, (metavar, text) in () if simulator is None else simulator.options.items():
+        if option not in given:
+            raise UsageError(f"the {name} mock needs --{option} {metavar}: {text}")
 
 
 def _port(text: str) -> int:

@@ -156,7 +156,7 @@ class Simulator:
 
     Attributes:
         clients: the clients that it is for, in words.
-        options: its own command line options, without ``--``, each with a metavariable and its help text.
+        options: its own command line options, without ``--``, each with a metavariable and its help text; it needs all of them.
     """
 
     clients: str

@@ -6,10 +6,11 @@ looks like a verdict. The kit's own words are ASCII, for terminals that have not
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from ..core.matrix import SUITES
 from ..record.consistency import count_calls
+from ..record.schema import Counted
 from ..record.warnings import said, warnings
 from ..suite.levels import NOT_SHOWN, standings
 from ..suite.levels import said as level_of
@@ -135,17 +136,30 @@ def _warnings(run: Run, width: int) -> Iterator[Line]:
 
 
 def _counts(run: Run, width: int) -> Iterator[Line]:
-    calls = count_calls(run["items"])["task"]
+    calls = count_calls(run["items"])
     samples = sum(len(item["samples"]) for item in run["items"])
     # A killed run has no elapsed time.
     elapsed = run["footer"].get("elapsed_s")
     took = "" if elapsed is None else f" in {elapsed:.1f} s"
-    texts = [f"{counted(samples, 'run')}, {counted(calls, 'tool call')}{took}"]
+    # Without a subject file a run is about the reference adapters, and nobody should take its verdict for another one's.
+    subject = run["subject"]
+    texts = [
+        f"subject: {subject['name']} {subject['version']}".rstrip(),
+        f"{counted(samples, 'run')}, {_calls(calls)}{took}",
+    ]
     if not timing_valid(run):
         texts.append("latencies withheld: the run was parallel, so they measure the neighbours too")
     for text in texts:
         for line in wrapped(text, width, "  "):
             yield line, "plain"
+
+
+def _calls(calls: Mapping[Counted, int]) -> str:
+    """Name the calls of the benchmark, and apart from them those of the requirement suite."""
+    checks = calls.get("check", 0)
+    told = [counted(calls["task"], "tool call")] if calls["task"] or not checks else []
+    told += [f"{counted(checks, 'tool call')} of the requirement suite"] if checks else []
+    return ", ".join(told)
 
 
 def _levels(run: Run, width: int) -> Iterator[Line]:

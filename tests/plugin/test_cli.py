@@ -68,6 +68,12 @@ def test_help_names_every_command_and_imports_nothing_heavy(tmp_path: Path) -> N
         (["report", "nowhere.json"], "nowhere.json: there is no such file"),
         (["mock", "ethercat"], "invalid choice: 'ethercat'"),
         (["mock", "modbus", "--port", "70000"], "--port: expected 0 to 65535, found '70000'"),
+        (["mock", "modbus", "--broker", "mqtt://127.0.0.1"], "--broker: the modbus mock has no such option"),
+        (["mock", "sparkplug"], "the sparkplug mock needs --broker URL"),
+        (
+            ["mock", "sparkplug", "--broker", "mqtt://127.0.0.1", "--port", "1"],
+            "--port: the sparkplug mock has no such",
+        ),
         (["mock", "modbus", "--port", "many"], "--port: expected 0 to 65535, found 'many'"),
     ],
 )
@@ -80,7 +86,7 @@ def test_what_cannot_be_done_is_said_in_a_sentence_and_ends_with_2(
     assert words in done.stderr
     assert "Traceback" not in done.stderr
     assert done.stdout == ""
-    assert "below says" not in done.stderr
+    assert "a JSON line says" not in done.stderr
 
 
 def test_without_a_command_all_are_listed_with_a_line_each(capsys: pytest.CaptureFixture[str]) -> None:
@@ -186,7 +192,7 @@ def test_a_mock_serves_until_its_input_closes_whatever_lies_in_the_directory(tmp
             assert connection.recv(100)[:8] == bytes.fromhex("0001000000050103")
         process.stdin.close()
         assert process.wait(30) == 0
-        assert "point a Modbus TCP client with unit identifier 1 at it" in process.stderr.read()
+        assert "for a Modbus TCP client with unit identifier 1" in process.stderr.read()
 
 
 # -- report -----------------------------------------------------------------------------------------------------

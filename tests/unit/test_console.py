@@ -170,6 +170,15 @@ def test_one_of_a_thing_is_not_called_several() -> None:
     assert "1 run, 1 tool call in 1.0 s" in shown
 
 
+def test_calls_of_the_requirement_suite_are_told_beside_those_of_the_benchmark() -> None:
+    read, judged = (
+        item("M2", "normal", "Modbus", "Read.", [1.0]),
+        item("WR-003.modbus", "requirements", "Modbus", "W.", [1.0]),
+    )
+    assert "1 run, 1 tool call of the requirement suite in 1.0 s" in text(run([judged]))
+    assert "2 runs, 1 tool call, 1 tool call of the requirement suite in 1.0 s" in text(run([read, judged]))
+
+
 def test_a_run_of_the_requirement_suite_says_the_level_of_each_protocol_in_a_line() -> None:
     judged = item("WR-003.modbus", "requirements", "Modbus", "Write once.", [1.0], failing=1)
     shown = text(run([judged]), width=200)
@@ -180,3 +189,8 @@ def test_a_run_of_the_requirement_suite_says_the_level_of_each_protocol_in_a_lin
     assert "level: none is shown without the requirement suite; otmcp certify runs it" in text(run(ALL))
     # Of a run that failed nobody expects a level.
     assert "level:" not in text(run([written_twice()]))
+
+
+def test_the_end_of_a_run_says_whom_it_is_about() -> None:
+    # Without a subject file, or in another directory than the vendor meant, it is about the reference adapters.
+    assert "subject: synthetic 0" in text(run(ALL)).splitlines()

@@ -517,15 +517,18 @@ def test_pictures_bear_times_that_a_clock_cannot_have() -> None:
     assert "nan" not in " ".join(shown.values("x"))
 
 
+PDFTOTEXT = shutil.which("pdftotext")
+
+
 def chromium() -> str | None:
     return next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 
 
 @pytest.fixture
-def browse(tmp_path: Path) -> Callable[[Path], tuple[str, list[str]]]:
+def browse(tmp_path: Path) -> Callable[..., tuple[str, list[str]]]:
     """A function that opens a page in a real browser, and returns the browser's DOM and the lines of its console."""
 
-    def start(path: Path) -> tuple[str, list[str]]:
+    def start(path: Path, task: str = "--dump-dom") -> tuple[str, list[str]]:
         program = chromium()
         assert program is not None
         options = [
@@ -537,7 +540,7 @@ def browse(tmp_path: Path) -> Callable[[Path], tuple[str, list[str]]]:
         ]
         # Chromium has no sandbox for root, as in a container of a CI job.
         options += ["--no-sandbox"] if os.geteuid() == 0 else []
-        command = [program, *options, "--dump-dom", path.as_uri()]
+        command = [program, *options, task, path.as_uri()]
         done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
         return done.stdout, [line for line in done.stderr.splitlines() if "CONSOLE" in line]
 
@@ -561,6 +564,23 @@ def test_a_browser_shows_the_page_runs_nothing_and_complains_about_nothing(tmp_p
     )
     _, console = browse(path)
     assert any("Content Security Policy" in line for line in console)
+
+
+@pytest.mark.long
+@pytest.mark.skipif(chromium() is None or PDFTOTEXT is None, reason="no Chromium, or no pdftotext")
+def test_paper_has_the_beginning_of_a_long_conversation_and_what_was_wrong_in_it(tmp_path: Path, browse: Any) -> None:
+    failed = written_twice()
+    calls = [{**call(1.0), **wire(f"asked-{index:02}", "{}", index, index + 0.5)} for index in range(20)]
+    calls[18] |= {"ok": False, "error_code": "timeout", "envelope": {"success": False}}
+    failed["samples"][0] |= {"calls": calls, "device": []}
+    path, pdf = tmp_path / "report.html", tmp_path / "report.pdf"
+    write_html(run([failed]), path)
+    browse(path, f"--print-to-pdf={pdf}")
+    paper = subprocess.run([str(PDFTOTEXT), "-layout", pdf, "-"], capture_output=True, text=True, check=True).stdout
+    assert "+5.00" in paper
+    assert "+17.00" not in paper
+    assert "not as required" in paper
+    assert "Paper has the beginning of this conversation" in paper
 
 
 def test_what_stands_between_backticks_in_a_rule_is_code_and_is_escaped() -> None:

@@ -57,7 +57,7 @@ PROTOCOL = OtProtocol(
     clients="an MQTT client, version 3.1.1 or 5",
     simulators={
         "sparkplug": Simulator(
-            clients="an MQTT client at the broker",
+            clients="MQTT clients of the broker that it joins",
             options={"broker": ("URL", "mqtt://host:port that the edge node of sparkplug joins")},
         ),
     },
