@@ -344,15 +344,10 @@ async def values_are_read_beside_writes(run: Repetition, at: Rig) -> None:
             else:
                 run.succeeds(reply, requirement="CON-004")
         run.witnessed(_linear(at, written, one.new, seen))
-        points = next(
-            (
-                write.points
-                for write, value in zip(one.writes, one.new, strict=True)
-                if seen and same_json(value, seen[-1])
-            ),
-            {},
-        )
-        run.witnessed(_kept(witness(at).holds(await at.image(), points)))
+        image = await at.image()
+        for write, value in zip(one.writes, one.new, strict=True):
+            if seen and same_json(value, seen[-1]):
+                run.witnessed(_kept(witness(at).holds(image, write.points)))
 
 
 @TASKS.check("CON-004", "Messages beside each other are sent once each.", needs="mqtt.publish mqtt.subscribe")

@@ -106,7 +106,8 @@ class Exercise:
         every_write: makes writes by every operation that writes; each changes what the device held before, by one request, and says all
             points that it changes. None where there are none.
         contended: makes writes and a read of one target; None where nothing can be read that was written.
-        large: makes a read of each of these whole numbers of 64 bits, of a type with a sign or of one without; None where checks of the protocol's own have it.
+        large: makes a read of each of these whole numbers of 64 bits, of a type with a sign or of one without; None where checks of the
+            protocol's own have it.
         special: makes reads of what is no number, or infinite, each with the name as its output ``special``; None as for ``large``.
         real: makes a write of a floating-point number, which is its input ``value``.
         texts: reads and writes of a text; None as for ``large``.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import struct
 from typing import Any
 
@@ -28,14 +27,12 @@ from bacpypes3.primitivedata import (
 )
 from bacpypes3.vendor import get_vendor_info
 
-from ..core import AdapterError
+from ..core import AdapterError, exact_in_json, special_name
 
 __all__ = ["Read", "encoded", "known_property", "object_type", "primitives", "same"]
 
 Read = tuple[str, Any]
 """Datatype and value of one primitive; a number that JSON does not have, or not exactly for everybody, is a text."""
-_EXACT_IN_JSON = 2**53 - 1
-"""Integers beyond this may be rounded by JSON readers that only have doubles (RFC 7493, section 2.2)."""
 
 _NAMES: list[tuple[type[Atomic], str]] = [
     (Null, "null"),
@@ -101,12 +98,10 @@ def _primitive(value: Any) -> Read:
         case "boolean":
             return name, bool(value)
         case "unsigned" | "integer" | "enumerated":
-            whole = int(value)
-            return name, whole if abs(whole) <= _EXACT_IN_JSON else str(whole)
+            return name, exact_in_json(int(value))
         case "real" | "double":
             number = float(value)
-            special = "NaN" if math.isnan(number) else "Infinity" if number > 0 else "-Infinity"
-            return name, number if math.isfinite(number) else special
+            return name, special_name(number) or number
         case "bit-string":
             return name, "".join(str(int(bit)) for bit in value)
         case "octet-string":

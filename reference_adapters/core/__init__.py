@@ -64,12 +64,14 @@ from __future__ import annotations
 from .arguments import LEFT_OUT, Arguments, BoundsCode
 from .call import Call
 from .errors import AdapterError
+from .numbers import EXACT_IN_JSON, exact_in_json, special_name
 from .server import AdapterServer
 from .settings import ConfigError, Environment
 from .text import device_text
 from .tools import tool
 
 __all__ = [
+    "EXACT_IN_JSON",
     "LEFT_OUT",
     "AdapterError",
     "AdapterServer",
@@ -79,5 +81,7 @@ __all__ = [
     "ConfigError",
     "Environment",
     "device_text",
+    "exact_in_json",
+    "special_name",
     "tool",
 ]

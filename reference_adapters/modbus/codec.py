@@ -12,9 +12,9 @@ from typing import Literal
 
 from typing_extensions import TypedDict
 
-from ..core import AdapterError
+from ..core import AdapterError, exact_in_json, special_name
 
-__all__ = ["EXACT_IN_JSON", "DataType", "Order", "Value", "decode", "encode", "width"]
+__all__ = ["DataType", "Order", "Value", "decode", "encode", "width"]
 
 DataType = Literal["int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64"]
 Order = Literal["ABCD", "CDAB", "BADC", "DCBA"]
@@ -29,8 +29,6 @@ _FORMATS = {
     "float32": "f",
     "float64": "d",
 }
-EXACT_IN_JSON = 2**53 - 1
-"""Integers beyond this may be rounded by JSON readers that only have doubles (RFC 7493, section 2.2)."""
 
 
 class Value(TypedDict):
@@ -62,12 +60,8 @@ def decode(registers: list[int], kind: DataType, order: Order) -> Value:
     """Return the value in these registers."""
     raw = struct.pack(f">{len(registers)}H", *registers)
     (value,) = struct.unpack(f">{_FORMATS[kind]}", _arranged(raw, order))
-    special = None
-    if isinstance(value, float) and not math.isfinite(value):
-        special = "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"
-        value = None
-    elif isinstance(value, int) and abs(value) > EXACT_IN_JSON:
-        value = str(value)
+    special = special_name(value)
+    value = exact_in_json(value) if special is None else None
     return {"type": kind, "value": value, "special": special, "raw": raw.hex(), "quality": "good"}
 
 

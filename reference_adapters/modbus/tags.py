@@ -18,8 +18,8 @@ from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
 
-from ..core import AdapterError, ConfigError
-from .codec import EXACT_IN_JSON, DataType, Order, width
+from ..core import EXACT_IN_JSON, AdapterError, ConfigError
+from .codec import DataType, Order, width
 
 __all__ = ["Tag", "engineering_value", "load_tags", "raw_value"]
 

@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..core import AdapterError
+from ..core import AdapterError, exact_in_json
 from .connection import Message
-from .payload import DecodedMetric, Payload, decode, exact
+from .payload import DecodedMetric, Payload, decode
 from .payload import Metric as NewMetric
 from .topics import NAMESPACE
 
@@ -128,7 +128,7 @@ class NodeTracker:
                 "group_id": group,
                 "edge_node_id": name,
                 "status": node.status,
-                "bd_seq": exact(node.bd_seq),
+                "bd_seq": exact_in_json(node.bd_seq),
                 "sequence_gap": node.gap,
                 "metrics": _listed(node.own),
                 "devices": [

@@ -8,7 +8,6 @@ declared as bytes, which is the same on the wire.
 from __future__ import annotations
 
 import base64
-import math
 import re
 import sys
 import time
@@ -23,7 +22,7 @@ from google.protobuf.message import DecodeError
 from google.protobuf.message_factory import GetMessageClass
 from typing_extensions import TypedDict
 
-from ..core import AdapterError
+from ..core import AdapterError, exact_in_json, special_name
 
 __all__ = [
     "REBIRTH",
@@ -34,7 +33,6 @@ __all__ = [
     "check_value",
     "decode",
     "encode",
-    "exact",
     "is_rebirth_command",
 ]
 
@@ -86,7 +84,6 @@ _NAMES = {
 _SIGNED = ("Int8", "Int16", "Int32", "Int64")
 _BITS = {"Int8": 8, "Int16": 16, "Int32": 32, "Int64": 64, "UInt8": 8, "UInt16": 16, "UInt32": 32, "UInt64": 64}
 _LARGEST_FLOAT = 3.4028234663852886e38
-_EXACT_IN_JSON = 2**53 - 1
 _UUID = re.compile(r"[0-9a-fA-F]{8}(-[0-9a-fA-F]{4}){3}-[0-9a-fA-F]{12}")
 
 _TABLE = """
@@ -276,25 +273,20 @@ def _decoded(metric: Any, births: Mapping[str | int, DecodedMetric]) -> DecodedM
     special = encoding = None
     if isinstance(value, bytes):
         value, encoding = base64.b64encode(value).decode(), "base64"
-    elif isinstance(value, float) and not math.isfinite(value):
-        special = "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"
-        value = None
+    elif isinstance(value, float):
+        special = special_name(value)
+        value = value if special is None else None
     elif isinstance(value, int) and not isinstance(value, bool):
         bits = 64 if member == "long_value" else 32
         if datatype in _SIGNED and value >= 2 ** (bits - 1):
             value -= 2**bits
-        value = exact(value)
+        value = exact_in_json(value)
     return {
         "name": born["name"] if name is None and born else name,
-        "alias": exact(alias),
+        "alias": exact_in_json(alias),
         "datatype": datatype,
         "value": value,
         "special": special,
         "is_null": bool(metric.is_null),
         "encoding": encoding,
     }
-
-
-def exact(number: int | None) -> int | str | None:
-    """Return a whole number for JSON: as a decimal string where readers would round the number."""
-    return str(number) if number is not None and abs(number) > _EXACT_IN_JSON else number

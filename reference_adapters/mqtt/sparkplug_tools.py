@@ -7,12 +7,12 @@ from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
-from ..core import AdapterError, Call, device_text, tool
+from ..core import AdapterError, Call, device_text, exact_in_json, tool
 from .connection import Message
 from .edge_node import Life, declared
 from .link import Link
 from .nodes import LISTENING
-from .payload import DecodedMetric, Metric, check_value, decode, encode, exact
+from .payload import DecodedMetric, Metric, check_value, decode, encode
 from .shapes import (
     Base64Payload,
     Commanded,
@@ -156,7 +156,7 @@ class SparkplugTools:
         if payload.total > len(payload.metrics):
             call.extra["truncated"] = {"returned": len(payload.metrics), "total": payload.total}
         metrics: list[DecodedMetric] = _foreign(call, "/data/metrics", payload.metrics)
-        return {"seq": exact(payload.seq), "timestamp": exact(payload.timestamp), "metrics": metrics}
+        return {"seq": exact_in_json(payload.seq), "timestamp": exact_in_json(payload.timestamp), "metrics": metrics}
 
     # -- publishing ---------------------------------------------------------------------------------------
 

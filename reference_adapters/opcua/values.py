@@ -13,12 +13,11 @@ from typing import Any
 
 from asyncua import ua
 
-from ..core import AdapterError
+from ..core import AdapterError, exact_in_json, special_name
 from .shapes import ValueObject
 
 __all__ = ["from_variant", "timestamp", "to_variant"]
 
-_EXACT_IN_JSON = 2**53 - 1
 _Type = ua.VariantType
 
 _INTEGERS = {
@@ -160,7 +159,7 @@ def from_variant(variant: ua.Variant | None, clean: Callable[[str], str]) -> Val
     value, kind = variant.Value, variant.VariantType
     name = getattr(kind, "name", str(kind))
     if isinstance(value, float):
-        special = None if math.isfinite(value) else _special(value)
+        special = _special(value)
         return {"value": None if special else value, "data_type": name, "special": special}
     found: ValueObject = {"value": _plain(value, clean), "data_type": name, "special": None}
     if kind in _LARGEST:
@@ -174,9 +173,7 @@ def _special(value: Any) -> Any:
     if isinstance(value, list):
         names = [_special(member) for member in value]
         return names if any(names) else None
-    if not isinstance(value, float) or math.isfinite(value):
-        return None
-    return "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"
+    return special_name(value) if isinstance(value, float) else None
 
 
 def _plain(value: Any, clean: Callable[[str], str]) -> Any:
@@ -189,7 +186,7 @@ def _plain(value: Any, clean: Callable[[str], str]) -> Any:
     if isinstance(value, Enum):
         return value.name
     if isinstance(value, int):
-        return value if abs(value) <= _EXACT_IN_JSON else str(value)
+        return exact_in_json(value)
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, bytes):

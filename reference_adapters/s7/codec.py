@@ -6,15 +6,14 @@ alone.
 
 from __future__ import annotations
 
-import math
 import struct
 from typing import Literal
 
 from typing_extensions import TypedDict
 
-from ..core import AdapterError
+from ..core import AdapterError, exact_in_json, special_name
 
-__all__ = ["DataType", "Plain", "Value", "decode", "encode", "exact", "width"]
+__all__ = ["DataType", "Plain", "Value", "decode", "encode", "width"]
 
 # fmt: off
 DataType = Literal[
@@ -41,8 +40,6 @@ _FORMATS = {
     "LREAL": "d",
 }
 _LONGEST_STRING = 254
-_EXACT_IN_JSON = 2**53 - 1
-"""Integers beyond this may be rounded by JSON readers that only have doubles (RFC 7493, section 2.2)."""
 
 
 class Value(TypedDict):
@@ -69,7 +66,7 @@ def decode(content: bytes, kind: DataType) -> Value:
     Raises:
         AdapterError: ``bad_quality``, a STRING whose lengths contradict each other.
     """
-    value: Plain | None
+    value: Plain
     special = None
     if kind == "BOOL":
         value = bool(content[0] & 1)
@@ -83,23 +80,15 @@ def decode(content: bytes, kind: DataType) -> Value:
         content = content[: 2 + content[1]]
         value = content[2:].decode("latin-1")
     else:
-        (value,) = struct.unpack(f">{_FORMATS[kind]}", content)
-        if isinstance(value, float) and not math.isfinite(value):
-            special = "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"
-            value = None
+        (number,) = struct.unpack(f">{_FORMATS[kind]}", content)
+        value, special = number, special_name(number)
     return {
         "type": kind,
-        "value": value if value is None else exact(value),
+        "value": exact_in_json(value) if special is None else None,
         "special": special,
         "raw": content.hex(),
         "quality": "good",
     }
-
-
-def exact(value: Plain) -> Plain:
-    """Return a value as an answer says it: a whole number that some readers of JSON would round as its digits."""
-    is_large = isinstance(value, int) and abs(value) > _EXACT_IN_JSON
-    return str(value) if is_large else value
 
 
 def encode(value: Plain, kind: DataType, field: str = "/value") -> bytes:

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 from snap7.datatypes import S7Area
 
-from ..core import AdapterError, Call, tool
-from .codec import DataType, Plain, decode, encode, exact, width
+from ..core import AdapterError, Call, exact_in_json, tool
+from .codec import DataType, Plain, decode, encode, width
 from .cpu import Cpu
 from .link import Link
 from .refusals import refusal
@@ -248,4 +248,4 @@ def _of(variable: OneVariable) -> Variable:
 
 
 def _written(start: int, kind: DataType, value: Plain, content: bytes) -> Written:
-    return {"start": start, "type": kind, "value": exact(value), "raw": content.hex()}
+    return {"start": start, "type": kind, "value": exact_in_json(value), "raw": content.hex()}

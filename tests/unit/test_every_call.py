@@ -95,6 +95,27 @@ def test_a_refusal_in_the_adapter_has_no_attempt() -> None:
     assert claims(call(source="none")) == ["attempts ENV-005"]
 
 
+@pytest.mark.parametrize(
+    ("next_attempts", "during_next", "found"),
+    [
+        # The one message that nobody answered is what the next call says it sent.
+        (1, [entry(2.2)], ["attempts ENV-005"]),
+        # It is one more than that: it may have been on its way when the first reply came.
+        (1, [entry(2.2), *exchange(2.4)], []),
+        (0, [entry(2.2)], []),
+        # What is answered is a request of the call during which it is answered.
+        (1, [*exchange(2.2), *exchange(2.4)], ["attempts ENV-005"]),
+    ],
+)
+def test_a_message_that_comes_after_the_reply_is_not_taken_from_the_next_call(
+    next_attempts: int, during_next: list[JournalEntry], found: list[str]
+) -> None:
+    first, following = call(source="none"), call(at=2, attempts=next_attempts)
+    window, _ = windows([first, following], during_next)
+    judged = meta_faults(window, first, protocol=MODBUS, declared={}, addresses=())
+    assert [f"{finding.code} {finding.requirement}" for finding in judged] == found
+
+
 def test_more_requests_than_attempts_may_be_the_adapters_own_questions() -> None:
     assert claims(call(), *exchange(1.2), *exchange(1.5, address=100)) == []
 

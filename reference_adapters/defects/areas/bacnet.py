@@ -1,12 +1,8 @@
-"""Defects of a BACnet adapter that the checks of the requirement suite notice.
-
-Its library is an extra: the adapter's modules are imported when a defect is built in, not when the table is read.
-"""
+"""Defects of a BACnet adapter that the checks of the requirement suite notice."""
 
 from __future__ import annotations
 
 from functools import partial
-from importlib import import_module
 from typing import Any
 
 from ...core import AdapterServer, Call
@@ -14,16 +10,15 @@ from ..any_protocol import guard_after_sending
 from ..claims import local_time
 from ..mutant import Data, Mutant, failing, told
 from ..refusals import _end
-from .further import as_zero, by_way_of_float, cut_off, declared, last_answer, merged, stripped
+from .enc import as_zero, by_way_of_float
+from .further import cut_off, declared, last_answer, merged, module_of, stripped
 
 __all__ = ["MUTANTS"]
 
 _READ, _WRITE = "read_property", "write_property"
 _INSTANCE_BITS = 22
 
-
-def _module(name: str) -> Any:
-    return import_module(f"...bacnet.{name}", __package__)
+_module = partial(module_of, "bacnet")
 
 
 def _at_the_lowest_priority(server: AdapterServer) -> None:

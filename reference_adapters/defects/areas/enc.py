@@ -57,7 +57,7 @@ def _as_null(data: Data) -> Data:
     return {**data, "special": None}
 
 
-def _as_zero(data: Data) -> Data:
+def as_zero(data: Data) -> Data:
     return {**data, "special": None, "value": 0.0} if data["special"] else data
 
 
@@ -70,14 +70,17 @@ def bare_nan(server: AdapterServer) -> None:
     _typed(bare)(server)
 
 
-def _by_way_of_float(data: Data) -> Data:
+def by_way_of_float(data: Data) -> Data:
     if isinstance(data["value"], str) and data["value"].lstrip("-").isdecimal():
         data["value"] = int(float(data["value"]))
     return data
 
 
 def metrics_by_way_of_float(server: AdapterServer) -> None:
-    mqtt_payload.exact = lambda number: None if number is None else int(float(number))
+    def rounded(number: Any) -> Any:
+        return None if number is None else int(float(number))
+
+    mqtt_payload.exact_in_json = rounded
 
 
 def metrics_without_special(server: AdapterServer) -> None:
@@ -175,7 +178,7 @@ MUTANTS: tuple[Mutant, ...] = (
         id="MU-56o",
         protocol="opcua",
         sentence="NaN is 0.",
-        bend=_nodes(_as_zero),
+        bend=_nodes(as_zero),
         items="ENC-004.opcua",
         requirements="ENC-004",
         areas="enc",
@@ -211,7 +214,7 @@ MUTANTS: tuple[Mutant, ...] = (
         id="MU-58",
         protocol="modbus",
         sentence="Counters above 2^53 are rounded.",
-        bend=_typed(_by_way_of_float),
+        bend=_typed(by_way_of_float),
         items="ENC-001.modbus ENC-005.modbus",
         requirements="ENC-001 ENC-005",
         areas="enc",
@@ -220,7 +223,7 @@ MUTANTS: tuple[Mutant, ...] = (
         id="MU-58o",
         protocol="opcua",
         sentence="Whole numbers of nodes above 2^53 are rounded.",
-        bend=_nodes(_by_way_of_float),
+        bend=_nodes(by_way_of_float),
         items="ENC-005.opcua",
         requirements="ENC-005",
         areas="enc",

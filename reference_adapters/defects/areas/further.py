@@ -1,9 +1,13 @@
-"""Defects that adapters for several further protocols have, whose own checks notice them."""
+"""Defects that adapters for several further protocols have.
+
+The library of each is an extra: an adapter's modules are imported when a defect is built in, not when the table is read.
+"""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Hashable
+from importlib import import_module
 from typing import Any
 
 from pydantic import create_model, field_validator
@@ -11,7 +15,15 @@ from pydantic import create_model, field_validator
 from ...core import AdapterServer, Call
 from ..mutant import Bend, Data, Handler, Mutant, each, on, wrap
 
-__all__ = ["as_zero", "by_way_of_float", "cut_off", "declared", "last_answer", "merged", "stripped"]
+__all__ = ["cut_off", "declared", "last_answer", "merged", "module_of", "stripped"]
+
+_GATHERED_S = 0.02
+"""Seconds for which an adapter gathers writes to one target: longer than the kit takes to send both."""
+
+
+def module_of(protocol: str, name: str) -> Any:
+    """Return a module of the reference adapter for a protocol."""
+    return import_module(f"...{protocol}.{name}", __package__)
 
 
 def declared(protocol: str, id: str, areas: str, rows: str, requirements: str, bend: Bend, sentence: str) -> Mutant:
@@ -32,11 +44,21 @@ def last_answer(tool: str) -> Bend:
 
     def bend(server: AdapterServer) -> None:
         last: Data = {}
+        under_way = 0
+        all_done = asyncio.Condition()
 
         def shared(genuine: Handler) -> Handler:
             async def handler(call: Call, arguments: Any) -> Data:
-                last.update(await genuine(call, arguments))
-                await asyncio.sleep(0.02)
+                nonlocal under_way
+                under_way += 1
+                try:
+                    last.update(await genuine(call, arguments))
+                finally:
+                    under_way -= 1
+                    async with all_done:
+                        all_done.notify_all()
+                async with all_done:
+                    await all_done.wait_for(lambda: under_way == 0)
                 return dict(last)
 
             return handler
@@ -56,7 +78,7 @@ def merged(tool: str, target: Callable[[Any], Hashable], answer: Callable[[Any],
             async def handler(call: Call, arguments: Any) -> Data:
                 place = target(arguments)
                 waiting[place] = mine = waiting.get(place, 0) + 1
-                await asyncio.sleep(0.02)
+                await asyncio.sleep(_GATHERED_S)
                 if waiting[place] != mine:
                     return answer(arguments)
                 data: Data = await genuine(call, arguments)
@@ -82,16 +104,6 @@ def cut_off(tool: str, argument: str, bits: int) -> Bend:
         wrap(server, tool, lambda handler: handler, model=model)
 
     return bend
-
-
-def as_zero(data: Data) -> Data:
-    return {**data, "special": None, "value": 0.0} if data["special"] else data
-
-
-def by_way_of_float(data: Data) -> Data:
-    if isinstance(data["value"], str) and data["value"].lstrip("-").isdecimal():
-        data["value"] = int(float(data["value"]))
-    return data
 
 
 def stripped(data: Data) -> Data:
