@@ -87,13 +87,18 @@ class Run:
                     worker=self._worker or MAIN,
                 )
                 self._bench = Bench(self.subject, options, self._plant)
+                # The bounds of the verdict need it. While the adapters start, this process only waits.
+                ahead = Thread(target=_import_ahead, args=("scipy.special",), daemon=True)
                 if self._worker is None:
-                    # The bounds of the verdict need it. While the adapters start, this process only waits.
-                    Thread(target=_import_ahead, args=("scipy.special",), daemon=True).start()
+                    ahead.start()
                 # A mock that cannot be started is reported by every task that needs it.
                 with suppress(KitError):
                     self._loop.run(self._bench.prepare(wanted, started=self.starting))
                     self._loop.check()
+                if self._worker is None:
+                    # It parses signatures, and before Python 3.11.8 and 3.12.2 two threads that parse at the same time fail now and
+                    # then (python/cpython issue 106905): this one is about to parse the kit's files.
+                    ahead.join()
             if drift := self._bench.drift():
                 raise UsageError(f"{self.subject.source}: " + "; ".join(drift))
         return self._loop, self._bench

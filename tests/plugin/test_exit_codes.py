@@ -66,9 +66,48 @@ def test_a_bug_of_the_kit_is_neither_success_nor_failure(repository: Repository)
     repository.write(conftest_py=BROKEN_KIT)
     outcome = repository.pytest("--otmcp-reps=1", "-k", "M1")
     assert outcome.code == 3
-    assert outcome.statuses["M1"] == "KIT_ERROR"
+    assert outcome.statuses["M1"] == "KIT_ERROR", outcome.output
     assert "RuntimeError: a bug. This is the kit's fault; please file a bug." in " ".join(outcome.output.split())
     assert "pytest_otmcp.trial.trial.Trial.run was replaced by something from" in " ".join(outcome.narrowed)
+
+
+IMPORTED_LATE = """
+import threading
+import pytest
+from pytest_otmcp.plugin import worker
+from pytest_otmcp.trial.bench import Bench
+
+started, imported = threading.Event(), threading.Event()
+prepare, import_ahead, start = Bench.prepare, worker._import_ahead, worker.Run._start
+
+async def prepared(self, *arguments, **named):
+    await prepare(self, *arguments, **named)
+    started.set()
+
+def late(module):
+    started.wait()
+    import_ahead(module)
+    imported.set()
+
+def checked(self):
+    found = start(self)
+    assert imported.is_set()
+    return found
+
+@pytest.fixture(autouse=True)
+def import_late(monkeypatch):
+    monkeypatch.setattr(Bench, "prepare", prepared)
+    monkeypatch.setattr(worker, "_import_ahead", late)
+    monkeypatch.setattr(worker.Run, "_start", checked)
+"""
+
+
+def test_no_item_begins_beside_an_import(repository: Repository) -> None:
+    # Two threads that parse at the same time fail now and then before Python 3.11.8 and 3.12.2: an item was a fault of the kit.
+    repository.subject()
+    repository.write(conftest_py=IMPORTED_LATE)
+    outcome = repository.pytest("--otmcp-reps=1", "-k", "[M1]")
+    assert outcome.statuses == {"M1": "PASS"}, outcome.output
 
 
 @pytest.mark.long
