@@ -9,8 +9,8 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
-from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from contextlib import asynccontextmanager, contextmanager
 from typing import Any
 
 from mcp import MCPError
@@ -39,6 +39,8 @@ MOST_CALLS = 200
 """Calls of tools at the same time. More would only wait for the device until their deadline, and an assistant that is not told
 so goes on calling."""
 RETRY_AFTER_MS = 1000
+_AGAIN_S = 0.1
+"""Seconds after which a task that was cancelled and goes on is cancelled again."""
 
 _to_json = json.JSONEncoder(ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode
 
@@ -176,13 +178,39 @@ class AdapterServer:
         self._at_work += 1
         try:
             async with asyncio.timeout(self._deadline_s) as deadline:
-                data: dict[str, Any] = await tool.handler(call, parsed)
-                return data
+                with _insisting(self._deadline_s):
+                    data: dict[str, Any] = await tool.handler(call, parsed)
+                    return data
         except TimeoutError:
             limit = f"within {self._deadline_s:g} s" if deadline.expired() else "in time"
             raise AdapterError("timeout", f"the device did not answer {limit}") from None
         finally:
             self._at_work -= 1
+
+
+@contextmanager
+def _insisting(deadline_s: float) -> Iterator[None]:
+    """Cancel the running task again when its deadline has passed and it goes on.
+
+    Before Python 3.12 ``asyncio.wait_for``, with which libraries connect and read, loses a cancellation that comes just when it is done
+    (python/cpython issue 86296): the call would wait for another time-out.
+    """
+    task, loop = asyncio.current_task(), asyncio.get_running_loop()
+    assert task is not None
+    again: asyncio.TimerHandle
+
+    def insist() -> None:
+        nonlocal again
+        task.cancel()
+        # The deadline's own cancellation is the one that counts.
+        task.uncancel()
+        again = loop.call_later(_AGAIN_S, insist)
+
+    again = loop.call_later(deadline_s + _AGAIN_S, insist)
+    try:
+        yield
+    finally:
+        again.cancel()
 
 
 def _result(envelope: dict[str, Any]) -> dict[str, Any]:

@@ -93,6 +93,15 @@ class Tools:
             print(f"{arguments.text} is let go", file=sys.stderr, flush=True)
         return {}
 
+    @tool("toy.deaf")
+    async def deaf(self, call: Call, arguments: Nothing) -> dict[str, Any]:
+        """Never return, and do not hear the first two cancellations, as a library may lose one."""
+        for _ in range(2):
+            with contextlib.suppress(asyncio.CancelledError):
+                await asyncio.Event().wait()
+        await asyncio.Event().wait()
+        return {}
+
     @tool("toy.crash")
     async def crash(self, call: Call, arguments: Nothing) -> dict[str, Any]:
         """Have a bug."""
@@ -317,6 +326,15 @@ def test_the_deadline_ends_a_call_and_says_what_may_have_happened(sessions: Any,
     assert reply.error["retryable"] is not sent
     assert reply.meta["attempts"] == int(sent)
     assert reply.meta["latency_ms"] >= 300
+    hasty.close()
+
+
+def test_a_call_that_does_not_hear_its_deadline_ends_soon_after_it(sessions: Any) -> None:
+    hasty = sessions([sys.executable, __file__], {"DEADLINE_S": "0.3"})
+    error = hasty.call("deaf").error
+    assert (error["code"], error["message"]) == ("timeout", "the device did not answer within 0.3 s")
+    # Neither the connection nor the next call has suffered.
+    assert hasty.call("null").data == {}
     hasty.close()
 
 
