@@ -15,6 +15,7 @@ from ..core.strict_json import same_json
 from ..protocols.registry import protocols
 from ..record.schema import Device, ItemDevice, JournalEntry, SessionStart
 from ..trial.cursor import JournalCursor
+from .connections import Connections
 from .reply import HistoryError
 
 __all__ = ["DeviceHistory"]
@@ -37,6 +38,8 @@ class DeviceHistory:
         self.cursor = JournalCursor(facts["protocol"], facts["first"])
         self.accepting_ns = 0
         self.unknown = False
+        self._protocol = protocols()[facts["protocol"]]
+        self._connections = Connections(self._protocol, facts["first"])
         self._floor_ns = 0
         self._last_ns = 0
 
@@ -54,7 +57,7 @@ class DeviceHistory:
                 f"{self.name} was started again {found['starts']} time(s) before, the items before show {cursor.starts}"
             )
         while cursor.starts < found["starts"]:
-            cursor.restart()
+            self.restart()
         if found["quiet"] != quiet and not unknown:
             raise HistoryError(f"{self.name} was {'' if quiet else 'not '}left alone since the last item that had it")
         if self.accepting_ns not in (0, found["accepting_ns"]) and not unknown:
@@ -73,6 +76,11 @@ class DeviceHistory:
             raise HistoryError(f"the items before do not show of the session at {self.name} that its proof is {proof}")
         self.looked(found["before"], found["begin"], found["seen_ns"])
         self.take(found["before"], found["begin"], found["asked_ns"])
+
+    def restart(self) -> None:
+        """Take into account that the device was started again: its journal counts from 0, and so do its connections."""
+        self.cursor.restart()
+        self._connections.restart()
 
     def has_session(self, session: SessionStart | None) -> None:
         """Begin a session, if its number is not that of the session before."""
@@ -108,17 +116,15 @@ class DeviceHistory:
         """Take a slice: the entries after it must be from after it was asked for.
 
         Raises:
-            HistoryError: an entry answers a later one, or differs from the bytes that it holds.
+            HistoryError: an entry contradicts itself, the bytes that it holds, or the entries before it.
         """
         self.cursor.take(entries, until)
         self._floor_ns = max(self._floor_ns, asked_ns)
         if entries:
             self._last_ns = entries[-1]["t_ns"]
-        contradiction = protocols()[self.facts["protocol"]].contradiction
         for entry in entries:
-            wrong = _against_contract(entry) or contradiction(entry)
-            if entry["answers"] is not None and not 0 <= entry["answers"] < entry["seq"]:
-                wrong = f"answers the entry {entry['answers']}"
+            of_order = self._connections.contradiction(entry)
+            wrong = _against_contract(entry) or self._protocol.contradiction(entry) or of_order
             if wrong is not None:
                 raise HistoryError(f"entry {entry['seq']} of the journal of {self.name} {wrong}")
 

@@ -278,7 +278,7 @@ class ReplayRig(Rig):
         for seen in self._past.observations:
             if seen["at"] == self.name:
                 if "start" in seen:
-                    cursor.restart()
+                    self._state.history.restart()
                     self._state.history.accepting_ns = seen["start"]["accepting_ns"]
                 elif "fresh_session" in seen:
                     cursor.open_session(seen["fresh_session"]["opened"])
@@ -439,7 +439,7 @@ class ReplayRig(Rig):
         started = seen["start"]
         _check_within(seen, f"the start of {self.name}", ms=started["ms"], moment_ns=started["accepting_ns"])
         self._state.running, self._state.history.accepting_ns = True, started["accepting_ns"]
-        self._cursor.restart()
+        self._state.history.restart()
         return started["ms"]
 
     async def _replace_session(self) -> FreshSession:

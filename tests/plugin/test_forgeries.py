@@ -22,6 +22,7 @@ from tests.stored_runs import store
 from .places import Change, Record, call, calls, entry, facts, item, journal, look, moved, parts, sample
 from .reference_run import reference_run
 
+FAMILIES = ("Modbus", "MQTT", "OPC UA")
 HOUR_NS = 3600 * 10**9
 DAY_NS = 24 * HOUR_NS
 
@@ -33,11 +34,11 @@ def path(tmp_path_factory: pytest.TempPathFactory, warm_start: WarmStart) -> Pat
 
 @pytest.fixture(scope="module")
 def genuine(path: Path) -> Record:
-    """The record of that run with its first eight items, as if it had been ended then: the forgeries need no more."""
+    """The record of that run with its first twelve items, as if it had been ended then: the forgeries need no more."""
     run: Record = load(path)
     return {
         **run,
-        "items": [item for item in run["items"] if item["suite"] == "normal" and item["family"] in ("Modbus", "MQTT")],
+        "items": [item for item in run["items"] if item["suite"] == "normal" and item["family"] in FAMILIES],
         "footer": {**run["footer"], "complete": False, "reason": "interrupted by the user", "verdict": "INCOMPLETE"},
     }
 
@@ -49,7 +50,7 @@ def examined(path: Path, run: Record) -> list[str]:
 def test_the_genuine_record_is_verified(genuine: Record, tmp_path: Path) -> None:
     said = examined(tmp_path, genuine)
     assert said[0].startswith("verified: ")
-    assert said[0].endswith("16 of 16 repetitions passed, and judging them again found the same")
+    assert said[0].endswith("24 of 24 repetitions passed, and judging them again found the same")
 
 
 def test_the_subject_file_of_the_run_is_that_of_the_record(path: Path) -> None:
@@ -185,6 +186,33 @@ def overlapped(run: Record) -> None:
     late["began_ns"] -= by_ns
     earlier = datetime.fromisoformat(late["started_at"]) - timedelta(microseconds=by_ns // 1000)
     late["started_at"] = earlier.isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def subscribed(run: Record) -> Record:
+    """Return the SUBACK of the adapter's first subscription."""
+    return entry(run, "Q2", kind="SUBACK", origin="client")
+
+
+def ended(run: Record) -> Record:
+    """Return the UNSUBSCRIBE of the adapter's first subscription."""
+    return entry(run, "Q2", kind="UNSUBSCRIBE", origin="client")
+
+
+def published(run: Record) -> Record:
+    """Return a PUBLISH of the adapter's."""
+    return entry(run, "Q3", kind="PUBLISH", direction="in", origin="client")
+
+
+def service(run: Record, identifier: str, kind: str, direction: str = "in") -> Record:
+    """Return a service request of an item, or an answer."""
+    return entry(run, identifier, kind=kind, direction=direction)
+
+
+def a_write_that_is_a_read(run: Record) -> None:
+    """Call a Write a Read, and leave out what only a Write has."""
+    write = service(run, "O3", "Write")
+    write |= {"kind": "Read", "state_changing": False}
+    write["nodes"] = [{"node_id": node["node_id"], "attribute": "Value"} for node in write["nodes"]]
 
 
 def a_guard_that_leaks(run: Record) -> None:
@@ -523,6 +551,93 @@ FORGERIES: dict[str, tuple[str, Change]] = {
         "was sent by the device, and is called a request",
         lambda run: entry(run, "M2", kind="response").update(request=True),
     ),
+    # kinds
+    "a publication that is called no request": (
+        "of the journal of mqtt says request False, its kind 'PUBLISH' says True",
+        lambda run: published(run).update(request=False, state_changing=False),
+    ),
+    "a publication that changes nothing": (
+        "of the journal of mqtt says state_changing False, its kind 'PUBLISH' says True",
+        lambda run: published(run).update(state_changing=False),
+    ),
+    "a subscription that changes the plant": (
+        "of the journal of mqtt says state_changing True, its kind 'SUBSCRIBE' says False",
+        lambda run: entry(run, "Q2", kind="SUBSCRIBE", origin="client").update(state_changing=True),
+    ),
+    "a packet of the adapter that is called the plant's": (
+        "of the journal of mqtt is called the plant's, its connection was the client's",
+        lambda run: ended(run).update(origin="plant", request=False),
+    ),
+    "a packet of the adapter that is called a stranger's": (
+        "of the journal of mqtt is called the stranger's, its connection was the client's",
+        lambda run: ended(run).update(origin="stranger"),
+    ),
+    "a packet of the adapter that is called the kit's": (
+        "of the journal of mqtt is called the kit's, its connection was the client's",
+        lambda run: ended(run).update(origin="kit", request=False),
+    ),
+    "a session that goes on after its end": (
+        "of the journal of mqtt is called the client's, its connection was the former's",
+        lambda run: ended(run).update(origin="former"),
+    ),
+    "a message of the kit that is called the adapter's": (
+        "of the journal of mqtt has no connection, and is called the client's",
+        lambda run: entry(run, "Q2", kind="PUBLISH", origin="kit").update(
+            origin="client", request=True, state_changing=True
+        ),
+    ),
+    "a grant of another connection": (
+        "of the journal of mqtt answers the entry",
+        lambda run: subscribed(run).update(connection=99),
+    ),
+    "a grant of what was published": (
+        "of the journal of mqtt answers the entry",
+        lambda run: subscribed(run).update(answers=entry(run, "Q2", kind="PUBLISH", direction="out")["seq"]),
+    ),
+    "a grant of what was ended": (
+        "of the journal of mqtt is called 'UNSUBACK' and answers the entry",
+        lambda run: subscribed(run).update(kind="UNSUBACK"),
+    ),
+    "a service that is called no request": (
+        "of the journal of opcua says request False, its kind 'Read' says True",
+        lambda run: service(run, "O1", "Read").update(request=False),
+    ),
+    "a write of a node that changes nothing": (
+        "of the journal of opcua says state_changing False, its kind 'Write' says True",
+        lambda run: service(run, "O3", "Write").update(state_changing=False),
+    ),
+    "a read of a node that changes the plant": (
+        "of the journal of opcua says state_changing True, its kind 'Read' says False",
+        lambda run: service(run, "O1", "Read").update(state_changing=True),
+    ),
+    "a write of a node that is called a read": (
+        "of the journal of opcua is called 'Read', and has a value of 'ns=2;",
+        lambda run: service(run, "O3", "Write").update(kind="Read", state_changing=False),
+    ),
+    "a write of a node that has become a read": (
+        "of the journal of opcua is called 'Write' and answers the entry",
+        a_write_that_is_a_read,
+    ),
+    "a read of a node that is called a write": (
+        "of the journal of opcua is called 'Write', and has no value of 'ns=2;",
+        lambda run: service(run, "O1", "Read").update(kind="Write", state_changing=True),
+    ),
+    "a service that keeps the session": (
+        "of the journal of opcua has 'nodes', which a 'CloseSession' that was received does not have",
+        lambda run: service(run, "O2", "Browse").update(kind="CloseSession", request=False),
+    ),
+    "a service that nobody knows": (
+        "of the journal of opcua is of the kind 'Re\u0430d', which is no service",
+        lambda run: service(run, "O1", "Read").update(kind="Re\u0430d"),
+    ),
+    "results of a request": (
+        "of the journal of opcua has 'results', which a 'Read' that was received does not have",
+        lambda run: service(run, "O1", "Read").update(results=[{"status": "Good"}]),
+    ),
+    "an answer of another service": (
+        "of the journal of opcua is called 'Browse' and answers the entry",
+        lambda run: service(run, "O1", "Read", "out").update(kind="Browse"),
+    ),
     "entries of a device that was not there": (
         "M1: task has journal entries of a device that the item did not have",
         lambda run: journal(run, "M1").append({**journal(run, "M1")[0], "protocol": "opcua"}),
@@ -713,7 +828,8 @@ FORGERIES: dict[str, tuple[str, Change]] = {
 def test_a_forged_record_is_refused(genuine: Record, tmp_path: Path, name: str) -> None:
     reason, change = FORGERIES[name]
     # Most forgeries are found in the first four items; the others need not be judged again a hundred times.
-    families = ("Modbus", "MQTT") if "mqtt" in reason or "Q" in reason else ("Modbus",)
+    first = "Modbus" if "opcua" not in reason else "OPC UA"
+    families = FAMILIES[:2] if "mqtt" in reason or "Q" in reason else (first,)
     run = copy.deepcopy({**genuine, "items": [one for one in genuine["items"] if one["family"] in families]})
     change(run)
     with pytest.raises(Refusal, match=r"^refused: ") as refusal:

@@ -15,7 +15,7 @@ from ..journal import JournalEntry
 from ..reread import difference
 from .tags import NotTagged, Reader
 
-__all__ = ["CHANGING", "CHANGING_UNCONFIRMED", "BacnetConversation", "contradiction"]
+__all__ = ["ANSWERS", "CHANGING", "CHANGING_UNCONFIRMED", "BacnetConversation", "contradiction"]
 
 READ, READ_MULTIPLE, WRITE = 12, 14, 15
 I_AM, I_HAVE, WHO_HAS, WHO_IS = 0, 1, 7, 8
@@ -68,6 +68,9 @@ class BacnetConversation:
             self._outstanding.add(found.key, message)
         return [message]
 
+
+ANSWERS = frozenset({("response", "request"), ("bvlc", "bvlc")})
+"""Kinds of entries of which the first can answer the second."""
 
 _READ = ("request", "response", "message", "bvlc")
 _UNREAD = ("malformed", "network-message")
