@@ -56,6 +56,18 @@ def test_the_tests_run_on_every_python_and_pytest_that_is_promised() -> None:
     assert f'pytest: "{least[1]}"' in workflow
 
 
+def test_every_requirement_has_a_least_version_and_one_that_is_too_new() -> None:
+    wanted = [*PROJECT["dependencies"], *(one for extra in PROJECT["optional-dependencies"].values() for one in extra)]
+    assert [one for one in wanted if not re.fullmatch(r"[\w-]+>=[\d.]+,<[\d.]+", one)] == []
+
+
+def test_what_the_kit_is_tested_with_is_searched_for_known_vulnerabilities() -> None:
+    workflow = (CHECKOUT / ".github" / "workflows" / "tests.yml").read_text(encoding="utf-8")
+    [audit] = re.findall(r"pip-audit (--.*)", workflow)
+    # Without the first option a package that could not be looked up would be a line of the output and no failure.
+    assert {"--strict", "--requirement .ci/locked.txt"} <= {f"--{part.strip()}" for part in audit.split("--")}
+
+
 def test_the_lock_of_continuous_integration_has_every_version_with_hashes_and_no_address() -> None:
     lock = (CHECKOUT / ".ci" / "locked.txt").read_text(encoding="utf-8")
     constraints = (CHECKOUT / "constraints.txt").read_text(encoding="utf-8")
