@@ -10,7 +10,10 @@ from __future__ import annotations
 from ..core.journal_entry import JournalEntry
 from ..protocols.protocol import OtProtocol
 
-__all__ = ["Connections"]
+__all__ = ["EVENTS", "Connections"]
+
+EVENTS = frozenset({"CONNECTED", "DISCONNECTED", "lost", "malformed", "mangled", "network"})
+"""Kinds of entries that are no messages of a protocol: every witness has them, and none asks the device for anything."""
 
 _MOST_ASKED = 65_536
 """Entries that can still be answered; an answer to an earlier one is believed."""
@@ -74,6 +77,8 @@ class Connections:
         number, origin = entry["connection"], entry["origin"]
         if number == 0:
             return None if origin == "kit" else f"has no connection, and is called the {origin}'s"
+        if number in self._whose and entry["kind"] == "CONNECTED":
+            return f"begins the connection {number}, which was there already"
         before = self._whose.get(number, origin)
         self._whose[number] = origin
         if entry["kind"] == "DISCONNECTED":

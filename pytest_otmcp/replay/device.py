@@ -15,7 +15,7 @@ from ..core.strict_json import same_json
 from ..protocols.registry import protocols
 from ..record.schema import Device, ItemDevice, JournalEntry, SessionStart
 from ..trial.cursor import JournalCursor
-from .connections import Connections
+from .connections import EVENTS, Connections
 from .reply import HistoryError
 
 __all__ = ["DeviceHistory"]
@@ -42,6 +42,7 @@ class DeviceHistory:
         self._connections = Connections(self._protocol, facts["first"])
         self._floor_ns = 0
         self._last_ns = 0
+        self._opened = (0, 0)
 
     def enter(self, found: ItemDevice) -> None:
         """Begin an item at this device.
@@ -67,7 +68,7 @@ class DeviceHistory:
         if found["accepting_ns"] > found["asked_ns"]:
             raise HistoryError(f"{self.name} accepted connections only after the item had looked at it")
         self.accepting_ns = found["accepting_ns"]
-        self.has_session(found["session"])
+        self.has_session(found["session"], found["seen_ns"])
         proof = found.get("proof")
         if unknown:
             cursor.next = max(cursor.next, found["begin"] - len(found["before"]))
@@ -81,12 +82,24 @@ class DeviceHistory:
         """Take into account that the device was started again: its journal counts from 0, and so do its connections."""
         self.cursor.restart()
         self._connections.restart()
+        self._opened = (0, 0)
 
-    def has_session(self, session: SessionStart | None) -> None:
-        """Begin a session, if its number is not that of the session before."""
+    def has_session(self, session: SessionStart | None, seen_ns: int) -> None:
+        """Begin a session that was there at ``seen_ns``, if its number is not that of the session before."""
         if session is not None and (self.cursor.session is None or session[0] != self.cursor.session[0]):
             number, seq = session
-            self.cursor.open_session(seq, number)
+            self.open_session(seq, seen_ns, number)
+
+    def open_session(self, seq: int, by_ns: int, number: int | None = None) -> None:
+        """Begin a session.
+
+        Args:
+            seq: sequence number of the journal at which it began.
+            by_ns: moment at which it had begun: entries from after that are not from before the session.
+            number: of the session; by default the next one.
+        """
+        self.cursor.open_session(seq, number)
+        self._opened = (seq, by_ns)
 
     def looked(self, entries: Sequence[JournalEntry], until: int, seen_ns: int) -> None:
         """Check what a look at the journal showed: the entries from the end of the last slice to before ``until``.
@@ -104,7 +117,13 @@ class DeviceHistory:
             wanted = f"the entries {begin} to {until - 1}" if until > begin else "no entries"
             raise HistoryError(f"the journal of {self.name} should have {wanted}, it has {_listed(found)}")
         last_ns = max(self._last_ns, self._floor_ns)
+        opened, by_ns = self._opened
         for entry in entries:
+            if entry["seq"] < opened and entry["t_ns"] > by_ns:
+                raise HistoryError(
+                    f"the session at {self.name} began before {by_ns} ns, entry {entry['seq']} of the journal is from after "
+                    f"that, and the record has the session begin at entry {opened}"
+                )
             if not last_ns <= entry["t_ns"] <= seen_ns:
                 raise HistoryError(
                     f"entry {entry['seq']} of the journal of {self.name} is not of its time: {entry['t_ns']} ns is not "
@@ -135,6 +154,8 @@ def _against_contract(entry: JournalEntry) -> str | None:
         return "was sent by the device, and is called a request"
     if entry["state_changing"] and not entry["request"]:
         return "may change the plant, and is called no request"
+    if entry["request"] and entry["kind"] in EVENTS:
+        return f"is a {entry['kind']!r}, which asks nothing, and is called a request"
     return None
 
 

@@ -58,6 +58,21 @@ def test_the_subject_file_of_the_run_is_that_of_the_record(path: Path) -> None:
     assert said[-1].startswith("the subject, its claims, deadlines and bindings are those of ")
 
 
+def test_what_a_device_saw_of_an_item_that_the_kit_broke_off_is_unknown(genuine: Record, tmp_path: Path) -> None:
+    run = copy.deepcopy(genuine)
+    ended = {"fault_of": "kit", "code": "kit_error", "message": "the mock said nothing for 60 s"}
+    told = {"requirement": None, "evidence": None, "strength": "MUST", "cause": None}
+    finding = {
+        **told,
+        "code": "kit_error",
+        "message": f"{ended['message']}. This is the kit's fault; please file a bug.",
+    }
+    nothing: Record = {"devices": {}, "around": [], "samples": [], "sessions": []}
+    item(run, "M2").update({**nothing, "status": "KIT_ERROR", "ended": ended, "findings": [finding]})
+    run["footer"]["verdict"] = "INDETERMINATE"
+    assert examined(tmp_path, run)[0].startswith("verified: ")
+
+
 def test_another_subject_file_is_refused(genuine: Record, path: Path, tmp_path: Path) -> None:
     changed = tmp_path / "otmcp.toml"
     changed.write_bytes((path.parents[2] / "otmcp.toml").read_bytes() + b"\n")
@@ -215,6 +230,21 @@ def a_write_that_is_a_read(run: Record) -> None:
     write["nodes"] = [{"node_id": node["node_id"], "attribute": "Value"} for node in write["nodes"]]
 
 
+def a_connection_that_begins_twice(run: Record) -> None:
+    """Call a packet the begin of its connection."""
+    unsubscribe = ended(run)
+    unsubscribe |= {"kind": "CONNECTED", "request": False}
+    for name in ("filters", "packet_id"):
+        unsubscribe.pop(name)
+
+
+def a_session_that_begins_later(run: Record) -> None:
+    """Let a new session begin a million entries later, so that nothing that it did would be of a session."""
+    looks = (seen for part in parts(run) for seen in part["observations"])
+    fresh = next(seen for seen in looks if seen["at"] == "modbus" and "fresh_session" in seen)
+    fresh["fresh_session"]["opened"] += 10**6
+
+
 def a_guard_that_leaks(run: Record) -> None:
     """Let the adapter with writes disabled have sent a write."""
     request = entry(run, "M4", variant="ro", kind="request")
@@ -278,6 +308,18 @@ FORGERIES: dict[str, tuple[str, Change]] = {
     "an item of another suite": (
         "M1 has the unknown suite 'demonstration'",
         lambda run: item(run, "M1").update(suite="demonstration"),
+    ),
+    "an item of a suite that was not asked for": (
+        "M1 is of the suite normal, which the settings do not ask for",
+        lambda run: run["settings"].update(suites=["fault", "stress", "recovery"]),
+    ),
+    "a suite that the settings alone know": (
+        "the settings ask for the unknown suite 'gold'",
+        lambda run: run["settings"]["suites"].append("gold"),
+    ),
+    "a variant that no device has": (
+        "devices[...].variant: invalid enum value 'admin'",
+        lambda run: run["devices"]["modbus"].update(variant="admin"),
     ),
     "an item that ended before it began": ("M1 ended before it began", lambda run: item(run, "M1").update(ended_ns=0)),
     "a device that the run has not": (
@@ -360,8 +402,20 @@ FORGERIES: dict[str, tuple[str, Change]] = {
         lambda run: run["settings"].update(seed=8),
     ),
     "more repetitions demanded": (
-        "M1: 2 repetitions were planned, the settings demand 30",
+        "contradicts itself: of N = 2 follow the repetitions {'normal': 2, ",
         lambda run: run["settings"]["repetitions"].update(normal=30),
+    ),
+    "more repetitions said": (
+        "contradicts itself: of N = 30 follow the repetitions {'normal': 30, ",
+        lambda run: run["settings"].update(reps=30),
+    ),
+    "no repetitions demanded": (
+        "contradicts itself: of N = 2 follow the repetitions {'normal': 2, ",
+        lambda run: run["settings"].update(repetitions={}),
+    ),
+    "repetitions of a suite that there is not": (
+        "contradicts itself: of N = 2 follow the repetitions {'normal': 2, ",
+        lambda run: run["settings"]["repetitions"].update(gold=1),
     ),
     "a claim withdrawn afterwards": (
         "M1: the record says PASS, the subject does not claim modbus.ping",
@@ -476,6 +530,22 @@ FORGERIES: dict[str, tuple[str, Change]] = {
         lambda run: item(run, "M4")["devices"]["modbus"].update(
             proof={"proven": "ping", "preferred": "ping", "refused": None}
         ),
+    ),
+    "a session that is said to begin after what it did": (
+        "the session at modbus began before",
+        a_session_that_begins_later,
+    ),
+    "a session that is said to begin later, in the item's head": (
+        "the session at modbus began before",
+        lambda run: item(run, "M3")["devices"]["modbus"].update(session=[99, 10**6]),
+    ),
+    "a connection that asks for something": (
+        "is a 'CONNECTED', which asks nothing, and is called a request",
+        lambda run: entry(run, "M1", kind="CONNECTED").update(request=True),
+    ),
+    "a connection that begins twice": (
+        "of the journal of mqtt begins the connection",
+        a_connection_that_begins_twice,
     ),
     "an answer to what came later": (
         "M1 repetition 1: entry 4 of the journal of modbus answers the entry 5",

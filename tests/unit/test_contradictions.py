@@ -179,6 +179,11 @@ def test_what_was_asked_before_the_journal_is_known_is_believed() -> None:
     assert contradictions({**entry("request", **ASKS), "seq": 3}, answer) == [None, None]
 
 
+def test_a_connection_begins_once() -> None:
+    begun = numbered(entry("CONNECTED"), entry("CONNECTED", connection=2), entry("CONNECTED"))
+    assert contradictions(*begun) == [None, None, "begins the connection 1, which was there already"]
+
+
 def test_the_number_of_a_connection_comes_again() -> None:
     ended = numbered(entry("request", **ASKS), entry("DISCONNECTED"), entry("request", origin="stranger", **ASKS))
     assert contradictions(*ended) == [None, None, None]

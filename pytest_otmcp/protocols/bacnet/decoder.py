@@ -83,7 +83,7 @@ def contradiction(entry: JournalEntry) -> str | None:
     # What came in with bytes is what they say, whatever it is called; what went out may have been damaged on the way.
     came = entry["direction"] == "in" and "bytes" in members and entry["kind"] not in _UNREAD
     if entry["kind"] not in _READ and not came:
-        return None
+        return "is called a request, and has no datagram to ask with" if entry["request"] else None
     try:
         datagram = bytes.fromhex(members["bytes"])
     except (KeyError, TypeError, ValueError):

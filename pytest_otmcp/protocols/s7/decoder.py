@@ -231,7 +231,7 @@ def contradiction(entry: JournalEntry) -> str | None:
     # What came in with a PDU is a request, whatever it is called; what went out may have been damaged on the way.
     known = entry["kind"] in ("request", "response", "setup", "setup_response")
     if not known and (entry["direction"] == "out" or "pdu" not in members):
-        return None
+        return "is called a request, and has no PDU" if entry["request"] else None
     try:
         raw = bytes.fromhex(members["pdu"])
         shown = _fields(entry["direction"], raw)
