@@ -115,7 +115,8 @@ class _RecordingTransport(httpx2.AsyncBaseTransport):
 
     def __init__(self, recorder: FrameRecorder) -> None:
         # Both processes are on this machine, so proxies of the environment do not apply.
-        self._network = httpx2.AsyncHTTPTransport(trust_env=False)
+        # With the library's limit of 100 connections further calls would wait in the kit, and the adapter be blamed for it.
+        self._network = httpx2.AsyncHTTPTransport(trust_env=False, limits=httpx2.Limits(max_connections=None))
         self._recorder = recorder
 
     async def handle_async_request(self, request: httpx2.Request) -> httpx2.Response:

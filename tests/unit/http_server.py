@@ -1,6 +1,6 @@
 """A server of streamable HTTP without an SDK: run as ``python http_server.py CONTENT-TYPE``, which is that of its answers to calls.
 
-With ``endless`` after it, an answer to a call never ends.
+With ``endless`` after it, an answer to a call never ends; with a number after it, calls are answered when so many wait at the same time.
 """
 
 from __future__ import annotations
@@ -8,10 +8,12 @@ from __future__ import annotations
 import json
 import os
 import sys
+import threading
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
 CONTENT_TYPE, ENDLESS = sys.argv[1], "endless" in sys.argv[2:]
+TOGETHER = threading.Barrier(next((int(word) for word in sys.argv[2:] if word.isdecimal()), 1))
 
 
 class Server(BaseHTTPRequestHandler):
@@ -30,6 +32,7 @@ class Server(BaseHTTPRequestHandler):
         elif method == "tools/list":
             self.answer(message["id"], {"tools": [{"name": "ping", "inputSchema": {"type": "object"}}]})
         else:
+            TOGETHER.wait()
             self.answer(message["id"], {"content": []}, CONTENT_TYPE, endless=ENDLESS)
 
     def answer(self, identifier: Any, result: Any, kind: str = "application/json", *, endless: bool = False) -> None:
@@ -44,4 +47,5 @@ class Server(BaseHTTPRequestHandler):
         self.wfile.write(body)
 
 
+ThreadingHTTPServer.request_queue_size = 1024
 ThreadingHTTPServer(("127.0.0.1", int(os.environ["MCP_HTTP_PORT"])), Server).serve_forever()

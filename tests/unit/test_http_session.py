@@ -84,6 +84,15 @@ async def test_concurrent_calls_keep_their_own_frames() -> None:
 
 
 @pytest.mark.asyncio
+async def test_as_many_calls_as_there_are_are_made_at_the_same_time() -> None:
+    # The client's library would have 100 connections, and let further calls wait in the kit.
+    calls = 256
+    async with session([sys.executable, str(SERVER), "application/json", str(calls)], era="legacy") as http:
+        exchanges = await asyncio.gather(*(http.call("ping", {}, timeout_s=60.0) for _ in range(calls)))
+    assert all(exchange.response is not None for exchange in exchanges)
+
+
+@pytest.mark.asyncio
 async def test_a_server_is_ended_by_sigterm_and_leaves_at_once() -> None:
     async with session() as http:
         pass
