@@ -1,0 +1,142 @@
+"""What the journal has of requests and answers, as far as their bytes say it."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from typing import Any
+
+from .messages import Refusal, Request, embedded
+from .types import ELEMENTARY, STRING
+
+__all__ = ["MULTIPLE", "describe", "described_reply"]
+
+READ, READ_FRAGMENT, WRITE, WRITE_FRAGMENT, MODIFY = 0x4C, 0x52, 0x4D, 0x53, 0x4E
+MULTIPLE = 0x0A
+
+_TAG_SERVICES = {
+    READ: "read",
+    READ_FRAGMENT: "read",
+    WRITE: "write",
+    WRITE_FRAGMENT: "write",
+    MODIFY: "modify",
+}
+_SERVICES: dict[tuple[int, int | None], str] = {
+    **{(code, None): name for code, name in _TAG_SERVICES.items()},
+    **{(code, 0x6B): name for code, name in _TAG_SERVICES.items()},
+    (0x55, 0x6B): "tag_list",
+    (0x03, 0x6C): "template",
+    (READ, 0x6C): "template",
+    (0x01, 0x01): "identity",
+    (0x0E, 0x01): "identity",
+    (0x01, 0x64): "identity",
+    (0x03, 0x8B): "clock",
+    (0x04, 0x8B): "set_clock",
+    (MULTIPLE, 0x02): "multiple",
+    (0x54, 0x06): "forward_open",
+    (0x5B, 0x06): "forward_open",
+    (0x4E, 0x06): "forward_close",
+}
+_CHANGING = {0x02, 0x04, 0x05, 0x06, 0x07, 0x08, 0x09, 0x10, 0x4B, WRITE, MODIFY, WRITE_FRAGMENT}
+_HANDLE_FOLLOWS = 0x02A0
+_SIZES = {kind.code: kind.size for kind in ELEMENTARY.values()}
+
+
+def describe(raw: bytes) -> dict[str, Any]:
+    """Return the members that the journal has of a request: ``service``, ``items`` and ``state_changing``."""
+    item = _item(raw)
+    items = [item]
+    if item["asks"] == "multiple":
+        items = [_item(one) for one in embedded(Request.parse(raw).data) or ()]
+    changing = any(one.get("code") in _CHANGING and one.get("class") != 0x06 for one in items)
+    return {"service": item["asks"], "items": items, "state_changing": changing}
+
+
+def _item(raw: bytes) -> dict[str, Any]:
+    try:
+        request = Request.parse(raw)
+        path = request.path
+    except Refusal:
+        return {"asks": "other", "code": raw[0]} if raw else {"asks": "other"}
+    found: dict[str, Any] = {
+        "asks": _SERVICES.get((request.service, path.class_id), "other"),
+        "code": request.service,
+        "tag": path.label(),
+        "program": ".".join(path.names) or None,
+        "class": path.class_id,
+        "instance": path.instance,
+        "attribute": path.attribute,
+        "steps": list(path.steps) if path.class_id is not None else None,
+        **_content(request),
+    }
+    return {name: value for name, value in found.items() if value not in (None, [])}
+
+
+def _content(request: Request) -> dict[str, Any]:
+    """Return what a read or a write of a tag asks for, besides the tag."""
+    data = request.data
+    if request.service in (READ, READ_FRAGMENT):
+        count = struct.unpack_from("<H", data)[0] if len(data) >= 2 else None
+        return {"count": count, "offset": _offset(data, 2) if request.service == READ_FRAGMENT else None}
+    if request.service == MODIFY and len(data) >= 2:
+        (size,) = struct.unpack_from("<H", data)
+        return {"or_mask": data[2 : 2 + size].hex(), "and_mask": data[2 + size : 2 + 2 * size].hex()}
+    if request.service in (WRITE, WRITE_FRAGMENT) and len(data) >= 4:
+        return _written(request.service, data)
+    return {}
+
+
+def _written(service: int, data: bytes) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    found["type"], rest = _type(data)
+    if found["type"] == _HANDLE_FOLLOWS:
+        found["handle"], rest = _type(rest)
+    if len(rest) < 2:
+        return found
+    (found["count"],) = struct.unpack_from("<H", rest)
+    rest = rest[2:]
+    if service == WRITE_FRAGMENT:
+        return {**found, "offset": _offset(rest, 0), "data": rest[4:].hex()}
+    size = STRING.size if found.get("handle") == STRING.handle else _SIZES.get(found["type"], len(rest))
+    whole = found["count"] * size
+    # A client may send more than it announces (pycomm3 does); the controller takes what is announced.
+    return {**found, "data": rest[:whole].hex(), "excess": max(0, len(rest) - whole) or None}
+
+
+def _type(data: bytes) -> tuple[int | None, bytes]:
+    return (int.from_bytes(data[:2], "little"), data[2:]) if len(data) >= 2 else (None, b"")
+
+
+def _offset(data: bytes, at: int) -> int | None:
+    return int(struct.unpack_from("<I", data, at)[0]) if len(data) >= at + 4 else None
+
+
+def described_reply(raw: bytes, request: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the members that the journal has of the answer to a described request: ``status``, ``extended`` and ``items``."""
+    status, extended, data = _reply(raw)
+    found: dict[str, Any] = {"service": request["service"], "status": status, "extended": extended}
+    asked = request["items"]
+    if request["service"] != "multiple":
+        return {**found, "items": [_result(asked[0], raw)]}
+    parts = embedded(data) or []
+    return {**found, "items": [_result(item, part) for item, part in zip(asked, parts, strict=False)]}
+
+
+def _reply(raw: bytes) -> tuple[int, int | None, bytes]:
+    """Return status, first word of the extended status and data of an answer."""
+    words = raw[3]
+    extended = int.from_bytes(raw[4:6], "little") if words else None
+    return raw[2], extended, raw[4 + 2 * words :]
+
+
+def _result(item: Mapping[str, Any], raw: bytes) -> dict[str, Any]:
+    if len(raw) < 4:
+        return {}
+    status, extended, data = _reply(raw)
+    found: dict[str, Any] = {"status": status, "extended": extended}
+    if item["asks"] == "read" and status in (0x00, 0x06) and len(data) >= 2:
+        found["type"], data = _type(data)
+        if found["type"] == _HANDLE_FOLLOWS:
+            found["handle"], data = _type(data)
+        found["data"] = data.hex()
+    return {name: value for name, value in found.items() if value is not None}
