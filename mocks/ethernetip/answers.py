@@ -50,6 +50,11 @@ def carried(frame: Frame, connection: Connection, count: int, message: bytes, ot
     return replace(frame, data=packet((CONNECTED_ADDRESS, address), (CONNECTED_DATA, content)))
 
 
+def _of(asked: Asked) -> dict[str, Any]:
+    """Return the members that an answer has in common with its request."""
+    return {"service": asked.fields["service"]}
+
+
 class Answers:
     """Sends answers, and records them."""
 
@@ -66,10 +71,10 @@ class Answers:
             data = packet((NULL_ADDRESS, b""), (UNCONNECTED_DATA, message))
             frame = replace(asked.frame, data=data)
         else:
-            asked.connection.last = message
+            asked.connection.last = reply
             shift, other = (0, 0) if rule is None else (rule.sequence, rule.connection)
             frame = carried(asked.frame, asked.connection, asked.count + shift, message, other)
-        self.send(asked, rule, frame, **described_reply(message, asked.fields))
+        self.send(asked, rule, frame, **_of(asked), **described_reply(message))
 
     def send(self, asked: Asked, rule: Rule | None, answer: Frame, **fields: Any) -> None:
         """Answer, in the manner of a rule."""
@@ -78,7 +83,7 @@ class Answers:
             self.write(asked.seq, kind, answer, **fields)
             return
         if rule.encapsulation is not None:
-            answer, fields = replace(answer, status=rule.encapsulation, data=b""), {"service": fields.get("service")}
+            answer, fields = replace(answer, status=rule.encapsulation, data=b""), _of(asked)
         if rule.context:
             answer = replace(answer, context=bytes([answer.context[0] ^ rule.context]) + answer.context[1:])
         if rule.drop:

@@ -1,4 +1,4 @@
-"""CIP connections of the controller: forward open, forward close, and requests that carry their route with them.
+"""CIP connections of the controller: forward open, forward close, and the routes of both and of other requests.
 
 Source: ODVA's volume 1, 3-5, as the public developer guide has it. Only connections for messages (transport class 3) to the message
 router can be opened; none for input or output data.
@@ -11,9 +11,10 @@ from dataclasses import dataclass, field
 
 from .messages import TOO_LITTLE_DATA, Path, Refusal, Reply
 
-__all__ = ["Connection", "Connections", "connects_data", "route_of", "unconnected_send"]
+__all__ = ["Connection", "Connections", "misrouted"]
 
 _FAILED = 0x01
+_UNCONNECTED_SEND = 0x52
 DUPLICATE, CLASS_NOT_SUPPORTED, NOT_FOUND, BAD_SIZE, NO_MORE = 0x0100, 0x0103, 0x0107, 0x0109, 0x0113
 NO_SUCH_PORT, NO_SUCH_LINK, BAD_SEGMENT = 0x0311, 0x0312, 0x0315
 
@@ -39,7 +40,7 @@ class Connection:
         size: bytes of a message in either direction, the sequence count included.
         carrier: number of the TCP connection that it was opened on.
         count: sequence count of the last request; None before the first.
-        last: answer to it.
+        last: answer to it; None while there is none.
     """
 
     own_id: int
@@ -48,7 +49,7 @@ class Connection:
     size: int
     carrier: int
     count: int | None = None
-    last: bytes = b""
+    last: Reply | None = None
 
 
 @dataclass(slots=True)
@@ -117,12 +118,6 @@ def _length(parameters: int, wide: bool) -> int:
     return parameters & (0xFFFF if wide else 0x01FF)
 
 
-def connects_data(code: int, data: bytes) -> bool:
-    """Tell whether a forward open asks for a connection that carries data of the plant, not messages."""
-    place = 38 if code == _LARGE else 34
-    return len(data) > place and data[place] & _TRANSPORT_CLASS not in (2, _MESSAGES)
-
-
 def _refused(code: int, reason: int, key: Triad) -> Reply:
     return Reply(service=code, status=_FAILED, extended=(reason,), data=struct.pack("<HHIBB", *key, 0, 0))
 
@@ -148,16 +143,13 @@ def route_of(ports: tuple[tuple[int, bytes], ...]) -> int | None:
     return None if len(ports) <= 1 else NO_SUCH_PORT
 
 
-def unconnected_send(data: bytes) -> tuple[bytes, bytes]:
-    """Return the request that an Unconnected Send carries, and its route.
-
-    Raises:
-        Refusal: it is cut off.
-    """
-    if len(data) < 4:
-        raise Refusal(TOO_LITTLE_DATA)
-    (length,) = struct.unpack_from("<H", data, 2)
-    end = 4 + length + length % 2
-    if not length or len(data) < end + 2 or len(data) != end + 2 + 2 * data[end]:
-        raise Refusal(TOO_LITTLE_DATA)
-    return data[4 : 4 + length], data[end + 2 :]
+def misrouted(route: bytes) -> Reply | None:
+    """Return the answer to an Unconnected Send whose route does not lead to this controller; None if it does, or there is none."""
+    try:
+        problem = route_of(Path.parse(route).ports)
+    except Refusal:
+        problem = BAD_SEGMENT
+    if problem is None:
+        return None
+    # One word of the route is left, the one that leads nowhere.
+    return Reply(service=_UNCONNECTED_SEND, status=_FAILED, extended=(problem,), data=b"\x01\0")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
 from typing import Any
 
 from .messages import Refusal, Request, embedded
@@ -111,32 +110,20 @@ def _offset(data: bytes, at: int) -> int | None:
     return int(struct.unpack_from("<I", data, at)[0]) if len(data) >= at + 4 else None
 
 
-def described_reply(raw: bytes, request: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the members that the journal has of the answer to a described request: ``status``, ``extended`` and ``items``."""
-    status, extended, data = _reply(raw)
-    found: dict[str, Any] = {"service": request["service"], "status": status, "extended": extended}
-    asked = request["items"]
-    if request["service"] != "multiple":
-        return {**found, "items": [_result(asked[0], raw)]}
-    parts = embedded(data) or []
-    return {**found, "items": [_result(item, part) for item, part in zip(asked, parts, strict=False)]}
+def described_reply(raw: bytes) -> dict[str, Any]:
+    """Return the members that the journal has of an answer: ``status``, ``extended`` and ``items``."""
+    first = _result(raw)
+    parts = [raw]
+    if first["code"] == MULTIPLE:
+        parts = embedded(bytes.fromhex(first.get("data", ""))) or []
+    return {"status": first["status"], "extended": first.get("extended"), "items": [_result(part) for part in parts]}
 
 
-def _reply(raw: bytes) -> tuple[int, int | None, bytes]:
-    """Return status, first word of the extended status and data of an answer."""
+def _result(raw: bytes) -> dict[str, Any]:
     words = raw[3]
-    extended = int.from_bytes(raw[4:6], "little") if words else None
-    return raw[2], extended, raw[4 + 2 * words :]
-
-
-def _result(item: Mapping[str, Any], raw: bytes) -> dict[str, Any]:
-    if len(raw) < 4:
-        return {}
-    status, extended, data = _reply(raw)
-    found: dict[str, Any] = {"status": status, "extended": extended}
-    if item["asks"] == "read" and status in (0x00, 0x06) and len(data) >= 2:
-        found["type"], data = _type(data)
-        if found["type"] == _HANDLE_FOLLOWS:
-            found["handle"], data = _type(data)
-        found["data"] = data.hex()
-    return {name: value for name, value in found.items() if value is not None}
+    found: dict[str, Any] = {"code": raw[0] & 0x7F, "status": raw[2]}
+    if words:
+        found["extended"] = int.from_bytes(raw[4:6], "little")
+    if len(raw) > 4 + 2 * words:
+        found["data"] = raw[4 + 2 * words :].hex()
+    return found

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 from ..journal import Direction
 from ..network import Link
 from ..peer import process_of
-from .answers import Answers, Asked, carried
-from .connections import connects_data, route_of, unconnected_send
-from .describe import describe
+from .answers import Answers, Asked
+from .asked import AskedFor, connected_request, unconnected_request
+from .connections import misrouted
 from .faults import Rule
 from .frames import (
     CONNECTED_ADDRESS,
@@ -33,7 +33,7 @@ from .frames import (
     packet_items,
 )
 from .identity import identity_item, services_item
-from .messages import Path, Refusal, Reply, Request
+from .messages import Reply, Request
 from .services import Router, named
 
 if TYPE_CHECKING:
@@ -45,9 +45,7 @@ _UNKNOWN_COMMAND, _BAD_DATA, _BAD_SESSION, _BAD_LENGTH, _BAD_VERSION = 0x01, 0x0
 _CONNECTED = ((CONNECTED_ADDRESS, 4, 4), (CONNECTED_DATA, 4, 0xFFFF))
 _UNCONNECTED = ((NULL_ADDRESS, 0, 0), (UNCONNECTED_DATA, 2, 0xFFFF))
 """The first items of a packet that carries a request: type, and least and most number of bytes."""
-_UNCONNECTED_SEND = 0x52
 _LARGEST_UNCONNECTED = 504
-_MANAGER = 0x06
 
 
 class ClientLink(asyncio.Protocol):
@@ -164,71 +162,62 @@ class ClientLink(asyncio.Protocol):
     def _data(self, frame: Frame, raw: bytes) -> None:
         items = packet_items(frame.data)
         connected = frame.command == SEND_UNIT_DATA
-        wanted = _CONNECTED if connected else _UNCONNECTED
-        problem = 0
-        if not self._session or frame.session != self._session:
-            problem = _BAD_SESSION
-        elif items is None or not _fit(items, wanted):
-            problem = _BAD_DATA
-        if problem or items is None:
-            asked = self._record("in", "refused", command=frame.command, frame=raw.hex())
-            self._answers.write(asked, "refused_response", replace(frame, data=b"", status=problem), status=problem)
-        elif connected:
-            self._connected(frame, raw, int.from_bytes(items[0][1], "little"), items[1][1])
+        if items is None or not _fit(items, _CONNECTED if connected else _UNCONNECTED):
+            reason = "encapsulation: no packet that carries a request"
+            self._record("in", "malformed", bytes=raw[:300].hex(), reason=reason)
+            self._transport.write(replace(frame, data=b"", status=_BAD_DATA).encoded())
+            return
+        content = items[1][1]
+        if connected:
+            asked_for = connected_request(int.from_bytes(items[0][1], "little"), content)
         else:
-            self._unconnected(frame, raw, items[1][1])
+            asked_for = unconnected_request(content)
+        if not self._session or frame.session != self._session:
+            seq = self._enter(asked_for, raw, None)
+            self._answers.write(
+                seq, "response", replace(frame, data=b"", status=_BAD_SESSION), service=asked_for.fields["service"]
+            )
+        elif connected:
+            self._connected(frame, raw, asked_for, len(content))
+        else:
+            self._unconnected(frame, raw, asked_for)
+
+    def _enter(self, asked_for: AskedFor, raw: bytes, rule: Rule | None) -> int:
+        is_request = asked_for.kind == "request"
+        fields = {**asked_for.fields, "frame": raw.hex(), **_shown(rule)}
+        return self._record("in", asked_for.kind, request=is_request, **fields)
 
     # -- requests ---------------------------------------------------------------------------------------------
 
-    def _connected(self, frame: Frame, raw: bytes, own_id: int, content: bytes) -> None:
-        connection = self._device.connections.open.get(own_id)
+    def _connected(self, frame: Frame, raw: bytes, asked_for: AskedFor, size: int) -> None:
+        fields = asked_for.fields
+        count = fields["sequence"]
+        connection = self._device.connections.open.get(fields["connection_id"])
+        known = connection is not None and count != connection.count
+        rule = self._rule(fields) if known else None
+        seq = self._enter(asked_for, raw, rule)
         if connection is None:
             # No controller answers on a connection that it does not know (volume 1, 3-4.4).
-            self._record("in", "stray", connection_id=own_id, frame=raw.hex())
             return
-        if len(content) > connection.size:
-            raise IllegalFrame(f"CIP: a message of {len(content)} bytes, {connection.size} were agreed to")
-        count, message = int.from_bytes(content[:2], "little"), content[2:]
-        if count == connection.count:
-            # The transport repeats what it has answered already (volume 1, 3-4.4.2): nothing is executed.
-            seq = self._record("in", "repeated", sequence=count, frame=raw.hex())
-            if connection.last:
-                self._answers.write(seq, "repeated_response", carried(frame, connection, count, connection.last))
-            return
-        connection.count, connection.last = count, b""
-        fields = describe(message)
-        rule = self._rule(fields)
-        seq = self._record("in", "request", request=True, **fields, sequence=count, frame=raw.hex(), **_shown(rule))
+        if size > connection.size:
+            raise IllegalFrame(f"CIP: a message of {size} bytes, {connection.size} were agreed to")
         asked = Asked(seq=seq, kind="request", frame=frame, fields=fields, connection=connection, count=count)
-        self._execute(asked, rule, message, limit=connection.size - 2)
+        if not known:
+            # The transport repeats what it has answered already (volume 1, 3-4.4.2): nothing is executed.
+            if connection.last is not None:
+                self._answers.reply(asked, None, connection.last)
+            return
+        connection.count, connection.last = count, None
+        self._execute(asked, rule, asked_for, limit=connection.size - 2)
 
-    def _unconnected(self, frame: Frame, raw: bytes, message: bytes) -> None:
-        route = b""
-        fields = describe(message)
-        if (fields["items"][0].get("code"), fields["items"][0].get("class")) == (_UNCONNECTED_SEND, _MANAGER):
-            try:
-                message, route = unconnected_send(Request.parse(message).data)
-                fields = {**describe(message), "route": route.hex()}
-            except Refusal:
-                # It is answered below, as a service that lacks data.
-                pass
-        service = fields["service"]
-        connecting = service in ("forward_open", "forward_close") and not route
-        data_wanted = (
-            connecting and service == "forward_open" and connects_data(message[0], Request.parse(message).data)
-        )
-        if data_wanted:
-            fields = {**fields, "state_changing": True}
-        rule = self._rule(fields)
-        kind = service if connecting and not data_wanted else "request"
-        if kind != "request":
-            fields = {name: value for name, value in fields.items() if name != "state_changing"}
-        seq = self._record("in", kind, request=kind == "request", **fields, frame=raw.hex(), **_shown(rule))
-        asked = Asked(seq=seq, kind=kind, frame=frame, fields=fields)
-        if connecting:
-            self._manage(asked, rule, message)
+    def _unconnected(self, frame: Frame, raw: bytes, asked_for: AskedFor) -> None:
+        rule = self._rule(asked_for.fields)
+        seq = self._enter(asked_for, raw, rule)
+        asked = Asked(seq=seq, kind=asked_for.kind, frame=frame, fields=asked_for.fields)
+        if asked_for.fields["service"] in ("forward_open", "forward_close") and not asked_for.route:
+            self._manage(asked, rule, asked_for.message)
         else:
-            self._execute(asked, rule, message, limit=_LARGEST_UNCONNECTED, route=route)
+            self._execute(asked, rule, asked_for, limit=_LARGEST_UNCONNECTED)
 
     def _rule(self, fields: Mapping[str, Any]) -> Rule | None:
         plant = self._device.plant
@@ -237,28 +226,17 @@ class ClientLink(asyncio.Protocol):
             about.append({"asks": "multiple"})
         return self._device.faults.match([(item, named(plant, item)) for item in about])
 
-    def _execute(self, asked: Asked, rule: Rule | None, message: bytes, *, limit: int, route: bytes = b"") -> None:
+    def _execute(self, asked: Asked, rule: Rule | None, asked_for: AskedFor, *, limit: int) -> None:
         if rule is not None and rule.manner.half_open:
             self._transport.die()
             return
         for bits in self._device.restless:
             bits.move(self._device.plant)
-        reply = self._misrouted(message, route)
+        message = asked_for.message
+        reply = misrouted(asked_for.route)
         if reply is None and (rule is None or rule.encapsulation is None):
             reply = Router(plant=self._device.plant, limit=limit, rule=rule).answer(message)
         self._answers.reply(asked, rule, reply or Reply(service=message[0]))
-
-    @staticmethod
-    def _misrouted(message: bytes, route: bytes) -> Reply | None:
-        if not route:
-            return None
-        try:
-            problem = route_of(Path.parse(route).ports)
-        except Refusal:
-            problem = 0x0315
-        if problem is None:
-            return None
-        return Reply(service=_UNCONNECTED_SEND, status=0x01, extended=(problem,), data=b"\x01\0")
 
     def _manage(self, asked: Asked, rule: Rule | None, message: bytes) -> None:
         if rule is not None and rule.manner.half_open:
