@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ..core import AdapterServer, Environment
-from .aliases import load_aliases
+from .aliases import Alias
 from .link import Link
 from .tools import Tools
 
@@ -20,7 +20,7 @@ def build() -> AdapterServer:
     host = environment.text("ETHERNETIP_HOST", "127.0.0.1")
     port = environment.whole("ETHERNETIP_PORT", 44818, 1, 65535)
     slot = environment.whole("ETHERNETIP_SLOT", 0, 0, 16)
-    aliases = load_aliases(environment.optional("ETHERNETIP_ALIAS_MAP"))
+    aliases = environment.entries("ETHERNETIP_ALIAS_MAP", Alias)
     link = Link(host, port, slot, environment.seconds("ETHERNETIP_TIMEOUT_S", 1.0))
     server = AdapterServer(
         name="ethernetip-reference",

@@ -8,14 +8,12 @@ used here without its sockets.
 from __future__ import annotations
 
 import asyncio
-import ipaddress
 import secrets
-import socket
 import struct
 
 from pylogix import PLC
 
-from ..core import AdapterError, Call
+from ..core import AdapterError, Call, resolve
 from .connection import SEND_RR_DATA, Connection, Refused, answer, next_frame
 from .refusals import encapsulation_refusal, open_refusal, refusal
 from .wire import (
@@ -176,7 +174,7 @@ class Link:
             return existing
         self._drop()
         call.disconnected()
-        await self._resolve()
+        await resolve(self._host, self._port)
         made: Connection | None = None
         try:
             async with asyncio.timeout(self._timeout_s):
@@ -220,16 +218,6 @@ class Link:
             raise BadReply("it names no connections")
         self._frames._ot_connection_id, connection.answers = struct.unpack_from("<II", reply.data)
         connection.size = size
-
-    async def _resolve(self) -> None:
-        try:
-            ipaddress.ip_address(self._host)
-        except ValueError:
-            try:
-                await asyncio.get_running_loop().getaddrinfo(self._host, self._port, type=socket.SOCK_STREAM)
-            except socket.gaierror:
-                message = f"the host name {self._host} cannot be resolved"
-                raise AdapterError("dns_error", message, outcome="not_sent") from None
 
     def _drop(self) -> None:
         connection, self._connection = self._connection, None

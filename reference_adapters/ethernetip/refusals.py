@@ -13,25 +13,26 @@ _NO_TAG = "the controller has no such tag or member, or does not let clients see
 _BUSY = "the controller has too few resources for the request now"
 
 _STATUS = {
-    0x01: ("session_error", "unknown", "the connection to the controller has failed"),
+    0x01: ("session_error", "rejected", "the controller does not know the connection any more"),
     0x02: ("device_busy", "rejected", _BUSY),
     0x03: ("illegal_value", "rejected", "the controller refuses a value of the request"),
     0x04: ("illegal_address", "rejected", _NO_TAG),
     0x05: ("illegal_address", "rejected", _NO_TAG),
-    0x06: ("limit_exceeded", "unknown", "the answer does not fit into one message; ask for fewer elements at once"),
+    0x06: ("limit_exceeded", "rejected", "the answer does not fit into one message; ask for fewer elements at once"),
     0x08: ("unsupported_operation", "rejected", "the controller does not offer this service here"),
     0x09: ("illegal_value", "rejected", "the controller refuses the value of an attribute"),
+    0x0A: ("unsupported_operation", "rejected", "the controller refuses one of the attributes"),
     0x0C: ("device_busy", "rejected", "the state of the controller does not allow the service now"),
     0x0E: ("not_writable", "rejected", "the controller does not allow setting this"),
     0x0F: ("access_denied", "rejected", "the controller does not allow it: see the tag's external access"),
     0x10: ("device_busy", "rejected", "the state of the controller, or its key switch, does not allow the service now"),
     0x11: ("limit_exceeded", "rejected", "the answer is too large for the controller; ask for less at once"),
-    0x13: ("protocol_error", "unknown", "the controller says that the request has too little data"),
+    0x13: ("protocol_error", "rejected", "the controller says that the request has too little data"),
     0x14: ("illegal_address", "rejected", "the controller has no such attribute"),
-    0x15: ("protocol_error", "unknown", "the controller says that the request has too much data"),
+    0x15: ("protocol_error", "rejected", "the controller says that the request has too much data"),
     0x16: ("illegal_address", "rejected", "the controller has no such object"),
     0x20: ("illegal_value", "rejected", "the controller refuses a value of the request"),
-    0x26: ("protocol_error", "unknown", "the controller says that the path of the request is wrong"),
+    0x26: ("protocol_error", "rejected", "the controller says that the path of the request is wrong"),
 }
 _GENERAL_STATUS = 0xFF
 _EXTENDED = {
