@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..journal import Direction
 from ..network import Link
@@ -13,6 +13,7 @@ from ..peer import process_of
 from .answers import Answers, Asked
 from .asked import AskedFor, connected_request, unconnected_request
 from .connections import misrouted
+from .controller import Controller
 from .faults import Rule
 from .frames import (
     CONNECTED_ADDRESS,
@@ -36,9 +37,6 @@ from .identity import identity_item, services_item
 from .messages import Reply, Request
 from .services import Router, named
 
-if TYPE_CHECKING:
-    from .device import EthernetIpDevice
-
 __all__ = ["ClientLink"]
 
 _UNKNOWN_COMMAND, _BAD_DATA, _BAD_SESSION, _BAD_LENGTH, _BAD_VERSION = 0x01, 0x03, 0x64, 0x65, 0x69
@@ -51,8 +49,9 @@ _LARGEST_UNCONNECTED = 504
 class ClientLink(asyncio.Protocol):
     """One client's TCP connection. Requests are answered in order; a segment may hold several, or a part of one."""
 
-    def __init__(self, device: EthernetIpDevice) -> None:
-        self._device = device
+    def __init__(self, controller: Controller, number: int) -> None:
+        self._controller = controller
+        self._number = number
         self._buffer = bytearray()
         self._transport: Link
         self._answers: Answers
@@ -61,17 +60,16 @@ class ClientLink(asyncio.Protocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, Link)
         self._transport = transport
-        self._device.links += 1
-        self._number = transport.number = self._device.links
+        transport.number = self._number
         peer = transport.get_extra_info("peername")[1]
-        self._device.journal.connected(self._number, process_of(transport), peer=peer)
-        self._answers = Answers(self._device.journal, transport)
+        self._controller.journal.connected(self._number, process_of(transport), peer=peer)
+        self._answers = Answers(self._controller.journal, transport)
 
     def connection_lost(self, exc: Exception | None) -> None:
         if self._buffer:
             self._malformed("the connection ended inside a frame")
-        self._device.sessions.discard(self._session)
-        self._device.connections.ended(self._number)
+        self._controller.sessions.discard(self._session)
+        self._controller.connections.ended(self._number)
         self._record("in", "DISCONNECTED")
 
     def pause_writing(self) -> None:
@@ -82,7 +80,7 @@ class ClientLink(asyncio.Protocol):
         self._transport.resume_reading()
 
     def _record(self, direction: Direction, kind: str, **fields: Any) -> int:
-        return self._device.journal.append(connection=self._number, direction=direction, kind=kind, **fields)
+        return self._controller.journal.append(connection=self._number, direction=direction, kind=kind, **fields)
 
     def _malformed(self, reason: str) -> None:
         self._record("in", "malformed", bytes=bytes(self._buffer[:300]).hex(), reason=reason)
@@ -136,12 +134,12 @@ class ClientLink(asyncio.Protocol):
             self._transport.die()
             return
         asked = Asked(seq=seq, kind="request", frame=frame, fields=fields)
-        self._answers.send(asked, rule, replace(frame, data=identity_item(self._device.address)))
+        self._answers.send(asked, rule, replace(frame, data=identity_item(self._controller.address)))
 
     def _register(self, frame: Frame, raw: bytes) -> None:
         fields: dict[str, Any] = {"service": "register", "items": [{"asks": "register"}]}
         rule = self._rule(fields)
-        seq = self._record("in", "register", frame=raw.hex(), **_shown(rule))
+        seq = self._record("in", "register", **fields, frame=raw.hex(), **_shown(rule))
         if rule is not None and rule.manner.half_open:
             self._transport.die()
             return
@@ -155,7 +153,7 @@ class ClientLink(asyncio.Protocol):
         else:
             # The number of the connection makes handles unique, and the rest makes them no small numbers.
             self._session = 0x4B000000 | self._number & 0xFFFFFF
-            self._device.sessions.add(self._session)
+            self._controller.sessions.add(self._session)
         answer = replace(frame, session=self._session, status=status, data=b"\x01\0\0\0")
         self._answers.send(Asked(seq=seq, kind="register", frame=frame, fields=fields), rule, answer)
 
@@ -192,7 +190,7 @@ class ClientLink(asyncio.Protocol):
     def _connected(self, frame: Frame, raw: bytes, asked_for: AskedFor, size: int) -> None:
         fields = asked_for.fields
         count = fields["sequence"]
-        connection = self._device.connections.open.get(fields["connection_id"])
+        connection = self._controller.connections.open.get(fields["connection_id"])
         known = connection is not None and count != connection.count
         rule = self._rule(fields) if known else None
         seq = self._enter(asked_for, raw, rule)
@@ -220,36 +218,36 @@ class ClientLink(asyncio.Protocol):
             self._execute(asked, rule, asked_for, limit=_LARGEST_UNCONNECTED)
 
     def _rule(self, fields: Mapping[str, Any]) -> Rule | None:
-        plant = self._device.plant
+        plant = self._controller.plant
         about = list(fields["items"])
         if fields["service"] == "multiple":
             about.append({"asks": "multiple"})
-        return self._device.faults.match([(item, named(plant, item)) for item in about])
+        return self._controller.faults.match([(item, named(plant, item)) for item in about])
 
     def _execute(self, asked: Asked, rule: Rule | None, asked_for: AskedFor, *, limit: int) -> None:
         if rule is not None and rule.manner.half_open:
             self._transport.die()
             return
-        for bits in self._device.restless:
-            bits.move(self._device.plant)
+        for bits in self._controller.restless:
+            bits.move(self._controller.plant)
         message = asked_for.message
         reply = misrouted(asked_for.route)
         if reply is None and (rule is None or rule.encapsulation is None):
-            reply = Router(plant=self._device.plant, limit=limit, rule=rule).answer(message)
+            reply = Router(plant=self._controller.plant, limit=limit, rule=rule).answer(message)
         self._answers.reply(asked, rule, reply or Reply(service=message[0]))
 
     def _manage(self, asked: Asked, rule: Rule | None, message: bytes) -> None:
         if rule is not None and rule.manner.half_open:
             self._transport.die()
             return
-        request, connections = Request.parse(message), self._device.connections
+        request, connections = Request.parse(message), self._controller.connections
         if rule is not None and rule.status is not None:
             extended = () if rule.extended is None else (rule.extended,)
             reply = Reply(service=request.service, status=rule.status, extended=extended)
         elif asked.fields["service"] == "forward_close":
             reply = connections.forward_close(request.service, request.data)
         else:
-            limit = self._device.plant.connection_limit
+            limit = self._controller.plant.connection_limit
             reply = connections.forward_open(request.service, request.data, self._number, limit)
         self._answers.reply(asked, rule, reply)
 
