@@ -12,7 +12,9 @@ from ..oracle import Witness, requests
 from .entries import TYPES, Item, as_ethernetip, changes, describe, tag_of
 
 __all__ = [
+    "changes_asked_for",
     "changes_of_restless_bits",
+    "connections_forgotten",
     "connections_left",
     "content",
     "exactly_one_bit_write",
@@ -214,7 +216,20 @@ def connections_left(image: Image, *, most: int) -> list[Finding]:
     if image["connections"] <= most:
         return []
     message = f"the controller should have {most} open connection(s) or fewer, it has {image['connections']}"
-    return [Finding(code="connections_left", message=message, requirement="REC-006")]
+    return [Finding(code="connections_left", message=message, requirement="RES-001")]
+
+
+def connections_forgotten(image: Image, *, most: int) -> list[Finding]:
+    """Expect that no more than so many CIP connections ended without a Forward Close: a controller may keep them for minutes."""
+    if image["forgotten"] <= most:
+        return []
+    message = f"the controller should have seen a Forward Close for each connection, {image['forgotten'] - most} ended without one"
+    return [Finding(code="connections_left", message=message, requirement="RES-001")]
+
+
+def changes_asked_for(entries: Entries) -> bool:
+    """Tell whether a request that may change the plant reached the controller."""
+    return bool(changes(entries))
 
 
 def changes_of_restless_bits(image: Image) -> int:
