@@ -104,7 +104,7 @@ class Controller:
         held = await self._time(call, changes_state=False)
         if not timedelta(0) <= held - wanted <= _PATIENCE:
             message = "the controller has confirmed the time and shows another one; read its clock later"
-            raise AdapterError("verify_failed", message, outcome="unknown", details={"time": _shown(held)})
+            raise AdapterError("verify_failed", message, details={"time": _shown(held)})
         return {"time": _shown(held)}
 
     # -- requests -----------------------------------------------------------------------------------------

@@ -27,12 +27,12 @@ _STATUS = {
     0x0F: ("access_denied", "rejected", "the controller does not allow it: see the tag's external access"),
     0x10: ("device_busy", "rejected", "the state of the controller, or its key switch, does not allow the service now"),
     0x11: ("limit_exceeded", "rejected", "the answer is too large for the controller; ask for less at once"),
-    0x13: ("protocol_error", "rejected", "the controller says that the request has too little data"),
+    0x13: ("protocol_error", "unknown", "the controller says that the request has too little data"),
     0x14: ("illegal_address", "rejected", "the controller has no such attribute"),
-    0x15: ("protocol_error", "rejected", "the controller says that the request has too much data"),
+    0x15: ("protocol_error", "unknown", "the controller says that the request has too much data"),
     0x16: ("illegal_address", "rejected", "the controller has no such object"),
     0x20: ("illegal_value", "rejected", "the controller refuses a value of the request"),
-    0x26: ("protocol_error", "rejected", "the controller says that the path of the request is wrong"),
+    0x26: ("protocol_error", "unknown", "the controller says that the path of the request is wrong"),
 }
 _GENERAL_STATUS = 0xFF
 _EXTENDED = {
