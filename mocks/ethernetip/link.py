@@ -122,9 +122,7 @@ class ClientLink(asyncio.Protocol):
         asked = self._record("in", "list", command=frame.command, frame=raw.hex())
         data = known.get(frame.command)
         status = _UNKNOWN_COMMAND if data is None else 0
-        self._answers.write(
-            asked, "list_response", replace(frame, data=data or b"", status=status), command=frame.command
-        )
+        self._answers.write(asked, "list_response", replace(frame, data=data or b"", status=status))
 
     def _list_identity(self, frame: Frame, raw: bytes) -> None:
         fields: dict[str, Any] = {"service": "list_identity", "items": [{"asks": "list_identity"}]}
@@ -134,7 +132,8 @@ class ClientLink(asyncio.Protocol):
             self._transport.die()
             return
         asked = Asked(seq=seq, kind="request", frame=frame, fields=fields)
-        self._answers.send(asked, rule, replace(frame, data=identity_item(self._controller.address)))
+        answer = replace(frame, data=identity_item(self._controller.address))
+        self._answers.send(asked, rule, answer, service="list_identity")
 
     def _register(self, frame: Frame, raw: bytes) -> None:
         fields: dict[str, Any] = {"service": "register", "items": [{"asks": "register"}]}

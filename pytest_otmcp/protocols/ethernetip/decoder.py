@@ -87,7 +87,7 @@ class EthernetIpConversation:
         asked = self._outstanding.take(key)
         if asked is None:
             return Message(direction="out", kind=kind, fields=fields)
-        if "service" in asked.fields:
+        if asked.kind != "register" and "service" in asked.fields:
             fields["service"] = asked.fields["service"]
         kind = _ANSWERS[asked.kind]
         if kind == "forward_open_response" and not fields.get("status") and fields.get("items"):
