@@ -173,7 +173,7 @@ def leaves_without_a_word(server: AdapterServer) -> None:
 
 MUTANTS = (
     Mutant(
-        id="MU-02eip",
+        id="MU-02ei",
         protocol="ethernetip",
         sentence="The controller's clock is set to the time of the adapter's machine, whichever time was asked for.",
         bend=machines_time,
@@ -181,7 +181,7 @@ MUTANTS = (
         requirements="WR-001",
     ),
     Mutant(
-        id="MU-04eip",
+        id="MU-04ei",
         protocol="ethernetip",
         sentence="The bytes of every DINT are swapped, in reads and writes alike.",
         bend=big_endian,
@@ -189,7 +189,7 @@ MUTANTS = (
         requirements="CON-004 ENC-001 RD-001 WR-001",
     ),
     Mutant(
-        id="MU-08eip",
+        id="MU-08ei",
         protocol="ethernetip",
         sentence="2 to the 40 is written as 0 to a DINT, and told as a success.",
         bend=cut_off,
@@ -197,7 +197,7 @@ MUTANTS = (
         requirements="ADR-003 ERR-006",
     ),
     Mutant(
-        id="MU-14eip",
+        id="MU-14ei",
         protocol="ethernetip",
         sentence="A write of a tag succeeds, and nothing is sent.",
         bend=write_not_sent,
@@ -205,7 +205,7 @@ MUTANTS = (
         requirements="WR-001",
     ),
     Mutant(
-        id="MU-20eip",
+        id="MU-20ei",
         protocol="ethernetip",
         sentence="With writes disabled the tag is written, and the write then denied.",
         bend=guard_after_sending(_WRITE),
@@ -213,7 +213,7 @@ MUTANTS = (
         requirements="WR-004",
     ),
     Mutant(
-        id="MU-28eip",
+        id="MU-28ei",
         protocol="ethernetip",
         sentence="A bit is written by reading its word, changing the bit and writing the word.",
         bend=read_modify_write,
@@ -221,7 +221,7 @@ MUTANTS = (
         requirements="WR-001 WR-011",
     ),
     Mutant(
-        id="MU-36eip",
+        id="MU-36ei",
         protocol="ethernetip",
         sentence="The controller's clock has the time of the adapter's machine, whatever the controller says.",
         bend=told("get_plc_time", change=lambda data: {"time": _now()}),
@@ -229,7 +229,7 @@ MUTANTS = (
         requirements="RD-001",
     ),
     Mutant(
-        id="MU-46eip",
+        id="MU-46ei",
         protocol="ethernetip",
         sentence="A tag that the controller does not have is 0.",
         bend=refused_is_zero,
@@ -237,7 +237,7 @@ MUTANTS = (
         requirements="ERR-002",
     ),
     Mutant(
-        id="MU-61eip",
+        id="MU-61ei",
         protocol="ethernetip",
         sentence="A packet of services is a success when it is answered, whatever the answers to the services are.",
         bend=packet_is_enough,
@@ -245,7 +245,7 @@ MUTANTS = (
         requirements="ERR-008",
     ),
     Mutant(
-        id="MU-90eip",
+        id="MU-90ei",
         protocol="ethernetip",
         sentence="Every tenth read opens a new CIP connection, and forgets the one before.",
         bend=connections_forgotten,
@@ -253,7 +253,7 @@ MUTANTS = (
         requirements="RES-001",
     ),
     Mutant(
-        id="MU-90eipb",
+        id="MU-90eib",
         protocol="ethernetip",
         sentence="The CIP connection is not closed when the adapter ends.",
         bend=leaves_without_a_word,

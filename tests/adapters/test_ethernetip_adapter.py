@@ -544,11 +544,12 @@ def test_many_calls_use_one_cip_connection(adapter: Any, device: Any) -> None:
     assert device("image")["connections"] == before
 
 
-def test_a_connection_that_the_controller_has_forgotten_is_not_used(adapter: Any, device: Any) -> None:
+def test_a_connection_that_the_controller_has_forgotten_is_not_used(rig: Any, adapter: Any, device: Any) -> None:
     """A controller does not answer on a connection that it does not know, so the call would end by its time-out."""
     generation = adapter.call("ping").meta["connection"]["generation"]
     for _ in range(3):
-        adapter.pass_time()
+        for client in (adapter, rig.guarded):
+            client.pass_time()
     device("poke", params={"connections": "forget"})
     mark = device.mark()
     reply = adapter.call("write_tag", tag_name="ValvePosition", value=4)

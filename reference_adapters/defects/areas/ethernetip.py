@@ -83,16 +83,16 @@ _mutant = partial(declared, "ethernetip")
 
 MUTANTS: tuple[Mutant, ...] = (
     _mutant(
-        "MU-14eipw",
+        "MU-14eiw",
         "wr",
         "WR-001 WR-002 WR-003 WR-004 WR-005 WR-010",
         "WR-001",
         _confirmed_at_once,
         "EtherNet/IP writes are told and not sent.",
     ),
-    _mutant("MU-04eipw", "rd", "RD-001", "RD-001", told(_READ, change=_signed), "A UINT is read with a sign."),
+    _mutant("MU-04eiw", "rd", "RD-001", "RD-001", told(_READ, change=_signed), "A UINT is read with a sign."),
     _mutant(
-        "MU-02eipw",
+        "MU-02eiw",
         "wr",
         "WR-002",
         "WR-002",
@@ -100,7 +100,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "Elements of an array are written with the one that follows them.",
     ),
     _mutant(
-        "MU-20eipb",
+        "MU-20eib",
         "wr",
         "WR-004",
         "WR-004",
@@ -108,16 +108,16 @@ MUTANTS: tuple[Mutant, ...] = (
         "With writes disabled the tag of an alias is written, and the write then denied.",
     ),
     _mutant(
-        "MU-08eipw",
+        "MU-08eiw",
         "adr",
         "ADR-003",
         "ADR-003",
         _lower_half,
         "Of a value that does not fit into a tag of the type INT the lower half is written.",
     ),
-    _mutant("MU-11eip", "adr", "ADR-004", "ADR-004", _words_are_true, "The word false is true for a BOOL."),
+    _mutant("MU-11ei", "adr", "ADR-004", "ADR-004", _words_are_true, "The word false is true for a BOOL."),
     _mutant(
-        "MU-37eip",
+        "MU-37ei",
         "con",
         "CON-001",
         "CON-001",
@@ -125,16 +125,16 @@ MUTANTS: tuple[Mutant, ...] = (
         "Of several reads of tags at the same time all are told what the last one has found.",
     ),
     _mutant(
-        "MU-41eip",
+        "MU-41ei",
         "con",
         "CON-004",
         "CON-004",
         merged(_WRITE, lambda asked: asked.tag_name, _written),
         "Of two writes of one tag at the same time only one is sent, and both are told as successes.",
     ),
-    _mutant("MU-56eip", "enc", "ENC-004", "ENC-004", told(_READ, change=as_zero), "A tag that is NaN is 0."),
+    _mutant("MU-56ei", "enc", "ENC-004", "ENC-004", told(_READ, change=as_zero), "A tag that is NaN is 0."),
     _mutant(
-        "MU-58eip",
+        "MU-58ei",
         "enc",
         "ENC-005",
         "ENC-005",
@@ -142,7 +142,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "A tag of 64 bits above 2^53 is rounded.",
     ),
     _mutant(
-        "MU-123eip",
+        "MU-123ei",
         "enc",
         "ENC-006",
         "ENC-006",
@@ -150,7 +150,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "The text of a tag is read without the spaces around it.",
     ),
     _mutant(
-        "MU-124eip",
+        "MU-124ei",
         "enc",
         "ENC-004 ENC-005 ENC-006 ENC-007",
         "ENC-007",
@@ -158,7 +158,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "started_at of an EtherNet/IP answer is the local time with a Z behind it.",
     ),
     _mutant(
-        "MU-93eip",
+        "MU-93ei",
         "res",
         "RES-003",
         "MCP-007",
