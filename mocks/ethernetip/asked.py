@@ -45,7 +45,7 @@ def connected_request(connection_id: int, content: bytes) -> AskedFor:
 def unconnected_request(message: bytes) -> AskedFor:
     """Return the request without a connection; an Unconnected Send holds it."""
     fields = describe(message)
-    item = next(iter(fields["items"]), {})
+    item: Mapping[str, Any] = next(iter(fields["items"]), {})
     if (item.get("code"), item.get("class")) == (_UNCONNECTED_SEND, _MANAGER):
         found = _unwrapped(Request.parse(message).data)
         # What holds none is answered as a service that the connection manager does not have.
