@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
@@ -12,7 +13,7 @@ from ..claims import local_time
 from ..mutant import Data, Mutant, failing, told
 from ..refusals import _end
 from .enc import as_zero, by_way_of_float
-from .further import declared, last_answer, merged, module_of, stripped
+from .further import altered, declared, last_answer, merged, module_of, stripped
 
 __all__ = ["MUTANTS"]
 
@@ -79,6 +80,13 @@ def _signed(data: Data) -> Data:
     return {**data, "value": data["value"] - 0x10000} if is_large else data
 
 
+def _cut_index(name: Any) -> Any:
+    """Return a name whose indexes have the last 32 bits of what they had."""
+    if not isinstance(name, str):
+        return name
+    return re.sub(r"(?<=\[)[0-9]+(?=\])", lambda index: str(int(index[0]) % 2**32), name)
+
+
 _mutant = partial(declared, "ethernetip")
 
 MUTANTS: tuple[Mutant, ...] = (
@@ -114,6 +122,14 @@ MUTANTS: tuple[Mutant, ...] = (
         "ADR-003",
         _lower_half,
         "Of a value that does not fit into a tag of the type INT the lower half is written.",
+    ),
+    _mutant(
+        "MU-06ei",
+        "adr",
+        "ADR-002",
+        "ADR-002",
+        altered(_READ, "tag_name", _cut_index),
+        "Of the index of an element the last 32 bits count.",
     ),
     _mutant("MU-11ei", "adr", "ADR-004", "ADR-004", _words_are_true, "The word false is true for a BOOL."),
     _mutant(
