@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Any
 
-from .workload import DB, DB_BYTES, DEVICE, INPUT_REGISTERS, OBJECT, PAYLOAD, TEMPERATURE, TOPIC
+from .workload import DB, DB_BYTES, DEVICE, INPUT_REGISTERS, OBJECT, PAYLOAD, TAG, TEMPERATURE, TOPIC
 
 __all__ = ["FAMILIES", "Family"]
 
@@ -90,6 +90,16 @@ _ALL = (
         arguments={"device_id": DEVICE, "object_type": OBJECT[0], "object_instance": OBJECT[1]},
         env={"BACNET_HOST": "{host}", "BACNET_PORT": "{port}"},
         library="bacpypes3",
+    ),
+    Family(
+        key="ethernetip",
+        item="E2",
+        raw="pylogix, read one tag",
+        does="read one tag",
+        tool="read_tag",
+        arguments={"tag_name": TAG},
+        env={"ETHERNETIP_HOST": "{host}", "ETHERNETIP_PORT": "{port}"},
+        library="pylogix",
     ),
 )
 

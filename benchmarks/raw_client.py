@@ -32,6 +32,7 @@ from .workload import (
     PARALLEL,
     PAYLOAD,
     PDU_REGISTERS,
+    TAG,
     TEMPERATURE,
     TOPIC,
 )
@@ -223,6 +224,17 @@ async def _bacnet(host: str, port: int) -> Exchange:
     return read
 
 
+async def _ethernetip(host: str, port: int) -> Exchange:
+    from pylogix import PLC
+
+    client = PLC(host, port=port)
+
+    async def read() -> None:
+        assert isinstance(client.Read(TAG).Value, float)
+
+    return read
+
+
 EXCHANGES: dict[str, Callable[[str, int], Awaitable[Exchange]]] = {
     "nothing": _nothing,
     "modbus": _modbus,
@@ -233,6 +245,7 @@ EXCHANGES: dict[str, Callable[[str, int], Awaitable[Exchange]]] = {
     "opcua_variables": _opcua_variables,
     "s7": _s7,
     "bacnet": _bacnet,
+    "ethernetip": _ethernetip,
     "modbus_together": partial(_together, _modbus),
     "mqtt_together": partial(_publishing, 1, PARALLEL),
     "opcua_together": partial(_together, _opcua),

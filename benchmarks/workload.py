@@ -14,6 +14,7 @@ __all__ = [
     "PARALLEL",
     "PAYLOAD",
     "PDU_REGISTERS",
+    "TAG",
     "TEMPERATURE",
     "TOPIC",
 ]
@@ -22,6 +23,7 @@ INPUT_REGISTERS = 4
 TEMPERATURE = "ns=2;s=Temperature"
 DB, DB_BYTES = 1, 16
 DEVICE, OBJECT = 12345, ("analog-input", 1)
+TAG = "MotorSpeed"
 TOPIC, PAYLOAD = "control/pump", '{"pump_speed": 50}'
 
 PDU_REGISTERS = 125

@@ -11,6 +11,7 @@ from .plugin.fixtures.device_handles import (
     SubjectError,
     UsageError,
 )
+from .plugin.fixtures.ethernetip_handles import AsyncEthernetIpDevice, EthernetIpDevice, EthernetIpEntry
 from .plugin.fixtures.modbus_handles import AsyncModbusDevice, ModbusDevice, ModbusEntry
 from .plugin.fixtures.mqtt_handles import AsyncBroker, Broker, MqttEntry
 from .plugin.fixtures.opcua_handles import AsyncOpcUaPlant, OpcUaEntry, OpcUaPlant
@@ -22,6 +23,7 @@ __all__ = [
     "AsyncBacnetDevice",
     "AsyncBroker",
     "AsyncDevice",
+    "AsyncEthernetIpDevice",
     "AsyncModbusDevice",
     "AsyncOpcUaPlant",
     "AsyncS7Device",
@@ -29,6 +31,8 @@ __all__ = [
     "BacnetEntry",
     "Broker",
     "Device",
+    "EthernetIpDevice",
+    "EthernetIpEntry",
     "JournalEntry",
     "KitError",
     "ModbusDevice",

@@ -11,7 +11,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-__all__ = ["BACNET", "CASES", "MODBUS", "MODBUS_TAGS", "MQTT", "OPCUA", "S7", "S7_TAGS", "Case", "Unfit"]
+__all__ = [
+    "BACNET",
+    "CASES",
+    "ETHERNETIP",
+    "ETHERNETIP_ALIASES",
+    "MODBUS",
+    "MODBUS_TAGS",
+    "MQTT",
+    "OPCUA",
+    "S7",
+    "S7_TAGS",
+    "Case",
+    "Unfit",
+]
 
 Tools = Mapping[str, Mapping[str, Any]]
 Fields = Mapping[str, Any]
@@ -538,4 +551,111 @@ S7 = Case(
     concurrent=False,
 )
 
-CASES = (MODBUS, MQTT, OPCUA, S7)
+# -- EtherNet/IP -------------------------------------------------------------------------------------------------
+
+ETHERNETIP_ALIASES: dict[str, dict[str, Any]] = {
+    "valve": {"tag": "ValvePosition", "unit": "%", "writable": True},
+    "manual": {"tag": "Flags.5", "writable": True},
+    "temperature": {"tag": "Temperature", "unit": "degC"},
+}
+_ETHERNETIP_SERVICES = {"ping": "identity", "write_multiple_tags": "multiple"}
+_ONE_TAG = {"tag_name": "ValvePosition"}
+
+
+def _ethernetip_settings(port: int, name: str, folder: Path) -> dict[str, str]:
+    aliases = folder / "aliases.json"
+    aliases.write_text(json.dumps(ETHERNETIP_ALIASES))
+    return {
+        "ETHERNETIP_HOST": "127.0.0.1",
+        "ETHERNETIP_PORT": str(port),
+        "ETHERNETIP_ALIAS_MAP": str(aliases),
+        "ETHERNETIP_CONTROL_ENABLED": "true",
+    }
+
+
+ETHERNETIP = Case(
+    protocol="ethernetip",
+    settings=_ethernetip_settings,
+    prefix="ETHERNETIP",
+    reads={
+        "ping": {},
+        "get_connection_status": {},
+        "get_plc_info": {},
+        "get_plc_time": {},
+        "get_tag_list": {},
+        "read_tag": {"tag_name": "Temperature"},
+        "read_array": {"tag_name": "Levels[2]", "elements": 3},
+        "read_string": {"tag_name": "Message"},
+        "read_multiple_tags": {"tags": ["MotorSpeed", "Flags.3"]},
+        "list_tags": {},
+        "read_tag_by_alias": {"alias": "valve"},
+    },
+    silent=frozenset({"list_tags"}),
+    writes={
+        "write_tag": {**_ONE_TAG, "value": 7},
+        "write_array": {"tag_name": "Counts[3]", "values": [1, -2]},
+        "write_string": {"tag_name": "Message", "value": "stopped"},
+        "write_multiple_tags": {"payloads": [{**_ONE_TAG, "value": 8}, {"tag_name": "PumpEnabled", "value": False}]},
+        "write_tag_by_alias": {"alias": "valve", "value": 9},
+        "set_plc_time": {"time": "2031-05-06T07:08:09"},
+    },
+    probe="ping",
+    write="write_tag",
+    answered=("write_tag", "write_array", "write_string", "write_multiple_tags", "write_tag_by_alias"),
+    requests=lambda tool: {"kind": "request", "service": _ETHERNETIP_SERVICES.get(tool, "write")},
+    rules=lambda tool: {"service": _ETHERNETIP_SERVICES.get(tool, "write")},
+    image=("points",),
+    unfit=(
+        *(
+            Unfit("write_tag", {"tag_name": name, "value": 1}, "invalid_input")
+            for name in (
+                "",
+                "1st",
+                "a b",
+                "Valve-Position",
+                "Levels[]",
+                "Levels[-1]",
+                "Levels[1",
+                "Flags.",
+                ".3",
+                "a..b",
+                "a\n",
+            )
+        ),
+        Unfit("write_tag", {"tag_name": "x" * 201, "value": 1}, "limit_exceeded"),
+        Unfit("write_tag", {**_ONE_TAG, "value": [1]}, "invalid_input"),
+        Unfit("write_tag", {**_ONE_TAG, "value": None}, "invalid_input"),
+        Unfit("write_tag", {**_ONE_TAG, "value": 1, "data_type": "dint"}, "invalid_input"),
+        Unfit("write_tag", {**_ONE_TAG, "value": 1, "data_type": None}, "invalid_input"),
+        Unfit("write_tag", {**_ONE_TAG, "value": 1, "slot": 1}, "invalid_input"),
+        Unfit("write_array", {"tag_name": "Counts", "values": []}, "invalid_input"),
+        Unfit("write_array", {"tag_name": "Counts", "values": [1] * 2001}, "limit_exceeded"),
+        Unfit("write_array", {"tag_name": "Flags.3", "values": [True]}, "invalid_input", in_tool=True),
+        Unfit("write_string", {"tag_name": "Message", "value": 5}, "invalid_input"),
+        Unfit("write_multiple_tags", {"payloads": []}, "invalid_input"),
+        Unfit("write_multiple_tags", {"payloads": [{**_ONE_TAG, "value": 1}] * 51}, "limit_exceeded"),
+        Unfit("write_tag_by_alias", {"alias": "temperature", "value": 1}, "not_writable", in_tool=True),
+        Unfit("write_tag_by_alias", {"alias": "nobody", "value": 1}, "illegal_address", in_tool=True),
+        Unfit("set_plc_time", {"time": "yesterday"}, "invalid_input"),
+        Unfit("set_plc_time", {"time": "1969-12-31T23:59:59"}, "range_overflow"),
+        Unfit("set_plc_time", {}, "invalid_input"),
+        Unfit("read_array", {"tag_name": "Levels", "elements": 0}, "invalid_input"),
+        Unfit("read_array", {"tag_name": "Levels", "elements": 2001}, "limit_exceeded"),
+        Unfit("read_array", {"tag_name": "Flags.3", "elements": 1}, "invalid_input", in_tool=True),
+        Unfit("read_multiple_tags", {"tags": []}, "invalid_input"),
+        Unfit("read_multiple_tags", {"tags": ["MotorSpeed"] * 51}, "limit_exceeded"),
+        Unfit("get_tag_list", {"program": "MainProgram"}, "invalid_input"),
+    ),
+    bad_settings=(
+        ("ETHERNETIP_PORT", "many"),
+        ("ETHERNETIP_SLOT", "17"),
+        ("ETHERNETIP_TIMEOUT_S", "nan"),
+        ("ETHERNETIP_DEADLINE_S", "-1"),
+        ("ETHERNETIP_ALIAS_MAP", "/does/not/exist.json"),
+    ),
+    unknown_host={"ETHERNETIP_HOST": "no-such-host.invalid"},
+    farewell=("forward_close", "unregister", "DISCONNECTED"),
+    concurrent=False,
+)
+
+CASES = (MODBUS, MQTT, OPCUA, S7, ETHERNETIP)

@@ -21,6 +21,7 @@ from typing import Any, Protocol
 import pytest
 import pytest_asyncio
 from asyncua import Client, ua
+from ethernetip_tools import RawEip, cip, symbol
 from mock_program import PATIENCE_S, MockProgram, RefusedError
 from mqtt_tools import connect_bytes, frame, utf8
 from pytest_otmcp.mocks.journal import JournalEntry
@@ -168,6 +169,23 @@ class BacnetClient:
 
     async def close(self) -> None:
         self._transport.close()
+
+
+class EthernetIpClient:
+    """A client for the Logix controller, without a CIP connection."""
+
+    async def open(self, program: MockProgram) -> None:
+        self._raw = RawEip()
+        await self._raw.open(program)
+
+    async def read(self) -> None:
+        await self._raw.unconnected(cip(0x4C, symbol("FanSpeed"), "0100"))
+
+    async def write(self) -> None:
+        await self._raw.unconnected(cip(0x4D, symbol("FanSpeed"), "c400 0100 07000000"))
+
+    async def close(self) -> None:
+        await self._raw.close()
 
 
 class LatchClient(StreamClient):
@@ -358,6 +376,29 @@ CASES = {
             ({"action": {"answer_values": [{"type": "real", "value": "x"}]}}, "as 'answer_values'"),
             ({"action": {"clamp": [2, 1]}}, "the lower one first"),
             ({"object": "analog-input", "action": {"drop": True}}, "such as 'analog-input,1'"),
+        ],
+    ),
+    "ethernetip": Case(
+        client=EthernetIpClient,
+        asked_by_reading="request",
+        asked_by_writing="request",
+        written=("FanSpeed", 7),
+        poke={"tag": "Levels[2]", "value": 8.5},
+        poked=("Levels[2]", 8.5),
+        wrong_pokes=[
+            ({}, "the poke lacks 'tag'"),
+            ({"tag": "Nobody", "value": 1}, "there is no tag 'Nobody'"),
+            ({"tag": ["FanSpeed"], "value": 1}, "there is no tag ['FanSpeed']"),
+            ({"tag": "FanSpeed", "value": True}, "a DINT cannot hold True"),
+            ({"tag": "FanSpeed", "value": [1]}, "a DINT cannot hold [1]"),
+            ({"connection_limit": True}, "connection_limit: expected an integer"),
+        ],
+        fault={"service": "read", "action": {"status": 5}},
+        wrong_rules=[
+            ({"action": {"status": 0}}, "cannot have 0 as 'status': expected an integer from 1 to 255"),
+            ({"service": "wish", "action": {"drop": True}}, "cannot have 'wish' as 'service'"),
+            ({"tag": 7, "action": {"drop": True}}, "cannot have 7 as 'tag'"),
+            ({"action": {"answer_data": "0"}}, "cannot have '0' as 'answer_data'"),
         ],
     ),
     "thirdparty.latches": Case(

@@ -17,6 +17,8 @@ from asyncua import Client
 from asyncua import ua as untyped_ua
 from paho.mqtt import properties as untyped_properties
 from paho.mqtt.subscribeoptions import SubscribeOptions
+from pycomm3 import LogixDriver
+from pylogix import PLC
 from pymodbus.client import AsyncModbusTcpClient
 from pyS7 import S7Client
 from snap7.async_client import AsyncClient
@@ -151,6 +153,41 @@ async def test_two_s7_clients_and_the_mock_agree_with_the_s7_witness() -> None:
         assert len(ours) == (15 if direction == "out" else 16)
         assert ours == others
     assert contradictions("s7", mine) == contradictions("s7", theirs) == []
+
+
+async def test_two_logix_clients_and_the_mock_agree_with_the_ethernetip_witness() -> None:
+    def exchange(port: int) -> None:
+        with PLC("127.0.0.1", port=port) as client:
+            client.Read("Levels", 10)
+            client.Read(["ValvePosition", "Message", "NoSuchTag", "Recipe.Rate"])
+            client.Write([("HeaterPower", 5), ("Locked", 3)])
+            client.Write("Flags.3", 1)
+            client.Write("Message", "hello")
+            client.GetTagList()
+            client.SetPLCTime(0)
+            client.GetModuleProperties(0)
+            client.conn.msg_socket.close()
+        with LogixDriver(f"127.0.0.1:{port}/0") as peer:
+            peer.read("Levels{3}", "PumpEnabled", "Recipe", "Program:MainProgram.Step", "Counts{64}")
+            peer.write("ValvePosition", 31)
+            peer.write(("HeaterPower", 5), ("Locked", 3), ("Flags.4", True))
+            peer.get_module_info(0)
+
+    async with tapped("ethernetip") as (device, tap):
+        await asyncio.to_thread(exchange, tap.port)
+        # Each change between messages with and without a CIP connection makes a new TCP connection of pylogix.
+        count = len([entry for entry in tap.journal.since(0) if entry["kind"] == "CONNECTED"])
+        await tap.journal.wait(0, {"kind": "DISCONNECTED"}, count, 60.0)
+        assert len(await device.wait(0, {"kind": "DISCONNECTED"}, count=count, timeout_s=60.0)) == count
+        mine, theirs = tap.journal.since(0), (await device.journal(0)).entries
+    for direction in ("in", "out"):
+        ours, others = (
+            [entry for entry in comparable(entries) if entry["direction"] == direction] for entries in (mine, theirs)
+        )
+        assert len(ours) > 40
+        assert ours == others
+    assert {entry.get("service") for entry in mine} >= {"read", "write", "modify", "multiple", "tag_list", "template"}
+    assert contradictions("ethernetip", mine) == contradictions("ethernetip", theirs) == []
 
 
 def _paho(protocol: int, port: int, connected: asyncio.Event) -> Any:

@@ -15,7 +15,7 @@ from pydantic import create_model, field_validator
 from ...core import AdapterServer, Call
 from ..mutant import Bend, Data, Handler, Mutant, each, on, wrap
 
-__all__ = ["cut_off", "declared", "last_answer", "merged", "module_of", "stripped"]
+__all__ = ["altered", "cut_off", "declared", "last_answer", "merged", "module_of", "stripped"]
 
 _GATHERED_S = 0.02
 """Seconds for which an adapter gathers writes to one target: longer than the kit takes to send both."""
@@ -94,13 +94,19 @@ def merged(tool: str, target: Callable[[Any], Hashable], answer: Callable[[Any],
 def cut_off(tool: str, argument: str, bits: int) -> Bend:
     """Return the defect that of a whole number of any size only the last bits count."""
 
-    def masked(cls: Any, value: Any) -> Any:
-        return value & (1 << bits) - 1 if type(value) is int else value
+    return altered(tool, argument, lambda value: value & (1 << bits) - 1 if type(value) is int else value)
+
+
+def altered(tool: str, argument: str, change: Callable[[Any], Any]) -> Bend:
+    """Return the defect that an argument is changed before it is checked."""
+
+    def changed(cls: Any, value: Any) -> Any:
+        return change(value)
 
     def bend(server: AdapterServer) -> None:
-        check: Any = field_validator(argument, mode="before")(classmethod(masked))
+        check: Any = field_validator(argument, mode="before")(classmethod(changed))
         genuine = server._tools[tool].model
-        model = create_model(genuine.__name__, __base__=genuine, __validators__={"cut": check})
+        model = create_model(genuine.__name__, __base__=genuine, __validators__={"altered": check})
         wrap(server, tool, lambda handler: handler, model=model)
 
     return bend

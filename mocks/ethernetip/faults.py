@@ -1,0 +1,147 @@
+"""The fault plan of the controller: which request gets which fault."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from ..fault_rules import FLAG, SKIP, TEXT, Field, Plan, Table, integer, number, one_of
+from ..network import AT_ONCE, MANNERS, Manner
+
+__all__ = ["TABLE", "FaultPlan", "Rule"]
+
+_HEX = re.compile("(?:[0-9a-f]{2}){0,400}")
+_CONNECTING = ("register", "forward_open", "forward_close")
+TABLE = Table(
+    conditions={
+        "service": one_of(
+            *_CONNECTING,
+            *(
+                "list_identity",
+                "read",
+                "write",
+                "modify",
+                "tag_list",
+                "template",
+                "identity",
+                "clock",
+                "set_clock",
+                "multiple",
+            ),
+            "other",
+        ),
+        "tag": TEXT,
+        "skip": SKIP,
+    },
+    actions={
+        "status": integer(1, 0xFF),
+        "extended": integer(0, 0xFFFF),
+        "encapsulation": integer(1, 0xFFFF),
+        "delay_s": number(0, 3600),
+        "drop": FLAG,
+        "garbage": FLAG,
+        "truncate": integer(0, 1024),
+        "close": FLAG,
+        "reset": FLAG,
+        "ack_only": FLAG,
+        "sequence": integer(-0xFFFF, 0xFFFF),
+        "context": integer(0, 0xFF),
+        "connection": integer(-0xFFFF, 0xFFFF),
+        "answer_service": integer(0, 0xFF),
+        "answer_type": integer(0, 0xFFFF),
+        "answer_data": Field(
+            accepts=lambda value: isinstance(value, str) and bool(_HEX.fullmatch(value)),
+            expected="at most 400 bytes as hexadecimal digits",
+        ),
+        "length": integer(-1000, 1000),
+        **MANNERS,
+    },
+    example="{'drop': true}",
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rule:
+    """One rule: conditions (None matches everything), how often it applies, and what happens.
+
+    Attributes:
+        service: what is asked for, by the request or by one of the services that it holds.
+        tag: name of the tag that this service is for, without its program's if it is not the program's.
+        skip: so many requests that fit pass first.
+        times: applied at most this often, None without limit.
+        action: the action as it was given, for the journal.
+        status, extended: not executed; general status, and the word that follows, of the services that fit.
+        encapsulation: not executed; status of the encapsulation header, without data.
+        delay_s: answer this many seconds later; later requests are not delayed by it.
+        drop: execute, but do not answer.
+        garbage: execute, answer with bytes that are no frame.
+        truncate: send only this many bytes of the answer.
+        close, reset: execute, then close the connection, or reset it.
+        ack_only: acknowledge a write without doing it.
+        sequence: added to the sequence count of a connected answer.
+        context: the first byte of the sender context is changed in these bits.
+        connection: added to the connection id of a connected answer.
+        answer_service: service code of the answer.
+        answer_type, answer_data: type code and bytes with which a read is answered.
+        length: added to the length of the encapsulation header; the bytes stay.
+        manner: how the answer travels, see :class:`~..network.Manner`.
+    """
+
+    service: str | None = None
+    tag: str | None = None
+    skip: int = 0
+    times: int | None = None
+    action: Mapping[str, Any] = field(default_factory=dict)
+    status: int | None = None
+    extended: int | None = None
+    encapsulation: int | None = None
+    delay_s: float = 0.0
+    drop: bool = False
+    garbage: bool = False
+    truncate: int | None = None
+    close: bool = False
+    reset: bool = False
+    ack_only: bool = False
+    sequence: int = 0
+    context: int = 0
+    connection: int = 0
+    answer_service: int | None = None
+    answer_type: int | None = None
+    answer_data: bytes | None = None
+    length: int = 0
+    manner: Manner = AT_ONCE
+
+    def fits(self, item: Mapping[str, Any], tag: str | None) -> bool:
+        """Tell whether a service is one that the rule is about.
+
+        Args:
+            item: as the journal has it.
+            tag: name of the tag that it is for.
+        """
+        # Connecting is spared by a rule that does not name it.
+        named = self.service == item["asks"] or (self.service is None and item["asks"] not in _CONNECTING)
+        return named and self.tag in (None, tag)
+
+
+class FaultPlan(Plan[Rule]):
+    """The plan that the rules of the control channel make.
+
+    Raises:
+        ValueError: a rule is not understood.
+    """
+
+    def __init__(self, rules: list[dict[str, Any]]) -> None:
+        super().__init__([_read(rule) for rule in rules])
+
+    def match(self, asked: list[tuple[Mapping[str, Any], str | None]]) -> Rule | None:
+        """Return the rule that applies to a request with these services and tags, if any; count it."""
+        return self.first(lambda rule: any(rule.fits(item, tag) for item, tag in asked))
+
+
+def _read(source: Mapping[str, Any]) -> Rule:
+    values = TABLE.read(source)
+    if "answer_data" in values:
+        values["answer_data"] = bytes.fromhex(values["answer_data"])
+    return Rule(action=dict(source["action"]), manner=Manner.of(values), **values)

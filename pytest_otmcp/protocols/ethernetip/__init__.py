@@ -1,0 +1,1 @@
+"""EtherNet/IP with the tags of Logix controllers: description, operations, decoder and oracles."""
