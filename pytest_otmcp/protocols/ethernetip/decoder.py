@@ -16,7 +16,7 @@ from ..journal import JournalEntry
 from ..reread import difference
 from .message import asked_of, results_of, unwrapped
 
-__all__ = ["EthernetIpConversation", "contradiction", "frame_length"]
+__all__ = ["ANSWERS", "EthernetIpConversation", "contradiction", "frame_length"]
 
 NOP, LIST_IDENTITY, REGISTER, UNREGISTER, UNCONNECTED, CONNECTED = 0x00, 0x63, 0x65, 0x66, 0x6F, 0x70
 
@@ -24,7 +24,7 @@ _HEADER = struct.Struct("<HHII8sI")
 _LONGEST = 0x1FFF
 _KEPT = 300
 _SESSION = ("forward_open", "forward_close")
-_ANSWERS = {"request": "response", "register": "register_response", "list": "list_response"} | {
+ANSWERS = {"request": "response", "register": "register_response", "list": "list_response"} | {
     kind: f"{kind}_response" for kind in _SESSION
 }
 
@@ -89,7 +89,7 @@ class EthernetIpConversation:
             return Message(direction="out", kind=kind, fields=fields)
         if asked.kind != "register" and "service" in asked.fields:
             fields["service"] = asked.fields["service"]
-        kind = _ANSWERS[asked.kind]
+        kind = ANSWERS[asked.kind]
         if kind == "forward_open_response" and not fields.get("status") and fields.get("items"):
             own, peer = struct.unpack_from("<II", bytes.fromhex(fields["items"][0].get("data", "")).ljust(8, b"\0"))
             self._peers[own] = peer
@@ -165,9 +165,9 @@ def contradiction(entry: JournalEntry) -> str | None:
     members: Mapping[str, Any] = dict(entry)
     incoming = entry["direction"] == "in"
     # What came in with a frame is told by the frame, whatever the entry says; what went out may have been damaged on the way.
-    if "frame" not in members and entry["kind"] not in _ANSWERS | dict.fromkeys(_ANSWERS.values()):
-        return None
-    if not incoming and entry["kind"] not in _ANSWERS.values():
+    if "frame" not in members and entry["kind"] not in ANSWERS | dict.fromkeys(ANSWERS.values()):
+        return "is called a request, and has no frame" if entry["request"] else None
+    if not incoming and entry["kind"] not in ANSWERS.values():
         return None
     try:
         raw = bytes.fromhex(members["frame"])
