@@ -98,13 +98,13 @@ def _derived(
     run = condensed(stored)
     tasks = tasks_by_id(run["subject"]["adapters"], run["settings"]["suites"])
     why_none = objections(run, tasks)
-    _refuse(f"{path} contradicts itself", list(settings_faults(run["settings"])))
     if certified is not None:
         _refuse(f"{path} earns no certificate", why_none)
         expected = certificate(run, stored.sha256, tasks)
         _refuse(f"{certified.name} does not say what the run says", list(differences(told, expected)))
     else:
         _refuse(f"{path} contradicts itself", [*clock_faults(run, run["items"]), *_wrong_verdict(run, tasks)])
+    _refuse(f"{path} contradicts itself", list(settings_faults(run["settings"])))
     if subject is not None:
         read = load_subject(subject, run=False)
         _refuse(f"{path} is not about {subject}", list(comparison.differences(read, run["subject"])))
