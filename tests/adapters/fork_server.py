@@ -34,6 +34,7 @@ _PRELOADED = (
     "core.run",
     "core.stdio",
     "bacnet.adapter",
+    "dnp3.adapter",
     "modbus.adapter",
     "mqtt.adapter",
     "opcua.adapter",
