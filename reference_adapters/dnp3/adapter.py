@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ..core import AdapterServer, Environment
-from .aliases import load_aliases
+from .aliases import Alias
 from .link import Link
 from .shapes import LAST_ADDRESS
 from .tools import Tools
@@ -22,7 +22,7 @@ def build() -> AdapterServer:
     port = environment.whole("DNP3_PORT", 20000, 1, 65535)
     outstation = environment.whole("DNP3_OUTSTATION_ADDRESS", 10, 0, LAST_ADDRESS)
     master = environment.whole("DNP3_MASTER_ADDRESS", 1, 0, LAST_ADDRESS)
-    aliases = load_aliases(environment.optional("DNP3_ALIAS_MAP"))
+    aliases = environment.entries("DNP3_ALIAS_MAP", Alias)
     writes_enabled = environment.writes_enabled("DNP3_WRITES_ENABLED")
     link = Link(
         host,

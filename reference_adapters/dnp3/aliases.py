@@ -10,16 +10,14 @@ An alias can be written where it says so. ``data_type`` is the variation in whic
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from ..core import ConfigError
 from .commands import AnalogType
 from .shapes import LAST_ADDRESS
 
-__all__ = ["Alias", "PointType", "load_aliases"]
+__all__ = ["Alias", "PointType"]
 
 PointType = Literal["binary_input", "binary_output", "counter", "analog_input", "analog_output", "octet_string"]
 _WRITABLE = ("binary_output", "analog_output", "octet_string")
@@ -46,21 +44,3 @@ class Alias(BaseModel):
         if self.data_type is None and self.point_type == "analog_output" and self.writable:
             raise ValueError("an analog output that can be written needs a data type")
         return self
-
-
-def load_aliases(path: str | None) -> dict[str, Alias]:
-    """Read the alias map; without a path there are no aliases.
-
-    Raises:
-        ConfigError: the file cannot be read or is not an alias map.
-    """
-    if path is None:
-        return {}
-    try:
-        return TypeAdapter(dict[str, Alias]).validate_json(Path(path).read_bytes())
-    except OSError as error:
-        raise ConfigError(f"DNP3_ALIAS_MAP: {path} cannot be read: {error.strerror}") from None
-    except ValidationError as error:
-        fault = error.errors(include_url=False, include_input=False)[0]
-        place = "/".join(map(str, fault["loc"]))
-        raise ConfigError(f"DNP3_ALIAS_MAP: {path}: {place or 'the file'}: {fault['msg']}") from None

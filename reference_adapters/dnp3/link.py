@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import ipaddress
-import socket
 from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
 from typing import TypeVar
@@ -12,7 +10,7 @@ from typing import TypeVar
 from dnp3.core.enums import FunctionCode
 from dnp3.core.flags import IIN
 
-from ..core import AdapterError, Call
+from ..core import AdapterError, Call, resolve
 from .connection import Connection, Lost, Response
 from .objects import BadReply, Point
 from .refusals import refused
@@ -188,7 +186,7 @@ class Link:
             return existing
         self._drop()
         call.disconnected()
-        await self._resolve()
+        await resolve(self._host, self._port)
         connection = Connection(self._master, self._known, self._keep)
         try:
             async with asyncio.timeout(self._timeout_s):
@@ -201,16 +199,6 @@ class Link:
         self._generation += 1
         call.connection(generation=self._generation, fresh=True)
         return connection
-
-    async def _resolve(self) -> None:
-        try:
-            ipaddress.ip_address(self._host)
-        except ValueError:
-            try:
-                await asyncio.get_running_loop().getaddrinfo(self._host, self._port, type=socket.SOCK_STREAM)
-            except socket.gaierror:
-                message = f"the host name {self._host} cannot be resolved"
-                raise AdapterError("dns_error", message, outcome="not_sent") from None
 
     def _drop(self) -> None:
         connection, self._connection = self._connection, None
