@@ -11,6 +11,7 @@ from .plugin.fixtures.device_handles import (
     SubjectError,
     UsageError,
 )
+from .plugin.fixtures.dnp3_handles import AsyncDnp3Device, Dnp3Device, Dnp3Entry
 from .plugin.fixtures.modbus_handles import AsyncModbusDevice, ModbusDevice, ModbusEntry
 from .plugin.fixtures.mqtt_handles import AsyncBroker, Broker, MqttEntry
 from .plugin.fixtures.opcua_handles import AsyncOpcUaPlant, OpcUaEntry, OpcUaPlant
@@ -22,6 +23,7 @@ __all__ = [
     "AsyncBacnetDevice",
     "AsyncBroker",
     "AsyncDevice",
+    "AsyncDnp3Device",
     "AsyncModbusDevice",
     "AsyncOpcUaPlant",
     "AsyncS7Device",
@@ -29,6 +31,8 @@ __all__ = [
     "BacnetEntry",
     "Broker",
     "Device",
+    "Dnp3Device",
+    "Dnp3Entry",
     "JournalEntry",
     "KitError",
     "ModbusDevice",
