@@ -29,6 +29,7 @@ __all__ = [
     "selected_first",
     "some_exchange",
     "status_sent",
+    "told_off_line",
 ]
 
 _WITNESS = Witness(noun="the outstation", describe=describe)
@@ -203,3 +204,16 @@ def _no_refusal(what: str, sent: object) -> Finding:
         message=f"the outstation should have refused with {what}, its answers had {sent or 'none'}",
         requirement="ERR-002",
     )
+
+
+def told_off_line(flags: object, label: str) -> list[Finding]:
+    """Expect that the flags of one point, which is off line, are told: lists of names, without ONLINE among them."""
+    if isinstance(flags, list) and len(flags) == 1 and isinstance(flags[0], list) and "ONLINE" not in flags[0]:
+        return []
+    return [
+        Finding(
+            code="quality_lost",
+            message=f"{label}: the point is off line, and the reply tells its value with success and the flags {flags!r}",
+            requirement="RD-001",
+        )
+    ]
