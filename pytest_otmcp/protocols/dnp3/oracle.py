@@ -200,7 +200,7 @@ def status_sent(entries: Entries, status: int) -> list[Finding]:
 
 def _no_refusal(what: str, sent: object) -> Finding:
     return Finding(
-        code="not_refused",
+        code="no_refusal",
         message=f"the outstation should have refused with {what}, its answers had {sent or 'none'}",
         requirement="ERR-002",
     )
