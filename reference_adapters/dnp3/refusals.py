@@ -16,9 +16,9 @@ _INDICATIONS = (
     (IIN.ALREADY_EXECUTING, "device_busy", "the outstation is executing such a request already"),
 )
 _STATUSES = {
-    1: ("timeout", "rejected", "the time between select and operate was too long"),
-    2: ("protocol_error", "rejected", "the outstation says that nothing was selected before"),
-    3: ("protocol_error", "rejected", "the outstation says that the command has a wrong form"),
+    1: ("session_error", "rejected", "the time between select and operate was too long; send the command again"),
+    2: ("session_error", "rejected", "the outstation says that nothing was selected before; send the command again"),
+    3: ("protocol_error", "unknown", "the outstation says that the command has a wrong form"),
     4: ("unsupported_operation", "rejected", "the point does not exist, or does not take this control code"),
     5: ("device_busy", "rejected", "the point is already active"),
     6: ("device_failure", "unknown", "the outstation reports a hardware fault"),
