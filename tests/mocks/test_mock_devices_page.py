@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 import pytest
+from pytest_otmcp.mocks.dnp3 import faults as dnp3
 from pytest_otmcp.mocks.modbus import faults as modbus
 from pytest_otmcp.mocks.mqtt import faults as mqtt
 from pytest_otmcp.mocks.network import CONDITIONS
@@ -18,7 +19,7 @@ from conftest import StartMock
 
 PAGE = (Path(__file__).parents[2] / "docs" / "mock-devices.md").read_text(encoding="utf-8")
 SECTIONS = dict(re.findall(r"^### (.+?)\n(.*?)(?=^##|\Z)", PAGE, re.MULTILINE | re.DOTALL))
-TABLES = {"Modbus": modbus.TABLE, "MQTT": mqtt.TABLE, "OPC UA": opcua.TABLE, "S7comm": s7.TABLE}
+TABLES = {"Modbus": modbus.TABLE, "MQTT": mqtt.TABLE, "OPC UA": opcua.TABLE, "S7comm": s7.TABLE, "DNP3": dnp3.TABLE}
 ANY = SECTIONS["Any TCP device"]
 
 
@@ -39,7 +40,8 @@ def test_every_set_of_nodes_and_every_condition_of_the_network_is_on_the_page() 
 
 @pytest.mark.asyncio
 @pytest.mark.parametrize(
-    ("protocol", "mock"), [("Modbus", "modbus"), ("MQTT", "mqtt"), ("OPC UA", "opcua"), ("S7comm", "s7")]
+    ("protocol", "mock"),
+    [("Modbus", "modbus"), ("MQTT", "mqtt"), ("OPC UA", "opcua"), ("S7comm", "s7"), ("DNP3", "dnp3")],
 )
 async def test_every_example_is_understood(start_mock: StartMock, protocol: str, mock: str) -> None:
     found = examples(SECTIONS[protocol])
