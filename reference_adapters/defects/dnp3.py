@@ -122,7 +122,7 @@ MUTANTS = (
         sentence="Analog inputs are counted from 1: each index is the one of the point before.",
         bend=index_from_1,
         items="D2 D7 FD1 FD5 SD1 SD3 SD4",
-        requirements="RD-001",
+        requirements="RD-001 RD-004",
     ),
     Mutant(
         id="MU-02dnp",
@@ -130,7 +130,7 @@ MUTANTS = (
         sentence="The binary output beside the one that was asked for is operated, and told as the right one.",
         bend=neighbour_operated,
         items="D3 D4 D6 FD4 FD6",
-        requirements="ADR-001 WR-002",
+        requirements="ADR-001 ERR-002 WR-001 WR-002",
     ),
     Mutant(
         id="MU-07dnp",
@@ -146,7 +146,7 @@ MUTANTS = (
         sentence="Every answer to a command is success: the status in the echo of its object is not looked at.",
         bend=any_answer_is_success,
         items="D6 FD2 FD3 FD6",
-        requirements="ERR-002 WR-001",
+        requirements="ENV-007 ERR-002 ERR-006 WR-001",
     ),
     Mutant(
         id="MU-20dnp",
@@ -181,7 +181,7 @@ MUTANTS = (
         requirements="RD-001",
     ),
     Mutant(
-        id="MU-123dnp",
+        id="MU-123u",
         protocol="dnp3",
         sentence="What the outstation tells unasked is confirmed, and nobody is told of it.",
         bend=told_to_nobody,
