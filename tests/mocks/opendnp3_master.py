@@ -3,7 +3,7 @@
 It is a program of its own because the threads of its C++ library must not outlive a test.
 """
 
-# mypy: disable-error-code="attr-defined, import-not-found, misc, no-untyped-call"
+# mypy: disable-error-code="attr-defined, import-untyped, misc, no-untyped-call"
 
 from __future__ import annotations
 

@@ -204,7 +204,7 @@ async def test_unsolicited_responses_come_to_who_wants_them_and_once_until_they_
 
 # -- operating ------------------------------------------------------------------------------------------------
 
-STATUSES = {
+STATUSES: dict[str, tuple[str, int, dict[str, Any]]] = {
     "a latch": (crob(2, 3), 0, {"binary_output/2": True}),
     "a latch off": (crob(2, 4), 0, {}),
     "a latch, no time": (crob(2, 3, count=0), 0, {}),

@@ -43,7 +43,7 @@ LATCH = "0c01 28 0100 0200 03 01 64000000 64000000 00"
 SETPOINT = "2903 17 01 00 00004841 00"
 
 
-def entries(*frames: tuple[Direction, bytes], connection: int = 1) -> list[Any]:
+def entries(*frames: tuple[Direction, bytes]) -> list[Any]:
     """Return the journal that the decoder makes of frames."""
     conversation = Dnp3Conversation()
     found: list[Any] = []
@@ -52,11 +52,15 @@ def entries(*frames: tuple[Direction, bytes], connection: int = 1) -> list[Any]:
         for message in conversation.decode(direction, frame):
             seq = len(found)
             known[message] = seq
-            contract = {"seq": seq, "t_ns": seq, "connection": connection, "direction": direction, "origin": "client"}
+            contract = {"seq": seq, "t_ns": seq, "connection": 1, "direction": direction, "origin": "client"}
             said = {"kind": message.kind, "request": message.request, "state_changing": message.state_changing}
             answers = None if message.answers is None else known[message.answers]
             found.append({**contract, **said, "answers": answers, **message.fields})
     return found
+
+
+def altered(entry: Any, **members: object) -> Any:
+    return {**entry, **members}
 
 
 def test_a_read_and_its_response_are_one_exchange() -> None:
@@ -199,7 +203,7 @@ def test_what_keeps_the_session_changes_nothing(fragment: str, changing: bool) -
     assert (asked["request"], asked["state_changing"]) == (True, changing)
     assert bool(oracle.no_state_changing_request([asked])) == changing
     assert contradiction(asked) is None
-    assert contradiction({**asked, "state_changing": not changing}) is not None
+    assert contradiction(altered(asked, state_changing=not changing)) is not None
 
 
 def test_a_selection_and_its_operation_are_one_change() -> None:
@@ -280,11 +284,11 @@ def test_an_entry_that_says_something_else_than_its_fragment_is_contradicted() -
     (asked,) = entries(("in", sent("c303" + LATCH)))
     asked["objects"][0]["points"][0]["index"] = 3
     assert "says objects" in str(contradiction(asked))
-    assert "has no fragment" in str(contradiction({**asked, "apdu": "zz"}))
-    assert "has no fragment" in str(contradiction({**asked, "apdu": "c0"}))
+    assert "has no fragment" in str(contradiction(altered(asked, apdu="zz")))
+    assert "has no fragment" in str(contradiction(altered(asked, apdu="c0")))
     (confirm,) = entries(("in", sent("c700")))
-    assert contradiction({**confirm, "kind": "noise"}) is not None
-    assert contradiction({**confirm, "kind": "garbage", "direction": "out"}) is None
+    assert contradiction(altered(confirm, kind="noise")) is not None
+    assert contradiction(altered(confirm, kind="garbage", direction="out")) is None
 
 
 def test_what_goes_to_another_outstation_is_described_so() -> None:
