@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable
 from functools import partial
+from importlib import import_module
 from typing import Any
 
 from ...core import AdapterServer
 from ..any_protocol import guard_after_sending
 from ..claims import local_time
-from ..mutant import Data, Mutant, failing, told
-from ..refusals import _end
+from ..mutant import Data, Mutant, told
 from .enc import as_zero
 from .further import cut_off, declared, last_answer, merged, module_of, stripped
 
@@ -48,6 +50,16 @@ def _numbers_from_texts(server: AdapterServer) -> None:
     tools._holds = lambda alias, objects, value: lambda point: True
 
 
+def _ends_on_a_wrong_checksum(server: AdapterServer) -> None:
+    parser = import_module("dnp3.datalink.parser")
+    for name in ("_validate_header_crc", "_validate_data_block_crc"):
+        setattr(parser, name, _or_ends(getattr(parser, name)))
+
+
+def _or_ends(check: Callable[[bytes], bool]) -> Callable[[bytes], bool]:
+    return lambda content: check(content) or os._exit(1)
+
+
 def _positive(data: Data) -> Data:
     return {**data, "points": [{**point, "value": abs(point["value"])} for point in data["points"]]}
 
@@ -71,8 +83,8 @@ MUTANTS: tuple[Mutant, ...] = (
     _mutant(
         "MU-04dnp",
         "rd",
-        "RD-001",
-        "RD-001",
+        "RD-001 RD-004",
+        "RD-001 RD-004",
         told(_READ, change=_positive),
         "An analog input is read without its sign.",
     ),
@@ -153,7 +165,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "res",
         "RES-003",
         "MCP-007",
-        failing(change=_end),
-        "A DNP3 answer that cannot be read ends the adapter.",
+        _ends_on_a_wrong_checksum,
+        "A DNP3 frame with a wrong checksum ends the adapter.",
     ),
 )
