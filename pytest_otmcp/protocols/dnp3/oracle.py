@@ -189,18 +189,18 @@ def iin_sent(entries: Entries, bit: int) -> list[Finding]:
     sent = [as_dnp3(entry).get("iin", 0) for entry in entries if entry["kind"] == "response"]
     if any(iin & bit for iin in sent):
         return []
-    return [_no_refusal(f"the internal indication {bit:04X}", [f"{iin:04X}" for iin in sent])]
+    return [_no_rejection(f"the internal indication {bit:04X}", [f"{iin:04X}" for iin in sent])]
 
 
 def status_sent(entries: Entries, status: int) -> list[Finding]:
     """Expect that the outstation answered a command with this status."""
     sent = [one["status"] for entry in entries if entry["kind"] == "response" for one in commands(entry)]
-    return [] if status in sent else [_no_refusal(f"the status {status}", sent)]
+    return [] if status in sent else [_no_rejection(f"the status {status}", sent)]
 
 
-def _no_refusal(what: str, sent: object) -> Finding:
+def _no_rejection(what: str, sent: object) -> Finding:
     return Finding(
-        code="no_refusal",
+        code="no_rejection",
         message=f"the outstation should have refused with {what}, its answers had {sent or 'none'}",
         requirement="ERR-002",
     )
