@@ -439,8 +439,8 @@ async def set_beyond_the_limit(run: Repetition, dnp3: Rig) -> None:
     Seen: the selection, which the outstation answers with status 12, or nothing; every point stays as it was.
     Why: a refused setpoint that is told as written is worse than none.
     """
-    inputs = {"operation": "write_alias", "name": LIMITED, "value": 1e9}
-    await _refused(run, dnp3, OUT_OF_RANGE, "illegal_value", "range_overflow", **inputs)
+    codes = ("illegal_value", "range_overflow")
+    await _refused(run, dnp3, OUT_OF_RANGE, *codes, operation="write_alias", name=LIMITED, value=1e9)
 
 
 @set_beyond_the_limit.after
