@@ -7,18 +7,15 @@ them ends the connection, so that it is not overlooked.
 from __future__ import annotations
 
 import asyncio
-import socket
 import time
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from ..device import Device
-from ..endpoint import OpenEndpoint
 from ..journal import Direction
-from ..network import Link, Network
+from ..network import Link
 from ..peer import process_of
+from ..tcp_device import TcpDevice
 from .faults import FaultPlan, Rule
 from .link import (
     ACK,
@@ -35,11 +32,12 @@ from .link import (
     frame_length,
     segments,
 )
-from .objects import INDEX8, INDEX16, START_STOP8, START_STOP16, IllegalObject, headers
+from .objects import IllegalObject, headers
 from .outstation import Answer, Session, execute, unsolicited
 from .plant import Plant
 from .pokes import CLASSES, poke
 from .requests import BROADCASTS, CONFIRM, DIRECT_OPERATE_NR, READ, Request
+from .tampering import altered, falsified
 
 __all__ = ["ADDRESS", "Dnp3Device"]
 
@@ -52,7 +50,7 @@ def _now_ms() -> int:
     return time.time_ns() // 1_000_000
 
 
-class Dnp3Device(Device):
+class Dnp3Device(TcpDevice):
     """An outstation with the link address 10, for masters of any address."""
 
     protocol = "dnp3"
@@ -61,23 +59,10 @@ class Dnp3Device(Device):
         super().__init__()
         self.plant = Plant()
         self.faults = FaultPlan([])
-        self.network = Network(self.journal)
-        self._server: asyncio.Server | None = None
-        self.connections = 0
         self.open: set[_Connection] = set()
 
-    async def serve(self, endpoints: Mapping[str, OpenEndpoint]) -> None:
-        listener = endpoints["dnp3"]
-        assert isinstance(listener, socket.socket)
-        loop = asyncio.get_running_loop()
-        self._server = await loop.create_server(
-            self.network.protocol(lambda: _Connection(self)), sock=listener, backlog=128
-        )
-
-    async def aclose(self) -> None:
-        if self._server is not None:
-            self._server.close()
-        self.network.close()
+    def connection(self) -> asyncio.Protocol:
+        return _Connection(self)
 
     def image(self) -> dict[str, Any]:
         """Return what :meth:`.plant.Plant.image` returns."""
@@ -216,7 +201,7 @@ class _Connection(asyncio.Protocol):
             return
         frame = LinkFrame(function=function, primary=False, from_master=False, destination=master, source=ADDRESS)
         raw = frame.encoded()
-        self._write(raw if rule is None else _altered(rule, raw), rule, "link_answer", asked, link_function=function)
+        self._write(raw if rule is None else altered(rule, raw), rule, "link_answer", asked, link_function=function)
 
     # -- application layer --------------------------------------------------------------------------------------
 
@@ -257,7 +242,7 @@ class _Connection(asyncio.Protocol):
         if rule is None:
             self._send(answer, asked)
         else:
-            self._misbehave(rule, partial(self._send, _falsified(rule, answer), asked, rule))
+            self._misbehave(rule, partial(self._send, falsified(rule, answer), asked, rule))
 
     def _executed(self, request: Request, rule: Rule | None, repeated: bool) -> Answer:
         """Return the answer to a request, which is executed unless it has been: a master that misses an answer sends the same request
@@ -325,7 +310,7 @@ class _Connection(asyncio.Protocol):
                 "source": rule.answer_source,
             }
             fields |= {name: value for name, value in changed.items() if value is not None}
-            raw = _altered(rule, raw)
+            raw = altered(rule, raw)
         self._write(raw, rule, "unsolicited" if answer.unsolicited else "response", asked, **fields)
 
     def _write(self, raw: bytes, rule: Rule | None, kind: str, asked: int | None, **fields: Any) -> None:
@@ -365,23 +350,3 @@ def _described(objects: bytes) -> list[dict[str, Any]]:
         return [header.described() for header in headers(objects, with_objects=True)]
     except IllegalObject:
         return []
-
-
-def _altered(rule: Rule, raw: bytes) -> bytes:
-    """Return the bytes that a rule makes of a frame."""
-    if rule.length:
-        raw = raw[:2] + bytes([(raw[2] + rule.length) & 0xFF]) + raw[3:]
-    return raw[: rule.truncate]
-
-
-def _falsified(rule: Rule, answer: Answer) -> Answer:
-    """Return the answer that a rule makes of a right one."""
-    objects = answer.objects if rule.answer_objects is None else rule.answer_objects
-    if rule.answer_index and len(objects) > 5:
-        changed = bytearray(objects)
-        # Where the first header has its indexes: both ends of a range, or before its first object.
-        places = {START_STOP8: (3, 4), START_STOP16: (3, 5), INDEX8: (4,), INDEX16: (5,)}.get(objects[2], ())
-        for place in places:
-            changed[place] = (changed[place] + rule.answer_index) & 0xFF
-        objects = bytes(changed)
-    return replace(answer, sequence=(answer.sequence + rule.sequence) & 0x0F, objects=objects)
