@@ -103,8 +103,8 @@ def quality_dropped(server: AdapterServer) -> None:
     objects = _module("objects")
     objects.Point.is_reliable = property(lambda point: True)
     tools = _module("tools")
-    shown = tools._shown
-    tools._shown = lambda point: {**shown(point), "flags": None}
+    shown = tools.shown
+    tools.shown = lambda point: {**shown(point), "flags": None}
 
 
 def nothing_confirmed(server: AdapterServer) -> None:

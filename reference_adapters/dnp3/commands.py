@@ -32,6 +32,8 @@ _CODES = {"latch_on": 0x03, "latch_off": 0x04, "pulse_on": 0x01, "close": 0x41, 
 ON_CODES = ("latch_on", "pulse_on", "close")
 """Control codes that switch something on; the others switch it off."""
 _ANALOG = {"int32": (1, "<i"), "int16": (2, "<h"), "float32": (3, "<f"), "float64": (4, "<d")}
+ANALOG_VARIATIONS = {kind: variation for kind, (variation, _) in _ANALOG.items()}
+"""Variations of analog output blocks (g41) and, the same, of analog output statuses (g40)."""
 _CROB, _ANALOG_BLOCK, _OCTETS = 12, 41, 110
 _LONGEST = 255
 

@@ -13,7 +13,9 @@ from datetime import UTC, datetime, timedelta
 
 from dnp3.application.fragment import ObjectBlock
 from dnp3.application.qualifiers import RangeCode
+from dnp3.objects.base import DNP3Object
 from dnp3.objects.layout import PointKind, TimeKind, ValueCodec, WireLayout, layout_for
+from dnp3.objects.registry import register
 
 from ..core import special_name
 
@@ -39,6 +41,15 @@ _FURTHER_FLAGS = {
 }
 _UNRELIABLE = frozenset({"RESTART", "COMM_LOST", *_ANALOG})
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
+
+@register
+class TimeAndInterval(DNP3Object):
+    """A time with an interval (g50v4), which opendnp3 has among its class 0 data and dnp3py does not know (0.6.0): the objects behind it
+    could not be found. It is no point, so nothing is read from it."""
+
+    GROUP, VARIATION, SIZE = 50, 4, 11
+
 
 PlainValue = bool | int | float | str | None
 
@@ -104,6 +115,8 @@ def points_of(blocks: Sequence[ObjectBlock]) -> list[Point]:
     for block in blocks:
         group, variation = block.header.group, block.header.variation
         layout = layout_for(group, variation)
+        if (group, variation) == (TimeAndInterval.GROUP, TimeAndInterval.VARIATION):
+            continue
         if layout is None:
             raise BadReply(f"it holds objects of group {group}, variation {variation}, which are not known")
         for index, content in _objects(block, layout):

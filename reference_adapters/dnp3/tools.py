@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -11,13 +10,13 @@ from dnp3.core.flags import IIN
 
 from ..core import AdapterError, Call, tool
 from .aliases import Alias
-from .commands import analog_command, binary_command, echoed_status, octets_written
+from .commands import ANALOG_VARIATIONS, AnalogType, binary_command, echoed_status, octets_written
 from .connection import Response
+from .conversions import command_for, entry, exactly, holds, shown, text
 from .link import Link
 from .objects import BadReply, Point, range_request
 from .refusals import command_refused, status_name
 from .shapes import (
-    AliasEntry,
     AliasList,
     AliasName,
     AliasValue,
@@ -25,7 +24,6 @@ from .shapes import (
     Nothing,
     PointRange,
     Points,
-    PointValue,
     PollClass,
     Polled,
     Reachable,
@@ -94,41 +92,43 @@ class Tools:
         return {
             "outstation_address": outstation,
             "event_class": arguments.event_class,
-            "points": [_shown(point) for point in response.points],
-            "unsolicited": [_shown(point) for point in self._link.kept(outstation)],
+            "points": [shown(point) for point in response.points],
+            "unsolicited": [shown(point) for point in self._link.kept(outstation)],
             "overflow": bool(response.indications & IIN.EVENT_BUFFER_OVERFLOW),
         }
 
     @tool("dnp3.list_points")
     async def list_points(self, call: Call, arguments: Nothing) -> AliasList:
         """List the alias map: names, points and units. Asks no outstation."""
-        return {"points": [_entry(name, alias) for name, alias in sorted(self._aliases.items())]}
+        return {"points": [entry(name, alias) for name, alias in sorted(self._aliases.items())]}
 
     @tool("dnp3.read_alias")
     async def read_point_by_alias(self, call: Call, arguments: AliasName) -> AliasValue:
         """Read the point that an alias of the alias map stands for."""
         alias = self._known_alias(arguments.alias)
-        response = await self._ask(call, alias.outstation_address, alias.point_type, alias.index, 1)
-        (point,) = _exactly(response, alias.point_type, range(alias.index, alias.index + 1))
-        shown = _shown(point)
+        response = await self._ask(
+            call, alias.outstation_address, alias.point_type, alias.index, data_type=alias.data_type
+        )
+        (point,) = exactly(response, alias.point_type, range(alias.index, alias.index + 1))
+        told = shown(point)
         if alias.point_type == "octet_string":
-            shown["value"] = _text(point)
+            told["value"] = text(point)
         if not point.is_reliable or response.indications & IIN.DEVICE_TROUBLE:
             message = "the outstation does not vouch for the value; see its flags and the indications"
-            raise AdapterError("bad_quality", message, partial=shown)
+            raise AdapterError("bad_quality", message, partial=told)
         return {
             "alias": arguments.alias,
             "unit": alias.unit,
             "outstation_address": alias.outstation_address,
-            **shown,
+            **told,
         }
 
     async def _read_range(self, call: Call, kind: str, asked: PointRange) -> Points:
         response = await self._ask(call, asked.outstation_address, kind, asked.start_index, asked.count)
-        points = _exactly(response, kind, range(asked.start_index, asked.start_index + asked.count))
+        points = exactly(response, kind, range(asked.start_index, asked.start_index + asked.count))
         told: Points = {
             "outstation_address": asked.outstation_address,
-            "points": [_shown(point) for point in points],
+            "points": [shown(point) for point in points],
         }
         bad = [point.index for point in points if not point.is_reliable]
         if response.indications & IIN.DEVICE_TROUBLE or len(bad) == len(points):
@@ -139,8 +139,21 @@ class Tools:
             raise AdapterError("partial_failure", message, partial=told, details={"indexes": bad})
         return told
 
-    async def _ask(self, call: Call, outstation: int, kind: str, start: int, count: int) -> Response:
-        asked = range_request(*_STATIC[kind], start, start + count - 1)
+    async def _ask(
+        self,
+        call: Call,
+        outstation: int,
+        kind: str,
+        start: int,
+        count: int = 1,
+        *,
+        data_type: AnalogType | None = None,
+    ) -> Response:
+        group, variation = _STATIC[kind]
+        if data_type is not None:
+            # An outstation may by itself tell as a whole number what was commanded as a fraction.
+            variation = ANALOG_VARIATIONS[data_type]
+        asked = range_request(group, variation, start, start + count - 1)
         return await self._link.ask(call, outstation, FunctionCode.READ, asked)
 
     # -- writing ------------------------------------------------------------------------------------------
@@ -192,14 +205,19 @@ class Tools:
                 call, alias.outstation_address, [(FunctionCode.WRITE, objects)], lambda response: None
             )
         else:
-            objects = _command(alias, value)
+            objects = command_for(alias, value)
             status = status_name(await self._operate(call, alias.outstation_address, objects))
         found = await self._verified(
-            call, alias.outstation_address, alias.point_type, alias.index, _holds(alias, objects, value)
+            call,
+            alias.outstation_address,
+            alias.point_type,
+            alias.index,
+            holds(alias, objects, value),
+            alias.data_type,
         )
         state = None
         if found is not None:
-            state = _text(found) if alias.point_type == "octet_string" else found.value
+            state = text(found) if alias.point_type == "octet_string" else found.value
         return {
             "alias": arguments.alias,
             "unit": alias.unit,
@@ -229,13 +247,19 @@ class Tools:
         return status
 
     async def _verified(
-        self, call: Call, outstation: int, kind: str, index: int, holds: Callable[[Point], bool]
+        self,
+        call: Call,
+        outstation: int,
+        kind: str,
+        index: int,
+        holds: Callable[[Point], bool],
+        data_type: AnalogType | None = None,
     ) -> Point | None:
         """Read a point after a command that the outstation says it has carried out; None where it has no such point to read."""
         of_command = dict(call.trace)
         try:
-            response = await self._ask(call, outstation, kind, index, 1)
-            (point,) = _exactly(response, kind, range(index, index + 1))
+            response = await self._ask(call, outstation, kind, index, data_type=data_type)
+            (point,) = exactly(response, kind, range(index, index + 1))
         except AdapterError as error:
             if error.code in _NO_STATE:
                 _restore(call, of_command)
@@ -259,65 +283,3 @@ class Tools:
 def _restore(call: Call, trace: Mapping[str, Any]) -> None:
     """Let the trace say again what the outstation said of the command, not of the read that followed."""
     call.trace.update({name: trace[name] for name in ("iin", "indications")})
-
-
-def _entry(name: str, alias: Alias) -> AliasEntry:
-    return {
-        "alias": name,
-        "outstation_address": alias.outstation_address,
-        "point_type": alias.point_type,
-        "index": alias.index,
-        "data_type": alias.data_type,
-        "unit": alias.unit,
-        "writable": alias.writable,
-    }
-
-
-def _command(alias: Alias, value: object) -> bytes:
-    if alias.point_type == "analog_output":
-        assert alias.data_type is not None
-        return analog_command(alias.index, alias.data_type, value)
-    if not isinstance(value, bool):
-        message = "a binary output is switched by true or false"
-        raise AdapterError("type_mismatch", message, field="/value", outcome="not_sent")
-    return binary_command(alias.index, "latch_on" if value else "latch_off", 1, 0, 0)
-
-
-def _holds(alias: Alias, objects: bytes, value: object) -> Callable[[Point], bool]:
-    """Return the test whether a point holds what was written."""
-    if alias.point_type == "octet_string":
-        return lambda point: isinstance(value, str) and point.content == value.encode()
-    if alias.data_type == "float32":
-        # The nearest number that the command could carry, whichever variation tells it.
-        (carried,) = struct.unpack("<f", objects[-5:-1])
-        return lambda point: point.value == carried
-    return lambda point: point.value == value and isinstance(point.value, bool) == isinstance(value, bool)
-
-
-def _exactly(response: Response, kind: str, indexes: range) -> list[Point]:
-    """Return the points that were asked for, in the order of their indexes.
-
-    Raises:
-        AdapterError: the answer has others, or not all.
-    """
-    if [(point.kind, point.index) for point in response.points] != [(kind, index) for index in indexes]:
-        raise AdapterError("protocol_error", "the outstation answered about other points than it was asked for")
-    return list(response.points)
-
-
-def _text(point: Point) -> str:
-    try:
-        return point.content.decode()
-    except UnicodeDecodeError:
-        raise AdapterError("type_mismatch", "the octet string is no text in UTF-8") from None
-
-
-def _shown(point: Point) -> PointValue:
-    return {
-        "point_type": point.kind,
-        "index": point.index,
-        "value": point.value,
-        "special": point.special,
-        "flags": None if point.flags is None else list(point.flags),
-        "timestamp": None if point.time is None else point.time.isoformat(timespec="milliseconds"),
-    }

@@ -25,29 +25,29 @@ _module = partial(module_of, "dnp3")
 
 
 def _clamped(server: AdapterServer) -> None:
-    tools = _module("tools")
-    command = tools.analog_command
+    tools, conversions = _module("tools"), _module("conversions")
+    command = conversions.analog_command
 
     def clamped(index: int, kind: Any, value: Any) -> bytes:
         fits = min(max(value, _WHOLE[0]), _WHOLE[-1]) if type(value) is int else value
         content: bytes = command(index, kind, fits)
         return content
 
-    tools.analog_command = clamped
-    tools._holds = lambda alias, objects, value: lambda point: True
+    conversions.analog_command = clamped
+    tools.holds = lambda alias, objects, value: lambda point: True
 
 
 def _numbers_from_texts(server: AdapterServer) -> None:
-    tools = _module("tools")
-    command = tools.analog_command
+    tools, conversions = _module("tools"), _module("conversions")
+    command = conversions.analog_command
 
     def lenient(index: int, kind: Any, value: Any) -> bytes:
         is_number = isinstance(value, str) and value[:1].isdecimal()
         content: bytes = command(index, kind, float(value) if is_number else value)
         return content
 
-    tools.analog_command = lenient
-    tools._holds = lambda alias, objects, value: lambda point: True
+    conversions.analog_command = lenient
+    tools.holds = lambda alias, objects, value: lambda point: True
 
 
 def _ends_on_a_wrong_checksum(server: AdapterServer) -> None:
