@@ -11,6 +11,7 @@ from .plugin.fixtures.device_handles import (
     SubjectError,
     UsageError,
 )
+from .plugin.fixtures.dnp3_handles import AsyncDnp3Device, Dnp3Device, Dnp3Entry
 from .plugin.fixtures.ethernetip_handles import AsyncEthernetIpDevice, EthernetIpDevice, EthernetIpEntry
 from .plugin.fixtures.modbus_handles import AsyncModbusDevice, ModbusDevice, ModbusEntry
 from .plugin.fixtures.mqtt_handles import AsyncBroker, Broker, MqttEntry
@@ -23,6 +24,7 @@ __all__ = [
     "AsyncBacnetDevice",
     "AsyncBroker",
     "AsyncDevice",
+    "AsyncDnp3Device",
     "AsyncEthernetIpDevice",
     "AsyncModbusDevice",
     "AsyncOpcUaPlant",
@@ -31,6 +33,8 @@ __all__ = [
     "BacnetEntry",
     "Broker",
     "Device",
+    "Dnp3Device",
+    "Dnp3Entry",
     "EthernetIpDevice",
     "EthernetIpEntry",
     "JournalEntry",

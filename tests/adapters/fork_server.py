@@ -35,6 +35,7 @@ _PRELOADED = (
     "core.stdio",
     "bacnet.adapter",
     "ethernetip.adapter",
+    "dnp3.adapter",
     "modbus.adapter",
     "mqtt.adapter",
     "opcua.adapter",

@@ -21,6 +21,7 @@ from typing import Any, Protocol
 import pytest
 import pytest_asyncio
 from asyncua import Client, ua
+from dnp3_tools import RawDnp3, crob
 from ethernetip_tools import RawEip, cip, symbol
 from mock_program import PATIENCE_S, MockProgram, RefusedError
 from mqtt_tools import connect_bytes, frame, utf8
@@ -183,6 +184,23 @@ class EthernetIpClient:
 
     async def write(self) -> None:
         await self._raw.unconnected(cip(0x4D, symbol("FanSpeed"), "c400 0100 07000000"))
+
+    async def close(self) -> None:
+        await self._raw.close()
+
+
+class Dnp3Client:
+    """A master whose requests are one read of an analog input and one direct operation of a latch."""
+
+    async def open(self, program: MockProgram) -> None:
+        self._raw = RawDnp3()
+        await self._raw.open(program)
+
+    async def read(self) -> None:
+        await self._raw.ask("01 1e0000 0101")
+
+    async def write(self) -> None:
+        await self._raw.ask("05" + crob(2, 3))
 
     async def close(self) -> None:
         await self._raw.close()
@@ -399,6 +417,30 @@ CASES = {
             ({"service": "wish", "action": {"drop": True}}, "cannot have 'wish' as 'service'"),
             ({"tag": 7, "action": {"drop": True}}, "cannot have 7 as 'tag'"),
             ({"action": {"answer_data": "0"}}, "cannot have '0' as 'answer_data'"),
+        ],
+    ),
+    "dnp3": Case(
+        client=Dnp3Client,
+        asked_by_reading="request",
+        asked_by_writing="request",
+        written=("binary_output/2", True),
+        poke={"point": "analog_input/1", "value": 8},
+        poked=("analog_input/1", 8),
+        wrong_pokes=[
+            ({}, "the poke lacks 'point'"),
+            ({"point": "analog_input/9", "value": 1}, "there is no point 'analog_input/9'"),
+            ({"point": "analog_input/1"}, "the poke lacks 'value'"),
+            ({"point": "analog_input/1", "value": True}, "of the kind int32, not True"),
+            ({"point": "analog_input/1", "flags": "ONLINE"}, "flags: expected a list of ONLINE"),
+            ({"select_timeout_s": -1}, "expected a number from 0 to 3600"),
+            ({"network": "rainy"}, "one of open, black_hole, stalled"),
+        ],
+        fault={"function": 1, "action": {"iin": 0x0400}},
+        wrong_rules=[
+            ({"action": {"iin": 0x10000}}, "cannot have 65536 as 'iin'"),
+            ({"action": {"status": 0}}, "cannot have 0 as 'status': expected an integer from 1 to 127"),
+            ({"function": 129, "action": {"drop": True}}, "cannot have 129 as 'function'"),
+            ({"action": {"answer_objects": "0"}}, "as 'answer_objects'"),
         ],
     ),
     "thirdparty.latches": Case(

@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 import pytest
+from pytest_otmcp.mocks.dnp3 import faults as dnp3
 from pytest_otmcp.mocks.ethernetip import faults as ethernetip
 from pytest_otmcp.mocks.modbus import faults as modbus
 from pytest_otmcp.mocks.mqtt import faults as mqtt
@@ -25,6 +26,7 @@ TABLES = {
     "OPC UA": opcua.TABLE,
     "S7comm": s7.TABLE,
     "EtherNet/IP": ethernetip.TABLE,
+    "DNP3": dnp3.TABLE,
 }
 ANY = SECTIONS["Any TCP device"]
 
@@ -47,7 +49,14 @@ def test_every_set_of_nodes_and_every_condition_of_the_network_is_on_the_page() 
 @pytest.mark.asyncio
 @pytest.mark.parametrize(
     ("protocol", "mock"),
-    [("Modbus", "modbus"), ("MQTT", "mqtt"), ("OPC UA", "opcua"), ("S7comm", "s7"), ("EtherNet/IP", "ethernetip")],
+    [
+        ("Modbus", "modbus"),
+        ("MQTT", "mqtt"),
+        ("OPC UA", "opcua"),
+        ("S7comm", "s7"),
+        ("EtherNet/IP", "ethernetip"),
+        ("DNP3", "dnp3"),
+    ],
 )
 async def test_every_example_is_understood(start_mock: StartMock, protocol: str, mock: str) -> None:
     found = examples(SECTIONS[protocol])

@@ -34,12 +34,13 @@ WRITING = {
     "s7": "K3 K4 FK3 SK2",
     "bacnet": "B3 B4 FB3 SB2",
     "ethernetip": "E3 E4 FE3 SE2",
+    "dnp3": "D3 D4 FD4 SD2",
 }
-GUARDED = ("M4", "K4", "B4", "E4")
+GUARDED = ("M4", "K4", "B4", "E4", "D4")
 """Items about the variant with writes disabled alone."""
 
-OUTAGE = {"modbus": "S10", "mqtt": "S11", "opcua": "S12", "s7": "SK4", "ethernetip": "SE4"}
-READING = {"modbus": "M2", "mqtt": "Q1", "opcua": "O1", "s7": "K2", "bacnet": "B2", "ethernetip": "E2"}
+OUTAGE = {"modbus": "S10", "mqtt": "S11", "opcua": "S12", "s7": "SK4", "ethernetip": "SE4", "dnp3": "SD4"}
+READING = {"modbus": "M2", "mqtt": "Q1", "opcua": "O1", "s7": "K2", "bacnet": "B2", "ethernetip": "E2", "dnp3": "D2"}
 
 Elsewhere = Callable[[str], Device]
 
@@ -175,6 +176,7 @@ def test_a_write_that_is_not_given_the_address_that_reads_are_given_is_refused(t
         "s7": ("read_db", "write_db", "values = 'a'"),
         "bacnet": ("read", "write", "value = 'a'"),
         "ethernetip": ("read_tag", "write_tag", "value = 'a'"),
+        "dnp3": ("read_analog", "write_binary", "values = 'a'"),
     }[protocol]
     text = f"""
 [subject]
