@@ -9,6 +9,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from .families import FAMILIES
 from .probes import NAMES, Probe
 
 __all__ = ["ENUMERATION_SERVICES", "Ratio", "measure", "ratios", "table"]
@@ -77,10 +78,10 @@ def ratios(samples: Mapping[str, list[int]]) -> list[Ratio]:
         return median[name] - median["floor"]
 
     found = []
-    for call, name in (("M2", "modbus"), ("Q3", "mqtt"), ("O1", "opcua")):
-        both = median["null"] + exchange(name)
-        for probe, target in ((call, 1.15), (f"null+{name}", None)):
-            formula = f"{probe} / (null + {name} - floor)"
+    for family in FAMILIES:
+        both = median["null"] + exchange(family.key)
+        for probe, target in ((family.item, family.target), (f"null+{family.key}", None)):
+            formula = f"{probe} / (null + {family.key} - floor)"
             found.append(Ratio(probe=probe, formula=formula, value=median[probe] / both, target=target))
     o4 = median["O4"] / exchange("opcua")
     found.append(Ratio(probe="O4", formula="O4 / (opcua - floor)", value=o4, target=10.0))

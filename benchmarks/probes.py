@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 
 from pytest_otmcp.plant.mock_device import MockDevice
 
+from .families import FAMILIES
 from .pipe_client import PipeClient
-from .workload import INPUT_REGISTERS, PAYLOAD, TEMPERATURE, TOPIC
 
 __all__ = ["NAMES", "Bench", "Probe", "bench"]
 
@@ -21,22 +21,13 @@ NAMES = {
     "floor": "a line and its answer, no SDK",
     "null": "null tool, adapters' skeleton",
     "stock": "null tool, stock SDK server",
-    "modbus": "raw: pymodbus, read 4 input registers",
-    "mqtt": "raw: paho, publish QoS 0 until written",
+    **{family.key: f"raw: {family.raw}" for family in FAMILIES},
     "mqtt_exchange": "raw: paho, publish QoS 1 until acknowledged",
-    "opcua": "raw: asyncua, read one node",
-    "null+modbus": "control: null tool with the raw exchange in it",
-    "null+mqtt": "control: null tool with the raw exchange in it",
-    "null+opcua": "control: null tool with the raw exchange in it",
-    "M2": "adapter M2: read 4 input registers",
-    "Q3": "adapter Q3: publish QoS 0",
-    "O1": "adapter O1: read one node",
+    **{f"null+{family.key}": "control: null tool with the raw exchange in it" for family in FAMILIES},
+    **{family.item: f"adapter {family.item}: {family.does}" for family in FAMILIES},
     "O4": "adapter O4: enumerate all variables",
 }
 """The probes and what each of them does."""
-
-_DEVICES = ("modbus", "mqtt", "opcua")
-"""The devices; also the names of the raw exchanges that adapters are compared with and that have a control."""
 
 _WARM_UP = 20
 """The calls of each probe before anything counts: connecting, lazy imports, specialised bytecode."""
@@ -60,27 +51,31 @@ def bench() -> Iterator[Bench]:
     """Start mock devices, servers and raw clients; end them all."""
     with ExitStack() as stack:
         runner = stack.enter_context(asyncio.Runner())
-        modbus, mqtt, opcua = devices = [MockDevice(name) for name in _DEVICES]
-        for device in devices:
+        devices = {family.key: MockDevice(family.key) for family in FAMILIES}
+        for device in devices.values():
             stack.callback(_end, runner, device)
             runner.run(device.launch())
 
-        def start(*arguments: str, **env: str) -> PipeClient:
+        def start(*arguments: str, env: Mapping[str, str] | None = None) -> PipeClient:
             client = PipeClient(*arguments, env=env)
             stack.callback(client.close)
             return client
 
         null, stock = start("benchmarks.null_adapter"), start("benchmarks.null_stock")
         floor = start("benchmarks.raw_client", "nothing", "", "0")
-        at = {name: (name, device.host, str(device.port)) for name, device in zip(_DEVICES, devices, strict=True)}
-        raw = {name: start("benchmarks.raw_client", *where) for name, where in at.items()}
-        raw["mqtt_exchange"] = start("benchmarks.raw_client", "mqtt_exchange", mqtt.host, str(mqtt.port))
-        control = {name: start("benchmarks.null_adapter", *where) for name, where in at.items()}
-        adapters = "pytest_otmcp.reference_adapters"
-        m = start(adapters, "modbus", MODBUS_HOST=modbus.host, MODBUS_PORT=str(modbus.port))
-        q = start(adapters, "mqtt", MQTT_URL=f"mqtt://{mqtt.host}:{mqtt.port}", MQTT_WRITES_ENABLED="true")
-        o = start(adapters, "opcua", OPCUA_URL=f"opc.tcp://{opcua.host}:{opcua.port}")
-        for client in (null, stock, floor, *raw.values(), *control.values(), m, q, o):
+        at = {key: {"host": device.host, "port": str(device.port)} for key, device in devices.items()}
+        raw = {key: start("benchmarks.raw_client", key, *where.values()) for key, where in at.items()}
+        raw["mqtt_exchange"] = start("benchmarks.raw_client", "mqtt_exchange", *at["mqtt"].values())
+        control = {key: start("benchmarks.null_adapter", key, *where.values()) for key, where in at.items()}
+        adapter = {
+            family.key: start(
+                "pytest_otmcp.reference_adapters",
+                family.key,
+                env={name: value.format(**at[family.key]) for name, value in family.env.items()},
+            )
+            for family in FAMILIES
+        }
+        for client in (null, stock, floor, *raw.values(), *control.values(), *adapter.values()):
             client.discover()
 
         probes: dict[str, Probe] = {
@@ -89,18 +84,16 @@ def bench() -> Iterator[Bench]:
             "stock": lambda: stock.call("null", {}),
             **{name: client.exchange for name, client in raw.items()},
             **{f"null+{name}": partial(client.call, "null", {}) for name, client in control.items()},
-            "M2": lambda: m.call("read_input_registers", {"address": 0, "count": INPUT_REGISTERS}),
-            "Q3": lambda: q.call("publish_message", {"topic": TOPIC, "payload": PAYLOAD, "qos": 0}),
-            "O1": lambda: o.call("read_opcua_node", {"node_id": TEMPERATURE}),
-            "O4": lambda: o.call("get_all_variables", {}),
+            **{one.item: partial(adapter[one.key].call, one.tool, one.arguments) for one in FAMILIES},
+            "O4": lambda: adapter["opcua"].call("get_all_variables", {}),
         }
         for probe in probes.values():
             for _ in range(_WARM_UP):
                 probe()
         # The service calls are counted on the connected session: connecting is not part of an enumeration.
-        mark = runner.run(opcua.mark())
+        mark = runner.run(devices["opcua"].mark())
         probes["O4"]()
-        entries = runner.run(opcua.journal(mark)).entries
+        entries = runner.run(devices["opcua"].journal(mark)).entries
         yield Bench(
             probes=probes,
             enumeration_services=[entry["kind"] for entry in entries if entry["direction"] == "in"],

@@ -21,7 +21,20 @@ from asyncua import ua
 from paho.mqtt.enums import CallbackAPIVersion
 from pymodbus.client import AsyncModbusTcpClient
 
-from .workload import BLOCKS, FLOOD, INBOX, INPUT_REGISTERS, PARALLEL, PAYLOAD, PDU_REGISTERS, TEMPERATURE, TOPIC
+from .workload import (
+    BLOCKS,
+    DB,
+    DB_BYTES,
+    FLOOD,
+    INBOX,
+    INPUT_REGISTERS,
+    OBJECT,
+    PARALLEL,
+    PAYLOAD,
+    PDU_REGISTERS,
+    TEMPERATURE,
+    TOPIC,
+)
 
 __all__ = ["EXCHANGES", "Exchange"]
 
@@ -183,6 +196,33 @@ async def _opcua_variables(host: str, port: int) -> Exchange:
     return enumerate_variables
 
 
+async def _s7(host: str, port: int) -> Exchange:
+    from snap7.async_client import AsyncClient
+
+    client = AsyncClient()
+    await client.connect(host, 0, 1, port)
+
+    async def read() -> None:
+        assert len(await client.db_read(DB, 0, DB_BYTES)) == DB_BYTES
+
+    return read
+
+
+async def _bacnet(host: str, port: int) -> Exchange:
+    from bacpypes3.ipv4.app import NormalApplication
+    from bacpypes3.local.device import DeviceObject
+    from bacpypes3.pdu import Address, IPv4Address
+
+    own = DeviceObject(objectIdentifier=("device", 4194302), objectName="benchmark", vendorIdentifier=15)
+    application, device = NormalApplication(own, IPv4Address(f"{host}:0")), Address(f"{host}:{port}")
+
+    async def read() -> None:
+        value = await application.read_property(device, ",".join(map(str, OBJECT)), "present-value")
+        assert isinstance(value, float)
+
+    return read
+
+
 EXCHANGES: dict[str, Callable[[str, int], Awaitable[Exchange]]] = {
     "nothing": _nothing,
     "modbus": _modbus,
@@ -191,6 +231,8 @@ EXCHANGES: dict[str, Callable[[str, int], Awaitable[Exchange]]] = {
     "mqtt_inbox": _mqtt_inbox,
     "opcua": _opcua,
     "opcua_variables": _opcua_variables,
+    "s7": _s7,
+    "bacnet": _bacnet,
     "modbus_together": partial(_together, _modbus),
     "mqtt_together": partial(_publishing, 1, PARALLEL),
     "opcua_together": partial(_together, _opcua),

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 __all__ = [
     "BLOCKS",
+    "DB",
+    "DB_BYTES",
+    "DEVICE",
     "FLOOD",
     "INBOX",
     "INPUT_REGISTERS",
+    "OBJECT",
     "PARALLEL",
     "PAYLOAD",
     "PDU_REGISTERS",
@@ -16,6 +20,8 @@ __all__ = [
 
 INPUT_REGISTERS = 4
 TEMPERATURE = "ns=2;s=Temperature"
+DB, DB_BYTES = 1, 16
+DEVICE, OBJECT = 12345, ("analog-input", 1)
 TOPIC, PAYLOAD = "control/pump", '{"pump_speed": 50}'
 
 PDU_REGISTERS = 125

@@ -16,9 +16,8 @@ import itertools
 from collections.abc import Callable, Mapping
 from typing import Any, cast
 
-from .fault_rules import one_of
 from .journal import Journal
-from .network import CONDITIONS
+from .network import condition_of
 from .peer import holder, socket_of
 
 __all__ = ["Datagrams"]
@@ -85,13 +84,10 @@ class Datagrams(asyncio.DatagramProtocol):
         Raises:
             ValueError: there is no such condition, or the poke has other members.
         """
-        if "network" not in params:
-            return False
-        condition, field = params["network"], one_of(*CONDITIONS)
-        if not field.accepts(condition) or len(params) > 1:
-            raise ValueError(f"a poke of the network is {{'network': …}} with {field.expected}, found {dict(params)!r}")
-        self.become(condition)
-        return True
+        condition = condition_of(params)
+        if condition is not None:
+            self.become(condition)
+        return condition is not None
 
     def become(self, condition: str) -> None:
         """Change the condition; the journal has every change."""

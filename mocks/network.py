@@ -30,7 +30,7 @@ from typing import Any
 from .fault_rules import FLAG, Field, integer, number, one_of
 from .journal import Journal
 
-__all__ = ["AT_ONCE", "CONDITIONS", "MANNERS", "Link", "Mangling", "Manner", "Network"]
+__all__ = ["AT_ONCE", "CONDITIONS", "MANNERS", "Link", "Mangling", "Manner", "Network", "condition_of"]
 
 CONDITIONS = ("open", "black_hole", "stalled")
 
@@ -123,6 +123,20 @@ class Manner:
 AT_ONCE = Manner()
 
 
+def condition_of(params: Mapping[str, Any]) -> str | None:
+    """Return the condition that the parameters of a poke ask for; None if they are not about the network.
+
+    Raises:
+        ValueError: there is no such condition, or the poke has other members.
+    """
+    if "network" not in params:
+        return None
+    condition, field = params["network"], one_of(*CONDITIONS)
+    if not field.accepts(condition) or len(params) > 1:
+        raise ValueError(f"a poke of the network is {{'network': …}} with {field.expected}, found {dict(params)!r}")
+    return str(condition)
+
+
 class Network:
     """The way between one device and its clients."""
 
@@ -141,13 +155,10 @@ class Network:
         Raises:
             ValueError: there is no such condition, or the poke has other members.
         """
-        if "network" not in params:
-            return False
-        condition, field = params["network"], one_of(*CONDITIONS)
-        if not field.accepts(condition) or len(params) > 1:
-            raise ValueError(f"a poke of the network is {{'network': …}} with {field.expected}, found {dict(params)!r}")
-        self.become(condition)
-        return True
+        condition = condition_of(params)
+        if condition is not None:
+            self.become(condition)
+        return condition is not None
 
     def become(self, condition: str) -> None:
         """Change the condition, for connections that exist and for new ones; the journal has every change."""

@@ -7,18 +7,16 @@ serve cells that do not exist, and the journal needs the connection and the byte
 from __future__ import annotations
 
 import asyncio
-import socket
 import struct
 from collections.abc import Mapping
 from dataclasses import asdict
 from functools import partial
 from typing import Any
 
-from ..device import Device
-from ..endpoint import OpenEndpoint
 from ..journal import Direction
-from ..network import Link, Network
+from ..network import Link
 from ..peer import process_of
+from ..tcp_device import TcpDevice
 from .answers import Answer, falsified
 from .faults import FaultPlan, Rule
 from .image import UnitImage
@@ -33,7 +31,7 @@ _MAX_LENGTH = 254
 _GARBAGE = b"\xde\xad\xbe\xef\xff\xff\x00\x01"
 
 
-class ModbusDevice(Device):
+class ModbusDevice(TcpDevice):
     """A device with unit 1; a request to any other unit gets the gateway exception 0B and changes nothing."""
 
     protocol = "modbus"
@@ -43,22 +41,9 @@ class ModbusDevice(Device):
         self.units = {1: UnitImage()}
         self.faults = FaultPlan([])
         self.restless: list[Restless] = []
-        self.network = Network(self.journal)
-        self._server: asyncio.Server | None = None
-        self.connections = 0
 
-    async def serve(self, endpoints: Mapping[str, OpenEndpoint]) -> None:
-        listener = endpoints["modbus"]
-        assert isinstance(listener, socket.socket)
-        loop = asyncio.get_running_loop()
-        self._server = await loop.create_server(
-            self.network.protocol(lambda: _Connection(self)), sock=listener, backlog=128
-        )
-
-    async def aclose(self) -> None:
-        if self._server is not None:
-            self._server.close()
-        self.network.close()
+    def connection(self) -> asyncio.Protocol:
+        return _Connection(self)
 
     def image(self) -> dict[str, Any]:
         """Return ``units``: unit to table to list of cells; and ``points``, such as ``1/holding_registers/30``.

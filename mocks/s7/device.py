@@ -7,17 +7,15 @@ requests included.
 from __future__ import annotations
 
 import asyncio
-import socket
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from functools import partial
 from typing import Any
 
-from ..device import Device
-from ..endpoint import OpenEndpoint
 from ..journal import Direction
-from ..network import Link, Network
+from ..network import Link
 from ..peer import process_of
+from ..tcp_device import TcpDevice
 from .faults import FaultPlan, Rule
 from .image import Plant
 from .jobs import Session, answer_fields, describe, execute
@@ -41,7 +39,7 @@ _RACK, _SLOT = 0, 1
 _GARBAGE = b"\xde\xad\xbe\xef\xff\xff\x00\x01"
 
 
-class S7Device(Device):
+class S7Device(TcpDevice):
     """A controller in rack 0, slot 1; a connection to another slot is refused."""
 
     protocol = "s7"
@@ -51,22 +49,9 @@ class S7Device(Device):
         self.plant = Plant()
         self.faults = FaultPlan([])
         self.restless: list[Restless] = []
-        self.network = Network(self.journal)
-        self._server: asyncio.Server | None = None
-        self.connections = 0
 
-    async def serve(self, endpoints: Mapping[str, OpenEndpoint]) -> None:
-        listener = endpoints["s7"]
-        assert isinstance(listener, socket.socket)
-        loop = asyncio.get_running_loop()
-        self._server = await loop.create_server(
-            self.network.protocol(lambda: _Connection(self)), sock=listener, backlog=128
-        )
-
-    async def aclose(self) -> None:
-        if self._server is not None:
-            self._server.close()
-        self.network.close()
+    def connection(self) -> asyncio.Protocol:
+        return _Connection(self)
 
     def image(self) -> dict[str, Any]:
         """Return what :meth:`.image.Plant.image` returns; with bits that turn by themselves also ``restless``."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ..core import AdapterServer, ConfigError, Environment
-from .aliases import load_aliases
+from .aliases import Alias
 from .link import Link
 from .shapes import MINIMUM_ON_OFF
 from .tools import Tools
@@ -23,7 +23,7 @@ def build() -> AdapterServer:
     priority = environment.whole("BACNET_PRIORITY", 8, 1, 16)
     if priority == MINIMUM_ON_OFF:
         raise ConfigError("BACNET_PRIORITY: 6 is reserved for minimum on and off times")
-    aliases = load_aliases(environment.optional("BACNET_ALIAS_MAP"))
+    aliases = environment.entries("BACNET_ALIAS_MAP", Alias)
     link = Link(host, port, environment.seconds("BACNET_TIMEOUT_S", 2.0))
     server = AdapterServer(
         name="bacnet-reference",

@@ -31,7 +31,7 @@ from bacpypes3.local.device import DeviceObject
 from bacpypes3.netservice import NetworkServiceAccessPoint, NetworkServiceElement
 from bacpypes3.pdu import Address, IPv4Address
 
-from ..core import AdapterError, Call
+from ..core import AdapterError, Call, resolve
 from .refusals import refusal
 
 __all__ = ["Link"]
@@ -248,7 +248,7 @@ class Link:
     async def _opened(self) -> tuple[_Client, Address]:
         async with self._opening:
             if self._client is None or self._target is None:
-                host = await self._resolved()
+                host = await resolve(self._host, self._port, socket.SOCK_DGRAM)
                 with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
                     # The system says from which of its addresses the device can be reached; nothing is sent.
                     probe.connect((host, self._port))
@@ -256,16 +256,6 @@ class Link:
                 self._target = IPv4Address(f"{host}:{self._port}")
                 self._client = _Client(IPv4Address(f"{own}:0"), self._heard)
             return self._client, self._target
-
-    async def _resolved(self) -> str:
-        try:
-            found = await asyncio.get_running_loop().getaddrinfo(
-                self._host, self._port, family=socket.AF_INET, type=socket.SOCK_DGRAM
-            )
-        except socket.gaierror:
-            message = f"the host name {self._host} cannot be resolved"
-            raise AdapterError("dns_error", message, outcome="not_sent") from None
-        return str(found[0][4][0])
 
     async def close(self) -> None:
         """Close the socket."""

@@ -61,6 +61,7 @@ answer. From these the envelope takes ``attempts``, ``source`` and, after a fail
 
 from __future__ import annotations
 
+from .addresses import resolve
 from .arguments import LEFT_OUT, Arguments, BoundsCode
 from .call import Call
 from .errors import AdapterError
@@ -82,6 +83,7 @@ __all__ = [
     "Environment",
     "device_text",
     "exact_in_json",
+    "resolve",
     "special_name",
     "tool",
 ]

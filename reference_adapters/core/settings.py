@@ -6,11 +6,18 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Mapping
+from pathlib import Path
+from typing import TypeVar
+
+from pydantic import BaseModel, TypeAdapter, ValidationError
 
 __all__ = ["ConfigError", "Environment"]
 
 _TRUE = ("1", "true", "yes", "on")
 _FALSE = ("0", "false", "no", "off", "")
+
+
+_Entry = TypeVar("_Entry", bound=BaseModel)
 
 
 class ConfigError(Exception):
@@ -33,6 +40,24 @@ class Environment:
     def optional(self, name: str) -> str | None:
         """Return a string, or None when the variable is unset or empty."""
         return self._values.get(name) or None
+
+    def entries(self, name: str, kind: type[_Entry]) -> dict[str, _Entry]:
+        """Return the entries of the JSON object in the file that the variable names, by their names; none when it is unset or empty.
+
+        Args:
+            kind: what each entry is.
+        """
+        path = self.optional(name)
+        if path is None:
+            return {}
+        try:
+            return TypeAdapter(dict[str, kind]).validate_json(Path(path).read_bytes())  # type: ignore[valid-type]
+        except OSError as error:
+            raise ConfigError(f"{name}: {path} cannot be read: {error.strerror}") from None
+        except ValidationError as error:
+            fault = error.errors(include_url=False, include_input=False)[0]
+            place = "/".join(map(str, fault["loc"]))
+            raise ConfigError(f"{name}: {path}: {place or 'the file'}: {fault['msg']}") from None
 
     def whole(self, name: str, default: int, minimum: int, maximum: int) -> int:
         """Return a whole number within bounds."""

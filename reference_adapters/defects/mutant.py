@@ -21,6 +21,7 @@ __all__ = [
     "catalogue_id",
     "each",
     "failing",
+    "mutants_of",
     "number",
     "on",
     "told",
@@ -66,6 +67,27 @@ class Mutant:
     def catalogue_id(self) -> str:
         """The id without the letter of the variant."""
         return catalogue_id(self.id)
+
+
+def mutants_of(areas: str) -> Callable[..., Mutant]:
+    """Return what declares the defects that the checks of these areas notice: a function of id, protocol, sentence, bend, items and
+    requirements, in this order, and of the other attributes of :class:`Mutant` by name."""
+
+    def mutant(
+        id: str, protocol: str, sentence: str, bend: Bend, items: str, requirements: str, **more: bool
+    ) -> Mutant:
+        return Mutant(
+            id=id,
+            protocol=protocol,
+            sentence=sentence,
+            bend=bend,
+            items=items,
+            requirements=requirements,
+            areas=areas,
+            **more,
+        )
+
+    return mutant
 
 
 def catalogue_id(identifier: str) -> str:

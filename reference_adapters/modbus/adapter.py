@@ -5,7 +5,7 @@ from __future__ import annotations
 from ..core import AdapterServer, ConfigError, Environment
 from .link import Link
 from .shapes import is_unit
-from .tags import load_tags
+from .tags import Tag
 from .tools import Tools
 
 __all__ = ["build"]
@@ -23,7 +23,7 @@ def build() -> AdapterServer:
     unit = environment.whole("MODBUS_UNIT_ID", 1, 0, 255)
     if not is_unit(unit):
         raise ConfigError(f"MODBUS_UNIT_ID: expected 0 to 247 or 255, found {unit}")
-    tags = load_tags(environment.optional("MODBUS_TAG_MAP"))
+    tags = environment.entries("MODBUS_TAG_MAP", Tag)
     link = Link(host, port, environment.seconds("MODBUS_TIMEOUT_S", 1.0))
     server = AdapterServer(
         name="modbus-reference",

@@ -7,15 +7,13 @@ and :meth:`Link.exchange` makes both decisions, because it knows whether bytes h
 from __future__ import annotations
 
 import asyncio
-import ipaddress
-import socket
 from collections.abc import Awaitable, Callable
 
 from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.exceptions import ModbusException
 from pymodbus.pdu import ModbusPDU
 
-from ..core import AdapterError, Call
+from ..core import AdapterError, Call, resolve
 from .wire import BadReply, Frame, is_other_reply, reply_pdu, request_facts
 
 __all__ = ["Link", "Send"]
@@ -177,7 +175,7 @@ class Link:
             return existing
         self._drop()
         call.disconnected()
-        await self._resolve()
+        await resolve(self._host, self._port)
         connection = _Connection(self._host, self._port, self._timeout_s)
         try:
             made = await connection.client.connect()
@@ -192,17 +190,6 @@ class Link:
         self._generation += 1
         call.connection(generation=self._generation, fresh=True)
         return connection
-
-    async def _resolve(self) -> None:
-        # pymodbus reports an unknown name like a refused connection.
-        try:
-            ipaddress.ip_address(self._host)
-        except ValueError:
-            try:
-                await asyncio.get_running_loop().getaddrinfo(self._host, self._port, type=socket.SOCK_STREAM)
-            except socket.gaierror:
-                message = f"the host name {self._host} cannot be resolved"
-                raise AdapterError("dns_error", message, outcome="not_sent") from None
 
     def _drop(self) -> None:
         connection, self._connection = self._connection, None

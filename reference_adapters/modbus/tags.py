@@ -11,17 +11,15 @@ scale and offset nothing is rounded: 40.7 is refused as the value of a register.
 
 from __future__ import annotations
 
-import json
 from decimal import ROUND_HALF_UP, Decimal
-from pathlib import Path
 from typing import Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from ..core import EXACT_IN_JSON, AdapterError, ConfigError
+from ..core import EXACT_IN_JSON, AdapterError
 from .codec import DataType, Order, width
 
-__all__ = ["Tag", "engineering_value", "load_tags", "raw_value"]
+__all__ = ["Tag", "engineering_value", "raw_value"]
 
 
 class Tag(BaseModel):
@@ -57,25 +55,6 @@ class Tag(BaseModel):
     def whole(self) -> bool:
         """Whether the raw value is an integer."""
         return not self.type.startswith("float")
-
-
-def load_tags(path: str | None) -> dict[str, Tag]:
-    """Read the tag map; without a path there are no tags.
-
-    Raises:
-        ConfigError: the file cannot be read or is not a tag map.
-    """
-    if path is None:
-        return {}
-    try:
-        document = json.loads(Path(path).read_text(encoding="utf-8"))
-        return TypeAdapter(dict[str, Tag]).validate_python(document)
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise ConfigError(f"MODBUS_TAG_MAP: the file cannot be read: {error}") from None
-    except ValidationError as error:
-        fault = error.errors(include_url=False)[0]
-        where = ".".join(map(str, fault["loc"]))
-        raise ConfigError(f"MODBUS_TAG_MAP: {where}: {fault['msg']}") from None
 
 
 def engineering_value(tag: Tag, raw: Any) -> Any:

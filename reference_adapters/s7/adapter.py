@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ..core import AdapterServer, Environment
 from .link import Link
-from .tags import load_tags
+from .tags import Tag
 from .tools import Tools
 
 __all__ = ["build"]
@@ -21,7 +21,7 @@ def build() -> AdapterServer:
     port = environment.whole("S7_PORT", 102, 1, 65535)
     rack = environment.whole("S7_RACK", 0, 0, 7)
     slot = environment.whole("S7_SLOT", 1, 0, 31)
-    tags = load_tags(environment.optional("S7_TAG_MAP"))
+    tags = environment.entries("S7_TAG_MAP", Tag)
     link = Link(host, port, rack, slot, environment.seconds("S7_TIMEOUT_S", 1.0))
     server = AdapterServer(
         name="s7-reference",

@@ -7,8 +7,6 @@ jobs, and take the answer with the right number for the right answer. So its con
 from __future__ import annotations
 
 import asyncio
-import ipaddress
-import socket
 import struct
 from typing import Any
 
@@ -16,7 +14,7 @@ from snap7.async_client import AsyncISOTCPConnection
 from snap7.error import S7ConnectionError, S7Error, S7TimeoutError
 from snap7.s7protocol import S7Protocol
 
-from ..core import AdapterError, Call
+from ..core import AdapterError, Call, resolve
 from .refusals import refusal
 from .wire import BadReply, Reply, reference, reply_of, request_facts
 
@@ -158,7 +156,7 @@ class Link:
             return existing
         self._drop()
         call.disconnected()
-        await self._resolve()
+        await resolve(self._host, self._port)
         connection = _Connection(self._host, self._port, remote_tsap=_CONNECTION_TYPE | self._rack << 5 | self._slot)
         try:
             async with asyncio.timeout(self._timeout_s):
@@ -194,16 +192,6 @@ class Link:
             return AdapterError("config_error", message, outcome="not_sent")
         message = f"no connection to {where}; is the controller on, and is the address right?"
         return AdapterError("connect_failed", message, outcome="not_sent")
-
-    async def _resolve(self) -> None:
-        try:
-            ipaddress.ip_address(self._host)
-        except ValueError:
-            try:
-                await asyncio.get_running_loop().getaddrinfo(self._host, self._port, type=socket.SOCK_STREAM)
-            except socket.gaierror:
-                message = f"the host name {self._host} cannot be resolved"
-                raise AdapterError("dns_error", message, outcome="not_sent") from None
 
     def _drop(self) -> None:
         connection, self._connection = self._connection, None

@@ -7,16 +7,13 @@ A JSON object of tags, for instance::
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
 from typing import Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from ..core import ConfigError
 from .codec import DataType
 
-__all__ = ["Tag", "load_tags"]
+__all__ = ["Tag"]
 
 
 class Tag(BaseModel):
@@ -41,22 +38,3 @@ class Tag(BaseModel):
         if self.writable and self.area == "I":
             raise ValueError("inputs are not written")
         return self
-
-
-def load_tags(path: str | None) -> dict[str, Tag]:
-    """Read the tag map; without a path there are no tags.
-
-    Raises:
-        ConfigError: the file cannot be read or is not a tag map.
-    """
-    if path is None:
-        return {}
-    try:
-        document = json.loads(Path(path).read_text(encoding="utf-8"))
-        return TypeAdapter(dict[str, Tag]).validate_python(document)
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise ConfigError(f"S7_TAG_MAP: the file cannot be read: {error}") from None
-    except ValidationError as error:
-        fault = error.errors(include_url=False)[0]
-        where = ".".join(map(str, fault["loc"]))
-        raise ConfigError(f"S7_TAG_MAP: {where}: {fault['msg']}") from None

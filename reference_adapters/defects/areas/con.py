@@ -11,7 +11,7 @@ from typing import Any
 from ...core import AdapterError, AdapterServer, Call
 from ...modbus.codec import decode
 from ..life import address_of
-from ..mutant import Bend, Data, Handler, Mutant, each
+from ..mutant import Bend, Data, Handler, Mutant, each, mutants_of
 
 __all__ = ["MUTANTS", "Stream"]
 
@@ -199,18 +199,7 @@ def _first_granted() -> Bend:
     return bend
 
 
-def _mutant(id: str, protocol: str, sentence: str, bend: Bend, items: str, requirements: str, **more: Any) -> Mutant:
-    return Mutant(
-        id=id,
-        protocol=protocol,
-        sentence=sentence,
-        bend=bend,
-        items=items,
-        requirements=requirements,
-        areas="con",
-        **more,
-    )
-
+_mutant = mutants_of("con")
 
 MUTANTS: tuple[Mutant, ...] = (
     _mutant(

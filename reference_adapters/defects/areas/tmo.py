@@ -7,7 +7,7 @@ from typing import Any
 
 from ...core import AdapterError, AdapterServer, Call
 from ...mqtt import link as mqtt_link
-from ..mutant import Bend, Data, Handler, Mutant, each, failing
+from ..mutant import Bend, Data, Handler, Mutant, each, failing, mutants_of
 from .con import over_a_stream
 
 __all__ = ["MUTANTS"]
@@ -100,18 +100,7 @@ def pausing(seconds: float) -> Bend:
     return bend
 
 
-def _mutant(id: str, protocol: str, sentence: str, bend: Bend, items: str, requirements: str, **more: Any) -> Mutant:
-    return Mutant(
-        id=id,
-        protocol=protocol,
-        sentence=sentence,
-        bend=bend,
-        items=items,
-        requirements=requirements,
-        areas="tmo",
-        **more,
-    )
-
+_mutant = mutants_of("tmo")
 
 MUTANTS: tuple[Mutant, ...] = (
     _mutant(

@@ -9,7 +9,7 @@ from ...modbus import link as modbus_link
 from ..any_protocol import enabled_by_any_word, enabled_by_default, guard_after_sending
 from ..modbus import write_not_sent, write_only_remembered
 from ..mqtt import made_up_for
-from ..mutant import Bend, Data, Handler, Mutant, each, wrap
+from ..mutant import Bend, Data, Handler, Mutant, each, mutants_of, wrap
 
 __all__ = ["MUTANTS"]
 
@@ -236,18 +236,7 @@ def clamping_ignored(server: AdapterServer) -> None:
     each("write_opcua_node", change=asked)(server)
 
 
-def _mutant(id: str, protocol: str, sentence: str, bend: Bend, items: str, requirements: str, **more: Any) -> Mutant:
-    return Mutant(
-        id=id,
-        protocol=protocol,
-        sentence=sentence,
-        bend=bend,
-        items=items,
-        requirements=requirements,
-        areas="wr",
-        **more,
-    )
-
+_mutant = mutants_of("wr")
 
 MUTANTS: tuple[Mutant, ...] = (
     _mutant(
