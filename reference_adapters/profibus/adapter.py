@@ -32,8 +32,8 @@ def build() -> AdapterServer:
     if not 2 * cycle_s <= watchdog_s <= _LONGEST_WATCHDOG_S:
         message = f"expected two cycles at least, and {_LONGEST_WATCHDOG_S:g} s at most, found {watchdog_s:g}"
         raise ConfigError(f"PROFIBUS_WATCHDOG_S: {message}")
-    slaves = load_slaves(environment.optional("PROFIBUS_SLAVE_MAP"))
-    aliases = load_aliases(environment.optional("PROFIBUS_ALIAS_MAP"), slaves)
+    slaves = load_slaves(environment)
+    aliases = load_aliases(environment, slaves)
     folder = environment.optional("PROFIBUS_GSD_FOLDER")
     address = environment.whole("PROFIBUS_MASTER_ADDRESS", 2, 0, 125)
     if address in slaves:
@@ -44,7 +44,7 @@ def build() -> AdapterServer:
         name="profibus-reference",
         version="0.1.0",
         protocol="profibus-dp",
-        endpoint=f"profibus:{path}",
+        endpoint=f"profibus://{path}",
         writes_enabled=environment.writes_enabled("PROFIBUS_WRITES_ENABLED"),
         switch="PROFIBUS_WRITES_ENABLED",
         deadline_s=environment.seconds("PROFIBUS_DEADLINE_S", 5.0),

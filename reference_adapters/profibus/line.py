@@ -97,8 +97,11 @@ class Line:
             counted = replace(telegram, control=self._counted(station, telegram.control))
             return await self._ask(call, counted, timeout_s, changes_state=changes_state, acknowledged=acknowledged)
 
-    async def ask_status(self, call: Call, station: int, wait_s: float) -> list[Telegram]:
+    async def ask_status(self, call: Call, station: int, wait_s: float, *, after_another: bool) -> list[Telegram]:
         """Ask a station for its FDL status and wait so many seconds; return the answers that came, late ones of other stations included.
+
+        Args:
+            after_another: another station was asked just before, whose answer may have come meanwhile.
 
         Raises:
             AdapterError: no line, or what came is no telegram.
@@ -107,7 +110,7 @@ class Line:
         async with self.lock:
             self._open(call)
             try:
-                self._send(call, self._status_request(station), changes_state=False)
+                self._send(call, self._status_request(station), changes_state=False, keeps_received=after_another)
                 async with asyncio.timeout(wait_s):
                     while not found or found[-1].source != station:
                         telegram = await self._next()
@@ -234,8 +237,11 @@ class Line:
             self._news.clear()
             await self._news.wait()
 
-    def _send(self, call: Call | None, telegram: Telegram, *, changes_state: bool) -> None:
-        self._drain()
+    def _send(
+        self, call: Call | None, telegram: Telegram, *, changes_state: bool, keeps_received: bool = False
+    ) -> None:
+        if not keeps_received:
+            self._drain()
         if call is not None:
             call.sending(changes_state=changes_state)
             call.trace |= {

@@ -11,16 +11,17 @@ The alias map names values in their inputs and outputs; numbers are big-endian::
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated, Literal, Self, TypeVar
+from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from ..core import ConfigError
+from ..core import ConfigError, Environment
 from .codec import DataType, width
 
 __all__ = ["Alias", "Slave", "load_aliases", "load_slaves"]
 
+_SLAVE_MAP, _ALIAS_MAP = "PROFIBUS_SLAVE_MAP", "PROFIBUS_ALIAS_MAP"
+_LAST_ADDRESS = 125
 _MOST_CFG = 244
 _MOST_USER_PRM = 237
 
@@ -103,7 +104,7 @@ class Alias(BaseModel):
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
-    slave_address: int = Field(ge=0, le=125)
+    slave_address: int = Field(ge=0, le=_LAST_ADDRESS)
     area: Literal["inputs", "outputs"]
     offset: int = Field(default=0, ge=0, le=243)
     data_type: DataType
@@ -122,46 +123,30 @@ class Alias(BaseModel):
         return self.offset + width(self.data_type)
 
 
-def load_slaves(path: str | None) -> dict[int, Slave]:
-    """Read the slave map; without a path there are no slaves that could be written to.
+def load_slaves(environment: Environment) -> dict[int, Slave]:
+    """Read the slave map; without one there are no slaves that could be written to.
 
     Raises:
         ConfigError: the file cannot be read or is not a slave map.
     """
-    slaves = _loaded("PROFIBUS_SLAVE_MAP", path, TypeAdapter(dict[str, Slave]))
+    slaves = environment.entries(_SLAVE_MAP, Slave)
     for name in slaves:
-        if not (name.isascii() and name.isdecimal() and int(name) <= 125 and str(int(name)) == name):
-            raise ConfigError("PROFIBUS_SLAVE_MAP: addresses are 0 to 125")
+        if not (name.isascii() and name.isdecimal() and int(name) <= _LAST_ADDRESS and str(int(name)) == name):
+            raise ConfigError(f"{_SLAVE_MAP}: addresses are 0 to {_LAST_ADDRESS}")
     return {int(name): slave for name, slave in slaves.items()}
 
 
-def load_aliases(path: str | None, slaves: dict[int, Slave]) -> dict[str, Alias]:
-    """Read the alias map; without a path there are no aliases.
+def load_aliases(environment: Environment, slaves: dict[int, Slave]) -> dict[str, Alias]:
+    """Read the alias map; without one there are no aliases.
 
     Raises:
         ConfigError: the file cannot be read or is not an alias map, or an alias has a place that its slave does not have.
     """
-    aliases = _loaded("PROFIBUS_ALIAS_MAP", path, TypeAdapter(dict[str, Alias]))
+    aliases = environment.entries(_ALIAS_MAP, Alias)
     for name, alias in aliases.items():
         slave = slaves.get(alias.slave_address)
         if slave is None:
-            raise ConfigError(f"PROFIBUS_ALIAS_MAP: {name}: the slave map has no slave {alias.slave_address}")
+            raise ConfigError(f"{_ALIAS_MAP}: {name}: the slave map has no slave {alias.slave_address}")
         if alias.end > (slave.input_length if alias.area == "inputs" else slave.output_length):
-            raise ConfigError(f"PROFIBUS_ALIAS_MAP: {name}: it ends after the {alias.area} of its slave")
+            raise ConfigError(f"{_ALIAS_MAP}: {name}: it ends after the {alias.area} of its slave")
     return aliases
-
-
-_Map = TypeVar("_Map")
-
-
-def _loaded(variable: str, path: str | None, kind: TypeAdapter[dict[str, _Map]]) -> dict[str, _Map]:
-    if path is None:
-        return {}
-    try:
-        return kind.validate_json(Path(path).read_bytes())
-    except OSError as error:
-        raise ConfigError(f"{variable}: {path} cannot be read: {error.strerror}") from None
-    except ValidationError as error:
-        fault = error.errors(include_url=False, include_input=False)[0]
-        place = "/".join(map(str, fault["loc"]))
-        raise ConfigError(f"{variable}: {path}: {place or 'the file'}: {fault['msg']}") from None

@@ -112,7 +112,7 @@ class Master:
             expected = slave.input_length if direction == "input" else slave.output_length
             if len(content) != expected:
                 message = f"the slave has {len(content)} bytes of {direction}s, the slave map says {expected}"
-                raise AdapterError("config_error", message)
+                raise AdapterError("protocol_error", message)
         return content
 
     # -- class 1: the slave is driven -------------------------------------------------------------------------
@@ -154,6 +154,7 @@ class Master:
             message = "another master has the slave (master_lock); a slave has one master"
             raise AdapterError("access_denied", message, outcome="not_sent", details={"master": found.master})
         if found.ident != slave.ident:
+            exchange.lose("there is another slave than the slave map says")
             message = f"the slave has the ident number {found.ident:04X}, the slave map says {slave.ident:04X}"
             raise AdapterError("config_error", message, outcome="not_sent")
         if exchange.state == "data_exchange":
@@ -256,8 +257,8 @@ class Master:
         acknowledged: bool = False,
     ) -> Telegram:
         telegram = self._telegram(station, service, data, control=_SEND_AND_REQUEST)
-        # The cycle waits no longer than until its next turn: while it waits, other slaves' watchdogs run.
-        timeout_s = self.line.timeout_s if call is not None else min(self.line.timeout_s, self.cycle_s)
+        # While the cycle waits for one slave, the watchdogs of the others run.
+        timeout_s = self.line.timeout_s if call is not None else min(self.line.timeout_s, self.watchdog_s / 4)
         answer = await self.line.exchange(
             call, telegram, timeout_s=timeout_s, changes_state=changes_state, acknowledged=acknowledged
         )
@@ -288,7 +289,8 @@ def _accept(found: Diagnosis, own: int) -> None:
     if found.has("prm_fault", "cfg_fault"):
         which = "parameters (prm_fault)" if found.has("prm_fault") else "configuration (cfg_fault)"
         message = f"the slave does not accept its {which}; set the slave map to what its GSD file says"
-        raise AdapterError("config_error", message, outcome="rejected")
+        # It was given parameters, and no outputs.
+        raise AdapterError("config_error", message, outcome="not_sent")
     if found.has("not_supported"):
         message = "the slave does not support what its parameters ask for (not_supported)"
         raise AdapterError("unsupported_operation", message, outcome="rejected")

@@ -88,7 +88,7 @@ class Tools:
         line = self._master.line
         if address == line.address:
             return []
-        answers = await line.ask_status(call, address, wait_s)
+        answers = await line.ask_status(call, address, wait_s, after_another=call.attempts > 0)
         return [{"address": one.source or 0, "type": _STATION_TYPES[one.control >> 4 & 3]} for one in answers]
 
     @tool("profibus.list_slaves")

@@ -37,6 +37,7 @@ _PRELOADED = (
     "modbus.adapter",
     "mqtt.adapter",
     "opcua.adapter",
+    "profibus.adapter",
     "s7.adapter",
 )
 
