@@ -14,6 +14,7 @@ from .plugin.fixtures.device_handles import (
 from .plugin.fixtures.modbus_handles import AsyncModbusDevice, ModbusDevice, ModbusEntry
 from .plugin.fixtures.mqtt_handles import AsyncBroker, Broker, MqttEntry
 from .plugin.fixtures.opcua_handles import AsyncOpcUaPlant, OpcUaEntry, OpcUaPlant
+from .plugin.fixtures.profibus_handles import AsyncProfibusDevice, ProfibusDevice, ProfibusEntry
 from .plugin.fixtures.s7_handles import AsyncS7Device, S7Device, S7Entry
 
 __all__ = [
@@ -24,6 +25,7 @@ __all__ = [
     "AsyncDevice",
     "AsyncModbusDevice",
     "AsyncOpcUaPlant",
+    "AsyncProfibusDevice",
     "AsyncS7Device",
     "BacnetDevice",
     "BacnetEntry",
@@ -36,6 +38,8 @@ __all__ = [
     "MqttEntry",
     "OpcUaEntry",
     "OpcUaPlant",
+    "ProfibusDevice",
+    "ProfibusEntry",
     "S7Device",
     "S7Entry",
     "SubjectError",

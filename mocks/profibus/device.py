@@ -32,10 +32,11 @@ _CLEAR, _OPERATE = 0x02, 0x00
 
 @dataclass(slots=True)
 class _Last:
-    """The last request that a slave took from a master, by its source and frame count bit, and what it answered."""
+    """The last request that a slave took from a master, by its source and frame count bit; whether it told nothing new; what was answered."""
 
     source: int
     count: bool
+    cycle: bool
     reply: Reply
 
 
@@ -52,6 +53,7 @@ class ProfibusDevice(Device):
         self._receiver = Receiver(self._frame, self._malformed)
         self._client = 0
         self._last: dict[int, _Last] = {}
+        self._sent: dict[tuple[int, int], bytes] = {}
         self._cycled: dict[int, Reply] = {}
         self._watchdogs: dict[int, asyncio.TimerHandle] = {}
 
@@ -81,7 +83,7 @@ class ProfibusDevice(Device):
         for timer in self._watchdogs.values():
             timer.cancel()
         self.plant, self.faults = Plant(), FaultPlan([])
-        self._last, self._cycled, self._watchdogs = {}, {}, {}
+        self._last, self._sent, self._cycled, self._watchdogs = {}, {}, {}, {}
         self.line.become("open")
 
     async def tick(self) -> None:
@@ -145,16 +147,14 @@ class ProfibusDevice(Device):
             and request.count_is_valid
             and (last.source, last.count) == (request.source, request.count)
         )
-        cycles = slave is not None and service == "data_exchange" and _repeats_outputs(slave, request)
-        changes = not repeated and _changes(slave, service, request, cycles)
+        cycles = self._repeats_outputs(slave, service, request)
+        changes = not repeated and not cycles and _changes(slave, service, request)
         rule = self.faults.match(service, request.destination, changes=changes and service == "data_exchange")
-        kind = "cycle" if cycles and not repeated else "request"
-
+        kind = "cycle" if cycles and not (repeated and last is not None and not last.cycle) else "request"
         fields |= ({"repeated": True} if repeated else {}) | _of(rule)
         record = partial(
             self._record, kind, request=kind == "request", state_changing=changes, **fields, telegram=raw.hex()
         )
-
         if slave is None or (rule is not None and rule.lose):
             # Who repeats its outputs to a slave that is silent is told of once, by the first telegram without an answer.
             if kind != "cycle" or self._cycled.pop(request.destination, None) is not None:
@@ -169,17 +169,27 @@ class ProfibusDevice(Device):
         self._last.pop(request.destination, None)
         if request.count or request.count_is_valid:
             # With both bits zero it is of no sequence: the next one cannot repeat it.
-            self._last[request.destination] = _Last(request.source, request.count, reply)
+            self._last[request.destination] = _Last(request.source, request.count, kind == "cycle", reply)
         self._watch(request.destination, slave, request.source)
-        if kind == "request":
-            self._cycled.pop(request.destination, None)
-        elif rule is None and self._cycled.get(request.destination) == reply:
+        if kind == "cycle" and rule is None and self._cycled.get(request.destination) == reply:
             # A master repeats the outputs some ten times a second. Only what is new in that is worth an entry.
             self.line.send(_encoded(request, reply))
             return
-        else:
+        if service == "data_exchange":
             self._cycled[request.destination] = reply
         self._answer(record(), request, reply, service, rule)
+
+    def _repeats_outputs(self, slave: Slave | None, service: str, request: Telegram) -> bool:
+        """Tell whether a Data_Exchange sends what the slave has from this master, or what the master sent it last."""
+        place = request.destination, request.source
+        if service == "chk_cfg":
+            self._sent.pop(place, None)
+        if service != "data_exchange":
+            return False
+        before, self._sent[place] = self._sent.get(place), request.data
+        if slave is not None and slave.exchanges_with(request.source):
+            return slave.outputs == request.data
+        return before == request.data
 
     # -- watchdogs --------------------------------------------------------------------------------------------
 
@@ -264,19 +274,15 @@ def _of(rule: Rule | None) -> dict[str, Any]:
     return {} if rule is None else {"fault": rule.action}
 
 
-def _repeats_outputs(slave: Slave, request: Telegram) -> bool:
-    """Tell whether a Data_Exchange of the slave's own master sends the outputs that the slave has."""
-    return slave.exchanges_with(request.source) and request.data == slave.outputs
-
-
-def _changes(slave: Slave | None, service: str, request: Telegram, cycles: bool) -> bool:
+def _changes(slave: Slave | None, service: str, request: Telegram) -> bool:
     """Tell whether a request may change the plant. Parameters and configuration of a slave that nobody else owns do not: they come
     before the first outputs, which do."""
-    if service == "data_exchange":
-        return not cycles
-    if service in ("set_prm", "chk_cfg"):
-        return slave is not None and slave.belongs_to_another(request.source)
-    return service == "set_slave_add"
+    if service == "set_slave_add":
+        return True
+    if slave is None or service not in ("data_exchange", "set_prm", "chk_cfg"):
+        return False
+    exchanges = service == "data_exchange" and slave.exchanges_with(request.source)
+    return exchanges or slave.belongs_to_another(request.source)
 
 
 def _either(falsified: int | None, right: int) -> int:

@@ -7,6 +7,7 @@ Each poke names a ``station`` and one of these members.
 ``outputs``    the same for its outputs
 ``master``     ``{"station": 5, "master": 3}``: another master of the plant owns it from now on; null: nobody does
 ``present``    ``{"station": 5, "present": false}``: it is taken off the line
+``ident``      ``{"station": 5, "ident": "1234"}``: there is another device at the address, which waits for parameters
 ``diagnosis``  bytes of an extended diagnosis, as hexadecimal digits; empty for none
 =============  =========================================================================================================
 """
@@ -25,7 +26,7 @@ __all__ = ["poke"]
 
 _HEX = re.compile("(?:[0-9a-f]{2})*")
 _MASTER = integer(0, 126)
-_MEMBERS = ("inputs", "outputs", "master", "present", "diagnosis")
+_MEMBERS = ("inputs", "outputs", "master", "present", "ident", "diagnosis")
 _LONGEST_DIAGNOSIS = 238
 """Bytes of an extended diagnosis at most: a diagnosis has 244."""
 
@@ -56,6 +57,12 @@ def _change(slave: Slave, name: str, value: Any) -> None:
         if len(content) != len(held):
             raise ValueError(f"{name}: expected {len(held)} byte(s), found {len(content)}")
         held[:] = content
+    elif name == "ident":
+        content = _bytes(name, value)
+        if len(content) != len(slave.ident):
+            raise ValueError(f"ident: expected {len(slave.ident)} bytes, found {len(content)}")
+        slave.leave()
+        slave.ident = content
     elif name == "diagnosis":
         content = _bytes(name, value)
         if len(content) > _LONGEST_DIAGNOSIS:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 import termios
 import tty
@@ -51,7 +52,7 @@ class Master:
                 while len(self._buffer) < count:
                     await readable.wait()
                     readable.clear()
-                    self._buffer += os.read(self.fd, 4096)
+                    self._read()
             finally:
                 loop.remove_reader(self.fd)
         found, self._buffer = self._buffer[:count], self._buffer[count:]
@@ -78,11 +79,17 @@ class Master:
 
     def nothing_came(self) -> bool:
         """Tell whether there is nothing to read."""
-        try:
-            self._buffer += os.read(self.fd, 4096)
-        except BlockingIOError:
-            pass
+        self._read()
         return not self._buffer
+
+    def _read(self) -> None:
+        with contextlib.suppress(BlockingIOError):
+            self._buffer += os.read(self.fd, 4096)
+
+    def drop(self) -> None:
+        """Forget what has come and was not read."""
+        termios.tcflush(self.fd, termios.TCIFLUSH)
+        self._buffer = b""
 
     def close(self) -> None:
         os.close(self.fd)
