@@ -31,6 +31,7 @@ BAUD_RATES = {
 
 _CONTROL, _IN_SPEED, _OUT_SPEED = 2, 4, 5
 """Members of the settings of a terminal."""
+_PSEUDO_TERMINALS = "/dev/pts/"
 _READ_SIZE = 4096
 _MOST_DRAINED = 16
 _FROM_MASTER = 0x40
@@ -298,7 +299,10 @@ def _opened(path: str, baud: int) -> int:
         tty.setraw(file, termios.TCSANOW)
         settings = termios.tcgetattr(file)
         settings[_CONTROL] &= ~(termios.CSIZE | termios.PARODD | termios.CSTOPB)
-        settings[_CONTROL] |= termios.CS8 | termios.PARENB | termios.CLOCAL | termios.CREAD
+        settings[_CONTROL] |= termios.CS8 | termios.CLOCAL | termios.CREAD
+        # A pseudo terminal has no parity, and refuses settings that change nothing else.
+        if not os.path.realpath(path).startswith(_PSEUDO_TERMINALS):
+            settings[_CONTROL] |= termios.PARENB
         settings[_IN_SPEED] = settings[_OUT_SPEED] = BAUD_RATES[baud]
         termios.tcsetattr(file, termios.TCSANOW, settings)
     except BaseException:

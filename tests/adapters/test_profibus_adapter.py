@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import json
+import os
 import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -465,6 +466,21 @@ def test_a_line_has_one_program(main: Bench, sessions: Any, adapter_command: Any
     assert (error["code"], "another program" in error["message"]) == ("connect_failed", True)
     missing = sessions(adapter_command("profibus"), {"PROFIBUS_SERIAL": "/dev/no-such-line"})
     assert missing.call("ping").error["code"] == "connect_failed"
+
+
+def test_a_line_can_be_opened_again() -> None:
+    line = import_module("pytest_otmcp.reference_adapters.profibus.line")
+    master, slave = os.openpty()
+    try:
+        for _ in range(3):
+            os.close(line._opened(os.ttyname(slave), 19200))
+        held = line._opened(os.ttyname(slave), 19200)
+        with pytest.raises(BlockingIOError):
+            line._opened(os.ttyname(slave), 19200)
+        os.close(held)
+    finally:
+        os.close(slave)
+        os.close(master)
 
 
 def test_a_gsd_file_is_read_from_its_folder_only(main: Bench) -> None:
