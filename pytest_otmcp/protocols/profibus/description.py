@@ -10,7 +10,7 @@ from .decoder import ProfibusConversation, contradiction
 from .entries import carried_out, describe, title
 from .exercise import EXERCISE
 from .operations import OPERATIONS
-from .oracle import no_state_changing_request
+from .oracle import Drives, no_state_changing_request
 from .proof import PROOF
 from .trace import facts
 
@@ -37,7 +37,7 @@ PROTOCOL = OtProtocol(
     recognise=re.compile(r"profibus", re.IGNORECASE),
     envelope_names=("profibus-dp",),
     colour=Colour(light="#00737a", dark="#3fb8bf"),
-    session_oracles=(StateChanges, Exchanges),
+    session_oracles=(StateChanges, Exchanges, Drives),
     proof=PROOF,
     exercise=EXERCISE,
 )
