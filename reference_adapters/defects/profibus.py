@@ -202,7 +202,7 @@ MUTANTS = (
         protocol="profibus",
         sentence="Slaves have no watchdog and no farewell, so outputs stay on when the adapter has ended.",
         bend=left_on,
-        items="P3 P5",
+        items="P5",
         requirements="MCP-009 WR-001",
     ),
     Mutant(

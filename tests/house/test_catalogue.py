@@ -180,7 +180,7 @@ def test_there_are_as_many_rows_of_each_level_as_there_were() -> None:
 
 @pytest.mark.parametrize(
     ("protocol", "bronze", "silver"),
-    [("modbus", 49, 73), ("mqtt", 45, 72), ("opcua", 48, 73), ("s7", 39, 59), ("bacnet", 39, 59)],
+    [("modbus", 49, 73), ("mqtt", 45, 72), ("opcua", 48, 73), ("s7", 39, 59), ("bacnet", 39, 59), ("profibus", 39, 59)],
     ids=lambda value: value,
 )
 def test_a_level_needs_as_many_rows_of_a_protocol_as_it_did(protocol: str, bronze: int, silver: int) -> None:
