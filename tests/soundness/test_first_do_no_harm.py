@@ -33,12 +33,13 @@ WRITING = {
     "opcua": "O3 FO2 S6",
     "s7": "K3 K4 FK3 SK2",
     "bacnet": "B3 B4 FB3 SB2",
+    "profibus": "P3 P4 FP3 SP2",
 }
-GUARDED = ("M4", "K4", "B4")
+GUARDED = ("M4", "K4", "B4", "P4")
 """Items about the variant with writes disabled alone."""
 
 OUTAGE = {"modbus": "S10", "mqtt": "S11", "opcua": "S12", "s7": "SK4"}
-READING = {"modbus": "M2", "mqtt": "Q1", "opcua": "O1", "s7": "K2", "bacnet": "B2"}
+READING = {"modbus": "M2", "mqtt": "Q1", "opcua": "O1", "s7": "K2", "bacnet": "B2", "profibus": "P2"}
 
 Elsewhere = Callable[[str], Device]
 
@@ -68,7 +69,14 @@ def wandering(warm_start: WarmStart, protocol: str, manner: str, **env: str) -> 
 
 
 def address(device: Device) -> str:
-    return f"{device.host}:{device.port}"
+    """Host and port of a device, or the path of its pseudo terminal."""
+    (first, *_) = device.endpoints.values()
+    return first.path or f"{first.host}:{first.port}"
+
+
+def place_of(device: Device) -> str:
+    """What stands in a subject file for such an address."""
+    return "{host}:{port}" if device.port else "{serial}"
 
 
 async def run_items(subject: Subject, plant: Plant, names: str) -> Results:
@@ -90,7 +98,7 @@ def seen_by(loop: LoopThread, device: Device) -> list[str]:
 
 
 MANNERS: dict[str, dict[str, str]] = {
-    "misspelt": {"ADRESS": "{host}:{port}"},
+    "misspelt": {"ADRESS": "PLACE"},
     "hard-wired": {},
     "home": {},
 }
@@ -111,7 +119,8 @@ def test_an_adapter_that_talks_to_the_plant_is_never_told_to_write(
 ) -> None:
     other = elsewhere(protocol)
     (tmp_path / "address").write_text(address(other), encoding="utf-8")
-    env = {"PLANT": address(other), "HOME": str(tmp_path), **MANNERS[manner]}
+    place = {name: text.replace("PLACE", place_of(other)) for name, text in MANNERS[manner].items()}
+    env = {"PLANT": address(other), "HOME": str(tmp_path), **place}
     subject = wandering(warm_start, protocol, manner, **env)
     first, *later = WRITING[protocol].split()
     results = loop.run(run_items(subject, plant, f"{READING[protocol]} {WRITING[protocol]}"))
@@ -173,6 +182,7 @@ def test_a_write_that_is_not_given_the_address_that_reads_are_given_is_refused(t
         "opcua": ("variables", "write", "node_ids = 'a'"),
         "s7": ("read_db", "write_db", "values = 'a'"),
         "bacnet": ("read", "write", "value = 'a'"),
+        "profibus": ("read_inputs", "write_outputs", "values = 'a'"),
     }[protocol]
     text = f"""
 [subject]
