@@ -118,12 +118,12 @@ def exactly_one_write(entries: Entries, *, station: int, outputs: bytes) -> list
 def no_outputs_sent(entries: Entries, station: int) -> list[Finding]:
     """Expect that no outputs were sent to a slave, other than those that a master has sent it before."""
     sent = [entry for entry in _asked(entries, ("data_exchange",), station) if entry["kind"] == "request"]
-    return _none(sent, "wrote", f"no outputs for slave {station}", "ERR-006")
+    return _none(sent, code="wrote", wanted=f"no outputs for slave {station}", requirement="ERR-006")
 
 
 def nothing_driven(entries: Entries) -> list[Finding]:
     """Expect that nothing was sent that only the master of a slave sends."""
-    return _none(_asked(entries, DRIVING), "driven", "nothing that drives a slave", "WR-004")
+    return _none(_asked(entries, DRIVING), code="driven", wanted="nothing that drives a slave", requirement="WR-004")
 
 
 class Drives(SessionOracle):
@@ -147,7 +147,7 @@ def nothing_driven_by(session: Drives) -> list[Finding]:
     return nothing_driven(session.first)
 
 
-def _none(found: Entries, code: str, wanted: str, requirement: str) -> list[Finding]:
+def _none(found: Entries, *, code: str, wanted: str, requirement: str) -> list[Finding]:
     if not found:
         return []
     shown = "; ".join(describe(entry) for entry in found[:_KEPT])
