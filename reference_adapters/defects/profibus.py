@@ -189,7 +189,7 @@ MUTANTS = (
         sentence="The inputs of a slave that does not answer are zero.",
         bend=silence_is_zero,
         items="FP1 SP4",
-        requirements="ERR-002 RD-005 REC-002",
+        requirements="ERR-002 REC-002 not_proven",
     ),
     Mutant(
         id="MU-45p",
