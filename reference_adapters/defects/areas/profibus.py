@@ -53,8 +53,8 @@ MUTANTS: tuple[Mutant, ...] = (
     _mutant(
         "MU-40pr",
         "rd",
-        "RD-001",
-        "RD-001",
+        "RD-001 RD-004",
+        "RD-001 RD-004",
         told(_READ, change=_first_byte_only),
         "Of the inputs of a slave only the first byte is told, and zeros for the others.",
     ),
