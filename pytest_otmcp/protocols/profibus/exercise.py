@@ -20,6 +20,9 @@ _SPEED, _COUNTER, _SIGNED, _DOUBLE = "otmcp_speed", "otmcp_counter", "otmcp_sign
 _SETPOINT, _LIMIT = "otmcp_setpoint", "otmcp_limit"
 """Names that a launch of an adapter with names of its own has: for the inputs of station 8 from byte 0 a FLOAT32, a UINT64, an INT64
 and a FLOAT64; for its outputs an INT16 from byte 0 and a FLOAT32 from byte 4."""
+_INPUTS = {"service": "rd_inp"}
+_NEW_OUTPUTS = {"service": "data_exchange", "changes": True}
+"""Conditions of a fault plan."""
 _LARGEST = struct.unpack(">f", bytes.fromhex("7f7fffff"))[0]
 
 
@@ -156,11 +159,12 @@ EXERCISE = Exercise(
     number=None,
     bounded=("slave",),
     done=_done,
-    reads=({"service": "rd_inp"}, {"service": "data_exchange", "changes": False}),
-    writes=({"service": "data_exchange", "changes": True},),
+    reads=(_INPUTS, {"service": "data_exchange", "changes": False}),
+    writes=(_NEW_OUTPUTS,),
     silent=({"action": {"drop": True}},),
-    # A line has no connection that could be reset: what comes nearest is an answer that is lost.
-    reset=({"action": {"drop": True}},),
+    # A line has no connection that could be reset: what comes nearest is that the answer to the outputs, or the inputs, are lost. A write
+    # asks for more than that, and what is lost before the outputs are sent leaves them unsent.
+    reset=tuple({**condition, "action": {"drop": True}} for condition in (_NEW_OUTPUTS, _INPUTS)),
     refused=({"action": {"error": 1}},),
     write_refused=({"error": 1}, "device_failure"),
     # An address has 7 bits, and 126 and 127 are no slave's.
