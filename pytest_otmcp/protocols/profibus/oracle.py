@@ -118,12 +118,19 @@ def exactly_one_write(entries: Entries, *, station: int, outputs: bytes) -> list
 def no_outputs_sent(entries: Entries, station: int) -> list[Finding]:
     """Expect that no outputs were sent to a slave, other than those that a master has sent it before."""
     sent = [entry for entry in _asked(entries, ("data_exchange",), station) if entry["kind"] == "request"]
-    return _none(sent, code="wrote", wanted=f"no outputs for slave {station}", requirement="ERR-006")
+    if not sent:
+        return []
+    message = f"the segment should have seen no outputs for slave {station}, it saw {_shown(sent)}"
+    return [Finding(code="wrote", message=message, requirement="ERR-006")]
 
 
 def nothing_driven(entries: Entries) -> list[Finding]:
     """Expect that nothing was sent that only the master of a slave sends."""
-    return _none(_asked(entries, DRIVING), code="driven", wanted="nothing that drives a slave", requirement="WR-004")
+    found = _asked(entries, DRIVING)
+    if not found:
+        return []
+    message = f"the segment should have seen nothing that drives a slave, it saw {_shown(found)}"
+    return [Finding(code="driven", message=message, requirement="WR-004")]
 
 
 class Drives(SessionOracle):
@@ -147,13 +154,8 @@ def nothing_driven_by(session: Drives) -> list[Finding]:
     return nothing_driven(session.first)
 
 
-def _none(found: Entries, *, code: str, wanted: str, requirement: str) -> list[Finding]:
-    if not found:
-        return []
-    shown = "; ".join(describe(entry) for entry in found[:_KEPT])
-    return [
-        Finding(code=code, message=f"the segment should have seen {wanted}, it saw {shown}", requirement=requirement)
-    ]
+def _shown(found: Entries) -> str:
+    return "; ".join(describe(entry) for entry in found[:_KEPT])
 
 
 def _station(image: Image, station: int) -> dict[str, Any]:
