@@ -16,6 +16,7 @@ from .plugin.fixtures.ethernetip_handles import AsyncEthernetIpDevice, EthernetI
 from .plugin.fixtures.modbus_handles import AsyncModbusDevice, ModbusDevice, ModbusEntry
 from .plugin.fixtures.mqtt_handles import AsyncBroker, Broker, MqttEntry
 from .plugin.fixtures.opcua_handles import AsyncOpcUaPlant, OpcUaEntry, OpcUaPlant
+from .plugin.fixtures.profibus_handles import AsyncProfibusDevice, ProfibusDevice, ProfibusEntry
 from .plugin.fixtures.s7_handles import AsyncS7Device, S7Device, S7Entry
 
 __all__ = [
@@ -28,6 +29,7 @@ __all__ = [
     "AsyncEthernetIpDevice",
     "AsyncModbusDevice",
     "AsyncOpcUaPlant",
+    "AsyncProfibusDevice",
     "AsyncS7Device",
     "BacnetDevice",
     "BacnetEntry",
@@ -44,6 +46,8 @@ __all__ = [
     "MqttEntry",
     "OpcUaEntry",
     "OpcUaPlant",
+    "ProfibusDevice",
+    "ProfibusEntry",
     "S7Device",
     "S7Entry",
     "SubjectError",

@@ -39,6 +39,7 @@ _PRELOADED = (
     "modbus.adapter",
     "mqtt.adapter",
     "opcua.adapter",
+    "profibus.adapter",
     "s7.adapter",
 )
 
