@@ -19,7 +19,7 @@ from ..core.strict_json import parse_strict
 from ..core.verdict import Status, decide, exit_code
 from ..protocols.registry import protocols
 from ..record.condensed import condensed
-from ..record.consistency import clock_faults
+from ..record.consistency import clock_faults, settings_faults
 from ..record.reader import RecordError, StoredRun, open_record
 from ..record.schema import Kit, Run
 from ..replay.rejudge import rejudge
@@ -98,6 +98,7 @@ def _derived(
     run = condensed(stored)
     tasks = tasks_by_id(run["subject"]["adapters"], run["settings"]["suites"])
     why_none = objections(run, tasks)
+    _refuse(f"{path} contradicts itself", list(settings_faults(run["settings"])))
     if certified is not None:
         _refuse(f"{path} earns no certificate", why_none)
         expected = certificate(run, stored.sha256, tasks)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import subprocess
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 from ..core.errors import UsageError
@@ -70,19 +71,37 @@ def signer(content: bytes, signature: bytes, trust: Path) -> str:
     with tempfile.TemporaryDirectory(prefix="otmcp-") as directory:
         file = Path(directory, "signature")
         file.write_bytes(signature)
-        found = _ssh_keygen("-Y", "find-principals", "-s", str(file), "-f", str(trust))
-        names = found.stdout.decode("utf-8", "replace").split("\n")[0]
-        if found.returncode != 0 or not names:
-            raise Refusal(
-                f"refused: the signature of the certificate is of nobody whom {trust} trusts: {_words(found)}"
-            )
-        # One line of the file may name several principals, separated by commas; the first will do.
-        name = names.split(",")[0]
-        asked = ("-Y", "verify", "-f", str(trust), "-I", name, "-n", NAMESPACE, "-s", str(file))
-        done = _ssh_keygen(*asked, given=content)
-        if done.returncode != 0:
-            raise Refusal(f"refused: the signature of {name} does not hold for this certificate: {_words(done)}")
-    return name
+        refusal = None
+        for signers in _one_by_one(trust, Path(directory)):
+            found = _ssh_keygen("-Y", "find-principals", "-s", str(file), "-f", str(signers))
+            names = found.stdout.decode("utf-8", "replace").split("\n")[0]
+            if found.returncode != 0 or not names:
+                refusal = (
+                    refusal or f"the signature of the certificate is of nobody whom {trust} trusts: {_words(found)}"
+                )
+                continue
+            # One line of the file may name several principals, separated by commas; the first will do.
+            name = names.split(",")[0]
+            asked = ("-Y", "verify", "-f", str(signers), "-I", name, "-n", NAMESPACE, "-s", str(file))
+            done = _ssh_keygen(*asked, given=content)
+            if done.returncode == 0:
+                return name
+            refusal = refusal or f"the signature of {name} does not hold for this certificate: {_words(done)}"
+    raise Refusal(f"refused: {refusal}")
+
+
+def _one_by_one(trust: Path, directory: Path) -> Iterator[Path]:
+    """Return the file of trusted signers, and then files with one of its lines each.
+
+    A key may stand in several lines, as of a person for commits and as of a product for certificates. Asked whose it is, ssh-keygen
+    names the first of them, and the signature is judged by that line alone.
+    """
+    yield trust
+    lines = [line for line in trust.read_bytes().splitlines() if line.strip() and not line.lstrip().startswith(b"#")]
+    for number, line in enumerate(lines if len(lines) > 1 else []):
+        alone = directory / f"signers-{number}"
+        alone.write_bytes(line + b"\n")
+        yield alone
 
 
 def _ssh_keygen(

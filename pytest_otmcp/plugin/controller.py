@@ -56,6 +56,9 @@ class RunRecorder:
         workers: number of pytest-xdist workers, 0 for none.
         begun: monotonic time at which the session began.
 
+    Attributes:
+        not_measured: see :class:`~pytest_otmcp.subject.selection.Selection`.
+
     Raises:
         UsageError: the subject knows a deviation of an item that the suite does not have, nothing can be written to the report
             directory, or another run writes to it.
@@ -80,7 +83,7 @@ class RunRecorder:
         self.verdict: Verdict | None = None
         self.deviations: DeviationReport | None = None
         self._subject = selection.subject
-        self._not_measured = selection.not_measured
+        self.not_measured = selection.not_measured
         self._narrowed = narrowed
         self._workers = workers
         self._begun = begun
@@ -239,7 +242,7 @@ class RunRecorder:
                     "soak": settings.soak,
                     "suites": list(settings.suites),
                     "protocols": list(settings.protocols),
-                    "not_measured": dict(self._not_measured),
+                    "not_measured": dict(self.not_measured),
                     "xdist_workers": self._workers,
                     **{
                         device.option: settings.external.get(protocol, "embedded")

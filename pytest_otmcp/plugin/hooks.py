@@ -514,6 +514,8 @@ def pytest_terminal_summary(terminalreporter: Any, exitstatus: int, config: pyte
     if not recorder.statuses:
         for sentence in config.stash[INTERFERENCE].sentences:
             terminalreporter.write_line(one_line(f"narrowed: {sentence}"))
+        for sentence in recorder.not_measured.values():
+            terminalreporter.write_line(one_line(f"note: {sentence}"))
         reason = "interrupted before the first item" if interrupted else "no item of the suite ran"
         terminalreporter.write_line(f"VERDICT: {recorder.verdict} ({reason})", red=True, bold=True)
         if recorder.path.exists():

@@ -189,6 +189,10 @@ def _no_bytes(entry: JournalEntry) -> str | None:
     return None
 
 
+def _any_answer(kind: str, asked: str) -> bool:
+    return True
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OtProtocol:
     """One OT protocol.
@@ -212,8 +216,9 @@ class OtProtocol:
             is None as long as there is none; None if that cannot be told without the answer.
         describe: describes one journal entry in a few words, for findings and the report.
         title: names a journal entry, for the report's conversations; None where the entry's kind is name enough.
-        contradiction: says where a journal entry differs from the bytes of the wire that it holds, in one clause; None where the
-            two agree, or where the entry holds no bytes.
+        contradiction: says in one clause where a journal entry differs from the bytes of the wire that it holds, or its members
+            from one another; None where they agree.
+        is_answer: tells whether an entry of one kind can be the answer to an entry of another.
         facts: what a journal entry says of members of ``meta.trace``, by name (``a.b`` for a member of a member): the values
             that the wire has for it; None where nothing is known of traces.
         mock: name of the mock as ``python -m pytest_otmcp.mocks`` takes it: a folder of ``mocks``, or the dotted name of
@@ -252,6 +257,7 @@ class OtProtocol:
     changes: Callable[[Entries], Sequence[JournalEntry]] = _state_changing
     carried_out: Callable[[JournalEntry, JournalEntry | None], bool | None] = _assumed
     contradiction: Callable[[JournalEntry], str | None] = _no_bytes
+    is_answer: Callable[[str, str], bool] = _any_answer
     composites: Mapping[str, Composite] = field(default_factory=dict)
     probes: Mapping[str, object] = field(default_factory=dict)
     choices: tuple[Choice, ...] = ()

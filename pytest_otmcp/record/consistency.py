@@ -9,9 +9,9 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from datetime import datetime, timedelta
 
-from ..core.matrix import REQUIREMENTS, SUITES
+from ..core.matrix import REQUIREMENTS, SUITES, repetitions
 from ..core.verdict import Status, Verdict, decide
-from .schema import COUNTED, ROLES, Call, Counted, Footer, Header, Item, ItemHead, Sample
+from .schema import COUNTED, ROLES, Call, Counted, Footer, Header, Item, ItemHead, Sample, Settings
 from .warnings import failing
 
 __all__ = ["Contradiction", "RunChecker", "clock_faults", "count_calls", "inapplicable_by_steps", "tool_calls"]
@@ -60,6 +60,9 @@ class RunChecker:
         self._calls: Counter[Counted] = Counter()
         for moment in (header["environment"]["started_at"], header["environment"]["finished_at"]):
             _check_instant(moment, "the record")
+        for suite in header["settings"]["suites"]:
+            if suite not in SUITES:
+                raise Contradiction(f"the settings ask for the unknown suite {suite!r}")
 
     def item(self, item: ItemHead, samples: Iterable[Sample]) -> Iterator[Sample]:
         """Check an item while its samples pass through.
@@ -91,6 +94,8 @@ class RunChecker:
         self._statuses[name] = Status(item["status"])
         if item["suite"] not in SUITES:
             raise Contradiction(f"{name} has the unknown suite {item['suite']!r}")
+        if item["suite"] not in self._header["settings"]["suites"]:
+            raise Contradiction(f"{name} is of the suite {item['suite']}, which the settings do not ask for")
         if item["run_id"] != self._header["run_id"]:
             raise Contradiction(f"{name} is of another run: its run_id is {item['run_id']}")
         if item["ended_ns"] < item["began_ns"]:
@@ -127,6 +132,13 @@ class RunChecker:
         claimed = footer.get("verdict")
         if claimed == Verdict.CONFORMANT and decide(self._statuses, self._statuses.keys()) != Verdict.CONFORMANT:
             raise Contradiction("the footer says CONFORMANT, the items do not")
+
+
+def settings_faults(settings: Settings) -> Iterator[str]:
+    """Say in a sentence what cannot be of the options of a run."""
+    follows = repetitions(settings["reps"]) if settings["reps"] else {}
+    if settings["repetitions"] != follows:
+        yield f"of N = {settings['reps']} follow the repetitions {follows}, the settings say {settings['repetitions']}"
 
 
 def clock_faults(header: Header, items: Iterable[ItemHead]) -> Iterator[str]:

@@ -289,7 +289,7 @@ class Device(TypedDict):
     """
 
     protocol: str
-    variant: str
+    variant: Literal["rw", "ro"]
     worker: str
     endpoints: list[Endpoint]
     placeholders: dict[str, str]

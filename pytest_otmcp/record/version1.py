@@ -11,6 +11,7 @@ import json
 from collections.abc import Mapping
 from typing import Any, cast
 
+from ..core.matrix import BENCHMARK
 from ..core.strict_json import parse_strict
 from .consistency import Contradiction
 from .schema import SCHEMA as TODAY
@@ -97,7 +98,7 @@ def upgraded(run: Old) -> Run:
         "era": "auto",
         "time_scale": 1.0,
     }
-    settings |= {"suites": [], "xdist_workers": 0, "narrowed": []}
+    settings |= {"suites": list(BENCHMARK), "xdist_workers": 0, "narrowed": []}
     header = {
         "schema": TODAY,
         "run_id": _NO_RUN,

@@ -15,6 +15,7 @@ from ..core.strict_json import same_json
 from ..protocols.registry import protocols
 from ..record.schema import Device, ItemDevice, JournalEntry, SessionStart
 from ..trial.cursor import JournalCursor
+from .connections import EVENTS, Connections
 from .reply import HistoryError
 
 __all__ = ["DeviceHistory"]
@@ -37,8 +38,11 @@ class DeviceHistory:
         self.cursor = JournalCursor(facts["protocol"], facts["first"])
         self.accepting_ns = 0
         self.unknown = False
+        self._protocol = protocols()[facts["protocol"]]
+        self._connections = Connections(self._protocol, facts["first"])
         self._floor_ns = 0
         self._last_ns = 0
+        self._opened = (0, 0)
 
     def enter(self, found: ItemDevice) -> None:
         """Begin an item at this device.
@@ -54,7 +58,7 @@ class DeviceHistory:
                 f"{self.name} was started again {found['starts']} time(s) before, the items before show {cursor.starts}"
             )
         while cursor.starts < found["starts"]:
-            cursor.restart()
+            self.restart()
         if found["quiet"] != quiet and not unknown:
             raise HistoryError(f"{self.name} was {'' if quiet else 'not '}left alone since the last item that had it")
         if self.accepting_ns not in (0, found["accepting_ns"]) and not unknown:
@@ -64,7 +68,7 @@ class DeviceHistory:
         if found["accepting_ns"] > found["asked_ns"]:
             raise HistoryError(f"{self.name} accepted connections only after the item had looked at it")
         self.accepting_ns = found["accepting_ns"]
-        self.has_session(found["session"])
+        self.has_session(found["session"], found["seen_ns"])
         proof = found.get("proof")
         if unknown:
             cursor.next = max(cursor.next, found["begin"] - len(found["before"]))
@@ -74,11 +78,28 @@ class DeviceHistory:
         self.looked(found["before"], found["begin"], found["seen_ns"])
         self.take(found["before"], found["begin"], found["asked_ns"])
 
-    def has_session(self, session: SessionStart | None) -> None:
-        """Begin a session, if its number is not that of the session before."""
+    def restart(self) -> None:
+        """Take into account that the device was started again: its journal counts from 0, and so do its connections."""
+        self.cursor.restart()
+        self._connections.restart()
+        self._opened = (0, 0)
+
+    def has_session(self, session: SessionStart | None, seen_ns: int) -> None:
+        """Begin a session that was there at ``seen_ns``, if its number is not that of the session before."""
         if session is not None and (self.cursor.session is None or session[0] != self.cursor.session[0]):
             number, seq = session
-            self.cursor.open_session(seq, number)
+            self.open_session(seq, seen_ns, number)
+
+    def open_session(self, seq: int, by_ns: int, number: int | None = None) -> None:
+        """Begin a session.
+
+        Args:
+            seq: sequence number of the journal at which it began.
+            by_ns: moment at which it had begun: entries from after that are not from before the session.
+            number: of the session; by default the next one.
+        """
+        self.cursor.open_session(seq, number)
+        self._opened = (seq, by_ns)
 
     def looked(self, entries: Sequence[JournalEntry], until: int, seen_ns: int) -> None:
         """Check what a look at the journal showed: the entries from the end of the last slice to before ``until``.
@@ -96,7 +117,13 @@ class DeviceHistory:
             wanted = f"the entries {begin} to {until - 1}" if until > begin else "no entries"
             raise HistoryError(f"the journal of {self.name} should have {wanted}, it has {_listed(found)}")
         last_ns = max(self._last_ns, self._floor_ns)
+        opened, by_ns = self._opened
         for entry in entries:
+            if entry["seq"] < opened and entry["t_ns"] > by_ns:
+                raise HistoryError(
+                    f"the session at {self.name} began before {by_ns} ns, entry {entry['seq']} of the journal is from after "
+                    f"that, and the record has the session begin at entry {opened}"
+                )
             if not last_ns <= entry["t_ns"] <= seen_ns:
                 raise HistoryError(
                     f"entry {entry['seq']} of the journal of {self.name} is not of its time: {entry['t_ns']} ns is not "
@@ -108,17 +135,15 @@ class DeviceHistory:
         """Take a slice: the entries after it must be from after it was asked for.
 
         Raises:
-            HistoryError: an entry answers a later one, or differs from the bytes that it holds.
+            HistoryError: an entry contradicts itself, the bytes that it holds, or the entries before it.
         """
         self.cursor.take(entries, until)
         self._floor_ns = max(self._floor_ns, asked_ns)
         if entries:
             self._last_ns = entries[-1]["t_ns"]
-        contradiction = protocols()[self.facts["protocol"]].contradiction
         for entry in entries:
-            wrong = _against_contract(entry) or contradiction(entry)
-            if entry["answers"] is not None and not 0 <= entry["answers"] < entry["seq"]:
-                wrong = f"answers the entry {entry['answers']}"
+            of_order = self._connections.contradiction(entry)
+            wrong = _against_contract(entry) or self._protocol.contradiction(entry) or of_order
             if wrong is not None:
                 raise HistoryError(f"entry {entry['seq']} of the journal of {self.name} {wrong}")
 
@@ -129,6 +154,8 @@ def _against_contract(entry: JournalEntry) -> str | None:
         return "was sent by the device, and is called a request"
     if entry["state_changing"] and not entry["request"]:
         return "may change the plant, and is called no request"
+    if entry["request"] and entry["kind"] in EVENTS:
+        return f"is a {entry['kind']!r}, which asks nothing, and is called a request"
     return None
 
 

@@ -238,9 +238,13 @@ class ReplayDriver:
             judged: the item was played back to its end without an objection.
         """
         early = self._head["ended"] is not None or self._head["status"] in (Status.INTERRUPTED, Status.KIT_ERROR)
-        for name in self._head["devices"].values():
-            if (device := self._devices.get(name["device"])) is not None:
+        met = {found["device"] for found in self._head["devices"].values()}
+        for name, device in self._devices.items():
+            if name in met:
                 device.unknown = early or not judged
+            elif early and device.facts["protocol"] in self._task.protocols:
+                # It may have begun at the device, and ended before that could be noted.
+                device.unknown = True
 
     def left_over(self) -> str | None:
         """Say what the history has beyond the task's end; None when it has nothing."""

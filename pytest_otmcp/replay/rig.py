@@ -193,7 +193,8 @@ class ReplayRig(Rig):
     def join(self, ledger: Ledger) -> None:
         super().join(ledger)
         if self._past.next_is(self.name, "session"):
-            self._state.history.has_session(self._seen("session")["session"])
+            seen = self._seen("session")
+            self._state.history.has_session(seen["session"], seen["seen_ns"])
 
     def claims(self, facet: str) -> bool:
         return self._state.adapter.claims.has(f"{self.protocol}.{facet}")
@@ -278,17 +279,20 @@ class ReplayRig(Rig):
         for seen in self._past.observations:
             if seen["at"] == self.name:
                 if "start" in seen:
-                    cursor.restart()
+                    self._state.history.restart()
                     self._state.history.accepting_ns = seen["start"]["accepting_ns"]
                 elif "fresh_session" in seen:
-                    cursor.open_session(seen["fresh_session"]["opened"])
+                    self._open_session(seen["fresh_session"]["opened"], seen)
                 elif (opened := seen.get("garbled")) is not None:
-                    cursor.open_session(opened)
+                    self._open_session(opened, seen)
                 elif "handshake_era" in seen:
-                    self._follow(seen["handshake_era"])
+                    self._follow(seen)
                 elif "end" in seen:
                     cursor.next = cursor.fed = seen["end"]
         self._state.running = True
+
+    def _open_session(self, seq: int, seen: Observation) -> None:
+        self._state.history.open_session(seq, seen["seen_ns"])
 
     def _seen(self, what: str, *others: str) -> Observation:
         return self._past.observation(self.name, what, *others, together=self._ledger.together)
@@ -405,20 +409,22 @@ class ReplayRig(Rig):
         pass
 
     async def garble_switch(self) -> bool:
-        opened = self._seen("garbled")["garbled"]
+        seen = self._seen("garbled")
+        opened = seen["garbled"]
         if opened is None:
             return False
-        self._cursor.open_session(opened)
+        self._open_session(opened, seen)
         return True
 
     async def _open_by_handshake(self) -> HandshakeEra:
-        found = self._seen("handshake_era")["handshake_era"]
-        self._follow(found)
-        return found
+        seen = self._seen("handshake_era")
+        self._follow(seen)
+        return seen["handshake_era"]
 
-    def _follow(self, found: HandshakeEra) -> None:
+    def _follow(self, seen: Observation) -> None:
+        found = seen["handshake_era"]
         if found["opened"] is not None:
-            self._cursor.open_session(found["opened"])
+            self._open_session(found["opened"], seen)
             if found["revision"] is None:
                 self._cursor.close_session()
 
@@ -439,7 +445,7 @@ class ReplayRig(Rig):
         started = seen["start"]
         _check_within(seen, f"the start of {self.name}", ms=started["ms"], moment_ns=started["accepting_ns"])
         self._state.running, self._state.history.accepting_ns = True, started["accepting_ns"]
-        self._cursor.restart()
+        self._state.history.restart()
         return started["ms"]
 
     async def _replace_session(self) -> FreshSession:
@@ -447,7 +453,7 @@ class ReplayRig(Rig):
         fresh = seen["fresh_session"]
         ended_ms = fresh["seconds"] * 1000
         _check_within(seen, f"the new session of {self.name}", ms=ended_ms, moment_ns=fresh["spawned_ns"])
-        self._cursor.open_session(fresh["opened"])
+        self._open_session(fresh["opened"], seen)
         return FreshSession(**fresh)
 
     async def take_slice(self) -> list[Entry]:

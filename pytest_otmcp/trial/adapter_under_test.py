@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypedDict, cast
+from typing import Literal, TypedDict, cast
 
 from .. import __version__
 from ..core.errors import KitError, SubjectError, UsageError
@@ -223,7 +223,7 @@ class AdapterUnderTest:
         """Return what ``run.json`` says about the device."""
         return {
             "protocol": self.adapter.protocol,
-            "variant": self.variant,
+            "variant": cast(Literal["rw", "ro"], self.variant),
             "worker": self._options.worker,
             "endpoints": [
                 {

@@ -12,6 +12,10 @@ from typing import cast
 import pytest
 
 from pytest_otmcp.plugin.options import add_options
+from pytest_otmcp.record.condensed import condensed
+from pytest_otmcp.record.reader import open_record
+from pytest_otmcp.report.html import page
+from pytest_otmcp.report.markdown import summary
 
 CHECKOUT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((CHECKOUT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -56,6 +60,18 @@ def test_the_tests_run_on_every_python_and_pytest_that_is_promised() -> None:
     assert f'pytest: "{least[1]}"' in workflow
 
 
+def test_every_requirement_has_a_least_version_and_one_that_is_too_new() -> None:
+    wanted = [*PROJECT["dependencies"], *(one for extra in PROJECT["optional-dependencies"].values() for one in extra)]
+    assert [one for one in wanted if not re.fullmatch(r"[\w-]+>=[\d.]+,<[\d.]+", one)] == []
+
+
+def test_what_the_kit_is_tested_with_is_searched_for_known_vulnerabilities() -> None:
+    workflow = (CHECKOUT / ".github" / "workflows" / "tests.yml").read_text(encoding="utf-8")
+    [audit] = re.findall(r"pip-audit (--.*)", workflow)
+    # Without the first option a package that could not be looked up would be a line of the output and no failure.
+    assert {"--strict", "--requirement .ci/locked.txt"} <= {f"--{part.strip()}" for part in audit.split("--")}
+
+
 def test_the_lock_of_continuous_integration_has_every_version_with_hashes_and_no_address() -> None:
     lock = (CHECKOUT / ".ci" / "locked.txt").read_text(encoding="utf-8")
     constraints = (CHECKOUT / "constraints.txt").read_text(encoding="utf-8")
@@ -68,6 +84,15 @@ def test_the_lock_of_continuous_integration_has_every_version_with_hashes_and_no
     files = re.split(versions, lock)[3::3]
     assert all(re.match(r"( \\\n +--hash=sha256:[0-9a-f]{64})+$", one.rstrip("\n")) for one in files), files
     assert "://" not in lock
+
+
+def test_the_sample_is_what_the_kit_makes_of_its_record() -> None:
+    # Made by: otmcp report reports/sample/run.json
+    sample = CHECKOUT / "reports" / "sample"
+    with open_record(sample / "run.json") as run:
+        shown = condensed(run)
+    assert (sample / "report.html").read_text(encoding="utf-8") == page(shown)
+    assert (sample / "summary.md").read_text(encoding="utf-8") == summary(shown)
 
 
 def test_the_readme_lists_every_option_of_the_plugin() -> None:

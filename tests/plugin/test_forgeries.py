@@ -22,6 +22,7 @@ from tests.stored_runs import store
 from .places import Change, Record, call, calls, entry, facts, item, journal, look, moved, parts, sample
 from .reference_run import reference_run
 
+FAMILIES = ("Modbus", "MQTT", "OPC UA")
 HOUR_NS = 3600 * 10**9
 DAY_NS = 24 * HOUR_NS
 
@@ -33,11 +34,11 @@ def path(tmp_path_factory: pytest.TempPathFactory, warm_start: WarmStart) -> Pat
 
 @pytest.fixture(scope="module")
 def genuine(path: Path) -> Record:
-    """The record of that run with its first eight items, as if it had been ended then: the forgeries need no more."""
+    """The record of that run with its first twelve items, as if it had been ended then: the forgeries need no more."""
     run: Record = load(path)
     return {
         **run,
-        "items": [item for item in run["items"] if item["suite"] == "normal" and item["family"] in ("Modbus", "MQTT")],
+        "items": [item for item in run["items"] if item["suite"] == "normal" and item["family"] in FAMILIES],
         "footer": {**run["footer"], "complete": False, "reason": "interrupted by the user", "verdict": "INCOMPLETE"},
     }
 
@@ -49,12 +50,27 @@ def examined(path: Path, run: Record) -> list[str]:
 def test_the_genuine_record_is_verified(genuine: Record, tmp_path: Path) -> None:
     said = examined(tmp_path, genuine)
     assert said[0].startswith("verified: ")
-    assert said[0].endswith("16 of 16 repetitions passed, and judging them again found the same")
+    assert said[0].endswith("24 of 24 repetitions passed, and judging them again found the same")
 
 
 def test_the_subject_file_of_the_run_is_that_of_the_record(path: Path) -> None:
     said = examine(path, subject=path.parents[2] / "otmcp.toml").said
     assert said[-1].startswith("the subject, its claims, deadlines and bindings are those of ")
+
+
+def test_what_a_device_saw_of_an_item_that_the_kit_broke_off_is_unknown(genuine: Record, tmp_path: Path) -> None:
+    run = copy.deepcopy(genuine)
+    ended = {"fault_of": "kit", "code": "kit_error", "message": "the mock said nothing for 60 s"}
+    told = {"requirement": None, "evidence": None, "strength": "MUST", "cause": None}
+    finding = {
+        **told,
+        "code": "kit_error",
+        "message": f"{ended['message']}. This is the kit's fault; please file a bug.",
+    }
+    nothing: Record = {"devices": {}, "around": [], "samples": [], "sessions": []}
+    item(run, "M2").update({**nothing, "status": "KIT_ERROR", "ended": ended, "findings": [finding]})
+    run["footer"]["verdict"] = "INDETERMINATE"
+    assert examined(tmp_path, run)[0].startswith("verified: ")
 
 
 def test_another_subject_file_is_refused(genuine: Record, path: Path, tmp_path: Path) -> None:
@@ -187,6 +203,48 @@ def overlapped(run: Record) -> None:
     late["started_at"] = earlier.isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
+def subscribed(run: Record) -> Record:
+    """Return the SUBACK of the adapter's first subscription."""
+    return entry(run, "Q2", kind="SUBACK", origin="client")
+
+
+def ended(run: Record) -> Record:
+    """Return the UNSUBSCRIBE of the adapter's first subscription."""
+    return entry(run, "Q2", kind="UNSUBSCRIBE", origin="client")
+
+
+def published(run: Record) -> Record:
+    """Return a PUBLISH of the adapter's."""
+    return entry(run, "Q3", kind="PUBLISH", direction="in", origin="client")
+
+
+def service(run: Record, identifier: str, kind: str, direction: str = "in") -> Record:
+    """Return a service request of an item, or an answer."""
+    return entry(run, identifier, kind=kind, direction=direction)
+
+
+def a_write_that_is_a_read(run: Record) -> None:
+    """Call a Write a Read, and leave out what only a Write has."""
+    write = service(run, "O3", "Write")
+    write |= {"kind": "Read", "state_changing": False}
+    write["nodes"] = [{"node_id": node["node_id"], "attribute": "Value"} for node in write["nodes"]]
+
+
+def a_connection_that_begins_twice(run: Record) -> None:
+    """Call a packet the begin of its connection."""
+    unsubscribe = ended(run)
+    unsubscribe |= {"kind": "CONNECTED", "request": False}
+    for name in ("filters", "packet_id"):
+        unsubscribe.pop(name)
+
+
+def a_session_that_begins_later(run: Record) -> None:
+    """Let a new session begin a million entries later, so that nothing that it did would be of a session."""
+    looks = (seen for part in parts(run) for seen in part["observations"])
+    fresh = next(seen for seen in looks if seen["at"] == "modbus" and "fresh_session" in seen)
+    fresh["fresh_session"]["opened"] += 10**6
+
+
 def a_guard_that_leaks(run: Record) -> None:
     """Let the adapter with writes disabled have sent a write."""
     request = entry(run, "M4", variant="ro", kind="request")
@@ -250,6 +308,18 @@ FORGERIES: dict[str, tuple[str, Change]] = {
     "an item of another suite": (
         "M1 has the unknown suite 'demonstration'",
         lambda run: item(run, "M1").update(suite="demonstration"),
+    ),
+    "an item of a suite that was not asked for": (
+        "M1 is of the suite normal, which the settings do not ask for",
+        lambda run: run["settings"].update(suites=["fault", "stress", "recovery"]),
+    ),
+    "a suite that the settings alone know": (
+        "the settings ask for the unknown suite 'gold'",
+        lambda run: run["settings"]["suites"].append("gold"),
+    ),
+    "a variant that no device has": (
+        "devices[...].variant: invalid enum value 'admin'",
+        lambda run: run["devices"]["modbus"].update(variant="admin"),
     ),
     "an item that ended before it began": ("M1 ended before it began", lambda run: item(run, "M1").update(ended_ns=0)),
     "a device that the run has not": (
@@ -332,8 +402,20 @@ FORGERIES: dict[str, tuple[str, Change]] = {
         lambda run: run["settings"].update(seed=8),
     ),
     "more repetitions demanded": (
-        "M1: 2 repetitions were planned, the settings demand 30",
+        "contradicts itself: of N = 2 follow the repetitions {'normal': 2, ",
         lambda run: run["settings"]["repetitions"].update(normal=30),
+    ),
+    "more repetitions said": (
+        "contradicts itself: of N = 30 follow the repetitions {'normal': 30, ",
+        lambda run: run["settings"].update(reps=30),
+    ),
+    "no repetitions demanded": (
+        "contradicts itself: of N = 2 follow the repetitions {'normal': 2, ",
+        lambda run: run["settings"].update(repetitions={}),
+    ),
+    "repetitions of a suite that there is not": (
+        "contradicts itself: of N = 2 follow the repetitions {'normal': 2, ",
+        lambda run: run["settings"]["repetitions"].update(gold=1),
     ),
     "a claim withdrawn afterwards": (
         "M1: the record says PASS, the subject does not claim modbus.ping",
@@ -449,6 +531,22 @@ FORGERIES: dict[str, tuple[str, Change]] = {
             proof={"proven": "ping", "preferred": "ping", "refused": None}
         ),
     ),
+    "a session that is said to begin after what it did": (
+        "the session at modbus began before",
+        a_session_that_begins_later,
+    ),
+    "a session that is said to begin later, in the item's head": (
+        "the session at modbus began before",
+        lambda run: item(run, "M3")["devices"]["modbus"].update(session=[99, 10**6]),
+    ),
+    "a connection that asks for something": (
+        "is a 'CONNECTED', which asks nothing, and is called a request",
+        lambda run: entry(run, "M1", kind="CONNECTED").update(request=True),
+    ),
+    "a connection that begins twice": (
+        "of the journal of mqtt begins the connection",
+        a_connection_that_begins_twice,
+    ),
     "an answer to what came later": (
         "M1 repetition 1: entry 4 of the journal of modbus answers the entry 5",
         lambda run: journal(run, "M1")[1].update(answers=journal(run, "M1")[1]["seq"] + 1),
@@ -522,6 +620,93 @@ FORGERIES: dict[str, tuple[str, Change]] = {
     "an answer that is called a request": (
         "was sent by the device, and is called a request",
         lambda run: entry(run, "M2", kind="response").update(request=True),
+    ),
+    # kinds
+    "a publication that is called no request": (
+        "of the journal of mqtt says request False, its kind 'PUBLISH' says True",
+        lambda run: published(run).update(request=False, state_changing=False),
+    ),
+    "a publication that changes nothing": (
+        "of the journal of mqtt says state_changing False, its kind 'PUBLISH' says True",
+        lambda run: published(run).update(state_changing=False),
+    ),
+    "a subscription that changes the plant": (
+        "of the journal of mqtt says state_changing True, its kind 'SUBSCRIBE' says False",
+        lambda run: entry(run, "Q2", kind="SUBSCRIBE", origin="client").update(state_changing=True),
+    ),
+    "a packet of the adapter that is called the plant's": (
+        "of the journal of mqtt is called the plant's, its connection was the client's",
+        lambda run: ended(run).update(origin="plant", request=False),
+    ),
+    "a packet of the adapter that is called a stranger's": (
+        "of the journal of mqtt is called the stranger's, its connection was the client's",
+        lambda run: ended(run).update(origin="stranger"),
+    ),
+    "a packet of the adapter that is called the kit's": (
+        "of the journal of mqtt is called the kit's, its connection was the client's",
+        lambda run: ended(run).update(origin="kit", request=False),
+    ),
+    "a session that goes on after its end": (
+        "of the journal of mqtt is called the client's, its connection was the former's",
+        lambda run: ended(run).update(origin="former"),
+    ),
+    "a message of the kit that is called the adapter's": (
+        "of the journal of mqtt has no connection, and is called the client's",
+        lambda run: entry(run, "Q2", kind="PUBLISH", origin="kit").update(
+            origin="client", request=True, state_changing=True
+        ),
+    ),
+    "a grant of another connection": (
+        "of the journal of mqtt answers the entry",
+        lambda run: subscribed(run).update(connection=99),
+    ),
+    "a grant of what was published": (
+        "of the journal of mqtt answers the entry",
+        lambda run: subscribed(run).update(answers=entry(run, "Q2", kind="PUBLISH", direction="out")["seq"]),
+    ),
+    "a grant of what was ended": (
+        "of the journal of mqtt is called 'UNSUBACK' and answers the entry",
+        lambda run: subscribed(run).update(kind="UNSUBACK"),
+    ),
+    "a service that is called no request": (
+        "of the journal of opcua says request False, its kind 'Read' says True",
+        lambda run: service(run, "O1", "Read").update(request=False),
+    ),
+    "a write of a node that changes nothing": (
+        "of the journal of opcua says state_changing False, its kind 'Write' says True",
+        lambda run: service(run, "O3", "Write").update(state_changing=False),
+    ),
+    "a read of a node that changes the plant": (
+        "of the journal of opcua says state_changing True, its kind 'Read' says False",
+        lambda run: service(run, "O1", "Read").update(state_changing=True),
+    ),
+    "a write of a node that is called a read": (
+        "of the journal of opcua is called 'Read', and has a value of 'ns=2;",
+        lambda run: service(run, "O3", "Write").update(kind="Read", state_changing=False),
+    ),
+    "a write of a node that has become a read": (
+        "of the journal of opcua is called 'Write' and answers the entry",
+        a_write_that_is_a_read,
+    ),
+    "a read of a node that is called a write": (
+        "of the journal of opcua is called 'Write', and has no value of 'ns=2;",
+        lambda run: service(run, "O1", "Read").update(kind="Write", state_changing=True),
+    ),
+    "a service that keeps the session": (
+        "of the journal of opcua has 'nodes', which a 'CloseSession' that was received does not have",
+        lambda run: service(run, "O2", "Browse").update(kind="CloseSession", request=False),
+    ),
+    "a service that nobody knows": (
+        "of the journal of opcua is of the kind 'Re\u0430d', which is no service",
+        lambda run: service(run, "O1", "Read").update(kind="Re\u0430d"),
+    ),
+    "results of a request": (
+        "of the journal of opcua has 'results', which a 'Read' that was received does not have",
+        lambda run: service(run, "O1", "Read").update(results=[{"status": "Good"}]),
+    ),
+    "an answer of another service": (
+        "of the journal of opcua is called 'Browse' and answers the entry",
+        lambda run: service(run, "O1", "Read", "out").update(kind="Browse"),
     ),
     "entries of a device that was not there": (
         "M1: task has journal entries of a device that the item did not have",
@@ -713,7 +898,8 @@ FORGERIES: dict[str, tuple[str, Change]] = {
 def test_a_forged_record_is_refused(genuine: Record, tmp_path: Path, name: str) -> None:
     reason, change = FORGERIES[name]
     # Most forgeries are found in the first four items; the others need not be judged again a hundred times.
-    families = ("Modbus", "MQTT") if "mqtt" in reason or "Q" in reason else ("Modbus",)
+    first = "Modbus" if "opcua" not in reason else "OPC UA"
+    families = FAMILIES[:2] if "mqtt" in reason or "Q" in reason else (first,)
     run = copy.deepcopy({**genuine, "items": [one for one in genuine["items"] if one["family"] in families]})
     change(run)
     with pytest.raises(Refusal, match=r"^refused: ") as refusal:

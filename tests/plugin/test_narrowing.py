@@ -258,6 +258,30 @@ def test_a_copy_of_the_suite_is_not_the_suite(repository: Repository) -> None:
     assert "tests/test_copy.py::test_normal[M1] is not of the shipped suite and is not counted" in outcome.narrowed
 
 
+WITHOUT_SNAP7 = """
+from importlib import metadata
+
+installed = metadata.version
+
+def version(name):
+    if name == "python-snap7":
+        raise metadata.PackageNotFoundError(name)
+    return installed(name)
+
+metadata.version = version
+"""
+
+
+def test_an_item_of_a_protocol_without_its_library_says_what_to_install(empty_repository: Repository) -> None:
+    empty_repository.write(uninstalled_py=WITHOUT_SNAP7)
+    path = (empty_repository.root,)
+    outcome = empty_repository.pytest("-p", "uninstalled", "--otmcp-protocols=s7", "-k", "K1", path=path)
+    said = "note: S7comm was not measured: python-snap7 is not installed; pip install 'pytest-otmcp[s7]'"
+    assert said in outcome.output.splitlines()
+    assert "VERDICT: INCOMPLETE (no item of the suite ran)" in outcome.output
+    assert outcome.code == 5
+
+
 def test_nothing_left_of_the_suite_is_no_success(repository: Repository) -> None:
     repository.write(
         conftest_py="def pytest_collection_modifyitems(items):\n"

@@ -31,12 +31,11 @@ from snap7.error import S7Error
 
 from pytest_otmcp.plant.mock_device import MockDevice
 from pytest_otmcp.plant.tap.stream import StreamTap
-from pytest_otmcp.protocols.dnp3.decoder import contradiction as dnp3_contradiction
-from pytest_otmcp.protocols.ethernetip.decoder import contradiction as ethernetip_contradiction
+from pytest_otmcp.protocols.journal import JournalEntry
 from pytest_otmcp.protocols.modbus import oracle as modbus_oracle
 from pytest_otmcp.protocols.mqtt import oracle as mqtt_oracle
 from pytest_otmcp.protocols.registry import protocols
-from pytest_otmcp.protocols.s7.decoder import contradiction as s7_contradiction
+from pytest_otmcp.replay.connections import Connections
 
 from ..feeding import fed
 
@@ -89,6 +88,16 @@ def comparable(entries: Iterable[Mapping[str, Any]], names: Iterable[str] | None
     ]
 
 
+def contradictions(protocol: str, entries: Iterable[JournalEntry]) -> list[str]:
+    """Return what ``otmcp verify`` would say against the entries, in the order of a journal from its beginning."""
+    described = protocols()[protocol]
+    connections = Connections(described, 0)
+    clauses = [
+        clause for entry in entries for clause in (described.contradiction(entry), connections.contradiction(entry))
+    ]
+    return [clause for clause in clauses if clause is not None]
+
+
 async def test_pymodbus_and_the_mock_agree_with_the_modbus_witness() -> None:
     async with tapped("modbus") as (device, tap):
         client = AsyncModbusTcpClient("127.0.0.1", port=tap.port, retries=0, timeout=60)
@@ -112,6 +121,7 @@ async def test_pymodbus_and_the_mock_agree_with_the_modbus_witness() -> None:
     assert len(ours) == 20
     assert ours == others
     assert modbus_oracle.exception_sent(mine, 2) == []
+    assert contradictions("modbus", mine) == contradictions("modbus", theirs) == []
 
 
 async def test_two_s7_clients_and_the_mock_agree_with_the_s7_witness() -> None:
@@ -148,7 +158,7 @@ async def test_two_s7_clients_and_the_mock_agree_with_the_s7_witness() -> None:
         )
         assert len(ours) == (15 if direction == "out" else 16)
         assert ours == others
-    assert [s7_contradiction(entry) for entry in mine] == [None] * len(mine)
+    assert contradictions("s7", mine) == contradictions("s7", theirs) == []
 
 
 async def test_two_logix_clients_and_the_mock_agree_with_the_ethernetip_witness() -> None:
@@ -183,7 +193,7 @@ async def test_two_logix_clients_and_the_mock_agree_with_the_ethernetip_witness(
         assert len(ours) > 40
         assert ours == others
     assert {entry.get("service") for entry in mine} >= {"read", "write", "modify", "multiple", "tag_list", "template"}
-    assert [ethernetip_contradiction(entry) for entry in mine] == [None] * len(mine)
+    assert contradictions("ethernetip", mine) == contradictions("ethernetip", theirs) == []
 
 
 async def test_two_dnp3_masters_and_the_mock_agree_with_the_dnp3_witness() -> None:
@@ -211,7 +221,7 @@ async def test_two_dnp3_masters_and_the_mock_agree_with_the_dnp3_witness() -> No
     kinds = Counter(entry["kind"] for entry in mine)
     assert kinds["confirm"] >= 1
     assert kinds["response"] == kinds["request"]
-    assert [dnp3_contradiction(entry) for entry in mine] == [None] * len(mine)
+    assert contradictions("dnp3", mine) == contradictions("dnp3", theirs) == []
     # dnp3py's one command, and of opendnp3's seven the two that were refused when they were selected.
     commanded = [entry["function"] for entry in protocols()["dnp3"].changes(mine)]
     assert Counter(commanded) == {4: 4, 5: 2, 3: 2}
@@ -254,6 +264,7 @@ async def test_paho_and_the_mock_agree_with_the_mqtt_witness(version: int) -> No
         client.loop_stop()
         mine = tap.journal.since(0)
         theirs = [entry for entry in (await device.journal(0)).entries if entry.get("client_id") == "peer"]
+    assert contradictions("mqtt", mine) == contradictions("mqtt", theirs) == []
     names = _CONTRACT | {"client_id", "topic", "qos", "retain", "dup", "packet_id", "payload", "filters"}
     names |= {"reason_codes", "clean_start", "keepalive", "username", "session_present", "protocol_level"}
     for direction in ("in", "out"):
@@ -286,6 +297,7 @@ async def test_the_edge_node_of_the_mock_keeps_the_rules_that_the_witness_checks
     edge_nodes = [entry for entry in journal if entry["kind"] == "CONNECT" and entry.get("will")]
     assert simulator
     assert edge_nodes
+    assert contradictions("mqtt", journal) == []
     for connect in edge_nodes:
         assert fed(mqtt_oracle.SparkplugSequence(client_id=connect["client_id"]), journal).findings == []
 
@@ -309,6 +321,7 @@ async def test_asyncua_and_the_mock_agree_with_the_opcua_witness() -> None:
             folder = client.get_node(image["folders"]["Actuators"])
             await folder.get_children()
         mine, theirs = tap.journal.since(0), (await device.journal(mark)).entries
+    assert contradictions("opcua", mine) == contradictions("opcua", theirs) == []
     services = {"Read", "Write", "Browse"}
     names = _CONTRACT | {"nodes", "results", "counts"}
     ours, others = (

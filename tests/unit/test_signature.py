@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pytest_otmcp.cli import main
+from pytest_otmcp.cli import Refusal, main
 from pytest_otmcp.cli.signature import NAMESPACE, sign, signer
 from tests.keys import WHO, new_key, trusted
 
@@ -47,6 +47,21 @@ def test_a_signature_names_its_signer(certificate: Path, key: Path, trust: Path)
     signature = sign(certificate, key)
     assert signature.name == "certificate.json.sig"
     assert signer(certificate.read_bytes(), signature.read_bytes(), trust) == WHO
+
+
+def test_a_key_that_is_trusted_for_something_else_too_names_its_signer(
+    certificate: Path, key: Path, trust: Path, tmp_path: Path
+) -> None:
+    content, signature = certificate.read_bytes(), sign(certificate, key).read_bytes()
+    public = key.with_suffix(".pub").read_text()
+    others = tmp_path / "others"
+    others.write_text(f'# of ours\n\nsomebody namespaces="git" {public}former valid-before="20200101" {public}')
+    with pytest.raises(Refusal, match="refused: the signature of somebody does not hold for this certificate"):
+        signer(content, signature, others)
+    trust.write_text(others.read_text() + trust.read_text())
+    assert signer(content, signature, trust) == WHO
+    with pytest.raises(Refusal, match="does not hold for this certificate"):
+        signer(content + b" ", signature, trust)
 
 
 def test_anybody_can_check_it_with_ssh_keygen_alone(certificate: Path, key: Path, trust: Path) -> None:

@@ -15,7 +15,7 @@ from ..journal import JournalEntry
 from ..reread import difference
 from .tags import NotTagged, Reader
 
-__all__ = ["CHANGING", "CHANGING_UNCONFIRMED", "BacnetConversation", "contradiction"]
+__all__ = ["ANSWERS", "CHANGING", "CHANGING_UNCONFIRMED", "BacnetConversation", "contradiction"]
 
 READ, READ_MULTIPLE, WRITE = 12, 14, 15
 I_AM, I_HAVE, WHO_HAS, WHO_IS = 0, 1, 7, 8
@@ -69,6 +69,9 @@ class BacnetConversation:
         return [message]
 
 
+ANSWERS = frozenset({("response", "request"), ("bvlc", "bvlc")})
+"""Kinds of entries of which the first can answer the second."""
+
 _READ = ("request", "response", "message", "bvlc")
 _UNREAD = ("malformed", "network-message")
 """Kinds of datagrams that say nothing to the device."""
@@ -80,7 +83,7 @@ def contradiction(entry: JournalEntry) -> str | None:
     # What came in with bytes is what they say, whatever it is called; what went out may have been damaged on the way.
     came = entry["direction"] == "in" and "bytes" in members and entry["kind"] not in _UNREAD
     if entry["kind"] not in _READ and not came:
-        return None
+        return "is called a request, and has no datagram to ask with" if entry["request"] else None
     try:
         datagram = bytes.fromhex(members["bytes"])
     except (KeyError, TypeError, ValueError):

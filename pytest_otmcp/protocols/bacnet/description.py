@@ -6,7 +6,7 @@ import re
 
 from ..protocol import Colour, Framing, OtProtocol
 from ..session_oracle import Exchanges, StateChanges
-from .decoder import BacnetConversation, contradiction
+from .decoder import ANSWERS, BacnetConversation, contradiction
 from .entries import carried_out, changes, describe, title
 from .exercise import EXERCISE
 from .operations import OPERATIONS
@@ -28,6 +28,7 @@ PROTOCOL = OtProtocol(
     changes=changes,
     carried_out=carried_out,
     contradiction=contradiction,
+    is_answer=lambda kind, asked: (kind, asked) in ANSWERS,
     describe=describe,
     facts=facts,
     title=title,

@@ -78,7 +78,7 @@ def contradiction(entry: JournalEntry) -> str | None:
     members: Mapping[str, Any] = dict(entry)
     # What came in with bytes is a request, whatever it is called; what went out may have been damaged on the way.
     if entry["kind"] not in ("request", "response") and (entry["direction"] == "out" or "pdu" not in members):
-        return None
+        return "is called a request, and has no PDU" if entry["request"] else None
     try:
         pdu = bytes.fromhex(members["pdu"])
     except (KeyError, TypeError, ValueError):

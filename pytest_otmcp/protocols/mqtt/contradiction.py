@@ -1,4 +1,8 @@
-"""Comparison of a broker's journal entry with the payload that it holds. Pure.
+"""Comparison of a broker's journal entry with the payload that it holds, and of its members with its kind. Pure.
+
+Of other packets than messages no bytes are kept: the kind of an entry, which is the packet's name, says whether it is a request
+and may change the plant, and which members it can have (MQTT 3.1.1 and 5, chapter 3). What the simulated plant and the kit send
+is no request.
 
 The oracles read payloads by themselves; the decoded Sparkplug message beside a payload is for readers of the record. A value
 of a type that is written in several ways, such as a data set, is compared by nobody.
@@ -13,9 +17,34 @@ from typing import Any
 
 from ..journal import JournalEntry
 from ..reread import difference
+from .decoder import ANSWERS, KINDS, REQUESTS
 from .sparkplug_decoder import DATA_TYPES, decode_message
 
-__all__ = ["contradiction"]
+__all__ = ["contradiction", "is_answer"]
+
+_EVENTS = frozenset({"CONNECTED", "DISCONNECTED", "lost", "mangled", "malformed", "network", "WILL", "BURST"})
+_MESSAGES = frozenset({"PUBLISH", "WILL"})
+_ACKNOWLEDGEMENTS = frozenset({"PUBACK", "PUBREC", "PUBREL", "PUBCOMP"})
+_SUBSCRIPTIONS = frozenset({"SUBSCRIBE", "UNSUBSCRIBE"})
+_KINDS_WITH = {
+    "topic": _MESSAGES | {"BURST"},
+    "payload": _MESSAGES,
+    "sparkplug": _MESSAGES,
+    "qos": _MESSAGES,
+    "retain": _MESSAGES,
+    "dup": frozenset({"PUBLISH"}),
+    "will_sent": frozenset({"PUBLISH"}),
+    "will": frozenset({"CONNECT"}),
+    "clean_start": frozenset({"CONNECT"}),
+    "keepalive": frozenset({"CONNECT"}),
+    "filters": _SUBSCRIPTIONS,
+    "packet_id": _ACKNOWLEDGEMENTS | _SUBSCRIPTIONS | {"PUBLISH", "SUBACK", "UNSUBACK"},
+    "reason_codes": _ACKNOWLEDGEMENTS | {"CONNACK", "SUBACK", "UNSUBACK", "DISCONNECT", "AUTH"},
+    "session_present": frozenset({"CONNACK"}),
+    "count": frozenset({"BURST", "lost"}),
+}
+"""The kinds of entry that can have a member."""
+_NEEDED = {"PUBLISH": ("topic", "payload", "qos"), "SUBSCRIBE": ("filters",), "UNSUBSCRIBE": ("filters",)}
 
 _OF_MESSAGE = ("group", "type", "edge_node", "device", "seq", "timestamp")
 _OF_METRIC = ("name", "alias", "datatype", "is_null")
@@ -23,20 +52,40 @@ _COMPARED = frozenset({"UInt8", "UInt16", "UInt32", "UInt64", "Float", "Double",
 """Data types whose values every decoder shows alike."""
 
 
+def is_answer(kind: str, asked: str) -> bool:
+    """Tell whether an entry of one kind can be the answer to an entry of another."""
+    return ANSWERS.get(kind) == asked
+
+
 def contradiction(entry: JournalEntry) -> str | None:
-    """Say where an entry, or the will that it declares, differs from its payload; None where it does not."""
+    """Say where an entry, or the will that it declares, differs from its kind or its payload; None where it does not."""
     members: Mapping[str, Any] = dict(entry)
-    found = _of_message(entry, members)
+    found = _of_kind(entry, members) or _of_message(entry, members)
     will = members.get("will")
     if found is None and isinstance(will, Mapping) and (of_will := _of_message(entry, will)) is not None:
         found = f"has a will that {of_will}"
     return found
 
 
+def _of_kind(entry: JournalEntry, members: Mapping[str, Any]) -> str | None:
+    kind = entry["kind"]
+    if kind not in KINDS and kind not in _EVENTS:
+        return f"is of the kind {kind!r}, which is no packet"
+    asks = entry["direction"] == "in" and entry["origin"] not in ("plant", "kit")
+    shown = {"request": asks and kind in REQUESTS, "state_changing": asks and kind == "PUBLISH"}
+    if (found := difference(members, shown, f"kind {kind!r}")) is not None:
+        return found
+    for name, kinds in _KINDS_WITH.items():
+        if name in members and kind not in kinds:
+            return f"has {name!r}, which a {kind!r} does not have"
+    missing = next((name for name in _NEEDED.get(kind, ()) if name not in members), None)
+    return None if missing is None else f"is called {kind!r}, and has no {missing!r}"
+
+
 def _of_message(entry: JournalEntry, message: Mapping[str, Any]) -> str | None:
     payload = message.get("payload")
     if payload is None:
-        return "has a topic but no payload" if entry["kind"] == "PUBLISH" and "topic" in message else None
+        return "has a topic but no payload" if entry["kind"] == "PUBLISH" else None
     try:
         content = base64.b64decode(payload, validate=True)
     except (TypeError, binascii.Error, ValueError):

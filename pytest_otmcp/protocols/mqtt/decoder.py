@@ -17,14 +17,14 @@ from ..conversation import Direction, Message, Outstanding
 from ..framing import MalformedError
 from .sparkplug_decoder import decode_message
 
-__all__ = ["MqttConversation", "packet_length"]
+__all__ = ["ANSWERS", "KINDS", "REQUESTS", "MqttConversation", "packet_length"]
 
 KINDS = (
     *("RESERVED", "CONNECT", "CONNACK", "PUBLISH", "PUBACK", "PUBREC", "PUBREL", "PUBCOMP", "SUBSCRIBE", "SUBACK"),
     *("UNSUBSCRIBE", "UNSUBACK", "PINGREQ", "PINGRESP", "DISCONNECT", "AUTH"),
 )
 _ACKNOWLEDGEMENTS = frozenset({"PUBACK", "PUBREC", "PUBREL", "PUBCOMP"})
-_ANSWERS = {
+ANSWERS = {
     "CONNACK": "CONNECT",
     "PUBACK": "PUBLISH",
     "PUBREC": "PUBLISH",
@@ -34,7 +34,8 @@ _ANSWERS = {
     "PINGRESP": "PINGREQ",
 }
 """Answers of a broker, each with the kind of packet that it answers; a packet identifier, where it has one, says which."""
-_REQUESTS = frozenset(_ANSWERS.values())
+REQUESTS = frozenset(ANSWERS.values())
+"""Packets with which a client asks the broker for something."""
 _FLAGS_2 = frozenset({"PUBREL", "SUBSCRIBE", "UNSUBSCRIBE"})
 MQTT_5 = 5
 
@@ -194,16 +195,16 @@ class MqttConversation:
     def _message(self, direction: Direction, kind: str, fields: dict[str, object]) -> Message:
         packet_id = fields.get("packet_id")
         if direction == "out":
-            asked = self._outstanding.take((_ANSWERS[kind], packet_id)) if kind in _ANSWERS else None
+            asked = self._outstanding.take((ANSWERS[kind], packet_id)) if kind in ANSWERS else None
             return Message(direction="out", kind=kind, fields=fields, answers=asked)
         message = Message(
             direction="in",
             kind=kind,
             fields=fields,
-            request=kind in _REQUESTS,
+            request=kind in REQUESTS,
             state_changing=kind == "PUBLISH",
         )
-        if kind in _REQUESTS and fields.get("qos") != 0:
+        if kind in REQUESTS and fields.get("qos") != 0:
             self._outstanding.add((kind, packet_id), message)
         return message
 

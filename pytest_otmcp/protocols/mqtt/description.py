@@ -7,7 +7,7 @@ import re
 from ..protocol import Choice, Colour, Composite, Framing, OtProtocol, Simulator
 from ..session_oracle import Exchanges
 from .commands import COMMAND_TOPICS
-from .contradiction import contradiction
+from .contradiction import contradiction, is_answer
 from .decoder import MqttConversation, packet_length
 from .entries import describe, messages
 from .exercise import EXERCISE
@@ -51,6 +51,7 @@ PROTOCOL = OtProtocol(
     changes=messages,
     carried_out=kept_or_executed,
     contradiction=contradiction,
+    is_answer=is_answer,
     describe=describe,
     facts=facts,
     mock="mqtt",

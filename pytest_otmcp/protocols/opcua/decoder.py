@@ -14,7 +14,7 @@ from ..conversation import Direction, Message, Outstanding
 from ..framing import MalformedError
 from .binary import BinaryReader, symbol
 
-__all__ = ["SESSION_KEEPING", "STATE_CHANGING", "OpcUaConversation", "chunk_length"]
+__all__ = ["SERVICES", "SESSION_KEEPING", "STATE_CHANGING", "OpcUaConversation", "chunk_length"]
 
 _MESSAGES = frozenset({b"HEL", b"ACK", b"ERR", b"RHE", b"OPN", b"MSG", b"CLO"})
 _CONNECTION_PROTOCOL = {"HEL": "Hello", "ACK": "Acknowledge", "ERR": "Error", "RHE": "ReverseHello"}
@@ -22,7 +22,7 @@ _LARGEST_CHUNK = 64 * 1024 * 1024
 _POLICY_NONE = "http://opcfoundation.org/UA/SecurityPolicy#None"
 
 # Numeric id of the binary encoding of the request (OPC 10000-6, annex A); the id of the response is three higher.
-_SERVICES = {
+SERVICES = {
     422: "FindServers",
     428: "GetEndpoints",
     446: "OpenSecureChannel",
@@ -146,7 +146,7 @@ class OpcUaConversation:
         type_id = reader.node_id()
         number = int(type_id.removeprefix("i=")) if type_id.startswith("i=") else -1
         if direction == "in":
-            return [self._request(request_id, _SERVICES.get(number, type_id), reader)]
+            return [self._request(request_id, SERVICES.get(number, type_id), reader)]
         return [self._response(request_id, number, type_id, reader)]
 
     def _request(self, request_id: int, name: str, reader: BinaryReader) -> Message:
@@ -169,7 +169,7 @@ class OpcUaConversation:
 
     def _response(self, request_id: int, number: int, type_id: str, reader: BinaryReader) -> Message:
         asked = self._outstanding.take(request_id)
-        name = _SERVICES.get(number - 3, type_id) if asked is None else asked.kind
+        name = SERVICES.get(number - 3, type_id) if asked is None else asked.kind
         reader.take(8)
         handle, result = reader.unpack("I"), reader.unpack("I")
         reader.diagnostic_info()

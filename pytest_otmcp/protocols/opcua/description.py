@@ -6,6 +6,7 @@ import re
 
 from ..protocol import Colour, Framing, OtProtocol
 from ..session_oracle import StateChanges
+from .contradiction import contradiction, is_answer
 from .decoder import OpcUaConversation, chunk_length
 from .entries import carried_out, describe
 from .exercise import EXERCISE
@@ -26,6 +27,8 @@ PROTOCOL = OtProtocol(
     framing=Framing(frame_length=chunk_length, conversation=OpcUaConversation),
     unsolicited=lambda entries, declared: no_state_changing_service(entries),
     carried_out=carried_out,
+    contradiction=contradiction,
+    is_answer=is_answer,
     describe=describe,
     facts=facts,
     mock="opcua",

@@ -16,7 +16,7 @@ from ..framing import MalformedError
 from ..journal import JournalEntry
 from ..reread import difference
 
-__all__ = ["S7Conversation", "contradiction", "tpkt_length"]
+__all__ = ["ANSWERS", "S7Conversation", "contradiction", "tpkt_length"]
 
 JOB, ACK, ACK_DATA, USER_DATA = 1, 2, 3, 7
 READ, WRITE, SETUP = 0x04, 0x05, 0xF0
@@ -30,6 +30,8 @@ STATE_CHANGING_USER_DATA = frozenset({(7, 2)})
 _SERVICES = {SETUP: "setup", READ: "read", WRITE: "write", 0x28: "control", 0x29: "stop"}
 _INFORMATION = {(4, 1): "szl", (7, 1): "clock", (7, 2): "set_clock"}
 _COTP = {0xE0: "connect_request", 0xD0: "connect_confirm", 0x80: "disconnect_request"}
+ANSWERS = frozenset({("response", "request"), ("setup_response", "setup")})
+"""Kinds of entries of which the first can answer the second."""
 _CALLING, _CALLED = 0xC1, 0xC2
 _LENGTH_IN_BITS = frozenset({3, 4, 5})
 _KEPT = 300
@@ -229,7 +231,7 @@ def contradiction(entry: JournalEntry) -> str | None:
     # What came in with a PDU is a request, whatever it is called; what went out may have been damaged on the way.
     known = entry["kind"] in ("request", "response", "setup", "setup_response")
     if not known and (entry["direction"] == "out" or "pdu" not in members):
-        return None
+        return "is called a request, and has no PDU" if entry["request"] else None
     try:
         raw = bytes.fromhex(members["pdu"])
         shown = _fields(entry["direction"], raw)

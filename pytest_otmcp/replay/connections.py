@@ -1,0 +1,89 @@
+"""The connections of a device in a stored run: whose each is, and what its answers answer. Pure.
+
+A connection belongs to one client from its beginning to its end. An adapter's session may end before it, and who cannot be
+known counts for the adapter as soon as it speaks; but what is the plant's, the kit's or another program's never becomes the
+adapter's, nor the other way round.
+"""
+
+from __future__ import annotations
+
+from ..core.journal_entry import JournalEntry
+from ..protocols.protocol import OtProtocol
+
+__all__ = ["EVENTS", "Connections"]
+
+EVENTS = frozenset({"CONNECTED", "DISCONNECTED", "lost", "malformed", "mangled", "network"})
+"""Kinds of entries that are no messages of a protocol: every witness has them, and none asks the device for anything."""
+
+_MOST_ASKED = 65_536
+"""Entries that can still be answered; an answer to an earlier one is believed."""
+
+_STEP = {"unknown": 0, "client": 1, "former": 2}
+"""Whose a connection of the adapter is, in the order in which that changes."""
+
+
+class Connections:
+    """What a device's journal has shown so far.
+
+    Args:
+        protocol: of the device.
+        first: sequence number at which the journal is known.
+    """
+
+    def __init__(self, protocol: OtProtocol, first: int) -> None:
+        self._protocol = protocol
+        self._asked: dict[int, tuple[int, str]] = {}
+        self._known = self._next = first
+        self._whose: dict[int, str] = {}
+
+    def restart(self) -> None:
+        """Begin again, as the journal and the numbers of connections do when the device was started again."""
+        self._asked.clear()
+        self._whose.clear()
+        self._known = self._next = 0
+
+    def contradiction(self, entry: JournalEntry) -> str | None:
+        """Take the next entry; say in one clause where it contradicts the entries before it, None where it does not."""
+        if entry["seq"] != self._next:
+            # What an item that could not be judged again has left out.
+            self._known = entry["seq"]
+        self._next = entry["seq"] + 1
+        found = self._of_answer(entry) or self._of_owner(entry)
+        if entry["direction"] == "in":
+            self._asked[entry["seq"]] = (entry["connection"], entry["kind"])
+            if len(self._asked) > _MOST_ASKED:
+                oldest = next(iter(self._asked))
+                del self._asked[oldest]
+                self._known = oldest + 1
+        return found
+
+    def _of_answer(self, entry: JournalEntry) -> str | None:
+        seq = entry["answers"]
+        if seq is None:
+            return None
+        asked = self._asked.get(seq)
+        if not 0 <= seq < entry["seq"] or (asked is None and seq >= self._known) or entry["direction"] == "in":
+            return f"answers the entry {seq}, which asked nothing"
+        if asked is None:
+            return None
+        connection, kind = asked
+        if connection != entry["connection"]:
+            return f"answers the entry {seq} of another connection"
+        if not self._protocol.is_answer(entry["kind"], kind):
+            return f"is called {entry['kind']!r} and answers the entry {seq}, which is called {kind!r}"
+        return None
+
+    def _of_owner(self, entry: JournalEntry) -> str | None:
+        number, origin = entry["connection"], entry["origin"]
+        if number == 0:
+            return None if origin == "kit" else f"has no connection, and is called the {origin}'s"
+        if number in self._whose and entry["kind"] == "CONNECTED":
+            return f"begins the connection {number}, which was there already"
+        before = self._whose.get(number, origin)
+        self._whose[number] = origin
+        if entry["kind"] == "DISCONNECTED":
+            # What comes after the end, such as a will, is of a connection that nobody remembers.
+            del self._whose[number]
+        if before == origin or _STEP.get(before, 9) < _STEP.get(origin, 0):
+            return None
+        return f"is called the {origin}'s, its connection was the {before}'s"
