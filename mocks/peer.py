@@ -10,16 +10,17 @@ from __future__ import annotations
 import asyncio
 import atexit
 import contextlib
+import fcntl
 import itertools
 import os
 import socket
 import struct
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import cache
 
-__all__ = ["Process", "client", "holder", "process_of", "socket_of"]
+__all__ = ["Process", "client", "holder", "process_of", "socket_of", "terminal_holder"]
 
 _SOCK_DIAG = 4
 _BY_FAMILY = 20
@@ -32,6 +33,8 @@ _ANY_COOKIE = b"\xff" * 8
 _INODE_AT = _HEADER.size + 4 + 48 + 16
 _TOKEN = b"OTMCP_SESSION="
 _MOST_KNOWN = 32
+_GET_NUMBER = 0x80045430
+"""TIOCGPTN of ioctl_tty(2): the number of the terminal that belongs to a master."""
 
 Address = tuple[str, int]
 
@@ -121,9 +124,27 @@ def _inode(protocol: int, local: Address, remote: Address) -> int:
 
 def holder(number: int) -> Process | None:
     """Return the process that has the socket of this number; None if that is 0, or no process that can be seen has it."""
-    if not number:
-        return None
-    link = f"socket:[{number}]"
+    return _having(f"socket:[{number}]") if number else None
+
+
+def terminal_holder(master: int) -> tuple[Process | None, tuple[int, str | None] | None]:
+    """Return the process that has a pseudo terminal open, and a key that no later process has; (None, None) if none can be seen.
+
+    The device and its launcher, which keep it open, are not meant. Of several others it is one.
+
+    Args:
+        master: file descriptor of the terminal's other side.
+    """
+    try:
+        (number,) = struct.unpack("=I", fcntl.ioctl(master, _GET_NUMBER, bytes(4)))
+    except OSError:
+        return None, None
+    process = _having(f"/dev/pts/{number}", besides=(os.getpid(), os.getppid()))
+    return process, None if process is None else (process.pid, _start(process.pid))
+
+
+def _having(link: str, besides: Collection[int] = ()) -> Process | None:
+    """Return the process that has a file descriptor which is a link to this; None if none that can be seen has."""
     # A process that connects anew for each request gets the same file descriptor for it.
     for looked_at in (_Known.at_the_same_place, _Known.anywhere):
         for key, known in reversed(_known.items()):
@@ -132,7 +153,7 @@ def holder(number: int) -> Process | None:
                 return known.process
     # The youngest first: what a process has opened and handed on to a child is found at the child.
     for pid in sorted((int(name) for name in os.listdir("/proc") if name.isdigit()), reverse=True):
-        if (place := _place(pid, link)) is not None:
+        if pid not in besides and (place := _place(pid, link)) is not None:
             return _found(pid, place)
     return None
 

@@ -11,10 +11,12 @@ from .plugin.fixtures.device_handles import (
     SubjectError,
     UsageError,
 )
+from .plugin.fixtures.dnp3_handles import AsyncDnp3Device, Dnp3Device, Dnp3Entry
 from .plugin.fixtures.ethernetip_handles import AsyncEthernetIpDevice, EthernetIpDevice, EthernetIpEntry
 from .plugin.fixtures.modbus_handles import AsyncModbusDevice, ModbusDevice, ModbusEntry
 from .plugin.fixtures.mqtt_handles import AsyncBroker, Broker, MqttEntry
 from .plugin.fixtures.opcua_handles import AsyncOpcUaPlant, OpcUaEntry, OpcUaPlant
+from .plugin.fixtures.profibus_handles import AsyncProfibusDevice, ProfibusDevice, ProfibusEntry
 from .plugin.fixtures.s7_handles import AsyncS7Device, S7Device, S7Entry
 
 __all__ = [
@@ -23,14 +25,18 @@ __all__ = [
     "AsyncBacnetDevice",
     "AsyncBroker",
     "AsyncDevice",
+    "AsyncDnp3Device",
     "AsyncEthernetIpDevice",
     "AsyncModbusDevice",
     "AsyncOpcUaPlant",
+    "AsyncProfibusDevice",
     "AsyncS7Device",
     "BacnetDevice",
     "BacnetEntry",
     "Broker",
     "Device",
+    "Dnp3Device",
+    "Dnp3Entry",
     "EthernetIpDevice",
     "EthernetIpEntry",
     "JournalEntry",
@@ -40,6 +46,8 @@ __all__ = [
     "MqttEntry",
     "OpcUaEntry",
     "OpcUaPlant",
+    "ProfibusDevice",
+    "ProfibusEntry",
     "S7Device",
     "S7Entry",
     "SubjectError",

@@ -479,9 +479,12 @@ async def what_does_not_fit_is_refused(run: Repetition, at: Rig) -> None:
     """
     bounds = exercise(at).bounds
     assert bounds is not None
+    offered = [(asked, beyond) for asked, beyond in bounds() if at.claims(asked.operation)]
+    if not offered:
+        run.not_applicable("the adapter has no operation that writes a number")
     await at.prove()
     await a_write_works(run, at)
-    for asked, beyond in bounds():
+    for asked, beyond in offered:
         for poke in asked.pokes:
             await at.poke(**poke)
         accepted = await at.call(asked.operation, **asked.inputs)

@@ -10,7 +10,7 @@ import random
 from collections.abc import Iterator, Mapping
 from typing import Any, TypeGuard
 
-__all__ = ["beyond", "good", "of_other_types", "properties", "required", "types"]
+__all__ = ["beyond", "good", "of_other_types", "properties", "required", "required_by_an_alternative", "types"]
 
 _DEEPEST = 5
 _MOST = 1000
@@ -34,6 +34,17 @@ def required(schema: object) -> list[str]:
     """Return the names of the arguments that a tool's ``inputSchema`` requires."""
     found = schema.get("required") if isinstance(schema, Mapping) else None
     return [name for name in found if isinstance(name, str)] if isinstance(found, list) else []
+
+
+def required_by_an_alternative(schema: object) -> set[str]:
+    """Return the names of the arguments that a tool's ``inputSchema`` requires in one of its alternatives, such as a mode of the tool."""
+    found: set[str] = set()
+    for word in ("oneOf", "anyOf", "allOf"):
+        members = schema.get(word) if isinstance(schema, Mapping) else None
+        for member in members[:_MOST] if isinstance(members, list) else ():
+            resolved = _resolved(member, schema) if isinstance(member, Mapping) else member
+            found |= {*required(resolved), *required(resolved.get("then") if isinstance(resolved, Mapping) else None)}
+    return found
 
 
 class _Bounds:
@@ -83,10 +94,12 @@ def of_other_types(rng: random.Random, argument: object, whole: object = None, *
         number: the argument has to be a number, though its schema may let everything through.
     """
     allowed = types(argument, whole)
-    if allowed >= _ANY and number:
-        allowed = frozenset({"number"})
     digits = rng.randrange(2, 100)
     values = [True, str(digits), "nan", "Infinity", None, [], [digits], {}, {"value": digits}, digits]
+    if allowed >= _ANY and number:
+        allowed = frozenset({"number"})
+        # A list of one number is the value of one element to a tool that also writes several elements of an array.
+        values.remove([digits])
     return [value for value in values if _type(value) not in allowed]
 
 

@@ -148,8 +148,9 @@ async def schemas_say_what_is_taken(run: Repetition, at: Rig) -> None:
         run.witnessed(_unbounded(at, listed, operation, inputs))
     tool = at.tool_of(asked.operation, **asked.inputs)
     schema = _schema(listed, tool)
+    said = {*generated.required(schema), *generated.required_by_an_alternative(schema)}
     for name in sorted((at.arguments_of(asked.operation, **asked.inputs) or {}).values()):
-        if name in generated.required(schema) or name not in generated.properties(schema):
+        if name in said or name not in generated.properties(schema):
             continue
         reply = await at.call_altered(asked.operation, Alteration(left_out=(name,)), **asked.inputs)
         if reply.success is False and reply.error_code in VALIDATION:

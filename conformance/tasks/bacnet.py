@@ -132,7 +132,7 @@ async def read_present_values(run: Repetition, bacnet: Rig) -> None:
         run.succeeds(reply, value=value)
     # The standard has numbers and names for the states.
     if run.succeeds(replies[3][0]):
-        run.one_of(replies[3][0], "value", fan, ("inactive", "active")[fan], bool(fan))
+        run.one_of(replies[3][0], "value", fan, ("inactive", "active")[fan], bool(fan), requirement="RD-001")
     journal = await bacnet.journal()
     run.witnessed(
         fresh(journal, *((reply, read_of(target)) for reply, target in replies)),

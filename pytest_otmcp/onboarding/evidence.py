@@ -78,6 +78,8 @@ def _rules(document: object, expected: object) -> Iterator[dict[str, Any]]:
         yield {"path": path}
         if isinstance(expected, list):
             yield {"path": path, "wrap": True}
+            if isinstance(value, str):
+                yield {"path": path, "as": "bytes"}
         if isinstance(value, str):
             try:
                 inner = json.loads(value)
@@ -114,6 +116,7 @@ def _in_text(text: str, expected: object) -> Iterator[dict[str, object]]:
         yield {"split": ",", "as": kind}
         yield {"regex": r"\[([^\]]*)\]", "split": ",", "as": kind}
         yield {"regex": r":\s*([-\d.,\s]+)$", "split": ",", "as": kind}
+        yield {"as": "bytes"}
         return
     kind = _kind(expected)
     yield {"as": kind}

@@ -17,8 +17,8 @@ class Endpoint:
     """One endpoint of a device. Its address stays the same while the device is stopped and started.
 
     Attributes:
-        name: unique within the device, in the protocol's words; not ``http``, because ``{http_port}`` in a subject file is a port
-            of the adapter.
+        name: unique within the device, in the protocol's words; not ``http`` or ``local``, because ``{http_port}`` and ``{local_port}``
+            in a subject file are ports of the adapter.
         kind: a TCP port, a UDP port, or a pseudo terminal in the place of a serial line.
         host, port: of a port; empty and 0 for a pseudo terminal.
         path: of a pseudo terminal; empty for a port.

@@ -31,7 +31,8 @@ _LEAKS = re.compile(
 )
 _SEARCHED = 4000
 """Characters of a message that are searched: the time that a long row of slashes takes grows with its square."""
-_ENDPOINT = re.compile(r"[a-z][a-z0-9+.-]*://(?:\[[0-9a-fA-F:.]+\]|[^/@\s:]+):\d{1,5}(?:/\S*)?")
+_ENDPOINT = re.compile(r"[a-z][a-z0-9+.-]*://(?:(?:\[[0-9a-fA-F:.]+\]|[^/@\s:]+):\d{1,5}(?:/\S*)?|/\S+)")
+"""A host and its port, or the path of a serial line."""
 _ROUNDING_MS = 0.1
 """Envelopes round their latency; no judgement depends on less than this."""
 _CLOCK_MS = 15.625 + 1.0
@@ -233,7 +234,7 @@ def _meta_faults(meta: Mapping[str, object], measured_ms: float | None, delay_ms
         elif not _ENDPOINT.fullmatch(endpoint):
             yield Finding(
                 code="endpoint",
-                message=f"meta.endpoint should be scheme://host:port, it is {endpoint!r}",
+                message=f"meta.endpoint should be scheme://host:port, or scheme:///path for a serial line, it is {endpoint!r}",
                 requirement="ENV-006",
             )
     started = meta.get("started_at")

@@ -21,6 +21,7 @@ from ..core.errors import ExhaustedError
 from ..core.exhaustion import exhausted
 from .keeping import Watcher
 from .limits import MAX_FRAME_BYTES
+from .starvation import LOOK_S, Starvation
 
 __all__ = ["StopReport", "SubjectProcess", "subject_environment"]
 
@@ -29,6 +30,9 @@ _UNREAD_BYTES = 4 * 1024 * 1024
 every answer to one that it does not read would be kept."""
 
 _SETTLE_S = 3.0
+_STARVED_S = 60.0
+"""Time without a processor, in seconds, that is not held against a process that is to end."""
+
 _STDERR_LINES = 60
 _STDERR_LINE_BYTES = 2000
 
@@ -261,7 +265,8 @@ class SubjectProcess:
         SIGKILL; then kill the rest of what it has started.
 
         Args:
-            grace_s: seconds to wait after closing stdin, and after SIGTERM.
+            grace_s: seconds to wait after closing stdin, and after SIGTERM, beside those for which the machine did not let
+                the process run.
             reads_stdin: True when the process takes the end of its stdin as a request to end; else SIGTERM is the first.
         """
         begun = time.monotonic()
@@ -275,11 +280,11 @@ class SubjectProcess:
         how = "exited" if exited.is_set() else "killed"
         if how != "exited":
             self._stdin.close()
-            if reads_stdin and await _within(grace_s, exited):
+            if reads_stdin and await self._gone_within(grace_s):
                 how = "eof"
             else:
                 self._watcher.terminate()
-                if await _within(grace_s, exited):
+                if await self._gone_within(grace_s):
                     how = "terminated" if reads_stdin else "signalled"
         seconds = time.monotonic() - begun
         if how == "eof":
@@ -289,6 +294,18 @@ class SubjectProcess:
         for transport in self._output:
             transport.close()
         return StopReport(how=how, seconds=seconds, returncode=self.returncode, left=left if how == "eof" else [])
+
+    async def _gone_within(self, grace_s: float) -> bool:
+        """Wait for the process to exit; tell whether it did.
+
+        On a busy machine seconds pass before a process gets a processor at all, or the watcher, which tells of its end.
+        """
+        begun = time.monotonic()
+        starvation = Starvation((self._watcher.pid, self._watcher.root))
+        left = grace_s
+        while left > 0 and not await _within(min(left, LOOK_S), self._watcher.exited):
+            left = grace_s + min(starvation.seconds(), _STARVED_S) - (time.monotonic() - begun)
+        return self._watcher.exited.is_set()
 
 
 def _streams(undo: AsyncExitStack) -> tuple[list[FileIO], list[FileIO]]:

@@ -12,8 +12,8 @@ from .model import Adapter, Binding, Connect, Function
 __all__ = ["addressed_by", "carries_address", "check_addresses", "mentions_address"]
 
 _PLACEHOLDER = re.compile(r"\{(host|port|url|serial|\w+_port)(:int)?\}")
-_NO_DEVICE = "{http_port}"
-"""The adapter's own port."""
+_NO_DEVICE = re.compile(r"\{(http|local)_port\}")
+"""The adapter's own ports."""
 
 _LITERAL = re.compile(r"[a-z][a-z0-9+.-]*://\S+|(\d{1,3}\.){3}\d{1,3}(:\d+)?|localhost(:\d+)?", re.IGNORECASE)
 _NAMES_A_DEVICE = re.compile(
@@ -25,7 +25,7 @@ _NAMES_A_DEVICE = re.compile(
 def mentions_address(value: object) -> bool:
     """Tell whether a text, or any text in a template, has a placeholder for the device's address."""
     if isinstance(value, str):
-        return _PLACEHOLDER.search(value.replace(_NO_DEVICE, "")) is not None
+        return _PLACEHOLDER.search(_NO_DEVICE.sub("", value)) is not None
     if isinstance(value, Mapping):
         return any(map(mentions_address, value.values()))
     return isinstance(value, list) and any(map(mentions_address, value))

@@ -275,4 +275,6 @@ def _converted(rule: OutputRule, value: Any) -> Any:
             return ast.literal_eval(value)
         case "hex":
             return int(value, 16)
+        case "bytes":
+            return list(bytes.fromhex(value))
     return value

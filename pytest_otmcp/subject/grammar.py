@@ -92,7 +92,7 @@ OUTPUT_TABLE = Table(
         "wrap": Key(FLAG, "A single value becomes a list of one.", default=False),
         "strip": Key(TEXT, "Prefix that is taken off; of a list, off each element."),
         "as": Key(
-            OneOf(("int", "float", "bool", "string", "hex", "json", "python")),
+            OneOf(("int", "float", "bool", "string", "hex", "bytes", "json", "python")),
             "The type of the value; of a list, of each element.",
         ),
         "then": Key(PATH, "JMESPath over what 'as' made."),
@@ -153,7 +153,8 @@ def adapter_table(protocol: OtProtocol) -> Table:
         {
             "command": Key(
                 _ARGV,
-                "The argument vector; {host} {port} {url} {NAME_port} {serial} {python} {dir} {work} {http_port} are replaced.",
+                "The argument vector; {host} {port} {url} {NAME_port} {serial} {python} {dir} {work} {http_port} {local_port} are "
+                "replaced.",
             ),
             "cwd": Key(TEXT, "Working directory, relative to this file."),
             "env": Key(MapOf(STRING), "Environment beyond a short allow-list.", default={}),

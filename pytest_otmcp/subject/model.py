@@ -76,7 +76,8 @@ class OutputRule:
         regex: searched in the text found so far; its first group (or the whole match) is the value.
         split: separator that cuts the text into a list.
         strip: prefix that is taken off, as ``2:`` off a browse name.
-        convert: ``int``, ``float``, ``bool``, ``string``, ``json``, ``python`` or ``hex``; for a list, of each element.
+        convert: ``int``, ``float``, ``bool``, ``string``, ``json``, ``python``, ``hex`` or ``bytes``; for a list, of each
+            element.
         then: JMESPath over the result of ``convert``.
         wrap: a single value becomes a list of one.
     """
@@ -277,7 +278,8 @@ class Variant:
     """One way to launch an adapter.
 
     Attributes:
-        command: argument vector; ``{host} {port} {url} {NAME_port} {serial} {python} {dir} {work} {http_port}`` are replaced.
+        command: argument vector; ``{host} {port} {url} {NAME_port} {serial} {python} {dir} {work} {http_port} {local_port}`` are
+            replaced.
         env: environment beyond the kit's allow-list, with the same replacements.
         cwd: working directory, or None for the kit's.
         files: name below ``{work}``, a fresh directory, to content with the same replacements.

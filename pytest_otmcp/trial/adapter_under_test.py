@@ -251,7 +251,8 @@ class AdapterUnderTest:
             "kit_version": __version__,
             "dir": str(self.adapter.directory),
             "work": self._work.name,
-            "http_port": str(_free_port()) if self.adapter.url is not None else "",
+            "http_port": str(_free_port(socket.SOCK_STREAM)) if self.adapter.url is not None else "",
+            "local_port": str(_free_port(socket.SOCK_DGRAM)),
         }
         launch = self.adapter.variants[self.variant].for_endpoint(values)
         for name, content in launch.files.items():
@@ -614,9 +615,9 @@ class _Tools:
         return ToolAnswer(text=text, structured=structured, is_error=is_error)
 
 
-def _free_port() -> int:
+def _free_port(kind: socket.SocketKind) -> int:
     # A server has to be told its port before it exists. On loopback another program takes that port meanwhile only by chance.
-    with socket.socket() as probe:
+    with socket.socket(type=kind) as probe:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]
         return port

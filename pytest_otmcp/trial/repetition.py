@@ -149,13 +149,13 @@ class Repetition:
         :func:`pytest_otmcp.trial.expectations.failed`."""
         return self.judge(reply, oracle.failed(reply, *codes, **expected))
 
-    def one_of(self, reply: Reply, output: str, *values: object) -> None:
-        """Expect that an output is one of several values, where concurrency makes each of them right."""
+    def one_of(self, reply: Reply, output: str, *values: object, requirement: str = "CON-004") -> None:
+        """Expect that an output is one of several values, each of which is right, as concurrency makes them."""
         found = reply.outputs.get(output)
         if reply.success and not any(same_json(value, found) for value in values):
             shown = " or ".join(map(repr, values))
             message = f"{reply.label}: {output} should be {shown}, the reply says {found!r}"
-            self.ledger.reject(reply, Finding(code="wrong_value", message=message, requirement="CON-004"))
+            self.ledger.reject(reply, Finding(code="wrong_value", message=message, requirement=requirement))
 
     def judge(self, reply: Reply, findings: list[Finding]) -> bool:
         """Take over what an expectation found about a reply; return whether it was met."""

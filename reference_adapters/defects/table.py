@@ -2,7 +2,22 @@
 
 from __future__ import annotations
 
-from . import any_protocol, areas, bacnet, claims, ethernetip, life, modbus, mqtt, opcua, refusals, s7, sparkplug
+from . import (
+    any_protocol,
+    areas,
+    bacnet,
+    claims,
+    dnp3,
+    ethernetip,
+    life,
+    modbus,
+    mqtt,
+    opcua,
+    profibus,
+    refusals,
+    s7,
+    sparkplug,
+)
 from .mutant import Mutant, number
 
 __all__ = ["MUTANTS", "REPRESENTATIVE", "SAMPLE"]
@@ -20,6 +35,8 @@ _ALL = (
     *areas.MUTANTS,
     *s7.MUTANTS,
     *ethernetip.MUTANTS,
+    *dnp3.MUTANTS,
+    *profibus.MUTANTS,
 )
 
 MUTANTS: dict[str, Mutant] = {mutant.id: mutant for mutant in sorted(_ALL, key=lambda one: number(one.id))}
@@ -28,7 +45,9 @@ MUTANTS: dict[str, Mutant] = {mutant.id: mutant for mutant in sorted(_ALL, key=l
 assert len(MUTANTS) == len(_ALL), "an id is there twice"
 
 
-_FURTHER = {mutant.protocol for mutant in (*s7.MUTANTS, *bacnet.MUTANTS, *ethernetip.MUTANTS)}
+_FURTHER = {
+    mutant.protocol for mutant in (*s7.MUTANTS, *bacnet.MUTANTS, *ethernetip.MUTANTS, *dnp3.MUTANTS, *profibus.MUTANTS)
+}
 """Protocols whose adapters need a library that is an extra; their defects stand for a row only where no other does."""
 
 _BY_PREFERENCE = sorted(MUTANTS.values(), key=lambda one: one.protocol in _FURTHER)

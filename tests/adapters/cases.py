@@ -14,6 +14,7 @@ from typing import Any
 __all__ = [
     "BACNET",
     "CASES",
+    "DNP3",
     "ETHERNETIP",
     "ETHERNETIP_ALIASES",
     "MODBUS",
@@ -267,6 +268,120 @@ BACNET = Case(
     ),
     unknown_host={"BACNET_HOST": "no-such-host.invalid"},
     farewell=(),
+)
+
+# -- DNP3 --------------------------------------------------------------------------------------------------------
+
+DNP3_ALIASES: dict[str, dict[str, Any]] = {
+    "level": {"outstation_address": 10, "point_type": "analog_input", "index": 1, "unit": "m"},
+    "flow": {"outstation_address": 10, "point_type": "analog_input", "index": 7, "unit": "m3/h"},
+    "stale": {"outstation_address": 10, "point_type": "analog_input", "index": 6},
+    "pulses": {"outstation_address": 10, "point_type": "counter", "index": 1},
+    "pump": {"outstation_address": 10, "point_type": "binary_output", "index": 2, "writable": True},
+    "setpoint": {
+        "outstation_address": 10,
+        "point_type": "analog_output",
+        "index": 0,
+        "data_type": "float32",
+        "writable": True,
+    },
+    "limited": {
+        "outstation_address": 10,
+        "point_type": "analog_output",
+        "index": 2,
+        "data_type": "float64",
+        "writable": True,
+    },
+    "batch": {
+        "outstation_address": 10,
+        "point_type": "analog_output",
+        "index": 3,
+        "data_type": "int32",
+        "writable": True,
+    },
+    "short": {
+        "outstation_address": 10,
+        "point_type": "analog_output",
+        "index": 3,
+        "data_type": "int16",
+        "writable": True,
+    },
+    "note": {"outstation_address": 10, "point_type": "octet_string", "index": 0, "writable": True},
+    "beyond": {"outstation_address": 10, "point_type": "binary_output", "index": 300, "writable": True},
+}
+
+
+def _dnp3_settings(port: int, name: str, folder: Path) -> dict[str, str]:
+    aliases = folder / "aliases.json"
+    aliases.write_text(json.dumps(DNP3_ALIASES))
+    return {"DNP3_HOST": "127.0.0.1", "DNP3_PORT": str(port), "DNP3_ALIAS_MAP": str(aliases)}
+
+
+_INPUTS = {"outstation_address": 10, "start_index": 0, "count": 4}
+_PUMP = {"outstation_address": 10, "index": 2}
+
+DNP3 = Case(
+    protocol="dnp3",
+    settings=_dnp3_settings,
+    prefix="DNP3",
+    reads={
+        "ping": {},
+        "read_binary_inputs": _INPUTS,
+        "read_analog_inputs": _INPUTS,
+        "poll_class": {"outstation_address": 10, "event_class": 1},
+        "list_points": {},
+        "read_point_by_alias": {"alias": "level"},
+    },
+    silent=frozenset({"list_points"}),
+    writes={
+        "write_binary_output": {**_PUMP, "value": True},
+        "write_point_by_alias": {"alias": "setpoint", "value": 41.5},
+    },
+    probe="ping",
+    write="write_binary_output",
+    answered=("write_binary_output", "write_point_by_alias"),
+    requests=lambda tool: {"request": True},
+    image=("points",),
+    unfit=(
+        Unfit("read_binary_inputs", {**_INPUTS, "outstation_address": 65520}, "invalid_input"),
+        Unfit("read_binary_inputs", {**_INPUTS, "count": 501}, "limit_exceeded"),
+        Unfit("read_binary_inputs", {**_INPUTS, "count": 0}, "invalid_input"),
+        Unfit("read_analog_inputs", {**_INPUTS, "start_index": 65535, "count": 2}, "invalid_input"),
+        Unfit("read_analog_inputs", {**_INPUTS, "start_index": -1}, "invalid_input"),
+        Unfit("poll_class", {"outstation_address": 10, "event_class": 4}, "invalid_input"),
+        Unfit("read_point_by_alias", {"alias": "nobody"}, "illegal_address", in_tool=True),
+        Unfit("write_binary_output", {**_PUMP, "value": 1}, "invalid_input"),
+        Unfit("write_binary_output", {**_PUMP, "value": "true"}, "invalid_input"),
+        Unfit("write_binary_output", {**_PUMP, "outstation_address": 65535, "value": True}, "invalid_input"),
+        Unfit("write_binary_output", {**_PUMP, "value": True, "code": "latch_off"}, "invalid_input"),
+        Unfit("write_binary_output", {**_PUMP, "value": True, "code": "trip"}, "invalid_input"),
+        Unfit("write_binary_output", {**_PUMP, "value": True, "on_time_ms": 100}, "invalid_input"),
+        Unfit(
+            "write_binary_output", {**_PUMP, "value": True, "mode": "direct_operate"}, "writes_disabled", in_tool=True
+        ),
+        Unfit("write_point_by_alias", {"alias": "level", "value": 1}, "not_writable", in_tool=True),
+        Unfit("write_point_by_alias", {"alias": "nobody", "value": 1}, "illegal_address", in_tool=True),
+        Unfit("write_point_by_alias", {"alias": "pump", "value": 1}, "type_mismatch", in_tool=True),
+        Unfit("write_point_by_alias", {"alias": "setpoint", "value": True}, "type_mismatch", in_tool=True),
+        Unfit("write_point_by_alias", {"alias": "setpoint", "value": "7"}, "type_mismatch", in_tool=True),
+        Unfit("write_point_by_alias", {"alias": "setpoint", "value": 1e39}, "range_overflow", in_tool=True),
+        Unfit("write_point_by_alias", {"alias": "batch", "value": 2**31}, "range_overflow", in_tool=True),
+        Unfit("write_point_by_alias", {"alias": "batch", "value": 1.5}, "type_mismatch", in_tool=True),
+        Unfit("write_point_by_alias", {"alias": "short", "value": 32768}, "range_overflow", in_tool=True),
+        Unfit("write_point_by_alias", {"alias": "note", "value": 7}, "type_mismatch", in_tool=True),
+        Unfit("write_point_by_alias", {"alias": "note", "value": ""}, "limit_exceeded", in_tool=True),
+        Unfit("write_point_by_alias", {"alias": "note", "value": "x" * 256}, "limit_exceeded", in_tool=True),
+    ),
+    bad_settings=(
+        ("DNP3_PORT", "many"),
+        ("DNP3_OUTSTATION_ADDRESS", "65520"),
+        ("DNP3_MASTER_ADDRESS", "-1"),
+        ("DNP3_TIMEOUT_S", "nan"),
+        ("DNP3_ALIAS_MAP", "/does/not/exist.json"),
+    ),
+    unknown_host={"DNP3_HOST": "no-such-host.invalid"},
+    farewell=("DISCONNECTED",),
+    concurrent=False,
 )
 
 # -- MQTT --------------------------------------------------------------------------------------------------------

@@ -318,6 +318,7 @@ class Mock:
     def _connect(self) -> None:
         ready = self._event("ready")
         self.port: int = ready["port"]
+        self.endpoints: dict[str, dict[str, Any]] = ready["endpoints"]
         self.pid: int = ready["pid"]
         self._control = socket.socket(socket.AF_UNIX)
         self._control.settimeout(2 * PATIENCE_S)

@@ -35,9 +35,11 @@ _PRELOADED = (
     "core.stdio",
     "bacnet.adapter",
     "ethernetip.adapter",
+    "dnp3.adapter",
     "modbus.adapter",
     "mqtt.adapter",
     "opcua.adapter",
+    "profibus.adapter",
     "s7.adapter",
 )
 

@@ -413,7 +413,10 @@ def test_another_name_is_answered_by_the_list_of_adapters(
     *program, _ = adapter_command("")
     done = run([*program, *arguments], {})
     assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr == "usage: python -m pytest_otmcp.reference_adapters {bacnet|ethernetip|modbus|mqtt|opcua|s7}\n"
+    assert (
+        done.stderr
+        == "usage: python -m pytest_otmcp.reference_adapters {bacnet|dnp3|ethernetip|modbus|mqtt|opcua|profibus|s7}\n"
+    )
 
 
 def run(command: list[str], env: dict[str, str]) -> subprocess.CompletedProcess[str]:

@@ -143,30 +143,68 @@ async def browses(work: Work, operation: str) -> bool:
     return set(found) == inside and len(found) == len(inside)
 
 
+async def reads_a_block(work: Work, operation: str) -> bool:
+    content = random.randbytes(5)
+    await work.device.poke(area="DB10", byte=20, data=content.hex())
+    return (await work.call(operation, db=10, start=20, size=len(content))).outputs == {"values": list(content)}
+
+
+async def reads_a_typed_value(work: Work, operation: str) -> bool:
+    value = random.randrange(-(2**31), 2**31)
+    await work.device.poke(area="DB10", byte=20, data=value.to_bytes(4, "big", signed=True).hex())
+    return (await work.call(operation, db=10, start=20, type="DINT")).outputs["value"] == value
+
+
+async def writes_a_typed_value(work: Work, operation: str) -> bool:
+    await work.call(operation, db=10, start=24, type="INT", value=-12345)
+    points = (await work.device.image())["points"]
+    return [points["DB10.DBB24"], points["DB10.DBB25"]] == [*(-12345).to_bytes(2, "big", signed=True)] and len(
+        work.changes
+    ) == 1
+
+
+async def reads_present_values(work: Work, operation: str) -> bool:
+    values = {1: -7.25, 2: 401.5}
+    for instance, value in values.items():
+        await work.device.poke(object=f"analog-input,{instance}", value=value)
+    inputs = [{"device": 12345, "type": "analog-input", "instance": instance} for instance in values]
+    return [(await work.call(operation, **each)).outputs["value"] for each in inputs] == list(values.values())
+
+
+async def writes_a_present_value(work: Work, operation: str) -> bool:
+    await work.call(operation, device=12345, type="analog-output", instance=1, value=61.5, priority=10)
+    points = (await work.device.image())["points"]
+    return bool(points["analog-output,1/priority-array/10"] == 61.5 and len(work.changes) == 1)
+
+
 Check = Callable[[Work, str], Awaitable[bool]]
 
-CHECKS: dict[str, Check] = {
-    "read_input": reads_registers,
-    "read_holding": reads_registers,
-    "read_coils": reads_bits,
-    "read_discrete_inputs": reads_bits,
-    "subscribe": subscribes,
-    "messages": receives,
-    "read": reads_nodes,
-    "read_many": reads_nodes,
-    "browse": browses,
-    "write_holding": writes_a_register,
-    "publish": publishes,
-    "write": writes_a_node,
-    # At last: an adapter may not come back from an outage.
-    "ping": tells_the_state,
-    "info": tells_the_state,
+CHECKS: dict[str, dict[str, Check]] = {
+    "modbus": {
+        "read_input": reads_registers,
+        "read_holding": reads_registers,
+        "read_coils": reads_bits,
+        "read_discrete_inputs": reads_bits,
+        "write_holding": writes_a_register,
+        # At last, here and below: an adapter may not come back from an outage.
+        "ping": tells_the_state,
+    },
+    "mqtt": {"subscribe": subscribes, "messages": receives, "publish": publishes, "info": tells_the_state},
+    "opcua": {"read": reads_nodes, "read_many": reads_nodes, "browse": browses, "write": writes_a_node},
+    "s7": {
+        "read_db": reads_a_block,
+        "read_typed": reads_a_typed_value,
+        "write_db": writes_a_typed_value,
+        "ping": tells_the_state,
+    },
+    "bacnet": {"read": reads_present_values, "write": writes_a_present_value, "ping": tells_the_state},
 }
 
 
 async def wrong_bindings(adapter: Adapter, device: MockDevice) -> list[str]:
     """Perform every bound operation; return those that did something else, or whose result is somewhere else."""
     work, known = Work(adapter, device), protocols()[adapter.protocol].operations
+    checks = CHECKS[adapter.protocol]
     try:
         await work.under_test.open()
         if all(known[name].writes for name in adapter.operations):
@@ -175,7 +213,7 @@ async def wrong_bindings(adapter: Adapter, device: MockDevice) -> list[str]:
         problem = await prove_session(work.under_test)
         if problem is not None:
             return [problem]
-        wrong = [name for name, check in CHECKS.items() if name in adapter.operations and not await check(work, name)]
-        return wrong + [name for name in adapter.operations if name not in CHECKS]
+        wrong = [name for name, check in checks.items() if name in adapter.operations and not await check(work, name)]
+        return wrong + [name for name in adapter.operations if name not in checks]
     finally:
         await work.under_test.close()

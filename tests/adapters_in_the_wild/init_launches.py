@@ -193,4 +193,20 @@ LAUNCHES = (
         proven={"subscribe": "start_subscription", "publish": "publish_message"},
         left=7,
     ),
+    Launch(
+        example="industriagents-s7comm-mcp",
+        protocol="s7",
+        command=(".venv/bin/s7comm-mcp",),
+        env={"S7_HOST": "{host}", "S7_PORT": "{port}", "S7_SLOT": "1", "S7_WRITES_ENABLED": "true"},
+        proven={"read_db": "read_values", "read_typed": "read_values", "write_db": "write_values"},
+        left=3,
+    ),
+    Launch(
+        example="industriagents-bacnet-mcp",
+        protocol="bacnet",
+        command=(".venv/bin/bacnet-mcp",),
+        env={"BACNET_PORT": "{local_port}", "BACNET_WRITES_ENABLED": "true"},
+        proven={"read": "read_property", "write": "write_property"},
+        left=3,
+    ),
 )

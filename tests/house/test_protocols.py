@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from importlib import import_module, resources
 from pathlib import Path
@@ -101,7 +102,7 @@ def test_the_packages_that_a_record_states_are_what_the_project_depends_on() -> 
 
 
 def _names(requirements: list[str]) -> set[str]:
-    return {text.partition(">")[0] for text in requirements}
+    return {re.split("[<>=]", text)[0] for text in requirements}
 
 
 def test_every_protocol_s_data_is_shipped(protocol: OtProtocol) -> None:

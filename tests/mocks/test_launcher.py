@@ -219,7 +219,7 @@ async def test_a_mock_can_take_the_port_of_one_that_just_ended(
     [
         (
             ["profinet"],
-            "there is no mock 'profinet'; there are bacnet, ethernetip, modbus, mqtt, opcua, s7, sparkplug, and modules by their",
+            "there is no mock 'profinet'; there are bacnet, dnp3, ethernetip, modbus, mqtt, opcua, profibus, s7, sparkplug, and modules by their",
         ),
         (["thirdparty.profinet"], "thirdparty.profinet cannot be imported: No module named 'thirdparty.profinet'"),
         (["thirdparty.nothing"], "thirdparty.nothing offers no mock: it lacks ENDPOINTS, warm, create"),

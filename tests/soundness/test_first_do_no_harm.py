@@ -34,12 +34,23 @@ WRITING = {
     "s7": "K3 K4 FK3 SK2",
     "bacnet": "B3 B4 FB3 SB2",
     "ethernetip": "E3 E4 FE3 SE2",
+    "dnp3": "D3 D4 FD4 SD2",
+    "profibus": "P3 P4 FP3 SP2",
 }
-GUARDED = ("M4", "K4", "B4", "E4")
+GUARDED = ("M4", "K4", "B4", "E4", "D4", "P4")
 """Items about the variant with writes disabled alone."""
 
-OUTAGE = {"modbus": "S10", "mqtt": "S11", "opcua": "S12", "s7": "SK4", "ethernetip": "SE4"}
-READING = {"modbus": "M2", "mqtt": "Q1", "opcua": "O1", "s7": "K2", "bacnet": "B2", "ethernetip": "E2"}
+OUTAGE = {"modbus": "S10", "mqtt": "S11", "opcua": "S12", "s7": "SK4", "ethernetip": "SE4", "dnp3": "SD4"}
+READING = {
+    "modbus": "M2",
+    "mqtt": "Q1",
+    "opcua": "O1",
+    "s7": "K2",
+    "bacnet": "B2",
+    "ethernetip": "E2",
+    "dnp3": "D2",
+    "profibus": "P2",
+}
 
 Elsewhere = Callable[[str], Device]
 
@@ -69,7 +80,14 @@ def wandering(warm_start: WarmStart, protocol: str, manner: str, **env: str) -> 
 
 
 def address(device: Device) -> str:
-    return f"{device.host}:{device.port}"
+    """Host and port of a device, or the path of its pseudo terminal."""
+    (first, *_) = device.endpoints.values()
+    return first.path or f"{first.host}:{first.port}"
+
+
+def place_of(device: Device) -> str:
+    """What stands in a subject file for such an address."""
+    return "{host}:{port}" if device.port else "{serial}"
 
 
 async def run_items(subject: Subject, plant: Plant, names: str) -> Results:
@@ -91,7 +109,7 @@ def seen_by(loop: LoopThread, device: Device) -> list[str]:
 
 
 MANNERS: dict[str, dict[str, str]] = {
-    "misspelt": {"ADRESS": "{host}:{port}"},
+    "misspelt": {"ADRESS": "PLACE"},
     "hard-wired": {},
     "home": {},
 }
@@ -112,7 +130,8 @@ def test_an_adapter_that_talks_to_the_plant_is_never_told_to_write(
 ) -> None:
     other = elsewhere(protocol)
     (tmp_path / "address").write_text(address(other), encoding="utf-8")
-    env = {"PLANT": address(other), "HOME": str(tmp_path), **MANNERS[manner]}
+    place = {name: text.replace("PLACE", place_of(other)) for name, text in MANNERS[manner].items()}
+    env = {"PLANT": address(other), "HOME": str(tmp_path), **place}
     subject = wandering(warm_start, protocol, manner, **env)
     first, *later = WRITING[protocol].split()
     results = loop.run(run_items(subject, plant, f"{READING[protocol]} {WRITING[protocol]}"))
@@ -175,6 +194,8 @@ def test_a_write_that_is_not_given_the_address_that_reads_are_given_is_refused(t
         "s7": ("read_db", "write_db", "values = 'a'"),
         "bacnet": ("read", "write", "value = 'a'"),
         "ethernetip": ("read_tag", "write_tag", "value = 'a'"),
+        "dnp3": ("read_analog", "write_binary", "values = 'a'"),
+        "profibus": ("read_inputs", "write_outputs", "values = 'a'"),
     }[protocol]
     text = f"""
 [subject]

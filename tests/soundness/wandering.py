@@ -1,6 +1,6 @@
 """A reference adapter that is led to another device than the mock: run as ``python wandering.py PROTOCOL MANNER``.
 
-``PLANT`` is the other device's address, ``host:port``. The manners: ``misspelt`` takes the mock's address from a variable
+``PLANT`` is the other device's address, ``host:port`` or the path of a terminal. The manners: ``misspelt`` takes the mock's address from a variable
 ``ADDRESS`` and the plant's without it, ``hard-wired`` takes the plant's, ``home`` that of ``$HOME/address``, ``failover`` takes the
 mock's and from the first failed connection on the plant's.
 """
@@ -72,7 +72,9 @@ def address_for(manner: str) -> str:
 def main() -> None:
     protocol, manner = sys.argv[1:3]
     address, variable = address_for(manner), protocol.upper()
-    if protocol in SCHEMES:
+    if address.startswith("/"):
+        os.environ[f"{variable}_SERIAL"] = address
+    elif protocol in SCHEMES:
         os.environ[f"{variable}_URL"] = f"{SCHEMES[protocol]}://{address}"
     else:
         host, port = split(address)

@@ -53,6 +53,8 @@ def output(message: Mapping[str, Any], form: str, rule: OutputRule) -> Any:
             [5],
         ),
         (result("002a"), "text", OutputRule(convert="hex"), 42),
+        (result("002aff"), "text", OutputRule(convert="bytes"), [0, 42, 255]),
+        (result("002a0"), "text", OutputRule(convert="bytes"), None),
         (result('["2:Valve", "2:Pump"]'), "json", OutputRule(strip="2:"), ["Valve", "Pump"]),
         (result("nothing here"), "text", OutputRule(regex=r"value=(\d+)"), None),
         (result("not a number"), "text", OutputRule(convert="int"), None),
@@ -61,7 +63,7 @@ def output(message: Mapping[str, Any], form: str, rule: OutputRule) -> Any:
     ],
     ids=[
         "bare text", "comma list", "sentence", "python literal", "number in a sentence", "json in text",
-        "a json per block", "structured", "json in json", "hex", "browse names", "absent", "no number", "no whole number",
+        "a json per block", "structured", "json in json", "hex", "bytes", "half a byte", "browse names", "absent", "no number", "no whole number",
         "no json",
     ],
 )  # fmt: skip

@@ -6,15 +6,20 @@ The entries that the tap decodes from recorded bytes are compared with those of 
 from __future__ import annotations
 
 import asyncio
+import sys
+from asyncio.subprocess import DEVNULL
 from collections import Counter
 from collections.abc import AsyncIterator, Iterable, Mapping
 from contextlib import asynccontextmanager
+from pathlib import Path
 from typing import Any
 
 import paho.mqtt.client as untyped_paho
 import pytest
 from asyncua import Client
 from asyncua import ua as untyped_ua
+from dnp3.core.enums import ControlCode
+from dnp3.master import DefaultSOEHandler, Master, MasterConfig, MasterTcpRunner
 from paho.mqtt import properties as untyped_properties
 from paho.mqtt.subscribeoptions import SubscribeOptions
 from pycomm3 import LogixDriver
@@ -40,6 +45,7 @@ paho: Any = untyped_paho
 ua: Any = untyped_ua
 Properties: Any = untyped_properties.Properties
 
+_OPENDNP3 = Path(__file__).parents[1] / "mocks" / "opendnp3_master.py"
 _LIFE = {"seq", "t_ns", "connection"}
 # A device sees its client's DISCONNECT and the end of the connection; the network decides which it notices first.
 _UNORDERED = {"CONNECTED", "DISCONNECTED"}
@@ -188,6 +194,37 @@ async def test_two_logix_clients_and_the_mock_agree_with_the_ethernetip_witness(
         assert ours == others
     assert {entry.get("service") for entry in mine} >= {"read", "write", "modify", "multiple", "tag_list", "template"}
     assert contradictions("ethernetip", mine) == contradictions("ethernetip", theirs) == []
+
+
+async def test_two_dnp3_masters_and_the_mock_agree_with_the_dnp3_witness() -> None:
+    async with tapped("dnp3") as (device, tap):
+        await device.poke(point="binary_input/3", value=True)
+        master = Master(config=MasterConfig(address=3, outstation_address=10), handler=DefaultSOEHandler())
+        async with MasterTcpRunner(master, "127.0.0.1", tap.port) as runner:
+            (told,) = await runner.class_poll()
+            assert told.con
+            await runner.integrity_poll()
+            builder = master.command_builder()
+            builder.add_crob(2, ControlCode.LATCH_ON)
+            await runner.request(master.build_select(builder.build_select()))
+            await runner.request(master.build_operate(builder.build_operate()))
+        other = await asyncio.create_subprocess_exec(sys.executable, str(_OPENDNP3), str(tap.port), stdout=DEVNULL)
+        assert await asyncio.wait_for(other.wait(), 60.0) == 0
+        await tap.journal.wait(0, {"kind": "DISCONNECTED"}, 2, 60.0)
+        assert len(await device.wait(0, {"kind": "DISCONNECTED"}, count=2, timeout_s=60.0)) == 2
+        mine, theirs = tap.journal.since(0), (await device.journal(0)).entries
+    for direction in ("in", "out"):
+        ours, others = (
+            [entry for entry in comparable(entries) if entry["direction"] == direction] for entries in (mine, theirs)
+        )
+        assert ours == others
+    kinds = Counter(entry["kind"] for entry in mine)
+    assert kinds["confirm"] >= 1
+    assert kinds["response"] == kinds["request"]
+    assert contradictions("dnp3", mine) == contradictions("dnp3", theirs) == []
+    # dnp3py's one command, and of opendnp3's seven the two that were refused when they were selected.
+    commanded = [entry["function"] for entry in protocols()["dnp3"].changes(mine)]
+    assert Counter(commanded) == {4: 4, 5: 2, 3: 2}
 
 
 def _paho(protocol: int, port: int, connected: asyncio.Event) -> Any:

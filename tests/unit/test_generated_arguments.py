@@ -48,6 +48,30 @@ def test_a_good_value_is_let_through(schema: dict[str, Any]) -> None:
     assert Draft202012Validator(whole).is_valid(made)
 
 
+def test_what_an_alternative_requires_is_said_to_be_required() -> None:
+    whole = {
+        "type": "object",
+        "properties": {"target": {}, "name": {}, "names": {}, "value": {}, "other": {}},
+        "required": ["target"],
+        "oneOf": [
+            {"properties": {"target": {"const": "one"}}, "required": ["target", "name", "value"]},
+            {"$ref": "#/$defs/Several"},
+        ],
+        "$defs": {"Several": {"properties": {"target": {"const": "several"}}, "required": ["target", "names"]}},
+    }
+    assert generated.required(whole) == ["target"]
+    assert generated.required_by_an_alternative(whole) == {"target", "name", "value", "names"}
+    assert generated.required_by_an_alternative({"oneOf": [True, {"required": "name"}]}) == set()
+
+
+def test_a_number_that_may_be_anything_may_be_a_list_of_one() -> None:
+    made = generated.of_other_types(random.Random(1), {}, number=True)
+    assert {type(value) for value in made} == {bool, str, type(None), list, dict}
+    assert [value for value in made if isinstance(value, list)] == [[]]
+    stated = generated.of_other_types(random.Random(1), {"type": "number"}, number=True)
+    assert any(isinstance(value, list) and value for value in stated)
+
+
 def test_references_lead_to_their_definitions() -> None:
     whole = {
         "type": "object",

@@ -15,7 +15,7 @@ from pytest_otmcp.suite.requirements import Catalogue, Level, catalogue, read
 
 from .samples import finding, item
 
-KEYS = ("modbus", "mqtt", "opcua", "s7", "bacnet", "ethernetip")
+KEYS = ("modbus", "mqtt", "opcua", "s7", "bacnet", "ethernetip", "dnp3", "profibus")
 
 
 def check(row: str, protocol: str = "modbus", status: str = "PASS") -> dict[str, Any]:

@@ -111,6 +111,37 @@ def test_of_alternatives_the_one_for_the_table_is_taken() -> None:
     assert guess.missing == ()
 
 
+def test_bytes_and_a_typed_value_of_a_data_block_are_two_alternatives_of_one_tool() -> None:
+    listing = tool("source", source={"anyOf": [{"const": "db"}, {"const": "db_typed"}, {"const": "marker"}]})
+    listing["inputSchema"]["oneOf"] = [
+        {"properties": {"source": {"const": source}} | {name: {} for name in names}, "required": ["source", *names]}
+        for source, names in (
+            ("db", ("db_number", "start_offset", "size")),
+            ("db_typed", ("db_number", "start_offset", "data_type")),
+            ("marker", ("start_byte", "size")),
+        )
+    ]
+    (block,) = guesses("s7", "read_db", {"read_values": listing})
+    assert block.arguments == {"source": "db", "db_number": "$db", "start_offset": "$start", "size": "$size"}
+    (typed,) = guesses("s7", "read_typed", {"read_values": listing})
+    assert typed.arguments == {"source": "db_typed", "db_number": "$db", "start_offset": "$start", "data_type": "$type"}
+
+
+def test_a_bacnet_device_is_addressed_and_its_present_value_named() -> None:
+    listing = tool("device_id object_type object_instance property_id value", "priority", address={"type": "string"})
+    (guess,) = guesses("bacnet", "write", {"write_property": listing})
+    assert guess.arguments == {
+        "device_id": "$device",
+        "object_type": "$type",
+        "object_instance": "$instance",
+        "property_id": "present-value",
+        "value": "$value",
+        "priority": "$priority",
+    }
+    assert [entry.arguments.get("address") for entry in guess.variations()] == [None, "{host}:{port}"]
+    assert guesses("bacnet", "read", {"write_property": listing}) == []
+
+
 def test_a_tool_that_subscribes_and_waits_may_give_messages() -> None:
     assert guesses("mqtt", "messages", {"mqtt_subscribe": tool("topic", "qos")}) == []
     (guess,) = guesses("mqtt", "messages", {"mqtt_subscribe": tool("topic", "timeout")})
@@ -150,6 +181,8 @@ def blocks(*texts: str) -> dict[str, Any]:
         (answer("Slave 1, Input Registers 0 to 3: [250, 150, 60]"), [250, 150, 60]),
         (answer("250,150,60"), [250, 150, 60]),
         (answer('{"registers": [250, 150, 60]}'), [250, 150, 60]),
+        (answer("x", {"data": {"raw_bytes_hex": "fa963c"}}), [250, 150, 60]),
+        (answer("fa963c"), [250, 150, 60]),
         (answer("x", {"result": '{"raw": [250, 150, 60]}'}), [250, 150, 60]),
         (answer("x", {"items": [{"value": 1.5}, {"value": 2.5}]}), [1.5, 2.5]),
         (answer("Node ns=2;s=T has the value: 41.25 °C"), 41.25),
@@ -157,7 +190,19 @@ def blocks(*texts: str) -> dict[str, Any]:
         (answer("The pump is True now"), True),
         (blocks('{"node": "a", "value": 1.5}', '{"node": "b", "value": 2.5}'), [1.5, 2.5]),
     ],
-    ids=["brackets", "bare", "json in text", "json in json", "objects", "sentence", "structured", "boolean", "blocks"],
+    ids=[
+        "brackets",
+        "bare",
+        "json in text",
+        "hexadecimal",
+        "bare hexadecimal",
+        "json in json",
+        "objects",
+        "sentence",
+        "structured",
+        "boolean",
+        "blocks",
+    ],
 )
 def test_a_known_value_is_found_and_its_rule_finds_it_again(message: Mapping[str, Any], expected: Any) -> None:
     found = find(message, expected)

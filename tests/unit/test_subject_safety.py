@@ -9,6 +9,7 @@ import pytest
 from pytest_otmcp.core.errors import UsageError
 from pytest_otmcp.session.process import subject_environment
 from pytest_otmcp.subject import load_subject
+from pytest_otmcp.subject.addressing import mentions_address
 from pytest_otmcp.subject.binding_check import check_bindings
 
 FILE = """
@@ -47,6 +48,11 @@ def write(path: Path, **texts: str) -> Path:
 def test_a_misspelt_placeholder_is_refused(tmp_path: Path, texts: dict[str, str], sentence: str) -> None:
     with pytest.raises(UsageError, match=sentence):
         load_subject(write(tmp_path / "otmcp.toml", **texts))
+
+
+def test_the_adapters_own_ports_are_no_address_of_a_device() -> None:
+    assert mentions_address({"env": ["{host}:{local_port}"]})
+    assert not mentions_address(["{http_port}", {"bind": "{local_port}"}])
 
 
 def test_braces_that_are_no_placeholders_are_the_adapter_s_own(tmp_path: Path) -> None:

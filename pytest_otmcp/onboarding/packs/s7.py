@@ -20,6 +20,9 @@ _PLACE = 44
 _VALUES = range(2000, 0x8000)
 """Values that cannot be mistaken for an offset, a size or a default."""
 
+_BLOCKS = re.compile(r"^(db|data_?blocks?)$", re.IGNORECASE)
+"""Names of the area of the data blocks, where a tool has several."""
+
 
 async def _read_db(experimenter: Experimenter, guess: Guess) -> Proposal:
     content = experimenter.random.randbytes(6)
@@ -80,18 +83,21 @@ PACK = Pack(
             unlikely="write set typed input output marker tag szl state time info multiple",
             needed="read get",
             experiment=_read_db,
+            choice=_BLOCKS,
         ),
         "read_typed": Hints(
             likely="read get db typed value",
             unlikely="write set input output marker tag szl state time info multiple",
             needed="read get",
             experiment=_read_typed,
+            choice=re.compile(r"typed", re.IGNORECASE),
         ),
         "write_db": Hints(
             likely="write set db value",
             unlikely="read get input output marker tag state time multiple",
             needed="write set",
             experiment=_write_db,
+            choice=_BLOCKS,
         ),
         "write_marker": _plain("marker flag bit", r"write_?(marker|flag|memory)_?bit"),
         "read_cpu_state": _plain("cpu state", r"(read|get)_?(plc|cpu)_?(state|status|mode)"),
@@ -110,7 +116,9 @@ PACK = Pack(
     constants={r"^rack$": 0, r"^slot$": 1},
     names=("s7", "s7comm", "snap7"),
     errors={
-        "illegal_address": (r"(?i)object does not exist|invalid address|0x0a\b|0x05\b",),
+        "illegal_address": (
+            r"(?i)object does not exist|item not available|invalid address|address out of range|0x0a\b|0x05\b",
+        ),
         "range_overflow": (r"(?i)out of range|does not fit|overflow|must be between|format requires",),
         "access_denied": (r"(?i)not allowed|access denied|0x8104|function refused",),
     },

@@ -35,6 +35,7 @@ PROTOCOL = OtProtocol(
     mock="bacnet",
     clients="a BACnet/IP client that asks device 12345 by unicast",
     tasks="pytest_otmcp.conformance.tasks.bacnet",
+    onboarding="pytest_otmcp.onboarding.packs.bacnet",
     recognise=re.compile(r"bacnet", re.IGNORECASE),
     envelope_names=("bacnet-ip",),
     packages=("bacpypes3",),

@@ -122,10 +122,15 @@ def error_sent(entries: Entries, error_class: int, error_code: int) -> list[Find
 
 
 def not_effective(told: object, before: object, label: str) -> Finding:
-    """Return the finding about a write that was told as a success although a higher priority keeps the present value."""
+    """Return the finding about a write that was told as a success although a higher priority keeps the present value.
+
+    Args:
+        told: the value that the reply says is in effect; None where it says none.
+    """
+    said = "success, and not which value is in effect" if told is None else f"{told!r} with success"
     return Finding(
         code="not_effective",
-        message=f"{label}: the device acknowledged the write, a higher priority keeps {before!r}, and the reply says {told!r} with success",
+        message=f"{label}: the device acknowledged the write, a higher priority keeps {before!r}, and the reply says {said}",
         requirement="WR-001",
     )
 

@@ -3,11 +3,53 @@
 from __future__ import annotations
 
 from ..mutant import Mutant
-from . import adr, adr_mqtt, bacnet, con, enc, env, err, ethernetip, mcp, mqt, oua, rd, rec, res, s7, spb, tmo, wr
+from . import (
+    adr,
+    adr_mqtt,
+    bacnet,
+    con,
+    dnp3,
+    enc,
+    env,
+    err,
+    ethernetip,
+    mcp,
+    mqt,
+    oua,
+    profibus,
+    rd,
+    rec,
+    res,
+    s7,
+    spb,
+    tmo,
+    wr,
+)
 
 __all__ = ["MUTANTS"]
 
 # In the order of the suite's areas; the further protocols have a module each.
-_AREAS = (mcp, env, err, rd, wr, adr, enc, con, tmo, rec, mqt, spb, oua, res, adr_mqtt, s7, bacnet, ethernetip)
+_AREAS = (
+    mcp,
+    env,
+    err,
+    rd,
+    wr,
+    adr,
+    enc,
+    con,
+    tmo,
+    rec,
+    mqt,
+    spb,
+    oua,
+    res,
+    adr_mqtt,
+    s7,
+    bacnet,
+    ethernetip,
+    dnp3,
+    profibus,
+)
 
 MUTANTS: tuple[Mutant, ...] = tuple(mutant for area in _AREAS for mutant in area.MUTANTS)

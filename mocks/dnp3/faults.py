@@ -1,0 +1,129 @@
+"""The fault plan of the outstation: which request gets which fault."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from ..fault_rules import FLAG, SKIP, Field, Plan, Table, integer, number
+from ..network import AT_ONCE, MANNERS, Manner
+from .requests import Request
+
+__all__ = ["TABLE", "FaultPlan", "Rule"]
+
+_HEX = re.compile("(?:[0-9a-f]{2}){0,1000}")
+TABLE = Table(
+    conditions={
+        "function": integer(1, 127),
+        "group": integer(0, 0xFF),
+        "index": integer(0, 0xFFFF),
+        "skip": SKIP,
+    },
+    actions={
+        "iin": integer(0, 0xFFFF),
+        "with_iin": integer(0, 0xFFFF),
+        "status": integer(1, 0x7F),
+        "delay_s": number(0, 3600),
+        "drop": FLAG,
+        "garbage": FLAG,
+        "truncate": integer(0, 1024),
+        "close": FLAG,
+        "reset": FLAG,
+        "ack_only": FLAG,
+        "sequence": integer(-15, 15),
+        "answer_index": integer(-0xFF, 0xFF),
+        "answer_source": integer(0, 0xFFFF),
+        "answer_objects": Field(
+            accepts=lambda value: isinstance(value, str) and bool(_HEX.fullmatch(value)),
+            expected="at most 1000 bytes as hexadecimal digits",
+        ),
+        "length": integer(-255, 255),
+        "unsolicited": FLAG,
+        **MANNERS,
+    },
+    example="{'drop': true}",
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rule:
+    """One rule: conditions (None matches everything), how often it applies, and what happens.
+
+    Attributes:
+        function: function code of the request.
+        group, index: of an object that it names.
+        skip: so many requests that fit pass first.
+        times: applied at most this often, None without limit.
+        action: the action as it was given, for the journal.
+        iin: not executed; answered without objects and with these internal indications beside the outstation's own.
+        with_iin: executed, answered with these internal indications as well.
+        status: nothing is selected or operated, and each point of the answer has this status.
+        delay_s: answer this many seconds later; later requests are not delayed by it.
+        drop: execute, but do not answer.
+        garbage: execute, answer with bytes that are no frame.
+        truncate: send only this many bytes of the answer.
+        close, reset: execute, then close the connection, or reset it.
+        ack_only: acknowledge a write or an operation without doing it.
+        sequence: added to the application sequence number of the answer.
+        answer_index: added to the indexes of the answer's first object header.
+        answer_source: link address that the answer comes from.
+        answer_objects: objects of the answer.
+        length: added to the length of the link frame; the bytes stay.
+        unsolicited: an unsolicited response with the events of class 1, if there are some, comes before the answer.
+        manner: how the answer travels, see :class:`~..network.Manner`.
+    """
+
+    function: int | None = None
+    group: int | None = None
+    index: int | None = None
+    skip: int = 0
+    times: int | None = None
+    action: Mapping[str, Any] = field(default_factory=dict)
+    iin: int | None = None
+    with_iin: int = 0
+    status: int | None = None
+    delay_s: float = 0.0
+    drop: bool = False
+    garbage: bool = False
+    truncate: int | None = None
+    close: bool = False
+    reset: bool = False
+    ack_only: bool = False
+    sequence: int = 0
+    answer_index: int = 0
+    answer_source: int | None = None
+    answer_objects: bytes | None = None
+    length: int = 0
+    unsolicited: bool = False
+    manner: Manner = AT_ONCE
+
+
+class FaultPlan(Plan[Rule]):
+    """The plan that the rules of the control channel make.
+
+    Raises:
+        ValueError: a rule is not understood.
+    """
+
+    def __init__(self, rules: list[dict[str, Any]]) -> None:
+        super().__init__([_read(rule) for rule in rules])
+
+    def match(self, request: Request | None) -> Rule | None:
+        """Return the rule that applies to this request, if any; count it. None is a request of the link layer, which only rules without
+        a condition are about."""
+        return self.first(
+            lambda rule: (
+                rule.function is rule.group is rule.index is None
+                if request is None
+                else rule.function in (None, request.function) and request.concerns(rule.group, rule.index)
+            )
+        )
+
+
+def _read(source: Mapping[str, Any]) -> Rule:
+    values = TABLE.read(source)
+    if "answer_objects" in values:
+        values["answer_objects"] = bytes.fromhex(values["answer_objects"])
+    return Rule(action=dict(source["action"]), manner=Manner.of(values), **values)

@@ -1,0 +1,126 @@
+"""Telegrams of the fieldbus data link of PROFIBUS (IEC 61158-4-3, EN 50170 volume 2). It handles bytes only.
+
+Four start delimiters: ``10`` without data, ``68`` with 1 to 246 bytes, ``A2`` with 8 bytes, ``DC`` token; ``E5`` is the short
+acknowledgement. The checksum is the sum of the bytes from the destination address on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = [
+    "BROADCAST",
+    "SHORT_ACKNOWLEDGEMENT",
+    "TOKEN",
+    "IllegalTelegram",
+    "Telegram",
+    "telegram_length",
+]
+
+NO_DATA, VARIABLE, FIXED, TOKEN, SHORT_ACKNOWLEDGEMENT = 0x10, 0x68, 0xA2, 0xDC, 0xE5
+BROADCAST = 127
+
+_END = 0x16
+_LENGTHS = {NO_DATA: 6, FIXED: 14, TOKEN: 3, SHORT_ACKNOWLEDGEMENT: 1}
+_EXTENSION = 0x80
+_ADDRESS = 0x7F
+_SAP = 0x3F
+
+
+class IllegalTelegram(ValueError):
+    """The bytes are no telegram; the text says why."""
+
+
+def telegram_length(buffer: bytes | bytearray) -> int | None:
+    """Return the length of the telegram at the beginning of the buffer; None while too little of it has arrived.
+
+    Raises:
+        IllegalTelegram: no telegram begins like that.
+    """
+    start = buffer[0]
+    if start in _LENGTHS:
+        return _LENGTHS[start]
+    if start != VARIABLE:
+        raise IllegalTelegram(f"no telegram begins with {start:02X}")
+    if len(buffer) < 4:
+        return None
+    if buffer[1] != buffer[2] or buffer[3] != VARIABLE or not 4 <= buffer[1] <= 249:
+        raise IllegalTelegram(f"no header of a telegram with data: {buffer[:4].hex(' ')}")
+    return buffer[1] + 6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Telegram:
+    """A telegram with addresses and a frame control byte.
+
+    Attributes:
+        destination, source: addresses of stations, 0 to 126; 127 is everybody.
+        control: the frame control byte.
+        dsap, ssap: service access points; None for the default one.
+        data: what follows them.
+    """
+
+    destination: int
+    source: int
+    control: int
+    dsap: int | None = None
+    ssap: int | None = None
+    data: bytes = b""
+
+    @property
+    def is_request(self) -> bool:
+        """Tell whether an initiator sends it."""
+        return bool(self.control & 0x40)
+
+    @property
+    def function(self) -> int:
+        """Function of the frame control byte."""
+        return self.control & 0x0F
+
+    @property
+    def count_is_valid(self) -> bool:
+        """Tell whether the frame count bit counts (FCV)."""
+        return bool(self.control & 0x10)
+
+    @property
+    def count(self) -> bool:
+        """The frame count bit (FCB)."""
+        return bool(self.control & 0x20)
+
+    @classmethod
+    def parse(cls, raw: bytes) -> Telegram:
+        """Read a telegram of the length that its start promises, no token and no short acknowledgement.
+
+        Raises:
+            IllegalTelegram: its checksum, its end or its address extensions are wrong.
+        """
+        body = raw[4:-2] if raw[0] == VARIABLE else raw[1:-2]
+        if raw[-1] != _END:
+            raise IllegalTelegram(f"the end delimiter is {raw[-1]:02X}")
+        if sum(body) & 0xFF != raw[-2]:
+            raise IllegalTelegram(f"the checksum is {raw[-2]:02X}, not {sum(body) & 0xFF:02X}")
+        data = body[3:]
+        saps: list[int | None] = [None, None]
+        for index, address in enumerate(body[:2]):
+            if address & _EXTENSION:
+                if not data or data[0] & ~_SAP:
+                    raise IllegalTelegram("an address extension that is no service access point")
+                saps[index], data = data[0], data[1:]
+        return cls(
+            destination=body[0] & _ADDRESS,
+            source=body[1] & _ADDRESS,
+            control=body[2],
+            dsap=saps[0],
+            ssap=saps[1],
+            data=data,
+        )
+
+    def encoded(self) -> bytes:
+        """Return the telegram as it is on the wire, in the form without data or in that of variable length."""
+        extensions = bytes(sap for sap in (self.dsap, self.ssap) if sap is not None)
+        marks = [_EXTENSION if sap is not None else 0 for sap in (self.dsap, self.ssap)]
+        body = bytes([self.destination | marks[0], self.source | marks[1], self.control]) + extensions + self.data
+        check = bytes([sum(body) & 0xFF, _END])
+        if len(body) == 3:
+            return bytes([NO_DATA]) + body + check
+        return bytes([VARIABLE, len(body), len(body), VARIABLE]) + body + check

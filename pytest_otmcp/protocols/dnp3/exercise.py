@@ -1,0 +1,225 @@
+"""What checks for every protocol do on DNP3: analog inputs that are read, latches and setpoints that are operated."""
+
+from __future__ import annotations
+
+import random
+import struct
+
+from ..exercise import Asked, Contended, Exercise, Texts
+from ..journal import Entries, JournalEntry
+from .entries import DIRECT_OPERATE, OPERATE, as_dnp3, changes, commands
+
+__all__ = ["EXERCISE"]
+
+_OUTSTATION, _INPUT, _OUTPUT = 10, 1, 2
+_WRITE = 2
+_LATCHES, _EVENTLESS = range(5), range(1, 6)
+"""Outputs that are latches; analog inputs that hold whole numbers and make no events."""
+_LEVEL, _EXACT, _PUMP = "otmcp_level", "otmcp_exact", "otmcp_pump"
+_SETPOINT, _BATCH, _TEXT = "otmcp_setpoint", "otmcp_batch", "otmcp_text"
+"""Names that a launch of an adapter with names of its own has: the analog input 1, the analog input 7 (a double), the binary output 2,
+the analog output 0 (a float), the analog output 3 (a whole number of 32 bits) and the octet string 0."""
+(_LARGEST,) = struct.unpack(">f", bytes.fromhex("7f7fffff"))
+
+
+def _whole(rng: random.Random) -> int:
+    return rng.randrange(-(2**31), 2**31)
+
+
+def _half(rng: random.Random) -> float:
+    # Halves below 2 to the 20 are exact in a float; the signs tell a number from its bits.
+    return rng.randrange(-(2**20), 2**20) + 0.5
+
+
+def _at(start: int, count: int = 1) -> dict[str, object]:
+    return {"outstation": _OUTSTATION, "start": start, "count": count}
+
+
+def _analog(index: int, value: float) -> Asked:
+    name = f"analog_input/{index}"
+    return Asked(
+        operation="read_analog",
+        inputs=_at(index),
+        outputs={"values": [value]},
+        pokes=({"point": name, "value": value},),
+        condition={"function": 1, "group": 30, "index": index},
+    )
+
+
+def _read(rng: random.Random) -> Asked:
+    return _analog(_INPUT, _whole(rng))
+
+
+def _latch(index: int, value: bool) -> Asked:
+    name = f"binary_output/{index}"
+    return Asked(
+        operation="write_binary",
+        inputs={"outstation": _OUTSTATION, "index": index, "value": value},
+        outputs={"value": value},
+        pokes=({"point": name, "value": not value},),
+        points={name: value},
+    )
+
+
+def _write(rng: random.Random) -> Asked:
+    return _latch(rng.choice(_LATCHES), rng.random() < 0.5)
+
+
+def _done(entries: Entries, asked: Asked) -> list[JournalEntry]:
+    return [entry for entry in changes(entries) if as_dnp3(entry).get("function") in (OPERATE, DIRECT_OPERATE, _WRITE)]
+
+
+def _distinct(rng: random.Random, count: int) -> tuple[Asked, ...]:
+    known = [_analog(index, _whole(rng)) for index in _EVENTLESS]
+    return tuple(known[number % len(known)] for number in range(count))
+
+
+def _named(name: str, point: str, value: object, **outputs: object) -> Asked:
+    return Asked(
+        operation="read_alias",
+        inputs={"name": name},
+        outputs=outputs or {"value": value},
+        pokes=({"point": point, "value": value},),
+    )
+
+
+def _every_read(rng: random.Random) -> tuple[Asked, ...]:
+    # Inputs that make no events: the others would be reported with the next poll.
+    states = [bool(rng.getrandbits(1)) for _ in range(8)]
+    values = [-abs(_whole(rng)), _whole(rng), 2**31 - 1, -(2**31)]
+    return (
+        Asked(
+            operation="read_binary",
+            inputs=_at(8, 8),
+            outputs={"values": states},
+            pokes=tuple({"point": f"binary_input/{8 + place}", "value": state} for place, state in enumerate(states)),
+        ),
+        Asked(
+            operation="read_analog",
+            inputs=_at(1, 4),
+            outputs={"values": values},
+            pokes=tuple({"point": f"analog_input/{1 + place}", "value": value} for place, value in enumerate(values)),
+        ),
+        _analog(7, _half(rng)),
+        _named(_LEVEL, "analog_input/1", -abs(_whole(rng))),
+        _named(_EXACT, "analog_input/7", rng.uniform(-1e9, 1e9)),
+        _named(_PUMP, "binary_output/2", True),
+        _named(_SETPOINT, "analog_output/0", _half(rng)),
+        _named(_BATCH, "analog_output/3", -abs(_whole(rng))),
+    )
+
+
+def _set(name: str, index: int, value: object, *, before: float) -> Asked:
+    point = f"analog_output/{index}"
+    return Asked(
+        operation="write_alias",
+        inputs={"name": name, "value": value},
+        pokes=({"point": point, "value": before},),
+        points={point: value},
+    )
+
+
+def _every_write(rng: random.Random) -> tuple[Asked, ...]:
+    value = rng.random() < 0.5
+    text = f"text-{rng.getrandbits(32):08x}"
+    return (
+        *(_latch(index, value) for index in (_OUTPUT, 4)),
+        _latch(_OUTPUT, not value),
+        _set(_SETPOINT, 0, abs(_half(rng)), before=0.0),
+        _set(_BATCH, 3, rng.randrange(1, 2**31), before=0),
+        _write_text(text),
+    )
+
+
+def _contended(rng: random.Random) -> Contended:
+    old, *new = (number + 0.5 for number in rng.sample(range(2**20), 3))
+    return Contended(
+        old=old,
+        new=tuple(new),
+        pokes=({"point": "analog_output/0", "value": old},),
+        read=Asked(operation="read_alias", inputs={"name": _SETPOINT}),
+        output="value",
+        writes=tuple(_set(_SETPOINT, 0, value, before=old) for value in new),
+    )
+
+
+def _asks_for(entry: JournalEntry) -> object:
+    given = commands(entry)
+    return given[0].get("value") if len(given) == 1 else None
+
+
+def _special() -> tuple[Asked, ...]:
+    return tuple(
+        _named(name, point, special, special=special)
+        for name, point in ((_EXACT, "analog_input/7"), (_SETPOINT, "analog_output/0"))
+        for special in ("NaN", "Infinity", "-Infinity")
+    )
+
+
+def _real(value: float) -> Asked:
+    return _set(_SETPOINT, 0, value, before=0.0)
+
+
+def _bounds() -> tuple[tuple[Asked, object], ...]:
+    return (
+        (_set(_BATCH, 3, 2**31 - 1, before=0), 2**31),
+        (_set(_BATCH, 3, -(2**31), before=0), -(2**31) - 1),
+        (_set(_SETPOINT, 0, _LARGEST, before=0.0), 1e39),
+        (_set(_SETPOINT, 0, -_LARGEST, before=0.0), -1e39),
+    )
+
+
+def _misfits() -> tuple[tuple[Asked, tuple[object, ...]], ...]:
+    return (
+        (_latch(_OUTPUT, True), ("false", "off", 1, [True], None)),
+        (_set(_BATCH, 3, 7, before=0), (40.7, "abc", "40", [40], None)),
+        (_set(_SETPOINT, 0, 7.5, before=0.0), ("abc", "7.5", True, [7.5], None)),
+    )
+
+
+def _read_text(text: str) -> Asked:
+    return _named(_TEXT, "octet_string/0", text)
+
+
+def _write_text(text: str) -> Asked:
+    return Asked(
+        operation="write_alias",
+        inputs={"name": _TEXT, "value": text},
+        pokes=({"point": "octet_string/0", "value": "before"},),
+        points={"octet_string/0": text},
+    )
+
+
+EXERCISE = Exercise(
+    reading="read_analog",
+    read=_read,
+    writing="write_binary",
+    write=_write,
+    number=None,
+    bounded=("outstation", "start", "index"),
+    done=_done,
+    reads=({"function": 1},),
+    # A selection moves nothing: what has its effect is the operation.
+    writes=({"function": OPERATE}, {"function": DIRECT_OPERATE}),
+    silent=({"action": {"drop": True}},),
+    reset=({"action": {"reset": True}},),
+    refused=({"action": {"iin": 0x0100}},),
+    write_refused=({"status": 6}, "device_failure"),
+    # A link address and an index have 16 bits; FFF0 to FFFF are no addresses of outstations.
+    outside={
+        "outstation": (-1, 2**16, 2**16 + _OUTSTATION, 2**31, 10.5, "0x0a"),
+        "start": (-1, 2**16, 2**16 + _INPUT, 2**31, 1.5, "0x1"),
+        "index": (-1, 2**16, 2**16 + _OUTPUT, 2**31, 2.5, "0x2"),
+        "count": (-1, 0, 2**16 + 1, 2**31, 1.5, "0x1"),
+    },
+    distinct=_distinct,
+    every_read=_every_read,
+    every_write=_every_write,
+    contended=_contended,
+    asks_for=_asks_for,
+    bounds=_bounds,
+    misfits=_misfits,
+    special=_special,
+    real=_real,
+    texts=Texts(encoding="utf-8", read=_read_text, write=_write_text),
+)

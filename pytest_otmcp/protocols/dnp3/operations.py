@@ -1,0 +1,58 @@
+"""The abstract operations on DNP3. Outstations are named by link address, points by index, from 0."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from ..protocol import Operation
+
+__all__ = ["OPERATIONS"]
+
+_RANGE = ("outstation", "start", "count")
+
+OPERATIONS: Mapping[str, Operation] = {
+    "ping": Operation(meaning="is the outstation reachable", outputs=("reachable",), status=True, tells="reachable"),
+    "read_binary": Operation(
+        meaning="read binary inputs, as a list of true and false",
+        inputs=_RANGE,
+        outputs=("values",),
+        needed=("values",),
+        voluntary_outputs=("flags",),
+    ),
+    "read_analog": Operation(
+        meaning="read analog inputs, as a list of numbers",
+        inputs=_RANGE,
+        outputs=("values",),
+        needed=("values",),
+        voluntary_outputs=("flags",),
+    ),
+    "write_binary": Operation(
+        meaning="latch a binary output on or off",
+        inputs=("outstation", "index", "value"),
+        outputs=("value",),
+        writes=True,
+        voluntary_outputs=("status",),
+    ),
+    "poll": Operation(
+        meaning="poll a class: 0 for every point, 1 to 3 for events; each event has type, index and value",
+        inputs=("outstation", "event_class"),
+        outputs=("events",),
+        needed=("events",),
+        voluntary=True,
+    ),
+    "read_alias": Operation(
+        meaning="read a point by a name of the adapter's own",
+        inputs=("name",),
+        outputs=("value",),
+        needed=("value",),
+        voluntary=True,
+        voluntary_outputs=("special",),
+    ),
+    "write_alias": Operation(
+        meaning="operate or write a point by a name of the adapter's own",
+        inputs=("name", "value"),
+        outputs=("value",),
+        writes=True,
+        voluntary=True,
+    ),
+}

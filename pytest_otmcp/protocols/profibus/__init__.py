@@ -1,0 +1,1 @@
+"""PROFIBUS DP: description, operations, decoder and oracles."""

@@ -1,0 +1,57 @@
+"""The time for which the machine keeps processes waiting for a processor, which is no fault of theirs (Linux)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+__all__ = ["LOOK_S", "Starvation"]
+
+LOOK_S = 0.1
+"""Seconds between two looks at a process; what is found out is so exact."""
+
+
+class Starvation:
+    """The waiting of processes' main threads for a processor, from the moment at which this is created."""
+
+    def __init__(self, pids: Iterable[int]) -> None:
+        self._threads = [_Thread(pid) for pid in pids]
+
+    def seconds(self) -> float:
+        """Look again; return for how long, in all, the processes were ready to run and did not run."""
+        return sum(thread.waited_s() for thread in self._threads)
+
+
+@dataclass(slots=True)
+class _Thread:
+    """A main thread: Linux, Documentation/scheduler/sched-stats.rst and proc_pid_stat(5)."""
+
+    pid: int
+    _ran_ns: int = 0
+    _began_ns: int | None = None
+    _waited_ns: int = 0
+    _looked: float = field(default_factory=time.monotonic)
+
+    def __post_init__(self) -> None:
+        self.waited_s()
+
+    def waited_s(self) -> float:
+        """Return how long it has waited; of one that has ended, or where the kernel does not count, what was known last."""
+        now = time.monotonic()
+        try:
+            ran_ns, waited_ns = map(int, self._read("schedstat").split()[:2])
+            ready = self._read("stat").rpartition(")")[2].split()[0] == "R"
+        except (OSError, IndexError, ValueError):
+            return self._waited_ns / 1e9
+        if self._began_ns is None:
+            self._began_ns = waited_ns
+        if not ready or ran_ns != self._ran_ns:
+            self._looked = now
+        self._ran_ns, self._waited_ns = ran_ns, waited_ns - self._began_ns
+        # The kernel adds a wait when it is over.
+        return self._waited_ns / 1e9 + now - self._looked
+
+    def _read(self, name: str) -> str:
+        return Path(f"/proc/{self.pid}/{name}").read_text(encoding="utf-8", errors="replace")

@@ -1,0 +1,117 @@
+"""Defects of a PROFIBUS DP adapter that the checks of the requirement suite notice."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+from ...core import AdapterServer
+from ..any_protocol import guard_after_sending
+from ..mutant import Data, Mutant, told
+from .enc import as_zero, by_way_of_float
+from .further import cut_off, declared, last_answer, module_of
+
+__all__ = ["MUTANTS"]
+
+_READ, _WRITE, _READ_ALIAS, _WRITE_ALIAS = "read_inputs", "write_outputs", "read_slave_by_alias", "write_slave_by_alias"
+_ADDRESS_BITS = 7
+
+_module = partial(module_of, "profibus")
+
+
+def _lower_bits(server: AdapterServer) -> None:
+    tools = _module("tools")
+    encode = tools.encode
+
+    def fitting(value: Any, kind: str) -> bytes:
+        whole = kind == "INT16" and type(value) is int
+        content: bytes = encode((value + 0x8000) % 0x10000 - 0x8000 if whole else value, kind)
+        return content
+
+    tools.encode = fitting
+
+
+def _numbers_from_texts(server: AdapterServer) -> None:
+    tools = _module("tools")
+    encode = tools.encode
+
+    def lenient(value: Any, kind: str) -> bytes:
+        is_number = isinstance(value, str) and value[:1].isdecimal()
+        content: bytes = encode(float(value) if is_number else value, kind)
+        return content
+
+    tools.encode = lenient
+
+
+def _first_byte_only(data: Data) -> Data:
+    return {**data, "bytes": data["bytes"][:1] + [0] * (len(data["bytes"]) - 1)}
+
+
+_mutant = partial(declared, "profibus")
+
+MUTANTS: tuple[Mutant, ...] = (
+    _mutant(
+        "MU-40pr",
+        "rd",
+        "RD-001 RD-004",
+        "RD-001 RD-004",
+        told(_READ, change=_first_byte_only),
+        "Of the inputs of a slave only the first byte is told, and zeros for the others.",
+    ),
+    _mutant(
+        "MU-20pw",
+        "wr",
+        "WR-004",
+        "WR-004",
+        guard_after_sending(_WRITE_ALIAS),
+        "With writes disabled outputs are written by an alias, and then denied.",
+    ),
+    _mutant(
+        "MU-08pa",
+        "adr",
+        "ADR-003",
+        "ADR-003",
+        _lower_bits,
+        "Of a value that does not fit into an INT16 of the outputs the lower half is written.",
+    ),
+    _mutant(
+        "MU-11pa",
+        "adr",
+        "ADR-004",
+        "ADR-004",
+        _numbers_from_texts,
+        "A text with a number in it is written to the outputs as the number.",
+    ),
+    _mutant(
+        "MU-06p",
+        "adr",
+        "ADR-002",
+        "ADR-002",
+        cut_off(_WRITE, "slave_address", _ADDRESS_BITS),
+        "Of a station address the last 7 bits count.",
+    ),
+    _mutant(
+        "MU-37p",
+        "con",
+        "CON-001",
+        "CON-001",
+        last_answer(_READ),
+        "Of several reads of inputs at the same time all are told what the last one has found.",
+    ),
+    _mutant(
+        "MU-56p",
+        "enc",
+        "ENC-004",
+        "ENC-004",
+        told(_READ_ALIAS, change=as_zero),
+        "A FLOAT32 of the inputs that is NaN is 0.",
+    ),
+    _mutant(
+        "MU-58p",
+        "enc",
+        "ENC-005",
+        "ENC-005",
+        told(_READ_ALIAS, change=by_way_of_float),
+        "A UINT64 of the inputs above 2^53 is rounded.",
+    ),
+)
