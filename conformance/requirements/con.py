@@ -332,6 +332,8 @@ async def values_are_read_beside_writes(run: Repetition, at: Rig) -> None:
         one = asks.contended(run.rng)
         for poke in one.pokes:
             await at.poke(**poke)
+        if one.first is not None:
+            run.succeeds(await at.call(one.first.operation, **one.first.inputs), requirement="CON-004")
         writes = [at.call(write.operation, **write.inputs) for write in one.writes]
         reads = [at.call(one.read.operation, **one.read.inputs) for _ in range(4)]
         replies = await run.together(reads[0], writes[0], reads[1], reads[2], writes[1], reads[3])

@@ -51,6 +51,7 @@ class Contended:
         old: the value that the target holds before.
         new: the values that are written, by one write each.
         pokes: what sets the old value at the mock.
+        first: the call that writes the old value, where it is a master's own and cannot be set at the mock; else None.
         read: the call that reads; it has no outputs, since any of the values may be right.
         output: the output of the read that is the value.
         writes: the calls that write, in the order of the new values.
@@ -62,6 +63,7 @@ class Contended:
     read: Asked
     output: str
     writes: tuple[Asked, ...]
+    first: Asked | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -6,7 +6,7 @@ import random
 import struct
 from collections.abc import Sequence
 
-from ..exercise import Asked, Exercise
+from ..exercise import Asked, Contended, Exercise
 from ..journal import Entries, JournalEntry
 from .entries import as_profibus, points
 from .oracle import outputs_sent
@@ -146,9 +146,26 @@ def _every_write(rng: random.Random) -> tuple[Asked, ...]:
     )
 
 
+def _contended(rng: random.Random) -> Contended:
+    old, *new = rng.sample(range(0x101, 0x7F00), 3)
+    return Contended(
+        old=old,
+        new=tuple(new),
+        # A master repeats its outputs: others that were set at the slave would not stay.
+        pokes=(),
+        first=_setpoint(old),
+        read=Asked(operation="read_alias", inputs={"name": _SETPOINT}),
+        output="value",
+        writes=tuple(map(_setpoint, new)),
+    )
+
+
 def _asks_for(entry: JournalEntry) -> object:
     sent = as_profibus(entry)
-    return list(bytes.fromhex(sent["data"])) if sent.get("service") == "data_exchange" else None
+    if sent.get("service") != "data_exchange" or sent["station"] != _LARGE:
+        return None
+    (setpoint,) = struct.unpack_from(">h", bytes.fromhex(sent["data"]))
+    return int(setpoint)
 
 
 EXERCISE = Exercise(
@@ -172,6 +189,7 @@ EXERCISE = Exercise(
     distinct=_distinct,
     every_read=_every_read,
     every_write=_every_write,
+    contended=_contended,
     asks_for=_asks_for,
     bounds=_bounds,
     misfits=_misfits,
