@@ -7,7 +7,20 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Any
 
-from .workload import DB, DB_BYTES, DEVICE, INPUT_REGISTERS, OBJECT, PAYLOAD, TAG, TEMPERATURE, TOPIC
+from .workload import (
+    ANALOG_INPUTS,
+    DB,
+    DB_BYTES,
+    DEVICE,
+    INPUT_REGISTERS,
+    OBJECT,
+    OUTSTATION,
+    PAYLOAD,
+    SLAVE,
+    TAG,
+    TEMPERATURE,
+    TOPIC,
+)
 
 __all__ = ["FAMILIES", "Family"]
 
@@ -24,7 +37,7 @@ class Family:
         raw: what the raw exchange does.
         does: what the call does.
         tool, arguments: the call.
-        env: variables of the adapter's environment, with ``{host}`` and ``{port}`` for the device's.
+        env: variables of the adapter's environment, with ``{host}`` and ``{port}`` for the device's, or ``{serial}`` for its line.
         target: largest ratio of the call to the null tool and the raw exchange together.
         library: module of an optional dependency that adapter and raw exchange need.
     """
@@ -100,6 +113,25 @@ _ALL = (
         arguments={"tag_name": TAG},
         env={"ETHERNETIP_HOST": "{host}", "ETHERNETIP_PORT": "{port}"},
         library="pylogix",
+    ),
+    Family(
+        key="dnp3",
+        item="D2",
+        raw="dnp3py, read 4 analog inputs",
+        does="read 4 analog inputs",
+        tool="read_analog_inputs",
+        arguments={"outstation_address": OUTSTATION, "start_index": 0, "count": ANALOG_INPUTS},
+        env={"DNP3_HOST": "{host}", "DNP3_PORT": "{port}"},
+        library="dnp3",
+    ),
+    Family(
+        key="profibus",
+        item="P2",
+        raw="no library, RD_Inp of one slave",
+        does="read the inputs of one slave",
+        tool="read_inputs",
+        arguments={"slave_address": SLAVE},
+        env={"PROFIBUS_SERIAL": "{serial}"},
     ),
 )
 

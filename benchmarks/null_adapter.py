@@ -1,6 +1,6 @@
 """A tool that does nothing on the adapters' own skeleton: the cost of every adapter call before its protocol begins.
 
-As ``python -m benchmarks.null_adapter EXCHANGE HOST PORT`` the tool makes one bare exchange: an adapter that checks
+As ``python -m benchmarks.null_adapter EXCHANGE HOST PORT``, or with the path of a line, the tool makes one bare exchange: an adapter that checks
 nothing, keeps no record and reports nothing. It is the control of the sum that adapters are compared with.
 """
 
@@ -81,15 +81,15 @@ def build() -> AdapterServer:
     return server
 
 
-def build_control(name: str, host: str, port: int) -> AdapterServer:
+def build_control(name: str, *where: str) -> AdapterServer:
     """Build the server whose tool makes one exchange of this name."""
-    from .raw_client import EXCHANGES
+    from .raw_client import connect
 
     server = _server()
-    server.add(ControlTool(lambda: EXCHANGES[name](host, port)))
+    server.add(ControlTool(lambda: connect(name, *where)))
     return server
 
 
 if __name__ == "__main__":
-    server = build_control(sys.argv[1], sys.argv[2], int(sys.argv[3])) if len(sys.argv) > 1 else build()
+    server = build_control(*sys.argv[1:]) if len(sys.argv) > 1 else build()
     sys.exit(serve(server))

@@ -62,8 +62,8 @@ def bench() -> Iterator[Bench]:
             return client
 
         null, stock = start("benchmarks.null_adapter"), start("benchmarks.null_stock")
-        floor = start("benchmarks.raw_client", "nothing", "", "0")
-        at = {key: {"host": device.host, "port": str(device.port)} for key, device in devices.items()}
+        floor = start("benchmarks.raw_client", "nothing")
+        at = {key: _where(device) for key, device in devices.items()}
         raw = {key: start("benchmarks.raw_client", key, *where.values()) for key, where in at.items()}
         raw["mqtt_exchange"] = start("benchmarks.raw_client", "mqtt_exchange", *at["mqtt"].values())
         control = {key: start("benchmarks.null_adapter", key, *where.values()) for key, where in at.items()}
@@ -98,6 +98,11 @@ def bench() -> Iterator[Bench]:
             probes=probes,
             enumeration_services=[entry["kind"] for entry in entries if entry["direction"] == "in"],
         )
+
+
+def _where(device: MockDevice) -> dict[str, str]:
+    (endpoint, *_) = device.endpoints.values()
+    return {"serial": endpoint.path} if endpoint.kind == "pty" else {"host": endpoint.host, "port": str(endpoint.port)}
 
 
 def _end(runner: asyncio.Runner, device: MockDevice) -> None:

@@ -1,4 +1,4 @@
-"""A bare protocol client in a process of its own: ``python -m benchmarks.raw_client EXCHANGE HOST PORT``.
+"""A bare protocol client in a process of its own: ``python -m benchmarks.raw_client EXCHANGE HOST PORT``, or with the path of a line.
 
 It makes one exchange for every line on its standard input, and then answers. So it is in an adapter's situation: a pipe
 wakes it, the device has slept too, and both compete with the caller for the processors. The exchange ``nothing`` does
@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import asyncio
 import gc
+import itertools
 import json
 import os
 import sys
+import tty
 from collections.abc import Awaitable, Callable
 from functools import partial
 
@@ -22,6 +24,7 @@ from paho.mqtt.enums import CallbackAPIVersion
 from pymodbus.client import AsyncModbusTcpClient
 
 from .workload import (
+    ANALOG_INPUTS,
     BLOCKS,
     DB,
     DB_BYTES,
@@ -29,20 +32,25 @@ from .workload import (
     INBOX,
     INPUT_REGISTERS,
     OBJECT,
+    OUTSTATION,
     PARALLEL,
     PAYLOAD,
     PDU_REGISTERS,
+    SLAVE,
     TAG,
     TEMPERATURE,
     TOPIC,
 )
 
-__all__ = ["EXCHANGES", "Exchange"]
+__all__ = ["Exchange", "connect"]
+
+_MASTER = 2
+"""Address of the PROFIBUS master."""
 
 Exchange = Callable[[], Awaitable[None]]
 
 
-async def _nothing(host: str, port: int) -> Exchange:
+async def _nothing() -> Exchange:
     async def nothing() -> None:
         return
 
@@ -235,7 +243,47 @@ async def _ethernetip(host: str, port: int) -> Exchange:
     return read
 
 
-EXCHANGES: dict[str, Callable[[str, int], Awaitable[Exchange]]] = {
+async def _dnp3(host: str, port: int) -> Exchange:
+    from dnp3.master import DefaultSOEHandler, Master, MasterConfig, MasterTcpRunner
+
+    master = Master(config=MasterConfig(address=1, outstation_address=OUTSTATION), handler=DefaultSOEHandler())
+    client = MasterTcpRunner(master, host, port)
+    await client.open()
+
+    async def read() -> None:
+        # Group 30, variation 0: analog inputs as the outstation has them.
+        assert await client.request(master.build_range_poll(30, 0, 0, ANALOG_INPUTS - 1))
+
+    return read
+
+
+async def _profibus(path: str) -> Exchange:
+    line = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    tty.setraw(line)
+    loop, answered, answer = asyncio.get_running_loop(), asyncio.Event(), bytearray()
+
+    def take() -> None:
+        answer.extend(os.read(line, 256))
+        # A telegram of variable length says its length in its second byte, which six further bytes do not count in.
+        if len(answer) > 1 and len(answer) == answer[1] + 6:
+            answered.set()
+
+    loop.add_reader(line, take)
+    count = itertools.cycle((0x5D, 0x7D))
+
+    async def read() -> None:
+        # Station and master with an extension each, the frame count bit, RD_Inp (56) of the master's access point 62.
+        body = bytes([0x80 | SLAVE, 0x80 | _MASTER, next(count), 56, 62])
+        answered.clear()
+        answer.clear()
+        os.write(line, bytes([0x68, len(body), len(body), 0x68, *body, sum(body) & 0xFF, 0x16]))
+        await answered.wait()
+        assert answer[3] == 0x68
+
+    return read
+
+
+EXCHANGES: dict[str, Callable[..., Awaitable[Exchange]]] = {
     "nothing": _nothing,
     "modbus": _modbus,
     "mqtt": partial(_publishing, 0, 1),
@@ -246,16 +294,23 @@ EXCHANGES: dict[str, Callable[[str, int], Awaitable[Exchange]]] = {
     "s7": _s7,
     "bacnet": _bacnet,
     "ethernetip": _ethernetip,
+    "dnp3": _dnp3,
+    "profibus": _profibus,
     "modbus_together": partial(_together, _modbus),
     "mqtt_together": partial(_publishing, 1, PARALLEL),
     "opcua_together": partial(_together, _opcua),
     **{f"modbus_{count}": partial(_modbus_block, count) for count in BLOCKS},
 }
-"""Functions that connect to a host and port, and return a function that makes one exchange."""
+"""Functions that connect to a host and port, or open a line, and return a function that makes one exchange."""
 
 
-async def _serve(name: str, host: str, port: int) -> None:
-    exchange = await EXCHANGES[name](host, port)
+def connect(name: str, *where: str) -> Awaitable[Exchange]:
+    """Connect to a host and port, or open a line, as the command line has them."""
+    return EXCHANGES[name](*(int(part) if part.isdecimal() else part for part in where))
+
+
+async def _serve(name: str, *where: str) -> None:
+    exchange = await connect(name, *where)
     loop, lines = asyncio.get_running_loop(), asyncio.StreamReader()
     await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(lines), sys.stdin)
     # The floor must not include the time of the garbage collector.
@@ -267,4 +322,4 @@ async def _serve(name: str, host: str, port: int) -> None:
 
 
 if __name__ == "__main__":
-    asyncio.run(_serve(sys.argv[1], sys.argv[2], int(sys.argv[3])))
+    asyncio.run(_serve(*sys.argv[1:]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 __all__ = [
+    "ANALOG_INPUTS",
     "BLOCKS",
     "DB",
     "DB_BYTES",
@@ -11,9 +12,11 @@ __all__ = [
     "INBOX",
     "INPUT_REGISTERS",
     "OBJECT",
+    "OUTSTATION",
     "PARALLEL",
     "PAYLOAD",
     "PDU_REGISTERS",
+    "SLAVE",
     "TAG",
     "TEMPERATURE",
     "TOPIC",
@@ -22,6 +25,8 @@ __all__ = [
 INPUT_REGISTERS = 4
 TEMPERATURE = "ns=2;s=Temperature"
 DB, DB_BYTES = 1, 16
+OUTSTATION, ANALOG_INPUTS = 10, 4
+SLAVE = 5
 DEVICE, OBJECT = 12345, ("analog-input", 1)
 TAG = "MotorSpeed"
 TOPIC, PAYLOAD = "control/pump", '{"pump_speed": 50}'
