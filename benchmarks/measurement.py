@@ -91,14 +91,14 @@ def ratios(samples: Mapping[str, list[int]]) -> list[Ratio]:
 
 def table(samples: Mapping[str, list[int]], services: list[str]) -> str:
     """Format the medians, the ratios and the service calls of an enumeration for the terminal."""
-    lines = ["", f"{'microseconds':<64}{'median':>8}{'p95':>8}"]
+    lines = ["", f"{'microseconds':<66}{'median':>8}{'p95':>8}"]
     for name, values in samples.items():
         p95 = statistics.quantiles(values, n=20)[-1]
-        lines.append(f"{name:<15}{NAMES[name]:<49}{statistics.median(values) / 1e3:>8.0f}{p95 / 1e3:>8.0f}")
-    lines += ["", f"{'ratio of medians':<42}{'measured':>9}{'target':>9}"]
+        lines.append(f"{name:<17}{NAMES[name]:<49}{statistics.median(values) / 1e3:>8.0f}{p95 / 1e3:>8.0f}")
+    lines += ["", f"{'ratio of medians':<48}{'measured':>9}{'target':>9}"]
     for ratio in ratios(samples):
         limit = "" if ratio.target is None else f"<= {ratio.target:g}"
-        lines.append(f"{ratio.formula:<42}{ratio.value:>9.2f}{limit:>9}  {ratio.verdict}")
+        lines.append(f"{ratio.formula:<48}{ratio.value:>9.2f}{limit:>9}  {ratio.verdict}")
     within = "target met" if len(services) <= ENUMERATION_SERVICES else "target missed"
-    lines.append(f"{'O4 service calls':<42}{len(services):>9}{f'<= {ENUMERATION_SERVICES}':>9}  {within}")
+    lines.append(f"{'O4 service calls':<48}{len(services):>9}{f'<= {ENUMERATION_SERVICES}':>9}  {within}")
     return "\n".join(lines)

@@ -51,10 +51,15 @@ def bench() -> Iterator[Bench]:
     """Start mock devices, servers and raw clients; end them all."""
     with ExitStack() as stack:
         runner = stack.enter_context(asyncio.Runner())
-        devices = {family.key: MockDevice(family.key) for family in FAMILIES}
-        for device in devices.values():
-            stack.callback(_end, runner, device)
-            runner.run(device.launch())
+        devices: dict[str, MockDevice] = {}
+
+        def where(key: str) -> dict[str, str]:
+            # A line has one master, so each program gets a line of its own; the clients of a port share the device.
+            if key not in devices or "serial" in _where(devices[key]):
+                devices[key] = device = MockDevice(key)
+                stack.callback(_end, runner, device)
+                runner.run(device.launch())
+            return _where(devices[key])
 
         def start(*arguments: str, env: Mapping[str, str] | None = None) -> PipeClient:
             client = PipeClient(*arguments, env=env)
@@ -63,15 +68,15 @@ def bench() -> Iterator[Bench]:
 
         null, stock = start("benchmarks.null_adapter"), start("benchmarks.null_stock")
         floor = start("benchmarks.raw_client", "nothing")
-        at = {key: _where(device) for key, device in devices.items()}
-        raw = {key: start("benchmarks.raw_client", key, *where.values()) for key, where in at.items()}
-        raw["mqtt_exchange"] = start("benchmarks.raw_client", "mqtt_exchange", *at["mqtt"].values())
-        control = {key: start("benchmarks.null_adapter", key, *where.values()) for key, where in at.items()}
+        keys = [family.key for family in FAMILIES]
+        raw = {key: start("benchmarks.raw_client", key, *where(key).values()) for key in keys}
+        raw["mqtt_exchange"] = start("benchmarks.raw_client", "mqtt_exchange", *where("mqtt").values())
+        control = {key: start("benchmarks.null_adapter", key, *where(key).values()) for key in keys}
         adapter = {
             family.key: start(
                 "pytest_otmcp.reference_adapters",
                 family.key,
-                env={name: value.format(**at[family.key]) for name, value in family.env.items()},
+                env={name: value.format(**where(family.key)) for name, value in family.env.items()},
             )
             for family in FAMILIES
         }
