@@ -76,7 +76,9 @@ class Connections:
     def _of_owner(self, entry: JournalEntry) -> str | None:
         number, origin = entry["connection"], entry["origin"]
         if number == 0:
-            return None if origin == "kit" else f"has no connection, and is called the {origin}'s"
+            # The kit changes the network, and a device does by itself what its time-outs make it do: neither came from a client.
+            of_nobody = origin == "kit" or (origin == "plant" and entry["direction"] == "out")
+            return None if of_nobody else f"has no connection, and is called the {origin}'s"
         if number in self._whose and entry["kind"] == "CONNECTED":
             return f"begins the connection {number}, which was there already"
         before = self._whose.get(number, origin)

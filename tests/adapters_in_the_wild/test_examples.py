@@ -94,7 +94,9 @@ async def judged(subject_file: Path, plant: Plant) -> tuple[dict[str, Any], list
     try:
         await bench.prepare(subject.adapters)
         drift = bench.drift()
-        return {identifier: await measured(bench, task) for identifier, task in tasks_by_id().items()}, drift
+        return {
+            identifier: await measured(bench, task) for identifier, task in tasks_by_id(subject.adapters).items()
+        }, drift
     finally:
         await bench.close()
 

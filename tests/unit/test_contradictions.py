@@ -165,12 +165,20 @@ def test_an_answer_belongs_to_a_request_of_its_connection(
     assert contradictions(*exchange(asked, told)) == [None, clause]
 
 
-def test_only_the_kit_has_no_connection() -> None:
-    [of_kit, of_client] = contradictions(
-        *numbered(entry("network", "out", connection=0, origin="kit"), entry("request", connection=0))
-    )
-    assert of_kit is None
-    assert of_client == "has no connection, and is called the client's"
+def test_only_the_kit_and_the_device_itself_have_no_connection() -> None:
+    assert contradictions(
+        *numbered(
+            entry("network", "out", connection=0, origin="kit"),
+            entry("watchdog", "out", connection=0, origin="plant"),
+            entry("request", connection=0, origin="plant"),
+            entry("request", connection=0),
+        )
+    ) == [
+        None,
+        None,
+        "has no connection, and is called the plant's",
+        "has no connection, and is called the client's",
+    ]
 
 
 def test_what_was_asked_before_the_journal_is_known_is_believed() -> None:
