@@ -50,8 +50,10 @@ class Environment:
         path = self.optional(name)
         if path is None:
             return {}
+        # mypy takes no variable in the place of a type.
+        entries: TypeAdapter[dict[str, _Entry]] = TypeAdapter(dict[str, kind])  # type: ignore[valid-type]
         try:
-            return TypeAdapter(dict[str, kind]).validate_json(Path(path).read_bytes())  # type: ignore[valid-type]
+            return entries.validate_json(Path(path).read_bytes())
         except OSError as error:
             raise ConfigError(f"{name}: {path} cannot be read: {error.strerror}") from None
         except ValidationError as error:

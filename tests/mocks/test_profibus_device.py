@@ -16,6 +16,7 @@ import pytest
 import pytest_asyncio
 from mock_program import PATIENCE_S, MockProgram
 from profibus_tools import Master, request
+from pytest_otmcp.mocks.profibus.receiver import Receiver
 
 from pytest_otmcp.protocols.profibus.decoder import ProfibusConversation, contradiction
 
@@ -336,13 +337,16 @@ async def test_what_a_stopped_segment_did_not_hear_is_never_executed(bus: MockPr
     assert [entry["service"] for entry in await bus.control.journal(request=True)] == ["slave_diag"]
 
 
-async def test_a_telegram_may_come_in_pieces_and_one_that_does_not_end_is_given_up(
-    bus: MockProgram, master: Master
-) -> None:
-    master.send(READ[:3])
-    await asyncio.sleep(0.01)
-    master.send(READ[3:])
-    assert (await master.telegram()).hex() == ANSWER
+async def test_a_telegram_may_come_in_pieces() -> None:
+    telegrams: list[bytes] = []
+    malformed: list[str] = []
+    receiver = Receiver(telegrams.append, lambda raw, reason: malformed.append(reason))
+    for byte in READ * 2:
+        receiver.feed(bytes([byte]))
+    assert (telegrams, malformed) == ([READ, READ], [])
+
+
+async def test_a_telegram_that_does_not_end_is_given_up(bus: MockProgram, master: Master) -> None:
     master.send(READ[:-1])
     (entry,) = await bus.control.wait(kind="malformed")
     assert entry["reason"] == "the rest of the telegram did not come"

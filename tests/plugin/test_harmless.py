@@ -125,8 +125,6 @@ deadline_s = 30
 def test_init_writes_nothing_and_says_where_the_adapter_was(
     otmcp: Otmcp, tmp_path: Path, warm_start: WarmStart, protocol: str, elsewhere: Elsewhere
 ) -> None:
-    if protocols()[protocol].onboarding is None:
-        pytest.skip(f"otmcp init proposes nothing for {protocol}")
     settings = {
         "PLANT": elsewhere.address,
         "ADRESS": "{host}:{port}",
