@@ -35,13 +35,13 @@ _PALE, _DARK = "#ededed", "#4d4d4d"
 
 # Tool counts of the protocol modules that the paper lists beside the three that it evaluates.
 _OTHER_PROTOCOLS = {
-    "BACnet/IP": 7,
-    "DNP3": 8,
-    "EtherCAT": 14,
-    "EtherNet/IP": 17,
-    "PROFIBUS DP/PA": 11,
-    "PROFINET": 14,
-    "S7comm": 20,
+    "bacnet": ("BACnet/IP", 7),
+    "dnp3": ("DNP3", 8),
+    "ethercat": ("EtherCAT", 14),
+    "ethernetip": ("EtherNet/IP", 17),
+    "profibus": ("PROFIBUS DP/PA", 11),
+    "profinet": ("PROFINET", 14),
+    "s7": ("S7comm", 20),
 }
 
 _SHOWN_CODES = 8
@@ -243,11 +243,10 @@ def _protocol_map(run: Run, axes: Axes) -> bool:
         # The map is the paper's: seven of its protocols have nothing to do with a vendor's run.
         return False
     sessions = adapters(run)
-    evaluated = {protocols()[key].name: facts.get("tools") for key, facts in sessions.items() if key in protocols()}
-    if not evaluated:
+    boxes = [(known.name, sessions[key].get("tools"), True) for key, known in protocols().items() if key in sessions]
+    if not boxes:
         return False
-    boxes = [(name, tools, True) for name, tools in evaluated.items()]
-    boxes += [(name, tools, False) for name, tools in _OTHER_PROTOCOLS.items() if name not in evaluated]
+    boxes += [(name, tools, False) for key, (name, tools) in _OTHER_PROTOCOLS.items() if key not in sessions]
     columns = 3
     for index, (name, tools, tested) in enumerate(boxes):
         row, column = divmod(index, columns)

@@ -99,6 +99,24 @@ def test_the_map_of_the_papers_protocols_is_the_papers_alone(tmp_path: Path) -> 
     assert (tmp_path / "latency_boxplot.png").exists()
 
 
+def test_the_map_has_every_protocol_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    every = run(ALL)
+    (facts, *_) = every["subject"]["adapters"].values()
+    every["subject"]["adapters"] = dict.fromkeys(protocols(), facts)
+    notes: list[str] = []
+    monkeypatch.setattr(
+        Figure,
+        "savefig",
+        lambda figure, path, **_: notes.extend(
+            text.get_text() for text in figure.findobj(Text) if path.name == "protocol_map.png"
+        ),
+    )
+    write_figures(every, tmp_path)
+    assert len([note for note in notes if note.endswith("evaluated")]) == len(protocols())
+    # What the paper lists and the kit has is the kit's.
+    assert len([note for note in notes if note.endswith("in the paper")]) == 2
+
+
 @pytest.fixture
 def texts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> dict[str, list[tuple[str, str]]]:
     """Every text that is drawn, with its colour and the colour of what lies behind it, by figure."""
