@@ -65,6 +65,12 @@ def test_runs_of_the_same_version_can_be_told_apart(versions: list[dict[str, Any
     assert names == ["acme-modbus 1 (run 1)", "acme-modbus 2", "acme-modbus 1 (run 2)"]
 
 
+def test_what_a_capability_means_is_said_once(versions: list[dict[str, Any]]) -> None:
+    said = [row.about for row in compared(versions).capabilities if row.about]
+    assert len(said) == len(set(said)) > 1
+    assert len(said) < len(compared(versions).capabilities)
+
+
 def test_what_changed_is_said_and_what_only_some_have_is_counted(versions: list[dict[str, Any]]) -> None:
     found = compared(versions)
     assert found.changes == ["M3 FAIL, PASS, PASS"]

@@ -449,6 +449,17 @@ def test_the_tables_of_every_protocol_fit_a_screen_and_a_telephone(tmp_path: Pat
     assert max(measured.values()) == 0, measured
 
 
+def test_outages_that_do_not_apply_have_no_row_and_empty_settings_are_not_named() -> None:
+    lost = {**item("R-modbus", "recovery", "Modbus", "Recover.", []), "status": "NOT_APPLICABLE", "planned": 20}
+    record = run([M1, lost])
+    record["settings"] |= {"protocols": [], "not_measured": {}, "xdist_workers": 0}
+    shown = Page(page(record)).text
+    assert "medians in milliseconds, rates with their bound" not in shown
+    assert "xdist_workers: 0" in shown
+    assert "protocols:" not in shown
+    assert "not_measured" not in shown
+
+
 def test_the_answer_in_plain_words_comes_before_its_evidence() -> None:
     shown = Page(page(run([written_twice()]))).text
     words = (
