@@ -98,6 +98,7 @@ def run(args: argparse.Namespace) -> int:
         finally:
             await device.close()
 
+    tell(f"{protocols()[protocol].name}: {' '.join(args.command)}")
     loop = LoopThread()
     try:
         drafted = loop.run(work())

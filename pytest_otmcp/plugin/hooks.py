@@ -62,6 +62,7 @@ __all__ = [
     "otmcp_subject",
     "pytest_addoption",
     "pytest_collect_file",
+    "pytest_collection",
     "pytest_collection_finish",
     "pytest_collection_modifyitems",
     "pytest_configure",
@@ -139,6 +140,14 @@ def pytest_report_header(config: pytest.Config) -> str | None:
 
 
 # -- collection ---------------------------------------------------------------------------------------------------
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection(session: pytest.Session) -> None:
+    if not _is_worker(session.config) and asks_for_suite(session.config):
+        # What ends the run while a module is collected is shown with a traceback, for each of the modules.
+        with ignore_warnings():
+            select_adapters(session.config)
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -446,6 +446,18 @@ def test_a_run_with_a_bad_option_ends_with_that_sentence_and_code_2(repository: 
     assert "Traceback" not in outcome.output
 
 
+@pytest.mark.parametrize("parallel", [(), ("-n", "2")])
+def test_a_mistake_in_the_subject_file_is_said_once_in_its_sentence(
+    repository: Repository, parallel: tuple[str, ...]
+) -> None:
+    repository.write(otmcp_toml=HTTP.format(command='["x"]').replace("{port}", "{prot}"))
+    outcome = repository.pytest("--otmcp-reps=1", *parallel, plugins="xdist")
+    assert outcome.code == 2
+    assert "adapter.modbus.env.MODBUS_PORT: {prot} is not replaced; did you mean {port}?" in outcome.output
+    assert "ERROR" not in outcome.output
+    assert "During handling" not in outcome.output
+
+
 def test_the_plugin_is_inert_where_nothing_of_it_is_collected(repository: Repository) -> None:
     repository.write(
         test_own_py="import sys\n"
