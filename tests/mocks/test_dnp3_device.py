@@ -32,7 +32,7 @@ OK = "8000"
 @pytest_asyncio.fixture(loop_scope="module")
 async def raw(device: MockProgram) -> AsyncIterator[RawDnp3]:
     connection = RawDnp3()
-    await connection.open(device)
+    await connection.dial(device)
     yield connection
     await connection.close()
 
@@ -261,7 +261,7 @@ async def test_a_selection_is_over_after_its_time_and_belongs_to_its_connection(
     await device.control.poke(select_timeout_s=5)
     await raw.ask("03" + LATCH, sequence=3)
     other = RawDnp3()
-    await other.open(device)
+    await other.dial(device)
     assert (await other.ask("04" + LATCH, sequence=4)).endswith("02")
     await other.close()
     assert not (await device.control.points())["binary_output/2"]
@@ -431,7 +431,7 @@ async def test_a_request_comes_in_any_segments_and_from_any_master(device: MockP
 )
 async def test_what_is_no_frame_ends_the_connection(device: MockProgram, sent: bytes) -> None:
     connection = RawDnp3()
-    await connection.open(device)
+    await connection.dial(device)
     connection.writer.write(sent)
     assert await connection.ended()
     await connection.close()
@@ -605,7 +605,7 @@ async def test_noise_never_stops_the_outstation_and_moves_nothing(device: MockPr
     seeds = [bytes.fromhex("c0" + text) for text in ("011e00000007", "013c0206", "0214", "17", "032903", "011e0228")]
     for number in range(200):
         connection = RawDnp3()
-        await connection.open(device)
+        await connection.dial(device)
         if number % 4 == 0:
             connection.writer.write(chance.randbytes(chance.randrange(1, 600)))
         else:

@@ -39,7 +39,7 @@ async def raw(device: MockProgram) -> AsyncIterator[RawEip]:
 
 async def test_a_session_is_registered_once_and_needed(device: MockProgram) -> None:
     connection = RawEip()
-    await connection.connect(device)
+    await connection.dial(device)
     read = packet((0, b""), (0xB2, cip(READ, VALVE, "0100")))
     assert (await connection.ask(frame(0x6F, read)))[8:12].hex() == "64000000"
     assert (await connection.ask(frame(0x65, b"\x02\0\0\0")))[8:12].hex() == "69000000"
@@ -63,7 +63,7 @@ async def test_a_session_is_registered_once_and_needed(device: MockProgram) -> N
 
 async def test_the_controller_tells_who_it_is_without_a_session(device: MockProgram) -> None:
     connection = RawEip()
-    await connection.connect(device)
+    await connection.dial(device)
     identity = await connection.ask(frame(0x63))
     assert identity.endswith(b"\x0b1756-L83E/B\x03")
     assert b"Communications" in await connection.ask(frame(0x04))
@@ -78,7 +78,7 @@ async def test_the_controller_tells_who_it_is_without_a_session(device: MockProg
 )
 async def test_what_is_no_request_ends_the_connection(device: MockProgram, sent: bytes) -> None:
     connection = RawEip()
-    await connection.connect(device)
+    await connection.dial(device)
     connection.writer.write(sent)
     assert await connection.ended()
     await connection.close()
@@ -391,7 +391,7 @@ async def test_noise_never_stops_the_controller(device: MockProgram, raw: RawEip
     for number in range(200):
         connection = RawEip()
         if number % 5 == 0:
-            await connection.connect(device)
+            await connection.dial(device)
             connection.writer.write(chance.randbytes(chance.randrange(1, 600)))
         else:
             await connection.open(device)
@@ -510,7 +510,7 @@ async def test_connecting_is_spared_unless_it_is_named(device: MockProgram) -> N
     assert (await connection.unconnected(forward_open()))[2:6].hex() == "01011301"
     await connection.close()
     await device.control.fault({"encapsulation": 2}, service="register")
-    await connection.connect(device)
+    await connection.dial(device)
     assert (await connection.ask(frame(0x65, b"\x01\0\0\0")))[8] == 2
     await connection.close()
 

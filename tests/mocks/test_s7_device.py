@@ -68,7 +68,7 @@ async def test_the_smaller_pdu_is_agreed_to(device: MockProgram) -> None:
 )
 async def test_what_is_no_beginning_of_a_session_ends_it(device: MockProgram, sent: bytes) -> None:
     connection = RawS7()
-    connection.reader, connection.writer = await asyncio.open_connection(device.host, device.port)
+    await connection.dial(device)
     connection.writer.write(sent)
     assert await connection.ended()
     await connection.close()
@@ -259,7 +259,7 @@ async def test_noise_never_stops_the_controller(device: MockProgram, raw: RawS7)
     for number in range(200):
         connection = RawS7()
         if number % 4 == 0:
-            connection.reader, connection.writer = await asyncio.open_connection(device.host, device.port)
+            await connection.dial(device)
             connection.writer.write(chance.randbytes(chance.randrange(1, 600)))
         else:
             await connection.open(device)
