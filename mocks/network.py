@@ -64,6 +64,7 @@ MANNERS = {
     "mangle": Field(
         accepts=_is_mangling,
         expected="an object with flip (a list of pairs of position and byte), cut (a number of bytes), append (hexadecimal), end",
+        convert=lambda given: Mangling(**given),
     ),
 }
 """Actions of a fault rule that every TCP device has; see :class:`Manner`."""
@@ -113,10 +114,7 @@ class Manner:
     @classmethod
     def of(cls, values: dict[str, Any]) -> Manner:
         """Take the values of these fields out of the values of a rule."""
-        given = {name: values.pop(name) for name in MANNERS if name in values}
-        if "mangle" in given:
-            given["mangle"] = Mangling(**given["mangle"])
-        return cls(**given)
+        return cls(**{name: values.pop(name) for name in MANNERS if name in values})
 
 
 AT_ONCE = Manner()
