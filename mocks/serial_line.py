@@ -17,12 +17,10 @@ import contextlib
 import fcntl
 import itertools
 import os
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable
 
-from .fault_rules import one_of
 from .journal import Journal
-from .network import CONDITIONS
+from .medium import MessageMedium
 from .peer import terminal_holder
 from .terminal_marks import Marks
 
@@ -37,20 +35,16 @@ _MARKS = 4
 """How many are sent before it is given up: a client that discards them all has no telegrams on their way either."""
 
 
-class SerialLine:
+class SerialLine(MessageMedium):
     """One pseudo terminal of a device.
 
     Args:
         journal: of the device.
         receive: takes the number of a client and its bytes, in pieces of any size.
-
-    Attributes:
-        condition: of the line.
     """
 
     def __init__(self, journal: Journal, receive: Callable[[int, bytes], None]) -> None:
-        self.condition = "open"
-        self._journal = journal
+        super().__init__(journal)
         self._receive = receive
         self._master = -1
         self._terminal = -1
@@ -59,7 +53,6 @@ class SerialLine:
         self._latest: int | None = None
         self._marks = Marks()
         self._news = asyncio.Event()
-        self._held: list[Callable[[], None]] = []
 
     def open(self, master: int) -> None:
         """Serve on a pseudo terminal, by the file descriptor of its master."""
@@ -96,12 +89,7 @@ class SerialLine:
 
     def _take(self, data: bytes) -> None:
         number = self._number()
-        if self.condition == "black_hole":
-            self._journal.append(connection=number, direction="in", kind="lost", count=len(data))
-        elif self.condition == "stalled":
-            self._held.append(lambda: self._receive(number, data))
-        else:
-            self._receive(number, data)
+        self._arrived(number, len(data), lambda: self._receive(number, data))
 
     def _number(self) -> int:
         process, key = terminal_holder(self._master)
@@ -134,30 +122,6 @@ class SerialLine:
             return
         if rest := data[len(now) :]:
             asyncio.get_running_loop().call_later(drip_s, self.send, rest, drip_s)
-
-    def poke(self, params: Mapping[str, Any]) -> bool:
-        """Apply the parameters of a poke that are about the line: ``{"network": "black_hole"}``; tell whether it was one.
-
-        Raises:
-            ValueError: there is no such condition, or the poke has other members.
-        """
-        if "network" not in params:
-            return False
-        condition, field = params["network"], one_of(*CONDITIONS)
-        if not field.accepts(condition) or len(params) > 1:
-            raise ValueError(f"a poke of the network is {{'network': …}} with {field.expected}, found {dict(params)!r}")
-        self.become(condition)
-        return True
-
-    def become(self, condition: str) -> None:
-        """Change the condition; the journal has every change."""
-        if condition == self.condition:
-            return
-        self.condition = condition
-        self._journal.append(connection=0, direction="out", kind="network", origin="kit", condition=condition)
-        held, self._held = self._held, []
-        for one in held if condition == "open" else ():
-            one()
 
     def close(self) -> None:
         """Serve nobody any more."""
