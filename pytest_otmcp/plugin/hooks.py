@@ -123,13 +123,17 @@ def _worker(config: pytest.Config) -> str | None:
     return str(config.workerinput["workerid"]) if hasattr(config, "workerinput") else None
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_sessionstart(session: pytest.Session) -> None:
     config = session.config
     if not _is_worker(config):
         config.pluginmanager.register(_ResultReceiver(config))
-        if config.getoption("dist", "no") != "no" and asks_for_suite(config):
-            # An error in the subject file is reported once here, instead of by each of the workers that start later.
-            select_adapters(config)
+    if not asks_for_suite(config) or config.option.collectonly:
+        return
+    _endings(config).install()
+    if not _is_worker(config) and config.getoption("dist", "no") != "no":
+        # An error in the subject file is reported once here, instead of by each of the workers that start later.
+        select_adapters(config)
 
 
 def pytest_report_header(config: pytest.Config) -> str | None:
@@ -509,7 +513,11 @@ def pytest_terminal_summary(terminalreporter: Any, exitstatus: int, config: pyte
     # A run that was refused has the same exit code as one that was interrupted.
     interrupted = ENDINGS in config.stash and config.stash[ENDINGS].name is not None
     refused = exitstatus == pytest.ExitCode.INTERRUPTED and not interrupted
-    if recorder is None or (refused and not recorder.statuses):
+    if recorder is None:
+        if interrupted and asks_for_suite(config):
+            terminalreporter.write_line("VERDICT: INCOMPLETE (interrupted while the tests were collected)", red=True, bold=True)
+        return
+    if refused and not recorder.statuses:
         return
     if not recorder.statuses:
         for sentence in config.stash[INTERFERENCE].sentences:
