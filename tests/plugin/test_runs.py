@@ -306,6 +306,7 @@ def pytest_{moment}:
 def _moments() -> Iterator[Any]:
     """Hooks during which a run is ended, and the signal that ends it."""
     for moment in (
+        "sessionstart(session)",
         "collectstart(collector)",
         "collection_modifyitems(items)",
         "collection_finish(session)",
