@@ -318,6 +318,10 @@ def pytest_{moment}:
 def _moments() -> Iterator[Any]:
     """Hooks during which a run is ended, and the signal that ends it."""
     for moment in (
+        "sessionstart(session)",
+        "collectstart(collector)",
+        "collection_modifyitems(items)",
+        "collection_finish(session)",
         "runtest_setup(item)",
         "runtest_logreport(report)",
         "runtest_logfinish(nodeid)",
@@ -325,7 +329,11 @@ def _moments() -> Iterator[Any]:
         "terminal_summary(config)",
     ):
         for ending in ("SIGTERM", "SIGINT"):
-            few = (moment, ending) in (("runtest_logreport(report)", "SIGTERM"), ("terminal_summary(config)", "SIGINT"))
+            few = (moment, ending) in (
+                ("collectstart(collector)", "SIGTERM"),
+                ("runtest_logreport(report)", "SIGTERM"),
+                ("terminal_summary(config)", "SIGINT"),
+            )
             yield pytest.param(moment, ending, marks=() if few else pytest.mark.long)
 
 

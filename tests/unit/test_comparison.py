@@ -11,7 +11,7 @@ import pytest
 from pytest_otmcp import cli
 from pytest_otmcp.record.writer import RunWriter, laid_out
 from pytest_otmcp.report.comparison import compared
-from pytest_otmcp.report.comparison_pages import html, markdown, write_comparison
+from pytest_otmcp.report.comparison_pages import NAMES, html, markdown, write_comparison
 
 from ..stored_runs import header_of
 from .samples import item, run, written_twice
@@ -128,3 +128,13 @@ def test_the_same_runs_give_the_same_bytes(versions: list[dict[str, Any]], tmp_p
         write_comparison(versions, tmp_path / name)
     for name in ("comparison.html", "comparison.md"):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
+
+
+def test_a_link_in_the_directory_is_not_followed(versions: list[dict[str, Any]], tmp_path: Path) -> None:
+    mine = tmp_path / "mine"
+    mine.write_text("mine", encoding="utf-8")
+    for name in NAMES:
+        (tmp_path / name).symlink_to(mine)
+    write_comparison(versions, tmp_path)
+    assert mine.read_text(encoding="utf-8") == "mine"
+    assert [(tmp_path / name).is_symlink() for name in NAMES] == [False, False]
