@@ -66,7 +66,7 @@ PACK = Pack(
     protocol="ethernetip",
     operations={
         "ping": Hints(
-            likely="ping health probe info identity",
+            likely="ping health probe identity controller",
             unlikely="read write list tag tags alias time connect disconnect reconnect",
             needed="ping status health connection probe info identity check",
             experiment=reach,
