@@ -114,7 +114,7 @@ PACK = Pack(
     },
     lists=frozenset({"values", "tags", "items"}),
     constants={r"^(slot|cpu_slot|processor_slot)$": 0},
-    names=("ethernetip", "ethernet-ip", "ethernet_ip", "enip", "eip", "cip", "logix"),
+    names=("ethernetip", "enip", "ethernet-ip", "ethernet_ip", "eip", "cip", "logix"),
     errors={
         "illegal_address": (
             r"(?i)path (segment error|destination unknown)|destination unknown|tag [^\n]{0,80}(not found|does(n't| not) exist)",
