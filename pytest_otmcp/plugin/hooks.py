@@ -110,6 +110,9 @@ def pytest_configure(config: pytest.Config) -> None:
     except UsageError as error:
         refuse(error)
     default_to_suite(config)
+    if asks_for_suite(config) and getattr(config.option, "maxschedchunk", 1) is None:
+        # pytest-xdist hands out a quarter of a worker's share at once; the longest items would be one worker's.
+        config.option.maxschedchunk = 1
     if (named := names_unasked_requirements(config, config.stash[SETTINGS].suites)) is not None:
         refuse(UsageError(f"{named}: the requirement suite runs when it is asked for: --otmcp-suite={REQUIREMENTS}"))
 
@@ -188,7 +191,8 @@ def pytest_collection_modifyitems(
         interference.check_selection(items, required, settings)
     selected = {item: task for item, task in _shipped_tasks(items).items() if settings.wants(task)}
     _deselect(config, items, [item for item in items if item in tasks and item not in selected])
-    _sort_in_suite_order(items, selected, required)
+    # The items of the last suites take longest: a worker that began one of them at the end would keep the others waiting.
+    _sort(items, selected, required[::-1] if _is_worker(config) else required)
     config.stash[PLANNED] = _task_ids(items)
 
 
@@ -235,10 +239,10 @@ def _deselect(config: pytest.Config, items: list[pytest.Item], deselected: list[
     items[:] = [item for item in items if item not in deselected]
 
 
-def _sort_in_suite_order(items: list[pytest.Item], tasks: dict[pytest.Item, Task], required: list[str]) -> None:
-    """Sort the items that have a task in the suite's order, also where a plugin has sorted them before; other tests stay
-    where they are. An item may be in the list twice."""
-    ordered = iter(sorted((item for item in items if item in tasks), key=lambda item: required.index(tasks[item].id)))
+def _sort(items: list[pytest.Item], tasks: dict[pytest.Item, Task], order: list[str]) -> None:
+    """Sort the items that have a task as their ids are in ``order``, also where a plugin has sorted them before; other tests
+    stay where they are. An item may be in the list twice."""
+    ordered = iter(sorted((item for item in items if item in tasks), key=lambda item: order.index(tasks[item].id)))
     items[:] = [next(ordered) if item in tasks else item for item in items]
 
 

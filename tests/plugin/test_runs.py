@@ -17,6 +17,7 @@ import termios
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from contextlib import contextmanager
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -279,6 +280,17 @@ def test_a_result_that_was_sent_before_a_parallel_run_is_ended_is_in_the_record(
     assert outcome.code == pytest.ExitCode.INTERRUPTED, outcome.output
     assert outcome.statuses == {"M1": "PASS", "M2": "PASS"}
     assert outcome.record["footer"]["reason"] == "ended by SIGTERM"
+
+
+def test_a_worker_begins_with_the_items_that_take_longest_and_the_record_has_the_order_of_the_suites(
+    repository: Repository,
+) -> None:
+    repository.subject()
+    selected = ("--otmcp-reps=1", "-k", "[M1] or [FM1] or [S1]", "-n", "1")
+    outcome = repository.pytest(*SUITE, *selected, plugins="xdist.plugin")
+    items = outcome.record["items"]
+    assert [item["id"] for item in items] == ["M1", "FM1", "S1"]
+    assert [item["id"] for item in sorted(items, key=itemgetter("began_ns"))] == ["S1", "FM1", "M1"]
 
 
 @pytest.mark.long
