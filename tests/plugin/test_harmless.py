@@ -116,6 +116,10 @@ def otmcp(tmp_path: Path) -> Otmcp:
     return run
 
 
+TIMES = {"profibus": ("4", "6")}
+"""Seconds of an adapter's time-outs where silence is an answer: nobody says on a line that a station is not there."""
+
+
 def files(protocol: str) -> dict[str, str]:
     """Variables that name a file below {work}, each with what it holds."""
     return {"PROFIBUS_SLAVE_MAP": SLAVES} if protocol == "profibus" else {}
@@ -126,6 +130,7 @@ def subject(warm_start: WarmStart, protocol: str, plant: Elsewhere) -> str:
     name = protocol.upper()
     command = json.dumps([*warm_start.python, str(WANDERING), protocol, "misspelt"])
     maps = files(protocol)
+    timeout_s, deadline_s = TIMES.get(protocol, ("20", "25"))
     named = "".join(f', {variable} = "{{work}}/{variable}"' for variable in maps)
     return f"""
 [subject]
@@ -134,7 +139,7 @@ version = "1"
 
 [adapter.{protocol}]
 command = {command}
-env = {{ PLANT = "{plant.address}", ADRESS = "{plant.place}", {name}_TIMEOUT_S = "20", {name}_DEADLINE_S = "25"{named} }}
+env = {{ PLANT = "{plant.address}", ADRESS = "{plant.place}", {name}_TIMEOUT_S = "{timeout_s}", {name}_DEADLINE_S = "{deadline_s}"{named} }}
 rw = {{ env = {{ {name}_WRITES_ENABLED = "true" }} }}
 ro = {{ env = {{ {name}_WRITES_ENABLED = "true" }} }}
 deadline_s = 30
