@@ -28,7 +28,7 @@ def add_parser(subparsers: Any) -> None:
         help="propose a subject file for an adapter",
         description=(
             "Start the adapter at a mock device, read its tools, try them, and write a commented otmcp.toml. In COMMAND and "
-            "in --env {host}, {port} and {url} stand for the mock device. Tools that write are tried only after random values of "
+            "in --env {host}, {port}, {url} and, for a serial line, {serial} stand for the mock device. Tools that write are tried only after random values of "
             "the mock device came back through the adapter; tools that read are called wherever the adapter leads."
         ),
     )

@@ -153,12 +153,12 @@ async def _begin_writing(experimenter: Experimenter, read: Iterable[Proposal]) -
         SubjectError: the adapter talks to another device, or to none.
     """
     adapter, device = experimenter.adapter, experimenter.device
-    _refuse_unreached(adapter.endpoint["url"], read, (await device.journal(0)).entries)
+    _refuse_unreached(adapter.endpoint, read, (await device.journal(0)).entries)
     await adapter.close()
     experimenter.adapter = AdapterUnderTest(adapter.adapter, READ_WRITE, device, BenchOptions())
 
 
-def _refuse_unreached(url: str, tried: Iterable[Proposal], entries: Entries) -> None:
+def _refuse_unreached(endpoint: Mapping[str, object], tried: Iterable[Proposal], entries: Entries) -> None:
     """Stop before anything is written when tools answered and the mock device saw nothing at all.
 
     Raises:
@@ -167,10 +167,11 @@ def _refuse_unreached(url: str, tried: Iterable[Proposal], entries: Entries) -> 
     answered = next((proposal for proposal in tried if proposal.good is not None), None)
     if answered is None or any(entry["origin"] == "client" for entry in entries):
         return
+    place = "host" if "host" in endpoint else "serial"
     raise SubjectError(
         "not_proven",
-        f"the adapter does not talk to the mock device at {url}, which saw nothing: {answered.guess.tool}: "
-        f"{answered.evidence[0]}. Nothing was written. Tell the adapter where the device is, with --env NAME={{host}} or in COMMAND",
+        f"the adapter does not talk to the mock device at {endpoint['url']}, which saw nothing: {answered.guess.tool}: "
+        f"{answered.evidence[0]}. Nothing was written. Tell the adapter where the device is, with --env NAME={{{place}}} or in COMMAND",
     )
 
 

@@ -13,6 +13,7 @@ from ..subject.model import Answering, OutcomeRule, OutputRule
 
 __all__ = [
     "CONNECT_FAILED",
+    "FORMS",
     "Found",
     "claims_success",
     "failure_rules",
@@ -28,7 +29,8 @@ CONNECT_FAILED = (
 )
 """Patterns of the texts in which adapters of any protocol say that their device cannot be reached."""
 
-_FORMS = ("structured", "json", "text", "texts")
+FORMS = ("structured", "json", "text", "texts")
+"""Forms of answers, the one that says most first."""
 
 
 _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
@@ -47,15 +49,27 @@ class Found:
     rule: Mapping[str, object]
 
 
-def find(message: Mapping[str, object], expected: object, forms: Sequence[str] = _FORMS) -> Found | None:
-    """Find the place of ``expected`` (a value or a list of values); the rule has been tried on the answer."""
+def find(
+    message: Mapping[str, object],
+    expected: object,
+    forms: Sequence[str] = FORMS,
+    *,
+    also: tuple[Mapping[str, object], object] | None = None,
+) -> Found | None:
+    """Find the place of ``expected`` (a value or a list of values); the rule has been tried on the answer.
+
+    Args:
+        also: another answer, and what has to be found at the same place there.
+    """
+    wanted = [(message, expected), *(() if also is None else (also,))]
     for form in forms:
-        document = read_answer(message, form)[0]
-        if document is None:
+        documents = [read_answer(answer, form)[0] for answer, _ in wanted]
+        if None in documents:
             continue
-        for rule in _rules(document, expected):
-            output = OutputRule(**{{"as": "convert"}.get(name, name): value for name, value in rule.items()})
-            if _same(extract({"x": output}, document)["x"], expected):
+        for rule in _rules(documents[0], expected):
+            output = {"x": OutputRule(**{{"as": "convert"}.get(name, name): value for name, value in rule.items()})}
+            found = [extract(output, document)["x"] for document in documents]
+            if all(map(_same, found, (value for _, value in wanted))):
                 return Found(form=form, rule=rule)
     return None
 
@@ -198,7 +212,7 @@ def failure_rules(
 
 def claims_success(message: Mapping[str, object]) -> bool:
     """Tell whether an answer says of itself, without any rules, that it is a success."""
-    return all(interpret(message, Answering(form=form)).success for form in _FORMS)
+    return all(interpret(message, Answering(form=form)).success for form in FORMS)
 
 
 def turned_false(before: Mapping[str, object], after: Mapping[str, object]) -> Found | None:

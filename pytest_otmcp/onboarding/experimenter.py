@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 import time
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 
 from ..core.strict_json import parse_strict
 from ..plant.mock_device import MockDevice
@@ -15,7 +15,7 @@ from ..subject.addressing import mentions_address
 from ..subject.answers import read_answer
 from ..subject.model import Answering, Binding
 from ..trial.adapter_under_test import AdapterUnderTest, NoBindingError
-from .evidence import find
+from .evidence import FORMS, Found, find
 from .guess import Guess
 from .proposal import Proposal, Shown
 
@@ -26,6 +26,10 @@ _TRIES = 4
 
 _LATE_S = 0.2
 """Seconds to wait for a late journal entry."""
+
+
+Another = tuple[Shown, object]
+"""What another call of the same tool showed, and a value that is known to be in its answer."""
 
 
 class _NotProvenError(Exception):
@@ -167,13 +171,22 @@ class Experimenter:
             return None, f"an answer that is no strict JSON ({error})"
 
     def propose(
-        self, guess: Guess, shown: Shown, *, proven: bool, seen: str, offset: Mapping[str, int] | None = None
+        self,
+        guess: Guess,
+        shown: Shown,
+        *,
+        proven: bool,
+        seen: str | None = None,
+        offset: Mapping[str, int] | None = None,
     ) -> Proposal:
         """Make a proposal from a guess and the observations of its call.
 
         Args:
-            seen: what the device saw, in words; empty for nothing.
+            seen: what the device saw, in words; empty for nothing. None: every request that came.
         """
+        if seen is None:
+            describe = protocols()[self.adapter.adapter.protocol].describe
+            seen = "; ".join(dict.fromkeys(describe(entry) for entry in shown.entries if entry["request"]))
         evidence = [f"the device saw {seen}" if proven else f"the device saw {seen or 'nothing of it'}; {shown.words}"]
         return Proposal(guess=guess, proven=proven, evidence=evidence, offset=dict(offset or {}), good=shown.message)
 
@@ -187,9 +200,13 @@ class Experimenter:
         if failing.message is not None:
             proposal.failures.append((code, failing.message))
 
-    def locate(self, proposal: Proposal, output: str, expected: object) -> None:
-        """Look in the answer for a value that the device is known to have given."""
-        found = None if proposal.good is None else find(proposal.good, expected)
+    def locate(self, proposal: Proposal, output: str, expected: object, *, also: Another | None = None) -> None:
+        """Look in the answer for a value that the device is known to have given.
+
+        Args:
+            also: what another call showed, and the value that has to be at the same place in its answer.
+        """
+        found = _find(proposal, expected, also)
         if found is None:
             proposal.evidence.append(f"the value {str(expected)[:60]} was not found in the answer: fill in 'result'")
             return
@@ -198,12 +215,24 @@ class Experimenter:
         proposal.returned = True
         proposal.evidence.append(f"the value {str(expected)[:60]} of the device was found there")
 
-    def locate_echo(self, proposal: Proposal, output: str, expected: object) -> None:
-        """Look for a value that an answer may repeat; a structure shows that it is this value, a sentence does not."""
-        found = None if proposal.good is None else find(proposal.good, expected, ("structured", "json"))
+    def locate_echo(self, proposal: Proposal, output: str, expected: object, *, also: Another | None = None) -> None:
+        """Look for a value that an answer may repeat; a structure shows that it is this value, a sentence does not.
+
+        Args:
+            also: see :meth:`locate`.
+        """
+        found = _find(proposal, expected, also, ("structured", "json"))
         if found is not None and set(found.rule) == {"path"} and found.form == (proposal.form or found.form):
             proposal.form = found.form
             proposal.outputs[output] = found.rule
+
+
+def _find(proposal: Proposal, expected: object, also: Another | None, forms: Sequence[str] = FORMS) -> Found | None:
+    """Return the place of a value in the answer to a call; None where there is none, or no answer."""
+    if proposal.good is None or (also is not None and also[0].message is None):
+        return None
+    another = None if also is None or also[0].message is None else (also[0].message, also[1])
+    return find(proposal.good, expected, forms, also=another)
 
 
 Experiment = Callable[[Experimenter, Guess], Awaitable[Proposal]]

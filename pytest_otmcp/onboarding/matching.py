@@ -35,7 +35,7 @@ _WRITES = frozenset("write writes set put publish send force toggle delete execu
 """Words in the names of tools that write."""
 
 _FOREIGN = re.compile(
-    r"(?<![a-z0-9])(ethercat|sdo|pdo|ethernet.?ip|enip|eip|cip|profinet|profibus|bacnet|dnp3|canopen|knx|iec104"
+    r"(?<![a-z0-9])(ethercat|sdo|pdo|profinet|canopen|knx|iec104"
     r"|mtconnect|mc|melsec|slmp|fins|hart|twincat)"
     r"(?![a-z0-9])",
     re.IGNORECASE,

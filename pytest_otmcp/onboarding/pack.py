@@ -12,7 +12,7 @@ from ..protocols.registry import protocols
 from .experimenter import Experiment
 from .known_causes import KnownCause
 
-__all__ = ["Hints", "Pack", "load_pack"]
+__all__ = ["Hints", "Pack", "load_pack", "plain"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,6 +63,16 @@ class Pack:
     late: Mapping[str, object] | None = None
     errors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     causes: tuple[KnownCause, ...] = ()
+
+
+def plain(words: str, names: str, experiment: Experiment | None = None) -> Hints:
+    """Return the hints for a voluntary operation, which is proposed for tools with such a name alone.
+
+    Args:
+        words: words of a tool's name or description that speak for it.
+        names: pattern of the whole names of such tools, in any case.
+    """
+    return Hints(likely=words, unlikely="", experiment=experiment, named=re.compile(names, re.IGNORECASE))
 
 
 def load_pack(protocol: str) -> Pack:

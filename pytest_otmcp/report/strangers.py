@@ -37,9 +37,11 @@ def _sentence(at: str, origin: str, program: str | None, found: _Found) -> str:
     sent = "; ".join([*found.sent][:_SENT]) or "nothing"
     if origin == "former":
         return f"a process of a session that was over ({program}) still spoke to the device of {at} in {where}: {sent}; it was left out"
+    # A client that closes its end before the device accepts the connection leaves no process behind that could be asked for: an adapter
+    # that gives up while it connects does that as well as a program that scans ports.
     who = (
         f"a stranger ({program})"
         if program is not None
-        else "a stranger (it was gone before anybody could ask who it was)"
+        else "somebody who had gone before it could be known who it was, the adapter or another program,"
     )
     return f"{who} connected to the device of {at} {counted(found.connections, 'time')} in {where} and sent {sent}; it was left out"

@@ -177,6 +177,59 @@ async def writes_a_present_value(work: Work, operation: str) -> bool:
     return bool(points["analog-output,1/priority-array/10"] == 61.5 and len(work.changes) == 1)
 
 
+async def reads_a_tag(work: Work, operation: str) -> bool:
+    values = {"BatchTarget": -123456789, "Levels[2]": 401.5}
+    for tag, value in values.items():
+        await work.device.poke(tag=tag, value=value)
+    return [(await work.call(operation, tag=tag)).outputs["value"] for tag in values] == list(values.values())
+
+
+async def reads_elements(work: Work, operation: str) -> bool:
+    values = [random.randrange(-(2**15), 2**15) for _ in range(3)]
+    for index, value in enumerate(values, 4):
+        await work.device.poke(tag=f"Counts[{index}]", value=value)
+    found = [(await work.call(operation, tag="Counts[4]", count=count)).outputs["values"] for count in (3, 1)]
+    return found == [values, values[:1]]
+
+
+async def writes_a_tag(work: Work, operation: str) -> bool:
+    await work.call(operation, tag="ValvePosition", value=61, type="DINT")
+    return bool((await work.device.image())["points"]["ValvePosition"] == 61 and len(work.changes) == 1)
+
+
+async def reads_points(work: Work, operation: str) -> bool:
+    kind, first = {"read_binary": ("binary_input", 9), "read_analog": ("analog_input", 2)}[operation]
+    for values in ([True, False, True], [False]) if operation == "read_binary" else ([-4711, 7, 2**31 - 1], [5]):
+        for index, value in enumerate(values, first):
+            await work.device.poke(point=f"{kind}/{index}", value=value)
+        reply = await work.call(operation, outstation=10, start=first, count=len(values))
+        if reply.outputs["values"] != values:
+            return False
+    return True
+
+
+async def latches_an_output(work: Work, operation: str) -> bool:
+    for value in (True, False):
+        await work.call(operation, outstation=10, index=3, value=value)
+        if (await work.device.image())["points"]["binary_output/3"] is not value:
+            return False
+    return True
+
+
+async def reads_input_bytes(work: Work, operation: str) -> bool:
+    content = {8: random.randbytes(8), 5: random.randbytes(2)}
+    for station, data in content.items():
+        await work.device.poke(station=station, inputs=data.hex())
+    found = [(await work.call(operation, slave=station)).outputs["values"] for station in content]
+    return found == [list(data) for data in content.values()]
+
+
+async def writes_output_bytes(work: Work, operation: str) -> bool:
+    await work.call(operation, slave=5, data=[7, 8])
+    points = (await work.device.image())["points"]
+    return [points["5.output.0"], points["5.output.1"]] == [7, 8]
+
+
 Check = Callable[[Work, str], Awaitable[bool]]
 
 CHECKS: dict[str, dict[str, Check]] = {
@@ -198,6 +251,19 @@ CHECKS: dict[str, dict[str, Check]] = {
         "ping": tells_the_state,
     },
     "bacnet": {"read": reads_present_values, "write": writes_a_present_value, "ping": tells_the_state},
+    "ethernetip": {
+        "read_tag": reads_a_tag,
+        "read_array": reads_elements,
+        "write_tag": writes_a_tag,
+        "ping": tells_the_state,
+    },
+    "dnp3": {
+        "read_binary": reads_points,
+        "read_analog": reads_points,
+        "write_binary": latches_an_output,
+        "ping": tells_the_state,
+    },
+    "profibus": {"read_inputs": reads_input_bytes, "write_outputs": writes_output_bytes, "ping": tells_the_state},
 }
 
 

@@ -28,7 +28,15 @@ from .init_launches import LAUNCHES, Launch
 from .init_section import section
 
 WATCH = Path(__file__).parent / "watch"
-USUAL_PORTS = {"modbus": 502, "mqtt": 1883, "opcua": 4840, "s7": 102, "bacnet": 47808}
+USUAL_PORTS = {
+    "modbus": 502,
+    "mqtt": 1883,
+    "opcua": 4840,
+    "s7": 102,
+    "bacnet": 47808,
+    "ethernetip": 44818,
+    "dnp3": 20000,
+}
 """Where an adapter may go that was not told where its device is."""
 
 AT_A_TIME = 3

@@ -48,7 +48,13 @@ WRITES = {
         ("write", {"device": 12345, "type": "analog-value", "instance": 1, "value": 7.0, "priority": 8}),
         "write_property",
     ),
+    "ethernetip": (("write_tag", {"tag": "ValvePosition", "value": 7, "type": "DINT"}), "write_tag"),
+    "dnp3": (("write_binary", {"outstation": 10, "index": 2, "value": True}), "write_binary_output"),
+    "profibus": (("write_outputs", {"slave": 5, "data": [1, 2]}), "write_outputs"),
 }
+
+SLAVES = '{"5": {"ident": "809C", "cfg": "11 21"}}'
+"""The slave map without which no PROFIBUS adapter would write in any case."""
 
 
 class Elsewhere:
@@ -61,7 +67,13 @@ class Elsewhere:
 
     @property
     def address(self) -> str:
-        return f"{self._device.host}:{self._device.port}"
+        (first, *_) = self._device.endpoints.values()
+        return first.path or f"{first.host}:{first.port}"
+
+    @property
+    def place(self) -> str:
+        """What stands in a subject file for such an address."""
+        return "{host}:{port}" if self._device.port else "{serial}"
 
     @property
     def changes(self) -> list[str]:
@@ -104,10 +116,22 @@ def otmcp(tmp_path: Path) -> Otmcp:
     return run
 
 
-def subject(warm_start: WarmStart, protocol: str, plant: str) -> str:
+TIMES = {"profibus": ("4", "6")}
+"""Seconds of an adapter's time-outs where silence is an answer: nobody says on a line that a station is not there."""
+
+
+def files(protocol: str) -> dict[str, str]:
+    """Variables that name a file below {work}, each with what it holds."""
+    return {"PROFIBUS_SLAVE_MAP": SLAVES} if protocol == "profibus" else {}
+
+
+def subject(warm_start: WarmStart, protocol: str, plant: Elsewhere) -> str:
     """A subject file whose variable for the address is misspelt; the adapter has the plant's for a default."""
     name = protocol.upper()
     command = json.dumps([*warm_start.python, str(WANDERING), protocol, "misspelt"])
+    maps = files(protocol)
+    timeout_s, deadline_s = TIMES.get(protocol, ("20", "25"))
+    named = "".join(f', {variable} = "{{work}}/{variable}"' for variable in maps)
     return f"""
 [subject]
 name = "wandering"
@@ -115,10 +139,11 @@ version = "1"
 
 [adapter.{protocol}]
 command = {command}
-env = {{ PLANT = "{plant}", ADRESS = "{{host}}:{{port}}", {name}_TIMEOUT_S = "20", {name}_DEADLINE_S = "25" }}
+env = {{ PLANT = "{plant.address}", ADRESS = "{plant.place}", {name}_TIMEOUT_S = "{timeout_s}", {name}_DEADLINE_S = "{deadline_s}"{named} }}
 rw = {{ env = {{ {name}_WRITES_ENABLED = "true" }} }}
 ro = {{ env = {{ {name}_WRITES_ENABLED = "true" }} }}
 deadline_s = 30
+files = {{ {", ".join(f"{variable} = '{content}'" for variable, content in maps.items())} }}
 """
 
 
@@ -127,10 +152,13 @@ def test_init_writes_nothing_and_says_where_the_adapter_was(
 ) -> None:
     settings = {
         "PLANT": elsewhere.address,
-        "ADRESS": "{host}:{port}",
+        "ADRESS": elsewhere.place,
         f"{protocol.upper()}_WRITES_ENABLED": "true",
+        **{name: f"{{work}}/{name}" for name in files(protocol)},
     }
-    variables = (part for name, value in settings.items() for part in ("--env", f"{name}={value}"))
+    variables = [part for name, value in settings.items() for part in ("--env", f"{name}={value}")]
+    for name, content in files(protocol).items():
+        variables += ["--file", f"{name}={content}"]
     command = ("--", *warm_start.python, str(WANDERING), protocol, "misspelt")
     done = otmcp("init", "--protocol", protocol, *variables, *command)
     assert done.returncode == 1, done.stdout + done.stderr
@@ -144,7 +172,7 @@ def test_init_writes_nothing_and_says_where_the_adapter_was(
 def test_the_doctor_names_the_variable_to_look_at(
     otmcp: Otmcp, tmp_path: Path, warm_start: WarmStart, protocol: str, elsewhere: Elsewhere
 ) -> None:
-    (tmp_path / "otmcp.toml").write_text(subject(warm_start, protocol, elsewhere.address), encoding="utf-8")
+    (tmp_path / "otmcp.toml").write_text(subject(warm_start, protocol, elsewhere), encoding="utf-8")
     done = otmcp("doctor")
     assert done.returncode == 1, done.stdout + done.stderr
     assert "rw: the adapter does not talk to the mock device at " in done.stdout
@@ -157,7 +185,7 @@ def test_the_doctor_names_the_variable_to_look_at(
 def test_the_doctor_says_of_a_good_adapter_that_it_talks_to_the_mock(
     otmcp: Otmcp, tmp_path: Path, warm_start: WarmStart, protocol: str, elsewhere: Elsewhere
 ) -> None:
-    text = subject(warm_start, protocol, elsewhere.address).replace("ADRESS", "ADDRESS")
+    text = subject(warm_start, protocol, elsewhere).replace("ADRESS", "ADDRESS")
     (tmp_path / "otmcp.toml").write_text(text, encoding="utf-8")
     done = otmcp("doctor")
     assert done.returncode == 0, done.stdout + done.stderr
@@ -170,7 +198,7 @@ def test_fixtures_do_not_write_elsewhere(
     empty_repository: Repository, warm_start: WarmStart, protocol: str, elsewhere: Elsewhere
 ) -> None:
     tests = TESTS.replace("{arguments}", repr((protocol, *WRITES[protocol])))
-    empty_repository.write(otmcp_toml=subject(warm_start, protocol, elsewhere.address), tests__test_it_py=tests)
+    empty_repository.write(otmcp_toml=subject(warm_start, protocol, elsewhere), tests__test_it_py=tests)
     outcome = empty_repository.pytest()
     assert "3 passed" in outcome.output, outcome.output
     assert elsewhere.touched
@@ -181,7 +209,7 @@ def test_fixtures_do_not_write_elsewhere(
 def test_certify_does_not_write_elsewhere(
     otmcp: Otmcp, tmp_path: Path, warm_start: WarmStart, protocol: str, elsewhere: Elsewhere
 ) -> None:
-    (tmp_path / "otmcp.toml").write_text(subject(warm_start, protocol, elsewhere.address), encoding="utf-8")
+    (tmp_path / "otmcp.toml").write_text(subject(warm_start, protocol, elsewhere), encoding="utf-8")
     done = otmcp("certify")
     assert done.returncode == 1, done.stdout + done.stderr
     assert not (tmp_path / "certificate.json").exists()

@@ -5,11 +5,10 @@ from __future__ import annotations
 import re
 
 from ...protocols.bacnet import oracle
-from ...protocols.bacnet.entries import Target, describe
-from ...protocols.journal import Entries
+from ...protocols.bacnet.entries import Target
 from ..experimenter import Experimenter
 from ..guess import Guess
-from ..pack import Hints, Pack
+from ..pack import Hints, Pack, plain
 from ..proposal import Proposal
 from ..status import reach
 
@@ -32,7 +31,7 @@ async def _read(experimenter: Experimenter, guess: Guess) -> Proposal:
     await experimenter.device.poke(object=f"{_INPUT[0]},{_INPUT[1]}", value=value)
     shown = await experimenter.call(guess, {}, **_at(_INPUT))
     proven = oracle.reached(shown.entries, _INPUT)
-    proposal = experimenter.propose(guess, shown, proven=proven, seen=_seen(shown.entries))
+    proposal = experimenter.propose(guess, shown, proven=proven)
     experimenter.locate(proposal, "value", value)
     if proven:
         await experimenter.provoke(proposal, "illegal_address", **_at(_MISSING))
@@ -43,7 +42,7 @@ async def _write(experimenter: Experimenter, guess: Guess) -> Proposal:
     value = experimenter.random.choice(_VALUES) + 0.5
     shown = await experimenter.call(guess, {}, **_at(_OUTPUT), value=value, priority=_PRIORITY)
     proven = not oracle.exactly_one_write(shown.entries, _OUTPUT, "real", value)
-    proposal = experimenter.propose(guess, shown, proven=proven, seen=_seen(shown.entries))
+    proposal = experimenter.propose(guess, shown, proven=proven)
     if proven:
         experimenter.locate_echo(proposal, "value", value)
         await experimenter.provoke(proposal, "not_writable", **_at(_INPUT), value=value, priority=_PRIORITY)
@@ -55,16 +54,6 @@ async def _write(experimenter: Experimenter, guess: Guess) -> Proposal:
 def _at(target: Target) -> dict[str, object]:
     """Return the inputs that name an object."""
     return {"device": _DEVICE, "type": target[0], "instance": target[1]}
-
-
-def _seen(entries: Entries) -> str:
-    """Say which requests came; nothing when there were none."""
-    return "; ".join(dict.fromkeys(describe(entry) for entry in entries if entry["request"]))
-
-
-def _plain(words: str, names: str) -> Hints:
-    """Return the hints for a voluntary operation, which is proposed for tools with such a name alone."""
-    return Hints(likely=words, unlikely="", experiment=None, named=re.compile(names, re.IGNORECASE))
 
 
 PACK = Pack(
@@ -90,10 +79,10 @@ PACK = Pack(
             experiment=_write,
             choice=_DIRECTLY,
         ),
-        "discover": _plain("discover devices who is", r"discover(_?devices)?|who_?is"),
-        "list_objects": _plain("list objects", r"(list|read|get)_?objects?(_?list)?"),
-        "read_alias": _plain("alias", r"(read|get)_?(object_?by_?)?(alias|point)(_?value)?"),
-        "write_alias": _plain("alias", r"(write|set)_?(object_?by_?)?(alias|point)(_?value)?"),
+        "discover": plain("discover devices who is", r"discover(_?devices)?|who_?is"),
+        "list_objects": plain("list objects", r"(list|read|get)_?objects?(_?list)?"),
+        "read_alias": plain("alias", r"(read|get)_?(object_?by_?)?(alias|point)(_?value)?"),
+        "write_alias": plain("alias", r"(write|set)_?(object_?by_?)?(alias|point)(_?value)?"),
     },
     arguments={
         "device": "device_id device_instance device deviceid",

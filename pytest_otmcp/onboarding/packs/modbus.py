@@ -8,10 +8,10 @@ from typing import Any
 
 from ...protocols.journal import Entries
 from ...protocols.modbus.entries import ModbusEntry, as_modbus
-from ..experimenter import Experiment, Experimenter
+from ..experimenter import Experimenter
 from ..guess import Guess
 from ..known_causes import KnownCause
-from ..pack import Hints, Pack
+from ..pack import Hints, Pack, plain
 from ..proposal import Proposal, Shown
 from ..status import reach
 
@@ -136,11 +136,6 @@ def _requests(*functions: int) -> Find:
     return find
 
 
-def _plain(words: str, names: str, experiment: Experiment | None = None) -> Hints:
-    """Return the hints for a voluntary operation, which is proposed for tools with such a name alone."""
-    return Hints(likely=words, unlikely="", experiment=experiment, named=re.compile(names, re.IGNORECASE))
-
-
 PACK = Pack(
     protocol="modbus",
     operations={
@@ -174,24 +169,24 @@ PACK = Pack(
             choice=re.compile(r"^(?!.*discrete).*holding", re.IGNORECASE),
             trials={_TABLE: ("holding", "hr", "holding_register", "holding_registers")},
         ),
-        "read_coils": _plain("coil coils", r"(read|get)\w*coils?(_?(status|states?|values?))?", _read_coils),
-        "read_discrete_inputs": _plain(
+        "read_coils": plain("coil coils", r"(read|get)\w*coils?(_?(status|states?|values?))?", _read_coils),
+        "read_discrete_inputs": plain(
             "discrete input inputs",
             r"(read|get)\w*discrete(_?inputs?)?(_?(status|states?|values?))?",
             _read_discrete_inputs,
         ),
-        "read_typed": _plain("typed holding", r"(?!\w*input)(read|get)\w*typed\w*"),
-        "read_typed_input": _plain("typed input", r"(read|get)\w*(input\w*typed|typed\w*input)\w*"),
-        "read_device_information": _plain(
+        "read_typed": plain("typed holding", r"(?!\w*input)(read|get)\w*typed\w*"),
+        "read_typed_input": plain("typed input", r"(read|get)\w*(input\w*typed|typed\w*input)\w*"),
+        "read_device_information": plain(
             "device information identification",
             r"(read|get)_?device_?(information|info|identification|id)|identify(_?device)?",
         ),
-        "read_tag": _plain("tag", r"(read|get)_?tag(_?value)?"),
-        "write_registers": _plain("registers", r"(write|set)_?(multiple_?)?(holding_?)?registers(_?bulk)?"),
-        "write_coil": _plain("coil", r"(write|set|force)_?(single_?)?coil"),
-        "write_coils": _plain("coils", r"(write|set|force)_?(multiple_?)?coils(_?bulk)?"),
-        "mask_write": _plain("mask write register", r"mask_?write(_?(holding_?)?register)?"),
-        "write_tag": _plain("tag", r"(write|set)_?tag(_?value)?"),
+        "read_tag": plain("tag", r"(read|get)_?tag(_?value)?"),
+        "write_registers": plain("registers", r"(write|set)_?(multiple_?)?(holding_?)?registers(_?bulk)?"),
+        "write_coil": plain("coil", r"(write|set|force)_?(single_?)?coil"),
+        "write_coils": plain("coils", r"(write|set|force)_?(multiple_?)?coils(_?bulk)?"),
+        "mask_write": plain("mask write register", r"mask_?write(_?(holding_?)?register)?"),
+        "write_tag": plain("tag", r"(write|set)_?tag(_?value)?"),
     },
     arguments={
         "address": "address addr start start_address starting_address register register_address offset index",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import base64
-import re
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +12,7 @@ from ...subject.model import OutputRule, placeholders
 from ..evidence import claims_success, find
 from ..experimenter import Experimenter
 from ..guess import Guess
-from ..pack import Hints, Pack
+from ..pack import Hints, Pack, plain
 from ..proposal import Proposal, Shown
 from ..status import reach
 
@@ -178,11 +177,6 @@ async def _report(experimenter: Experimenter, guess: Guess, kind: str, further: 
     return experimenter.propose(guess, shown, proven=seen, seen=f"a {kind}" if seen else "")
 
 
-def _plain(words: str, names: str) -> Hints:
-    """Return the hints for a voluntary operation, which is proposed for tools with such a name alone."""
-    return Hints(likely=words, unlikely="", experiment=None, named=re.compile(names, re.IGNORECASE))
-
-
 PACK = Pack(
     protocol="mqtt",
     operations={
@@ -221,16 +215,16 @@ PACK = Pack(
             needed="data ddata sparkplug",
             experiment=_device_data,
         ),
-        "unsubscribe": _plain("unsubscribe", r"(mqtt_?)?unsubscribe(_?(from_?)?topic)?"),
-        "subscriptions": _plain("subscriptions", r"(mqtt_?)?(list|get|show)_?(active_?)?subscriptions"),
-        "node_birth": _plain("node birth", r"(publish|send)?_?(sparkplug_?)?(node_?birth|nbirth)"),
-        "node_data": _plain("node data", r"(publish|send)?_?(sparkplug_?)?(node_?data|ndata)"),
-        "node_death": _plain("node death", r"(publish|send)?_?(sparkplug_?)?(node_?death|ndeath)"),
-        "device_death": _plain("device death", r"(publish|send)?_?(sparkplug_?)?(device_?death|ddeath)"),
-        "send_node_command": _plain("node command", r"(publish|send)?_?(sparkplug_?)?(node_?(command|cmd)|ncmd)"),
-        "send_device_command": _plain("device command", r"(publish|send)?_?(sparkplug_?)?(device_?(command|cmd)|dcmd)"),
-        "sparkplug_nodes": _plain("nodes", r"(list|get)_?(sparkplug|edge)_?nodes"),
-        "decode_sparkplug": _plain("decode", r"decode_?sparkplug(_?b)?(_?payload)?"),
+        "unsubscribe": plain("unsubscribe", r"(mqtt_?)?unsubscribe(_?(from_?)?topic)?"),
+        "subscriptions": plain("subscriptions", r"(mqtt_?)?(list|get|show)_?(active_?)?subscriptions"),
+        "node_birth": plain("node birth", r"(publish|send)?_?(sparkplug_?)?(node_?birth|nbirth)"),
+        "node_data": plain("node data", r"(publish|send)?_?(sparkplug_?)?(node_?data|ndata)"),
+        "node_death": plain("node death", r"(publish|send)?_?(sparkplug_?)?(node_?death|ndeath)"),
+        "device_death": plain("device death", r"(publish|send)?_?(sparkplug_?)?(device_?death|ddeath)"),
+        "send_node_command": plain("node command", r"(publish|send)?_?(sparkplug_?)?(node_?(command|cmd)|ncmd)"),
+        "send_device_command": plain("device command", r"(publish|send)?_?(sparkplug_?)?(device_?(command|cmd)|dcmd)"),
+        "sparkplug_nodes": plain("nodes", r"(list|get)_?(sparkplug|edge)_?nodes"),
+        "decode_sparkplug": plain("decode", r"decode_?sparkplug(_?b)?(_?payload)?"),
     },
     arguments={
         "filter": "topic topic_filter filter pattern topics topic_pattern response_topic",

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import re
-
 from ...protocols.opcua.oracle import children_of, folder_id, some_service
 from ..evidence import lists_in
 from ..experimenter import Experimenter
 from ..guess import Guess
-from ..pack import Hints, Pack
+from ..pack import Hints, Pack, plain
 from ..proposal import Proposal
 
 __all__ = ["PACK"]
@@ -123,18 +121,10 @@ PACK = Pack(
             needed="all variables variable enumerate",
             experiment=_variables,
         ),
-        "write_many": Hints(
-            likely="write multiple nodes",
-            unlikely="",
-            experiment=None,
-            named=re.compile(r"(opcua_?)?write_?(multiple|many|batch)_?(opcua_?)?(nodes|values)?", re.IGNORECASE),
+        "write_many": plain(
+            "write multiple nodes", r"(opcua_?)?write_?(multiple|many|batch)_?(opcua_?)?(nodes|values)?"
         ),
-        "call_method": Hints(
-            likely="call method",
-            unlikely="",
-            experiment=None,
-            named=re.compile(r"(opcua_?)?call_?(opcua_?)?method", re.IGNORECASE),
-        ),
+        "call_method": plain("call method", r"(opcua_?)?call_?(opcua_?)?method"),
     },
     arguments={
         "node": "node_id nodeid node id node_ids nodes address",

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import re
 
-from ...protocols.journal import Entries
 from ...protocols.s7 import oracle
-from ...protocols.s7.entries import as_s7, describe
 from ..experimenter import Experimenter
 from ..guess import Guess
-from ..pack import Hints, Pack
+from ..pack import Hints, Pack, plain
 from ..proposal import Proposal
 from ..status import reach
 
@@ -29,7 +27,7 @@ async def _read_db(experimenter: Experimenter, guess: Guess) -> Proposal:
     await experimenter.device.poke(area=f"DB{_BLOCK}", byte=_PLACE, data=content.hex())
     shown = await experimenter.call(guess, {}, db=_BLOCK, start=_PLACE, size=len(content))
     proven = oracle.reached(shown.entries, db=_BLOCK, start=_PLACE, size=len(content))
-    proposal = experimenter.propose(guess, shown, proven=proven, seen=_seen(shown.entries))
+    proposal = experimenter.propose(guess, shown, proven=proven)
     experimenter.locate(proposal, "values", list(content))
     return proposal
 
@@ -39,7 +37,7 @@ async def _read_typed(experimenter: Experimenter, guess: Guess) -> Proposal:
     await experimenter.device.poke(area=f"DB{_BLOCK}", byte=_PLACE, data=value.to_bytes(2, "big").hex())
     shown = await experimenter.call(guess, {}, db=_BLOCK, start=_PLACE, type="INT")
     proven = oracle.reached(shown.entries, db=_BLOCK, start=_PLACE, size=2)
-    proposal = experimenter.propose(guess, shown, proven=proven, seen=_seen(shown.entries))
+    proposal = experimenter.propose(guess, shown, proven=proven)
     experimenter.locate(proposal, "value", value)
     if proven:
         await experimenter.provoke(proposal, "illegal_address", db=_MISSING_BLOCK, start=0, type="INT")
@@ -51,22 +49,11 @@ async def _write_db(experimenter: Experimenter, guess: Guess) -> Proposal:
     shown = await experimenter.call(guess, {}, db=_BLOCK, start=_PLACE, type="INT", value=value)
     written = value.to_bytes(2, "big")
     proven = not oracle.exactly_one_write(shown.entries, db=_BLOCK, start=_PLACE, written=written)
-    proposal = experimenter.propose(guess, shown, proven=proven, seen=_seen(shown.entries))
+    proposal = experimenter.propose(guess, shown, proven=proven)
     if proven:
         experimenter.locate_echo(proposal, "value", value)
         await experimenter.provoke(proposal, "range_overflow", db=_BLOCK, start=_PLACE, type="INT", value=70000)
     return proposal
-
-
-def _seen(entries: Entries) -> str:
-    """Say which requests came; nothing when there were none."""
-    asked = [entry for entry in entries if as_s7(entry)["kind"] == "request"]
-    return "; ".join(dict.fromkeys(map(describe, asked)))
-
-
-def _plain(words: str, names: str) -> Hints:
-    """Return the hints for a voluntary operation, which is proposed for tools with such a name alone."""
-    return Hints(likely=words, unlikely="", experiment=None, named=re.compile(names, re.IGNORECASE))
 
 
 PACK = Pack(
@@ -99,9 +86,9 @@ PACK = Pack(
             experiment=_write_db,
             choice=_BLOCKS,
         ),
-        "write_marker": _plain("marker flag bit", r"write_?(marker|flag|memory)_?bit"),
-        "read_cpu_state": _plain("cpu state", r"(read|get)_?(plc|cpu)_?(state|status|mode)"),
-        "set_cpu_state": _plain("cpu state", r"set_?(plc|cpu)_?(state|mode)"),
+        "write_marker": plain("marker flag bit", r"write_?(marker|flag|memory)_?bit"),
+        "read_cpu_state": plain("cpu state", r"(read|get)_?(plc|cpu)_?(state|status|mode)"),
+        "set_cpu_state": plain("cpu state", r"set_?(plc|cpu)_?(state|mode)"),
     },
     arguments={
         "db": "db_number db dbnumber db_num block",

@@ -37,6 +37,7 @@ PROTOCOL = OtProtocol(
     mock="dnp3",
     clients="a DNP3 master for the outstation 10",
     tasks="pytest_otmcp.conformance.tasks.dnp3",
+    onboarding="pytest_otmcp.onboarding.packs.dnp3",
     recognise=re.compile(r"dnp3", re.IGNORECASE),
     packages=("dnp3py",),
     colour=Colour(light="#b0407f", dark="#e08bb8"),

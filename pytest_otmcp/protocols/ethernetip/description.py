@@ -36,8 +36,9 @@ PROTOCOL = OtProtocol(
     mock="ethernetip",
     clients="a client for the tags of a Logix controller in slot 0",
     tasks="pytest_otmcp.conformance.tasks.ethernetip",
+    onboarding="pytest_otmcp.onboarding.packs.ethernetip",
     recognise=re.compile(
-        r"ether-?net[-_/ ]?ip|(?<![a-z0-9])(?:eip|cip|logix|allen[-_ ]?bradley|rockwell)(?![a-z0-9])|pylogix|pycomm3",
+        r"ether-?net[-_/ ]?ip|(?<![a-z0-9])(?:eip|enip|cip|logix|allen[-_ ]?bradley|rockwell)(?![a-z0-9])|pylogix|pycomm3",
         re.IGNORECASE,
     ),
     envelope_names=("ethernet-ip",),

@@ -36,6 +36,7 @@ PROTOCOL = OtProtocol(
     mock="profibus",
     clients="a PROFIBUS DP master on the pseudo terminal",
     tasks="pytest_otmcp.conformance.tasks.profibus",
+    onboarding="pytest_otmcp.onboarding.packs.profibus",
     recognise=re.compile(r"profibus", re.IGNORECASE),
     envelope_names=("profibus-dp",),
     colour=Colour(light="#00737a", dark="#3fb8bf"),

@@ -9,7 +9,7 @@ from ...core import AdapterServer
 from ..any_protocol import guard_after_sending
 from ..mutant import Data, Mutant, told
 from .enc import as_zero, by_way_of_float
-from .further import cut_off, declared, last_answer, module_of
+from .further import cut_off, declared, last_answer, merged, module_of
 
 __all__ = ["MUTANTS"]
 
@@ -41,6 +41,12 @@ def _numbers_from_texts(server: AdapterServer) -> None:
         return content
 
     tools.encode = lenient
+
+
+def _set(arguments: Any) -> Data:
+    codec = _module("codec")
+    shown: Data = codec.decode(codec.encode(arguments.value, "INT16"), "INT16")
+    return {"alias": arguments.alias, "slave_address": 8, "unit": None, **shown}
 
 
 def _first_byte_only(data: Data) -> Data:
@@ -97,6 +103,14 @@ MUTANTS: tuple[Mutant, ...] = (
         "CON-001",
         last_answer(_READ),
         "Of several reads of inputs at the same time all are told what the last one has found.",
+    ),
+    _mutant(
+        "MU-41p",
+        "con",
+        "CON-004",
+        "CON-004",
+        merged(_WRITE_ALIAS, lambda asked: asked.alias, _set),
+        "Of two values of the outputs at the same time only one is sent, and both are told as successes.",
     ),
     _mutant(
         "MU-56p",
