@@ -262,7 +262,8 @@ class Controller:
 
 class Worker:
     def pytest_runtest_logfinish(self, nodeid):
-        if "M2" in nodeid:
+        # The last one: a worker begins with the end of the suite.
+        if "M1" in nodeid:
             open("done", "w").close()
 
 def pytest_configure(config):
