@@ -307,7 +307,7 @@ async def read_missing_object(run: Repetition, bacnet: Rig) -> None:
     error_class, error_code = UNKNOWN_OBJECT
     trace = {"error_class": error_class, "error_code": error_code}
     run.fails(reply, "illegal_address", trace=trace, requirement="ERR-002")
-    run.witnessed(oracle.error_sent(seen, error_class, error_code))
+    run.witnessed(oracle.refused_with(seen, error_class, error_code))
 
 
 @read_missing_object.after
@@ -335,7 +335,7 @@ async def _refused(
     journal = await bacnet.journal()
     if oracle.no_state_changing_request(journal):
         run.fails(reply, code, outcome="rejected", requirement="ERR-002")
-        run.witnessed(oracle.error_sent(journal, *error))
+        run.witnessed(oracle.refused_with(journal, *error))
     else:
         run.fails(reply, code, "range_overflow", "invalid_input", outcome="not_sent", requirement="ERR-002")
     run.witnessed(oracle.only_changed(before, await bacnet.image(), {}, otherwise="ERR-006"))

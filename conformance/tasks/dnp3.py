@@ -293,7 +293,7 @@ async def a_selection_times_out(run: Repetition, dnp3: Rig) -> None:
     journal = await dnp3.journal()
     run.witnessed(
         oracle.exactly_one_operation(journal, "binary", LATCH, value),
-        oracle.status_sent(journal, TIMED_OUT),
+        oracle.refused_with_status(journal, TIMED_OUT),
         oracle.only_changed(before, await dnp3.image(), {}, otherwise="WR-001"),
     )
 
@@ -369,8 +369,8 @@ async def read_missing_inputs(run: Repetition, dnp3: Rig) -> None:
         return
     run.fails(reply, "illegal_address", requirement="ERR-002")
     # Whoever reads class 0 finds out by itself.
-    if oracle.iin_sent(seen, PARAMETER_ERROR):
-        run.witnessed(oracle.iin_sent(seen, OBJECT_UNKNOWN))
+    if oracle.refused_with_iin(seen, PARAMETER_ERROR):
+        run.witnessed(oracle.refused_with_iin(seen, OBJECT_UNKNOWN))
 
 
 @read_missing_inputs.after
@@ -397,7 +397,7 @@ async def _refused(
     journal = await dnp3.journal()
     if oracle.no_state_changing_request(journal):
         run.fails(reply, *codes, outcome="rejected", requirement="ERR-002")
-        run.witnessed(oracle.status_sent(journal, status))
+        run.witnessed(oracle.refused_with_status(journal, status))
     else:
         run.fails(reply, *codes, "invalid_input", outcome="not_sent", requirement="ERR-002")
     run.witnessed(oracle.only_changed(before, await dnp3.image(), {}, otherwise="ERR-006"))

@@ -226,7 +226,7 @@ async def read_missing_register(run: Repetition, modbus: Rig) -> None:
         run.witnessed(oracle.refused_nothing_else(seen, function=READ_HOLDING_REGISTERS, address=missing, count=1))
         return
     run.fails(reply, "illegal_address", trace={"exception_code": ILLEGAL_DATA_ADDRESS}, requirement="ERR-002")
-    run.witnessed(oracle.exception_sent(seen, ILLEGAL_DATA_ADDRESS))
+    run.witnessed(oracle.refused_with(seen, ILLEGAL_DATA_ADDRESS))
 
 
 @read_missing_register.after

@@ -12,9 +12,7 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
-from ..journal import Direction
-from ..network import Link
-from ..peer import process_of
+from ..framed_connection import FramedConnection, IllegalFrame
 from ..tcp_device import TcpDevice
 from .faults import FaultPlan, Rule
 from .link import (
@@ -26,7 +24,6 @@ from .link import (
     RESET_LINK_STATES,
     TEST_LINK_STATES,
     UNCONFIRMED_USER_DATA,
-    IllegalFrame,
     LinkFrame,
     Reassembly,
     frame_length,
@@ -43,7 +40,6 @@ __all__ = ["ADDRESS", "Dnp3Device"]
 
 ADDRESS = 10
 """Link address of the outstation."""
-_GARBAGE = b"\xde\xad\xbe\xef\xff\xff\x00\x01"
 
 
 def _now_ms() -> int:
@@ -103,69 +99,32 @@ class Dnp3Device(TcpDevice):
             connection.report()
 
 
-class _Connection(asyncio.Protocol):
-    """One master's connection. Requests are answered in order; a segment of TCP may hold several frames, or a part of one."""
+class _Connection(FramedConnection[Dnp3Device]):
+    """One master's connection. Requests are answered in order."""
 
     def __init__(self, device: Dnp3Device) -> None:
-        self._device = device
-        self._buffer = bytearray()
-        self._transport: Link
+        super().__init__(device, frame_length)
         self._reassembly = Reassembly()
         self._segment = 0
         self._master = 1
         self.session = Session()
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        assert isinstance(transport, Link)
-        self._transport = transport
-        self._device.connections += 1
-        self._number = transport.number = self._device.connections
-        self._device.open.add(self)
-        peer = transport.get_extra_info("peername")[1]
-        self._device.journal.connected(self._number, process_of(transport), peer=peer)
+        super().connection_made(transport)
+        self.device.open.add(self)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        self._device.open.discard(self)
-        if self._buffer:
-            self._malformed("the connection ended inside a frame")
-        self._record("in", "DISCONNECTED")
-
-    def pause_writing(self) -> None:
-        # No more requests are read from a client that does not read its answers: the answers must not accumulate.
-        self._transport.pause_reading()
-
-    def resume_writing(self) -> None:
-        self._transport.resume_reading()
-
-    def _record(self, direction: Direction, kind: str, **fields: Any) -> int:
-        return self._device.journal.append(connection=self._number, direction=direction, kind=kind, **fields)
-
-    def _malformed(self, reason: str) -> None:
-        self._record("in", "malformed", bytes=bytes(self._buffer[:300]).hex(), reason=reason)
-        self._buffer.clear()
-
-    def data_received(self, data: bytes) -> None:
-        self._buffer += data
-        while self._buffer and not self._transport.is_closing():
-            try:
-                length = frame_length(self._buffer)
-                if length is None or len(self._buffer) < length:
-                    return
-                self._frame(LinkFrame.parse(bytes(self._buffer[:length])))
-            except IllegalFrame as fault:
-                # A witness drops the connection, so that the frame is not overlooked.
-                self._malformed(str(fault))
-                self._transport.abort()
-                return
-            del self._buffer[:length]
+        self.device.open.discard(self)
+        super().connection_lost(exc)
 
     # -- link layer -------------------------------------------------------------------------------------------
 
-    def _frame(self, frame: LinkFrame) -> None:
+    def frame(self, raw: bytes) -> None:
+        frame = LinkFrame.parse(raw)
         if not frame.from_master:
             raise IllegalFrame("link: a frame with the direction of an outstation")
         if not frame.primary:
-            self._record("in", "link_answer", link_function=frame.function)
+            self.record("in", "link_answer", link_function=frame.function)
             return
         if frame.function in (UNCONFIRMED_USER_DATA, CONFIRMED_USER_DATA):
             if frame.function == CONFIRMED_USER_DATA and frame.destination == ADDRESS:
@@ -175,8 +134,8 @@ class _Connection(asyncio.Protocol):
                 self._fragment(Request.parse(fragment), frame)
             return
         status = frame.function == REQUEST_LINK_STATUS
-        rule = self._device.faults.match(None) if status and frame.destination == ADDRESS else None
-        asked = self._record(
+        rule = self.device.faults.match(None) if status and frame.destination == ADDRESS else None
+        asked = self.record(
             "in",
             "link_request",
             request=status,
@@ -192,29 +151,27 @@ class _Connection(asyncio.Protocol):
         if rule is None:
             self._link_answer(asked, answer, frame.source)
         elif rule.manner.half_open:
-            self._transport.die()
+            self.transport.die()
         else:
-            self._misbehave(rule, partial(self._link_answer, asked, answer, frame.source, rule))
+            self.misbehave(rule, partial(self._link_answer, asked, answer, frame.source, rule))
 
     def _link_answer(self, asked: int | None, function: int, master: int, rule: Rule | None = None) -> None:
-        if self._transport.is_closing() or not self._transport.carries():
-            return
         frame = LinkFrame(function=function, primary=False, from_master=False, destination=master, source=ADDRESS)
         raw = frame.encoded()
-        self._write(raw if rule is None else altered(rule, raw), rule, "link_answer", asked, link_function=function)
+        self.write(raw if rule is None else altered(rule, raw), "link_answer", asked, rule, link_function=function)
 
     # -- application layer --------------------------------------------------------------------------------------
 
     def _fragment(self, request: Request, frame: LinkFrame) -> None:
         fields = {**request.described(), "source": frame.source, "destination": frame.destination}
         if request.function == CONFIRM:
-            self._record("in", "confirm", **fields, apdu=request.fragment.hex())
+            self.record("in", "confirm", **fields, apdu=request.fragment.hex())
             self._confirmed(request)
             return
         ours = frame.destination == ADDRESS
         repeated = ours and self.session.last is not None and self.session.last[0] == request.fragment
-        rule = self._device.faults.match(request) if ours else None
-        asked = self._record(
+        rule = self.device.faults.match(request) if ours else None
+        asked = self.record(
             "in",
             "request",
             request=True,
@@ -227,7 +184,7 @@ class _Connection(asyncio.Protocol):
         if not ours and frame.destination not in BROADCASTS:
             return
         if rule is not None and rule.manner.half_open:
-            self._transport.die()
+            self.transport.die()
             return
         self._master = frame.source
         if rule is not None and rule.unsolicited:
@@ -242,7 +199,7 @@ class _Connection(asyncio.Protocol):
         if rule is None:
             self._send(answer, asked)
         else:
-            self._misbehave(rule, partial(self._send, falsified(rule, answer), asked, rule))
+            self.misbehave(rule, partial(self._send, falsified(rule, answer), asked, rule))
 
     def _executed(self, request: Request, rule: Rule | None, repeated: bool) -> Answer:
         """Return the answer to a request, which is executed unless it has been: a master that misses an answer sends the same request
@@ -250,29 +207,29 @@ class _Connection(asyncio.Protocol):
         if repeated and request.function != READ and self.session.last is not None:
             return self.session.last[1]
         now = asyncio.get_running_loop().time()
-        answer = execute(self._device.plant, self.session, request, rule, now, _now_ms())
+        answer = execute(self.device.plant, self.session, request, rule, now, _now_ms())
         self.session.last = request.fragment, answer
         return answer
 
     def _confirmed(self, request: Request) -> None:
         events = self.session.unconfirmed.pop((request.sequence, request.unsolicited), None)
         if events is not None:
-            self._device.plant.confirmed(events)
+            self.device.plant.confirmed(events)
             self.report()
 
     def report(self) -> None:
         """Send the events that the master wants unasked, unless it has not confirmed the last ones yet."""
-        waiting = self._device.plant.waiting(self.session.classes)
+        waiting = self.device.plant.waiting(self.session.classes)
         if waiting and not any(unasked for _, unasked in self.session.unconfirmed):
             self.tell(self.session.classes)
 
     def tell(self, classes: set[int]) -> None:
         """Send an unsolicited response with the events of these classes, which may be none."""
-        self._send(unsolicited(self._device.plant, self.session, classes), None)
+        self._send(unsolicited(self.device.plant, self.session, classes), None)
 
     def _send(self, answer: Answer, asked: int | None, rule: Rule | None = None) -> None:
         """Send an answer to the request that has the sequence number ``asked``, in the manner of a rule."""
-        if self._transport.is_closing() or not self._transport.carries():
+        if not self.carries():
             return
         if answer.confirm:
             key = answer.sequence, answer.unsolicited
@@ -303,45 +260,10 @@ class _Connection(asyncio.Protocol):
             "apdu": fragment.hex(),
         }
         if rule is not None:
-            changed = {
-                "truncate": rule.truncate,
-                "drip_s": rule.manner.drip_s or None,
-                "length": rule.length or None,
-                "source": rule.answer_source,
-            }
+            changed = {"length": rule.length or None, "source": rule.answer_source}
             fields |= {name: value for name, value in changed.items() if value is not None}
             raw = altered(rule, raw)
-        self._write(raw, rule, "unsolicited" if answer.unsolicited else "response", asked, **fields)
-
-    def _write(self, raw: bytes, rule: Rule | None, kind: str, asked: int | None, **fields: Any) -> None:
-        if rule is None:
-            self._record("out", kind, answers=asked, **fields)
-            self._transport.write(raw)
-            return
-        if rule.manner.mangle is None:
-            self._record("out", kind, answers=asked, **fields)
-        for _ in range(1 + rule.manner.duplicate):
-            with self._transport.sending(rule.manner):
-                self._transport.write(raw)
-        if rule.manner.duplicate:
-            self._record("out", kind, answers=asked, **fields, duplicate=True)
-
-    def _misbehave(self, rule: Rule, send: Any) -> None:
-        if rule.drop:
-            return
-        if rule.close:
-            self._transport.close()
-        elif rule.reset:
-            self._transport.reset()
-        elif rule.garbage:
-            if self._transport.carries():
-                # The entry answers no request: no client can tell which request the bytes are for.
-                self._record("out", "garbage", bytes=_GARBAGE.hex())
-                self._transport.write(_GARBAGE)
-        elif rule.delay_s:
-            asyncio.get_running_loop().call_later(rule.delay_s, send)
-        else:
-            send()
+        self.write(raw, "unsolicited" if answer.unsolicited else "response", asked, rule, **fields)
 
 
 def _described(objects: bytes) -> list[dict[str, Any]]:

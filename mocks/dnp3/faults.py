@@ -7,8 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..fault_rules import FLAG, SKIP, Field, Plan, Table, integer, number
-from ..network import AT_ONCE, MANNERS, Manner
+from ..fault_rules import FLAG, SKIP, Field, Plan, Table, integer
+from ..framed_connection import ANSWER_FAULTS, AnswerRule
+from ..network import Manner
 from .requests import Request
 
 __all__ = ["TABLE", "FaultPlan", "Rule"]
@@ -25,12 +26,6 @@ TABLE = Table(
         "iin": integer(0, 0xFFFF),
         "with_iin": integer(0, 0xFFFF),
         "status": integer(1, 0x7F),
-        "delay_s": number(0, 3600),
-        "drop": FLAG,
-        "garbage": FLAG,
-        "truncate": integer(0, 1024),
-        "close": FLAG,
-        "reset": FLAG,
         "ack_only": FLAG,
         "sequence": integer(-15, 15),
         "answer_index": integer(-0xFF, 0xFF),
@@ -41,15 +36,15 @@ TABLE = Table(
         ),
         "length": integer(-255, 255),
         "unsolicited": FLAG,
-        **MANNERS,
+        **ANSWER_FAULTS,
     },
     example="{'drop': true}",
 )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Rule:
-    """One rule: conditions (None matches everything), how often it applies, and what happens.
+class Rule(AnswerRule):
+    """One rule: conditions (None matches everything), how often it applies, and what happens beside what :class:`AnswerRule` has.
 
     Attributes:
         function: function code of the request.
@@ -60,11 +55,6 @@ class Rule:
         iin: not executed; answered without objects and with these internal indications beside the outstation's own.
         with_iin: executed, answered with these internal indications as well.
         status: nothing is selected or operated, and each point of the answer has this status.
-        delay_s: answer this many seconds later; later requests are not delayed by it.
-        drop: execute, but do not answer.
-        garbage: execute, answer with bytes that are no frame.
-        truncate: send only this many bytes of the answer.
-        close, reset: execute, then close the connection, or reset it.
         ack_only: acknowledge a write or an operation without doing it.
         sequence: added to the application sequence number of the answer.
         answer_index: added to the indexes of the answer's first object header.
@@ -72,7 +62,6 @@ class Rule:
         answer_objects: objects of the answer.
         length: added to the length of the link frame; the bytes stay.
         unsolicited: an unsolicited response with the events of class 1, if there are some, comes before the answer.
-        manner: how the answer travels, see :class:`~..network.Manner`.
     """
 
     function: int | None = None
@@ -84,12 +73,6 @@ class Rule:
     iin: int | None = None
     with_iin: int = 0
     status: int | None = None
-    delay_s: float = 0.0
-    drop: bool = False
-    garbage: bool = False
-    truncate: int | None = None
-    close: bool = False
-    reset: bool = False
     ack_only: bool = False
     sequence: int = 0
     answer_index: int = 0
@@ -97,7 +80,6 @@ class Rule:
     answer_objects: bytes | None = None
     length: int = 0
     unsolicited: bool = False
-    manner: Manner = AT_ONCE
 
 
 class FaultPlan(Plan[Rule]):

@@ -5,6 +5,8 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
+from ..framed_connection import IllegalFrame
+
 __all__ = [
     "ACK",
     "CONFIRMED_USER_DATA",
@@ -14,7 +16,6 @@ __all__ = [
     "RESET_LINK_STATES",
     "TEST_LINK_STATES",
     "UNCONFIRMED_USER_DATA",
-    "IllegalFrame",
     "LinkFrame",
     "Reassembly",
     "crc",
@@ -35,10 +36,6 @@ _FIN, _FIR = 0x80, 0x40
 _SEGMENT = 249
 """Bytes of an application fragment that a frame holds beside the transport header."""
 LARGEST_FRAGMENT = 2048
-
-
-class IllegalFrame(ValueError):
-    """The bytes are no frame of this protocol; the text says why."""
 
 
 def _table() -> tuple[int, ...]:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from .link import IllegalFrame
+from ..framed_connection import IllegalFrame
 from .objects import Header, IllegalObject, UnknownObject, headers
 
 __all__ = [

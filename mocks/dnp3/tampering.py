@@ -12,10 +12,8 @@ __all__ = ["altered", "falsified"]
 
 
 def altered(rule: Rule, raw: bytes) -> bytes:
-    """Return the bytes that a rule makes of a frame."""
-    if rule.length:
-        raw = raw[:2] + bytes([(raw[2] + rule.length) & 0xFF]) + raw[3:]
-    return raw[: rule.truncate]
+    """Return the bytes of a frame with the length that a rule makes of the right one."""
+    return raw[:2] + bytes([(raw[2] + rule.length) & 0xFF]) + raw[3:]
 
 
 def falsified(rule: Rule, answer: Answer) -> Answer:

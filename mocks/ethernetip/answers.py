@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import asyncio
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-from ..journal import Direction, Journal
-from ..network import Link
+from ..framed_connection import FramedConnection
 from .connections import Connection
 from .describe import described_reply
 from .faults import Rule
@@ -18,9 +16,6 @@ from .frames import CONNECTED_ADDRESS, CONNECTED_DATA, NULL_ADDRESS, UNCONNECTED
 from .messages import Reply
 
 __all__ = ["Answers", "Asked", "carried"]
-
-_GARBAGE = b"\xde\xad\x08\x00" + b"\xff\xff\x00\x01" * 7
-"""As long as its length says, and no command."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,12 +53,8 @@ def _of(asked: Asked) -> dict[str, Any]:
 class Answers:
     """Sends answers, and records them."""
 
-    def __init__(self, journal: Journal, transport: Link) -> None:
-        self._journal = journal
-        self._transport = transport
-
-    def _record(self, direction: Direction, kind: str, **fields: Any) -> int:
-        return self._journal.append(connection=self._transport.number, direction=direction, kind=kind, **fields)
+    def __init__(self, client: FramedConnection[Any]) -> None:
+        self._client = client
 
     def reply(self, asked: Asked, rule: Rule | None, reply: Reply) -> None:
         message = reply.encoded()
@@ -86,42 +77,15 @@ class Answers:
             answer, fields = replace(answer, status=rule.encapsulation, data=b""), _of(asked)
         if rule.context:
             answer = replace(answer, context=bytes([answer.context[0] ^ rule.context]) + answer.context[1:])
-        if rule.drop:
-            return
-        if rule.close:
-            self._transport.close()
-        elif rule.reset:
-            self._transport.reset()
-        elif rule.garbage:
-            if self._transport.carries():
-                # The entry answers no request: no client can tell which request the bytes are for.
-                self._record("out", "garbage", bytes=_GARBAGE.hex())
-                self._transport.write(_GARBAGE)
-        else:
-            send = partial(self.write, asked.seq, kind, answer, rule, **fields)
-            if rule.delay_s:
-                asyncio.get_running_loop().call_later(rule.delay_s, send)
-            else:
-                send()
+        self._client.misbehave(rule, partial(self.write, asked.seq, kind, answer, rule, **fields))
 
     def write(self, asked: int, kind: str, answer: Frame, rule: Rule | None = None, **fields: Any) -> None:
         """Send an answer to the request that has the sequence number ``asked``, and record it."""
-        if self._transport.is_closing() or not self._transport.carries():
-            return
         raw = answer.encoded()
         fields["frame"] = raw.hex()
         if answer.status:
             fields["encapsulation"] = answer.status
-        if rule is None:
-            self._record("out", kind, answers=asked, **fields)
-            self._transport.write(raw)
-            return
-        changed = {"truncate": rule.truncate, "drip_s": rule.manner.drip_s or None, "length": rule.length or None}
-        fields |= {name: value for name, value in changed.items() if value is not None}
-        length = (len(answer.data) + rule.length) & 0xFFFF
-        raw = (raw[:2] + length.to_bytes(2, "little") + raw[4:])[: rule.truncate]
-        for again in (False, True)[: 1 + rule.manner.duplicate]:
-            if rule.manner.mangle is None:
-                self._record("out", kind, answers=asked, **fields, **({"duplicate": True} if again else {}))
-            with self._transport.sending(rule.manner):
-                self._transport.write(raw)
+        if rule is not None and rule.length:
+            fields["length"] = rule.length
+            raw = raw[:2] + ((len(answer.data) + rule.length) & 0xFFFF).to_bytes(2, "little") + raw[4:]
+        self._client.write(raw, kind, asked, rule, **fields)

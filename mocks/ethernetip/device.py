@@ -37,8 +37,7 @@ class EthernetIpDevice(TcpDevice):
 
     def connection(self) -> asyncio.Protocol:
         """Return what serves a new client."""
-        self.connections += 1
-        return ClientLink(self._controller, self.connections)
+        return ClientLink(self, self._controller)
 
     def image(self) -> dict[str, Any]:
         """Return what :meth:`.plant.Plant.image` returns, and how many ``sessions`` and CIP ``connections`` are open, and how many

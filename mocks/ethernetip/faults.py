@@ -7,8 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..fault_rules import FLAG, SKIP, TEXT, Field, Plan, Table, integer, number, one_of
-from ..network import AT_ONCE, MANNERS, Manner
+from ..fault_rules import FLAG, SKIP, TEXT, Field, Plan, Table, integer, one_of
+from ..framed_connection import ANSWER_FAULTS, AnswerRule
+from ..network import Manner
 
 __all__ = ["TABLE", "FaultPlan", "Rule"]
 
@@ -39,12 +40,6 @@ TABLE = Table(
         "status": integer(1, 0xFF),
         "extended": integer(0, 0xFFFF),
         "encapsulation": integer(1, 0xFFFF),
-        "delay_s": number(0, 3600),
-        "drop": FLAG,
-        "garbage": FLAG,
-        "truncate": integer(0, 1024),
-        "close": FLAG,
-        "reset": FLAG,
         "ack_only": FLAG,
         "sequence": integer(-0xFFFF, 0xFFFF),
         "context": integer(0, 0xFF),
@@ -56,15 +51,15 @@ TABLE = Table(
             expected="at most 400 bytes as hexadecimal digits",
         ),
         "length": integer(-1000, 1000),
-        **MANNERS,
+        **ANSWER_FAULTS,
     },
     example="{'drop': true}",
 )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Rule:
-    """One rule: conditions (None matches everything), how often it applies, and what happens.
+class Rule(AnswerRule):
+    """One rule: conditions (None matches everything), how often it applies, and what happens beside what :class:`AnswerRule` has.
 
     Attributes:
         service: what is asked for, by the request or by one of the services that it holds.
@@ -74,11 +69,6 @@ class Rule:
         action: the action as it was given, for the journal.
         status, extended: not executed; general status, and the word that follows, of the services that fit.
         encapsulation: not executed; status of the encapsulation header, without data.
-        delay_s: answer this many seconds later; later requests are not delayed by it.
-        drop: execute, but do not answer.
-        garbage: execute, answer with bytes that are no frame.
-        truncate: send only this many bytes of the answer.
-        close, reset: execute, then close the connection, or reset it.
         ack_only: acknowledge a write without doing it.
         sequence: added to the sequence count of a connected answer.
         context: the first byte of the sender context is changed in these bits.
@@ -86,7 +76,6 @@ class Rule:
         answer_service: service code of the answer.
         answer_type, answer_data: type code and bytes with which a read is answered.
         length: added to the length of the encapsulation header; the bytes stay.
-        manner: how the answer travels, see :class:`~..network.Manner`.
     """
 
     service: str | None = None
@@ -97,12 +86,6 @@ class Rule:
     status: int | None = None
     extended: int | None = None
     encapsulation: int | None = None
-    delay_s: float = 0.0
-    drop: bool = False
-    garbage: bool = False
-    truncate: int | None = None
-    close: bool = False
-    reset: bool = False
     ack_only: bool = False
     sequence: int = 0
     context: int = 0
@@ -111,7 +94,6 @@ class Rule:
     answer_type: int | None = None
     answer_data: bytes | None = None
     length: int = 0
-    manner: Manner = AT_ONCE
 
     def fits(self, item: Mapping[str, Any], tag: str | None) -> bool:
         """Tell whether a service is one that the rule is about.

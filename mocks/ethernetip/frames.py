@@ -8,6 +8,8 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
+from ..framed_connection import IllegalFrame
+
 __all__ = [
     "CONNECTED_ADDRESS",
     "CONNECTED_DATA",
@@ -22,7 +24,6 @@ __all__ = [
     "UNCONNECTED_DATA",
     "UNREGISTER",
     "Frame",
-    "IllegalFrame",
     "frame_length",
     "packet",
     "packet_items",
@@ -36,10 +37,6 @@ NULL_ADDRESS, CONNECTED_ADDRESS, CONNECTED_DATA, UNCONNECTED_DATA = 0x0000, 0x00
 _HEADER = struct.Struct("<HHII8sI")
 _LONGEST = 0x1FFF
 """More than the largest connection of a Logix controller, 4002 bytes, so that nothing that a client may send is refused."""
-
-
-class IllegalFrame(ValueError):
-    """The bytes are no frame of this protocol; the text says why."""
 
 
 def frame_length(buffer: bytes | bytearray) -> int | None:

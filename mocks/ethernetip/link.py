@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from ..journal import Direction
-from ..network import Link
-from ..peer import process_of
+from ..framed_connection import FramedConnection, IllegalFrame
+from ..tcp_device import TcpDevice
 from .answers import Answers, Asked
 from .asked import AskedFor, connected_request, unconnected_request
 from .connections import misrouted
@@ -29,7 +27,6 @@ from .frames import (
     UNCONNECTED_DATA,
     UNREGISTER,
     Frame,
-    IllegalFrame,
     frame_length,
     packet_items,
 )
@@ -46,72 +43,34 @@ _UNCONNECTED = ((NULL_ADDRESS, 0, 0), (UNCONNECTED_DATA, 2, 0xFFFF))
 _LARGEST_UNCONNECTED = 504
 
 
-class ClientLink(asyncio.Protocol):
-    """One client's TCP connection. Requests are answered in order; a segment may hold several, or a part of one."""
+class ClientLink(FramedConnection[TcpDevice]):
+    """One client's TCP connection. Requests are answered in order."""
 
-    def __init__(self, controller: Controller, number: int) -> None:
+    garbage = b"\xde\xad\x08\x00" + b"\xff\xff\x00\x01" * 7
+    """As long as its length says, and no command."""
+
+    def __init__(self, device: TcpDevice, controller: Controller) -> None:
+        super().__init__(device, frame_length)
         self._controller = controller
-        self._number = number
-        self._buffer = bytearray()
-        self._transport: Link
-        self._answers: Answers
+        self._answers = Answers(self)
         self._session = 0
 
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        assert isinstance(transport, Link)
-        self._transport = transport
-        transport.number = self._number
-        peer = transport.get_extra_info("peername")[1]
-        self._controller.journal.connected(self._number, process_of(transport), peer=peer)
-        self._answers = Answers(self._controller.journal, transport)
-
     def connection_lost(self, exc: Exception | None) -> None:
-        if self._buffer:
-            self._malformed("the connection ended inside a frame")
         self._controller.sessions.discard(self._session)
-        self._controller.connections.ended(self._number)
-        self._record("in", "DISCONNECTED")
-
-    def pause_writing(self) -> None:
-        # No more requests are read from a client that does not read its answers: the answers must not accumulate.
-        self._transport.pause_reading()
-
-    def resume_writing(self) -> None:
-        self._transport.resume_reading()
-
-    def _record(self, direction: Direction, kind: str, **fields: Any) -> int:
-        return self._controller.journal.append(connection=self._number, direction=direction, kind=kind, **fields)
-
-    def _malformed(self, reason: str) -> None:
-        self._record("in", "malformed", bytes=bytes(self._buffer[:300]).hex(), reason=reason)
-        self._buffer.clear()
-
-    def data_received(self, data: bytes) -> None:
-        self._buffer += data
-        while self._buffer and not self._transport.is_closing():
-            try:
-                length = frame_length(self._buffer)
-                if length is None or len(self._buffer) < length:
-                    return
-                self._frame(bytes(self._buffer[:length]))
-            except IllegalFrame as fault:
-                # A witness drops the connection, so that the frame is not overlooked.
-                self._malformed(str(fault))
-                self._transport.abort()
-                return
-            del self._buffer[:length]
+        self._controller.connections.ended(self.number)
+        super().connection_lost(exc)
 
     # -- encapsulation ----------------------------------------------------------------------------------------
 
-    def _frame(self, raw: bytes) -> None:
+    def frame(self, raw: bytes) -> None:
         frame = Frame.parse(raw)
         if frame.command in (SEND_RR_DATA, SEND_UNIT_DATA):
             self._data(frame, raw)
         elif frame.command == REGISTER:
             self._register(frame, raw)
         elif frame.command == UNREGISTER:
-            self._record("in", "unregister", frame=raw.hex())
-            self._transport.close()
+            self.record("in", "unregister", frame=raw.hex())
+            self.transport.close()
         elif frame.command == LIST_IDENTITY:
             self._list_identity(frame, raw)
         elif frame.command != NOP:
@@ -119,7 +78,7 @@ class ClientLink(asyncio.Protocol):
 
     def _list(self, frame: Frame, raw: bytes) -> None:
         known = {LIST_SERVICES: services_item(), LIST_INTERFACES: b"\0\0"}
-        asked = self._record("in", "list", command=frame.command, frame=raw.hex())
+        asked = self.record("in", "list", command=frame.command, frame=raw.hex())
         data = known.get(frame.command)
         status = _UNKNOWN_COMMAND if data is None else 0
         self._answers.write(asked, "list_response", replace(frame, data=data or b"", status=status))
@@ -127,9 +86,9 @@ class ClientLink(asyncio.Protocol):
     def _list_identity(self, frame: Frame, raw: bytes) -> None:
         fields: dict[str, Any] = {"service": "list_identity", "items": [{"asks": "list_identity"}]}
         rule = self._rule(fields)
-        seq = self._record("in", "request", request=True, **fields, frame=raw.hex(), **_shown(rule))
+        seq = self.record("in", "request", request=True, **fields, frame=raw.hex(), **_shown(rule))
         if rule is not None and rule.manner.half_open:
-            self._transport.die()
+            self.transport.die()
             return
         asked = Asked(seq=seq, kind="request", frame=frame, fields=fields)
         answer = replace(frame, data=identity_item(self._controller.address))
@@ -138,9 +97,9 @@ class ClientLink(asyncio.Protocol):
     def _register(self, frame: Frame, raw: bytes) -> None:
         fields: dict[str, Any] = {"service": "register", "items": [{"asks": "register"}]}
         rule = self._rule(fields)
-        seq = self._record("in", "register", **fields, frame=raw.hex(), **_shown(rule))
+        seq = self.record("in", "register", **fields, frame=raw.hex(), **_shown(rule))
         if rule is not None and rule.manner.half_open:
-            self._transport.die()
+            self.transport.die()
             return
         status = 0
         if len(frame.data) != 4:
@@ -151,7 +110,7 @@ class ClientLink(asyncio.Protocol):
             status = _UNKNOWN_COMMAND
         else:
             # The number of the connection makes handles unique, and the rest makes them no small numbers.
-            self._session = 0x4B000000 | self._number & 0xFFFFFF
+            self._session = 0x4B000000 | self.number & 0xFFFFFF
             self._controller.sessions.add(self._session)
         answer = replace(frame, session=self._session, status=status, data=b"\x01\0\0\0")
         self._answers.send(Asked(seq=seq, kind="register", frame=frame, fields=fields), rule, answer)
@@ -161,8 +120,8 @@ class ClientLink(asyncio.Protocol):
         connected = frame.command == SEND_UNIT_DATA
         if items is None or not _fit(items, _CONNECTED if connected else _UNCONNECTED):
             reason = "encapsulation: no packet that carries a request"
-            self._record("in", "malformed", bytes=raw[:300].hex(), reason=reason)
-            self._transport.write(replace(frame, data=b"", status=_BAD_DATA).encoded())
+            self.record("in", "malformed", bytes=raw[:300].hex(), reason=reason)
+            self.transport.write(replace(frame, data=b"", status=_BAD_DATA).encoded())
             return
         content = items[1][1]
         if connected:
@@ -182,7 +141,7 @@ class ClientLink(asyncio.Protocol):
     def _enter(self, asked_for: AskedFor, raw: bytes, rule: Rule | None) -> int:
         is_request = asked_for.kind == "request"
         fields = {**asked_for.fields, "frame": raw.hex(), **_shown(rule)}
-        return self._record("in", asked_for.kind, request=is_request, **fields)
+        return self.record("in", asked_for.kind, request=is_request, **fields)
 
     # -- requests ---------------------------------------------------------------------------------------------
 
@@ -225,7 +184,7 @@ class ClientLink(asyncio.Protocol):
 
     def _execute(self, asked: Asked, rule: Rule | None, asked_for: AskedFor, *, limit: int) -> None:
         if rule is not None and rule.manner.half_open:
-            self._transport.die()
+            self.transport.die()
             return
         for bits in self._controller.restless:
             bits.move(self._controller.plant)
@@ -237,7 +196,7 @@ class ClientLink(asyncio.Protocol):
 
     def _manage(self, asked: Asked, rule: Rule | None, message: bytes) -> None:
         if rule is not None and rule.manner.half_open:
-            self._transport.die()
+            self.transport.die()
             return
         request, connections = Request.parse(message), self._controller.connections
         if rule is not None and rule.status is not None:
@@ -247,7 +206,7 @@ class ClientLink(asyncio.Protocol):
             reply = connections.forward_close(request.service, request.data)
         else:
             limit = self._controller.plant.connection_limit
-            reply = connections.forward_open(request.service, request.data, self._number, limit)
+            reply = connections.forward_open(request.service, request.data, self.number, limit)
         self._answers.reply(asked, rule, reply)
 
 

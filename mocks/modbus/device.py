@@ -13,9 +13,7 @@ from dataclasses import asdict
 from functools import partial
 from typing import Any
 
-from ..journal import Direction
-from ..network import Link
-from ..peer import process_of
+from ..framed_connection import FramedConnection, IllegalFrame
 from ..tcp_device import TcpDevice
 from .answers import Answer, falsified
 from .faults import FaultPlan, Rule
@@ -28,7 +26,6 @@ __all__ = ["ModbusDevice"]
 GATEWAY_TARGET_FAILED_TO_RESPOND = 0x0B
 _MAX_LENGTH = 254
 """Largest value of the MBAP length field: unit identifier and a PDU of 253 bytes."""
-_GARBAGE = b"\xde\xad\xbe\xef\xff\xff\x00\x01"
 
 
 class ModbusDevice(TcpDevice):
@@ -95,62 +92,17 @@ class ModbusDevice(TcpDevice):
                 cell.move(self.units[unit])
 
 
-class _Connection(asyncio.Protocol):
-    """One client's connection. Requests are answered in order; a segment may hold several, or a part of one."""
+class _Connection(FramedConnection[ModbusDevice]):
+    """One client's connection. Requests are answered in order."""
 
     def __init__(self, device: ModbusDevice) -> None:
-        self._device = device
-        self._buffer = bytearray()
-        self._transport: Link
+        super().__init__(device, _frame_length)
 
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        assert isinstance(transport, Link)
-        self._transport = transport
-        self._device.connections += 1
-        self._number = transport.number = self._device.connections
-        peer = transport.get_extra_info("peername")[1]
-        self._device.journal.connected(self._number, process_of(transport), peer=peer)
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        if self._buffer:
-            self._malformed("the connection ended inside a frame")
-        self._record("in", "DISCONNECTED")
-
-    def pause_writing(self) -> None:
-        # No more requests are read from a client that does not read its answers: the answers must not accumulate.
-        self._transport.pause_reading()
-
-    def resume_writing(self) -> None:
-        self._transport.resume_reading()
-
-    def _malformed(self, reason: str) -> None:
-        self._record("in", "malformed", bytes=bytes(self._buffer[:300]).hex(), reason=reason)
-        self._buffer.clear()
-
-    def _record(self, direction: Direction, kind: str, **fields: Any) -> int:
-        return self._device.journal.append(connection=self._number, direction=direction, kind=kind, **fields)
-
-    def data_received(self, data: bytes) -> None:
-        self._buffer += data
-        while len(self._buffer) >= 6 and not self._transport.is_closing():
-            transaction, protocol, length = struct.unpack_from(">HHH", self._buffer)
-            if protocol != 0 or not 2 <= length <= _MAX_LENGTH:
-                # The beginning of the next frame can no longer be known. The guide (section 4.4.2.2) silently discards
-                # such a frame; a witness drops the connection, so that the frame is not overlooked.
-                self._malformed(f"MBAP header: protocol {protocol}, length {length}")
-                self._transport.abort()
-                return
-            if len(self._buffer) < 6 + length:
-                return
-            unit = self._buffer[6]
-            pdu = bytes(self._buffer[7 : 6 + length])
-            del self._buffer[: 6 + length]
-            self._request(transaction, unit, pdu)
-
-    def _request(self, transaction: int, unit: int, pdu: bytes) -> None:
+    def frame(self, raw: bytes) -> None:
+        (transaction,), unit, pdu = struct.unpack_from(">H", raw), raw[6], raw[7:]
         fields = describe(pdu)
-        rule = self._device.faults.match(unit, fields)
-        asked = self._record(
+        rule = self.device.faults.match(unit, fields)
+        asked = self.record(
             "in",
             "request",
             request=True,
@@ -161,10 +113,10 @@ class _Connection(asyncio.Protocol):
             **({} if rule is None else {"fault": rule.action}),
         )
         if rule is not None and rule.manner.half_open:
-            self._transport.die()
+            self.transport.die()
             return
-        self._device.stir(unit)
-        memory = self._device.units.get(unit)
+        self.device.stir(unit)
+        memory = self.device.units.get(unit)
         try:
             if memory is None:
                 raise IllegalRequest(GATEWAY_TARGET_FAILED_TO_RESPOND)
@@ -178,12 +130,11 @@ class _Connection(asyncio.Protocol):
         if rule is None:
             self._send(asked, fields, Answer.to(transaction, unit, response))
         else:
-            self._misbehave(rule, asked, fields, transaction, unit, response)
+            answer = falsified(rule, transaction, unit, response)
+            self.misbehave(rule, partial(self._send, asked, fields, answer, rule))
 
     def _send(self, asked: int, request: Mapping[str, Any], answer: Answer, rule: Rule | None = None) -> None:
         """Answer the request that has the sequence number ``asked``, in the manner of a rule."""
-        if self._transport.is_closing() or not self._transport.carries():
-            return
         response = answer.pdu
         fields: dict[str, Any] = {
             "unit": answer.unit,
@@ -194,47 +145,26 @@ class _Connection(asyncio.Protocol):
         values = values_read(request, response)
         if values is not None:
             fields["values"] = values
-        cut = None
-        if rule is not None:
-            cut = rule.truncate
-            changed = {"truncate": cut, "protocol_id": answer.protocol or None, "drip_s": rule.manner.drip_s or None}
-            fields |= {name: value for name, value in changed.items() if value is not None}
-            if rule.length:
-                fields["length"] = answer.length
-        if rule is None or rule.manner.mangle is None:
-            self._record("out", "response", answers=asked, **fields, pdu=response.hex())
-        if rule is None:
-            self._transport.write(answer.frame())
-            return
-        with self._transport.sending(rule.manner):
-            self._transport.write(answer.frame()[:cut])
-        if rule.manner.duplicate:
-            self._record("out", "response", answers=asked, **fields, duplicate=True, pdu=response.hex())
-            with self._transport.sending(rule.manner):
-                self._transport.write(answer.frame()[:cut])
+        fields["pdu"] = response.hex()
+        if rule is not None and answer.protocol:
+            fields["protocol_id"] = answer.protocol
+        if rule is not None and rule.length:
+            fields["length"] = answer.length
+        self.write(answer.frame(), "response", asked, rule, **fields)
 
-    def _misbehave(
-        self, rule: Rule, asked: int, request: Mapping[str, Any], transaction: int, unit: int, response: bytes
-    ) -> None:
-        if rule.drop:
-            return
-        if rule.close:
-            self._transport.close()
-            return
-        if rule.reset:
-            self._transport.reset()
-            return
-        if rule.garbage and self._transport.carries():
-            # The entry answers no request: no client can tell which request the bytes are for.
-            self._record("out", "garbage", bytes=_GARBAGE.hex())
-            self._transport.write(_GARBAGE)
-        if rule.garbage:
-            return
-        send = partial(self._send, asked, request, falsified(rule, transaction, unit, response), rule)
-        if rule.delay_s:
-            asyncio.get_running_loop().call_later(rule.delay_s, send)
-        else:
-            send()
+
+def _frame_length(buffer: bytearray) -> int | None:
+    """Return the length of the frame at the beginning of the buffer; None while too little of it has arrived.
+
+    Raises:
+        IllegalFrame: no frame begins like that. The guide (section 4.4.2.2) silently discards such a frame.
+    """
+    if len(buffer) < 6:
+        return None
+    _, protocol, length = struct.unpack_from(">HHH", buffer)
+    if protocol != 0 or not 2 <= length <= _MAX_LENGTH:
+        raise IllegalFrame(f"MBAP header: protocol {protocol}, length {length}")
+    return 6 + int(length)
 
 
 def _clamp(memory: UnitImage, request: Mapping[str, Any], bounds: tuple[int, int]) -> None:

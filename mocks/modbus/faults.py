@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..fault_rules import FLAG, SKIP, Field, Plan, Table, integer, number
-from ..network import AT_ONCE, MANNERS, Manner
+from ..fault_rules import FLAG, SKIP, Field, Plan, Table, integer
+from ..framed_connection import ANSWER_FAULTS, AnswerRule
+from ..network import Manner
 
 __all__ = ["TABLE", "FaultPlan", "Rule"]
 
@@ -17,9 +18,6 @@ TABLE = Table(
     conditions={"function": integer(0, 0xFF), "address": integer(0, 0xFFFF), "unit": integer(0, 0xFF), "skip": SKIP},
     actions={
         "exception": integer(0, 0xFF),
-        "delay_s": number(0, 3600),
-        "drop": FLAG,
-        "garbage": FLAG,
         "transaction_id": integer(-0xFFFF, 0xFFFF),
         "answer_transaction": integer(0, 0xFFFF),
         "answer_unit": integer(0, 0xFF),
@@ -45,32 +43,26 @@ TABLE = Table(
             ),
             expected="a list of two integers from 0 to 65535, the lower one first",
         ),
-        "truncate": integer(0, 260),
-        "close": FLAG,
-        "reset": FLAG,
         "ack_only": FLAG,
         "answer_values": Field(
             accepts=lambda value: isinstance(value, list) and len(value) <= 125 and all(map(_REGISTER.accepts, value)),
             expected="a list of at most 125 integers from 0 to 65535",
         ),
-        **MANNERS,
+        **ANSWER_FAULTS,
     },
     example="{'drop': true}",
 )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Rule:
-    """One rule: conditions (None matches everything), how often it applies, and what happens.
+class Rule(AnswerRule):
+    """One rule: conditions (None matches everything), how often it applies, and what happens beside what :class:`AnswerRule` has.
 
     Attributes:
         skip: so many requests that fit pass first.
         times: applied at most this often, None without limit.
         action: the action as it was given, for the journal.
         exception: answer with this exception code; the request is not executed.
-        delay_s: answer this many seconds later; later requests are not delayed by it.
-        drop: execute, but do not answer.
-        garbage: execute, answer with bytes that are no MBAP frame.
         transaction_id: added to the transaction identifier of the answer.
         answer_transaction: transaction identifier of the answer.
         answer_unit: unit identifier of the answer.
@@ -82,11 +74,8 @@ class Rule:
             ``address``.
         clamp: registers that functions 6, 16 and 22 write are stored not lower and not higher than these two numbers; the answer
             echoes the request.
-        truncate: send only this many bytes of the answer.
-        close, reset: execute, then close the connection, or reset it.
         ack_only: acknowledge a write without doing it.
         answer_values: registers or bits that a successful read answers with, however many were asked for.
-        manner: how the answer travels, see :class:`~..network.Manner`.
     """
 
     function: int | None = None
@@ -96,9 +85,6 @@ class Rule:
     times: int | None = None
     action: Mapping[str, Any] = field(default_factory=dict)
     exception: int | None = None
-    delay_s: float = 0.0
-    drop: bool = False
-    garbage: bool = False
     transaction_id: int = 0
     answer_transaction: int | None = None
     answer_unit: int | None = None
@@ -108,12 +94,8 @@ class Rule:
     byte_count: int = 0
     echo: Mapping[str, int] = field(default_factory=dict)
     clamp: tuple[int, int] | None = None
-    truncate: int | None = None
-    close: bool = False
-    reset: bool = False
     ack_only: bool = False
     answer_values: tuple[int, ...] | None = None
-    manner: Manner = AT_ONCE
 
 
 class FaultPlan(Plan[Rule]):

@@ -50,6 +50,7 @@ class ProfibusDevice(Device):
         self.plant = Plant()
         self.faults = FaultPlan([])
         self.line = SerialLine(self.journal, self._received)
+        self.lines = (self.line,)
         self._receiver = Receiver(self._frame, self._malformed)
         self._client = 0
         self._last: dict[int, _Last] = {}

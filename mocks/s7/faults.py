@@ -7,8 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..fault_rules import FLAG, SKIP, Field, Plan, Table, integer, number, one_of
-from ..network import AT_ONCE, MANNERS, Manner
+from ..fault_rules import FLAG, SKIP, Field, Plan, Table, integer, one_of
+from ..framed_connection import ANSWER_FAULTS, AnswerRule
+from ..network import Manner
 
 __all__ = ["TABLE", "FaultPlan", "Rule"]
 
@@ -23,12 +24,6 @@ TABLE = Table(
     actions={
         "error": integer(1, 0xFFFF),
         "return_code": integer(0, 0xFE),
-        "delay_s": number(0, 3600),
-        "drop": FLAG,
-        "garbage": FLAG,
-        "truncate": integer(0, 1024),
-        "close": FLAG,
-        "reset": FLAG,
         "ack_only": FLAG,
         "reference": integer(-0xFFFF, 0xFFFF),
         "answer_reference": integer(0, 0xFFFF),
@@ -40,15 +35,15 @@ TABLE = Table(
         ),
         "data_length": integer(-4000, 4000),
         "length": integer(-1000, 1000),
-        **MANNERS,
+        **ANSWER_FAULTS,
     },
     example="{'drop': true}",
 )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Rule:
-    """One rule: conditions (None matches everything), how often it applies, and what happens.
+class Rule(AnswerRule):
+    """One rule: conditions (None matches everything), how often it applies, and what happens beside what :class:`AnswerRule` has.
 
     Attributes:
         service: what the request asks for; ``db`` and ``byte`` are those of its first variable.
@@ -57,11 +52,6 @@ class Rule:
         action: the action as it was given, for the journal.
         error: not executed; class and code of the answer's header, or the error of user data.
         return_code: not executed; the code of every variable, or of user data.
-        delay_s: answer this many seconds later; later requests are not delayed by it.
-        drop: execute, but do not answer.
-        garbage: execute, answer with bytes that are no TPKT.
-        truncate: send only this many bytes of the answer.
-        close, reset: execute, then close the connection, or reset it.
         ack_only: acknowledge a write or a control without doing it.
         reference: added to the PDU reference of the answer.
         answer_reference: PDU reference of the answer.
@@ -69,7 +59,6 @@ class Rule:
         answer_data: bytes that a successful read answers with for each variable, however many were asked for; also for user data.
         data_length: added to the length of each variable that a read answers with; its bytes stay.
         length: added to the length of the TPKT; the bytes stay.
-        manner: how the answer travels, see :class:`~..network.Manner`.
     """
 
     service: str | None = None
@@ -80,12 +69,6 @@ class Rule:
     action: Mapping[str, Any] = field(default_factory=dict)
     error: int | None = None
     return_code: int | None = None
-    delay_s: float = 0.0
-    drop: bool = False
-    garbage: bool = False
-    truncate: int | None = None
-    close: bool = False
-    reset: bool = False
     ack_only: bool = False
     reference: int = 0
     answer_reference: int | None = None
@@ -94,7 +77,6 @@ class Rule:
     answer_data: bytes | None = None
     data_length: int = 0
     length: int = 0
-    manner: Manner = AT_ONCE
 
 
 class FaultPlan(Plan[Rule]):

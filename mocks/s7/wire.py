@@ -8,6 +8,8 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
+from ..framed_connection import IllegalFrame
+
 __all__ = [
     "ACK",
     "ACK_DATA",
@@ -18,7 +20,6 @@ __all__ = [
     "JOB",
     "USERDATA",
     "Connect",
-    "IllegalFrame",
     "Pdu",
     "confirm",
     "data_frame",
@@ -36,10 +37,6 @@ _LARGEST_TPDU = 0x0A
 """2 to this power, 1024 bytes: more than any PDU here, so that no PDU is cut into several TPDUs."""
 _OUR_REFERENCE = 0x0001
 _ADDRESS_UNKNOWN = 3
-
-
-class IllegalFrame(ValueError):
-    """The bytes are no frame of this protocol; the text says why."""
 
 
 def frame_length(buffer: bytes | bytearray) -> int | None:

@@ -77,6 +77,24 @@ class Witness:
             )
         ]
 
+    def no_refusal(self, entries: Entries, wanted: str, sent: Sequence[str], *, requirement: str) -> list[Finding]:
+        """Return the finding about an error of the protocol with which the device should have refused, and did not.
+
+        Args:
+            entries: in which a protocol has looked for the error.
+            wanted: the error, as the device's manual writes it.
+            sent: the errors that the device answered with.
+            requirement: id of the requirement whose proof is missing.
+        """
+        return [
+            Finding(
+                code="no_refusal",
+                message=f"{self.noun} should have refused with {wanted}, its answers had {', '.join(sent) or 'none'}",
+                requirement=requirement,
+                evidence=self.seen(entries),
+            )
+        ]
+
     def was_asked(self, entries: Entries, what: str, covers: Callable[[Sequence[JournalEntry]], bool]) -> list[Finding]:
         """Expect that the device was asked for something and answered.
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..core import AdapterError, AdapterServer, Call
+from ..core import AdapterServer, Call
 from .any_protocol import guard_after_sending
-from .mutant import Data, Handler, Mutant, each
+from .mutant import Data, Handler, Mutant, each, succeeding
 
 __all__ = ["MUTANTS"]
 
@@ -14,29 +14,13 @@ _WRITE = "write_property"
 _LOWEST = 16
 
 
-def _told(arguments: Any) -> Data:
+def _told(call: Call, arguments: Any) -> Data:
     return {
         **arguments.model_dump(include={"device_id", "object_type", "object_instance", "property_id", "value"}),
         "present_value": arguments.value,
         "priority": arguments.priority,
         "winning_priority": arguments.priority,
     }
-
-
-def acknowledgement_is_enough(server: AdapterServer) -> None:
-    def believing(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            try:
-                data: Data = await genuine(call, arguments)
-            except AdapterError as error:
-                if error.code != "verify_failed":
-                    raise
-                return _told(arguments)
-            return data
-
-        return handler
-
-    each(_WRITE, change=believing)(server)
 
 
 def at_the_lowest_priority(server: AdapterServer) -> None:
@@ -63,7 +47,7 @@ MUTANTS = (
         id="MU-14bac",
         protocol="bacnet",
         sentence="A BACnet write that the device acknowledges is told as done, although a higher priority wins.",
-        bend=acknowledgement_is_enough,
+        bend=succeeding(_WRITE, code="verify_failed", answer=_told),
         items="B5",
         requirements="WR-001",
     ),

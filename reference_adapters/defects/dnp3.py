@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from importlib import import_module
+from functools import partial
 from typing import Any
 
-from ..core import AdapterError, AdapterServer, Call
+from ..core import AdapterServer, Call
 from .any_protocol import guard_after_sending
-from .mutant import Data, Handler, Mutant, each
+from .areas.further import module_of
+from .mutant import Data, Handler, Mutant, each, succeeding
 
 __all__ = ["MUTANTS"]
 
 _READ, _WRITE = "read_analog_inputs", "write_binary_output"
 
 
-def _module(name: str) -> Any:
-    """Return a module of the adapter; its library is an extra, and the table of the defects is read without it."""
-    return import_module(f"..dnp3.{name}", __package__)
+_module = partial(module_of, "dnp3")
 
 
 def index_from_1(server: AdapterServer) -> None:
@@ -55,23 +54,10 @@ def without_select(server: AdapterServer) -> None:
 def any_answer_is_success(server: AdapterServer) -> None:
     tools = _module("tools")
     tools.echoed_status = lambda objects, blocks: 0
-
-    def believing(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            try:
-                data: Data = await genuine(call, arguments)
-            except AdapterError as error:
-                if error.code != "verify_failed":
-                    raise
-                return _told(arguments)
-            return data
-
-        return handler
-
-    each(_WRITE, change=believing)(server)
+    succeeding(_WRITE, code="verify_failed", answer=_told)(server)
 
 
-def _told(arguments: Any) -> Data:
+def _told(call: Call, arguments: Any) -> Data:
     return {
         "outstation_address": arguments.outstation_address,
         "index": arguments.index,
@@ -83,20 +69,8 @@ def _told(arguments: Any) -> Data:
     }
 
 
-def refused_is_empty(server: AdapterServer) -> None:
-    def lenient(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            try:
-                data: Data = await genuine(call, arguments)
-            except AdapterError as error:
-                if error.code != "illegal_address":
-                    raise
-                return {"outstation_address": arguments.outstation_address, "points": []}
-            return data
-
-        return handler
-
-    each(_READ, change=lenient)(server)
+def _no_points(call: Call, arguments: Any) -> Data:
+    return {"outstation_address": arguments.outstation_address, "points": []}
 
 
 def quality_dropped(server: AdapterServer) -> None:
@@ -160,7 +134,7 @@ MUTANTS = (
         id="MU-46dnp",
         protocol="dnp3",
         sentence="A read that the outstation refuses is a success without points.",
-        bend=refused_is_empty,
+        bend=succeeding(_READ, code="illegal_address", answer=_no_points),
         items="FD1",
         requirements="ERR-002",
     ),

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from importlib import import_module
+from functools import partial
 from typing import Any
 
-from ..core import AdapterError, AdapterServer, Call
+from ..core import AdapterServer, Call
 from .any_protocol import guard_after_sending
-from .mutant import Data, Handler, Mutant, each, told
+from .areas.further import module_of
+from .mutant import Data, Handler, Mutant, each, succeeding, told
 
 __all__ = ["MUTANTS"]
 
 _READ, _WRITE, _WRITE_MANY = "read_tag", "write_tag", "write_multiple_tags"
 _CALLS_PER_CONNECTION = 10
 
-
-def _module(name: str) -> Any:
-    """Return a module of the adapter; its library is an extra, and the table of the defects is read without it."""
-    return import_module(f"..ethernetip.{name}", __package__)
+_module = partial(module_of, "ethernetip")
 
 
 def _now() -> str:
@@ -102,39 +100,15 @@ def read_modify_write(server: AdapterServer) -> None:
     each(_WRITE, change=whole_word)(server)
 
 
-def refused_is_zero(server: AdapterServer) -> None:
-    def lenient(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            try:
-                data: Data = await genuine(call, arguments)
-            except AdapterError as error:
-                if error.code != "illegal_address":
-                    raise
-                call.trace.clear()
-                data = {"tag_name": arguments.tag_name, **_module("codec").decode(bytes(4), "DINT")}
-            return data
-
-        return handler
-
-    each(_READ, change=lenient)(server)
+def _zero(call: Call, arguments: Any) -> Data:
+    call.trace.clear()
+    return {"tag_name": arguments.tag_name, **_module("codec").decode(bytes(4), "DINT")}
 
 
-def packet_is_enough(server: AdapterServer) -> None:
-    def believing(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            try:
-                data: Data = await genuine(call, arguments)
-            except AdapterError as error:
-                if error.code != "partial_failure":
-                    raise
-                call.trace.clear()
-                written = [{"tag_name": one.tag_name, "value": one.value} for one in arguments.payloads]
-                data = {"tags": [{**one, "type": "DINT", "raw": "", "status": 0} for one in written]}
-            return data
-
-        return handler
-
-    each(_WRITE_MANY, change=believing)(server)
+def _all_written(call: Call, arguments: Any) -> Data:
+    call.trace.clear()
+    written = [{"tag_name": one.tag_name, "value": one.value} for one in arguments.payloads]
+    return {"tags": [{**one, "type": "DINT", "raw": "", "status": 0} for one in written]}
 
 
 def _link(server: AdapterServer) -> Any:
@@ -232,7 +206,7 @@ MUTANTS = (
         id="MU-46ei",
         protocol="ethernetip",
         sentence="A tag that the controller does not have is 0.",
-        bend=refused_is_zero,
+        bend=succeeding(_READ, code="illegal_address", answer=_zero),
         items="FE1",
         requirements="ERR-002",
     ),
@@ -240,7 +214,7 @@ MUTANTS = (
         id="MU-61ei",
         protocol="ethernetip",
         sentence="A packet of services is a success when it is answered, whatever the answers to the services are.",
-        bend=packet_is_enough,
+        bend=succeeding(_WRITE_MANY, code="partial_failure", answer=_all_written),
         items="FE4",
         requirements="ERR-008",
     ),

@@ -24,6 +24,7 @@ __all__ = [
     "mutants_of",
     "number",
     "on",
+    "succeeding",
     "told",
     "wrap",
 ]
@@ -148,6 +149,24 @@ def also(*names: str, action: Callable[[AdapterServer, Call], Awaitable[None]]) 
         each(*names, change=acting)(server)
 
     return bend
+
+
+def succeeding(*names: str, code: str, answer: Callable[[Call, Any], Data]) -> Bend:
+    """Return the defect that these tools succeed where they ought to fail with this code, with data made from the arguments."""
+
+    def changed(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            try:
+                data: Data = await genuine(call, arguments)
+            except AdapterError as error:
+                if error.code != code:
+                    raise
+                return answer(call, arguments)
+            return data
+
+        return handler
+
+    return each(*names, change=changed)
 
 
 def failing(*names: str, change: Callable[[Call, AdapterError], Exception | None]) -> Bend:

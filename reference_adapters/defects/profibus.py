@@ -11,7 +11,7 @@ from pydantic import create_model, field_validator
 from ..core import AdapterError, AdapterServer, Call
 from .any_protocol import guard_after_sending
 from .areas.further import module_of
-from .mutant import Data, Handler, Mutant, each, failing, wrap
+from .mutant import Data, Handler, Mutant, failing, succeeding, wrap
 
 __all__ = ["MUTANTS"]
 
@@ -112,20 +112,8 @@ def listed_not_asked(server: AdapterServer) -> None:
     wrap(server, _SCAN, from_the_map)
 
 
-def silence_is_zero(server: AdapterServer) -> None:
-    def lenient(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            try:
-                data: Data = await genuine(call, arguments)
-            except AdapterError as error:
-                if error.code != "timeout":
-                    raise
-                data = {"slave_address": arguments.slave_address, "bytes": [0, 0]}
-            return data
-
-        return handler
-
-    each(_READ, change=lenient)(server)
+def _zeros(call: Call, arguments: Any) -> Data:
+    return {"slave_address": arguments.slave_address, "bytes": [0, 0]}
 
 
 def _one_code(call: Call, error: AdapterError) -> Exception | None:
@@ -187,7 +175,7 @@ MUTANTS = (
         id="MU-40p",
         protocol="profibus",
         sentence="The inputs of a slave that does not answer are zero.",
-        bend=silence_is_zero,
+        bend=succeeding(_READ, code="timeout", answer=_zeros),
         items="FP1 SP4",
         requirements="ERR-002 REC-002 not_proven",
     ),

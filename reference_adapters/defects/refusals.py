@@ -13,7 +13,7 @@ from ..modbus.shapes import Registers, WriteRegister
 from ..mqtt import tools as mqtt_tools
 from ..opcua import tools as opcua_tools
 from ..opcua.services import Services
-from .mutant import Bend, Data, Handler, Mutant, each, failing, wrap
+from .mutant import Bend, Data, Handler, Mutant, each, failing, succeeding, wrap
 
 __all__ = ["MUTANTS"]
 
@@ -57,20 +57,11 @@ def begins_at_0_again(server: AdapterServer) -> None:
 def instead_of(code: str, values: Any) -> Bend:
     """Return the defect that reads which fail with this code succeed with other values, made from the arguments."""
 
-    def succeeding(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            try:
-                data: Data = await genuine(call, arguments)
-            except AdapterError as error:
-                if error.code != code:
-                    raise
-                found = values(arguments)
-                return {"address": arguments.address, "count": len(found), "values": found}
-            return data
+    def answer(call: Call, arguments: Any) -> Data:
+        found = values(arguments)
+        return {"address": arguments.address, "count": len(found), "values": found}
 
-        return handler
-
-    return each(_READ_HOLDING, change=succeeding)
+    return succeeding(_READ_HOLDING, code=code, answer=answer)
 
 
 def _end(call: Call, error: AdapterError) -> Exception | None:

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from importlib import import_module
+from functools import partial
 from typing import Any
 
-from ..core import AdapterError, AdapterServer, Call
+from ..core import AdapterServer, Call
 from .any_protocol import guard_after_sending
-from .mutant import Data, Handler, Mutant, each, wrap
+from .areas.further import module_of
+from .mutant import Data, Handler, Mutant, each, succeeding
 
 __all__ = ["MUTANTS"]
 
 _READ, _WRITE, _MARKER = "read_db_typed", "write_db", "write_marker"
 
-
-def _tools() -> Any:
-    """Return the adapter's module; its library is an extra, and the table of the defects is read without it."""
-    return import_module("..s7.tools", __package__)
+_tools = partial(module_of, "s7", "tools")
 
 
 def little_endian(server: AdapterServer) -> None:
@@ -86,21 +84,9 @@ def always_running(server: AdapterServer) -> None:
     each("read_cpu_state", change=constant)(server)
 
 
-def refused_is_zero(server: AdapterServer) -> None:
-    def lenient(genuine: Handler) -> Handler:
-        async def handler(call: Call, arguments: Any) -> Data:
-            try:
-                data: Data = await genuine(call, arguments)
-            except AdapterError as error:
-                if error.code != "access_denied":
-                    raise
-                call.trace.clear()
-                data = {"start": arguments.start_offset, **_tools().decode(bytes(2), "INT")}
-            return data
-
-        return handler
-
-    wrap(server, _READ, lenient)
+def _zero(call: Call, arguments: Any) -> Data:
+    call.trace.clear()
+    return {"start": arguments.start_offset, **_tools().decode(bytes(2), "INT")}
 
 
 MUTANTS = (
@@ -156,7 +142,7 @@ MUTANTS = (
         id="MU-46k",
         protocol="s7",
         sentence="What the controller refuses to read is 0.",
-        bend=refused_is_zero,
+        bend=succeeding(_READ, code="access_denied", answer=_zero),
         items="FK4",
         requirements="RD-005",
     ),

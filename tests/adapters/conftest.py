@@ -527,3 +527,27 @@ def rigs(
         return made[case.protocol]
 
     return rig
+
+
+@pytest.fixture(scope="module")
+def rig(request: pytest.FixtureRequest, rigs: Callable[[Case], Rig]) -> Rig:
+    """The rig of the case that the test module names as ``CASE``."""
+    return rigs(request.module.CASE)
+
+
+@pytest.fixture(scope="module")
+def device(rig: Rig) -> Mock:
+    """The mock device of the module's rig."""
+    return rig.device
+
+
+@pytest.fixture(scope="module")
+def adapter(rig: Rig) -> Client:
+    """The adapter of the module's rig, which may write."""
+    return rig.adapter
+
+
+@pytest.fixture
+def clean(device: Mock) -> None:
+    """Start-up values in the device of the module's rig."""
+    device("reset")

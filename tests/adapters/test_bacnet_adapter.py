@@ -13,35 +13,17 @@ from pytest_otmcp.reference_adapters.core import ConfigError
 
 from .cases import BACNET, Unfit
 
+pytestmark = pytest.mark.usefixtures("clean")
+CASE = BACNET
 WRITE_PROPERTY = 15
 ZONE = {"device_id": 12345, "object_type": "analog-input", "object_instance": 1}
 VALVE = {"device_id": 12345, "object_type": "analog-output", "object_instance": 1}
 
 
 @pytest.fixture(scope="module")
-def rig(rigs: Any) -> Any:
-    return rigs(BACNET)
-
-
-@pytest.fixture(scope="module")
-def device(rig: Any) -> Any:
-    return rig.device
-
-
-@pytest.fixture(scope="module")
-def adapter(rig: Any) -> Any:
-    return rig.adapter
-
-
-@pytest.fixture(scope="module")
 def hasty(rig: Any) -> Any:
     """An adapter that does not wait long for an answer that does not come."""
     return rig.start("hasty", writes="true", BACNET_TIMEOUT_S="0.6")
-
-
-@pytest.fixture(autouse=True)
-def clean(device: Any) -> None:
-    device("reset")
 
 
 def points(device: Any) -> dict[str, Any]:

@@ -14,26 +14,12 @@ from pytest_otmcp.reference_adapters.core import ConfigError
 
 from .cases import DNP3, Unfit
 
+CASE = DNP3
 CONFIRM, READ, WRITE, SELECT, OPERATE, DIRECT_OPERATE = range(6)
 PUMP = {"outstation_address": 10, "index": 2}
 AT_ONCE = {"outstation_address": 10, "start_index": 0, "count": 4}
 CLASS_1 = {"outstation_address": 10, "event_class": 1}
 CONTACT = "binary_input/3"
-
-
-@pytest.fixture(scope="module")
-def rig(rigs: Any) -> Any:
-    return rigs(DNP3)
-
-
-@pytest.fixture(scope="module")
-def device(rig: Any) -> Any:
-    return rig.device
-
-
-@pytest.fixture(scope="module")
-def adapter(rig: Any) -> Any:
-    return rig.adapter
 
 
 @pytest.fixture(autouse=True)

@@ -21,6 +21,8 @@ from pytest_otmcp.reference_adapters.ethernetip.wire import (
 
 from .cases import ETHERNETIP, ETHERNETIP_ALIASES
 
+pytestmark = pytest.mark.usefixtures("clean")
+CASE = ETHERNETIP
 LATE_S = 60.0
 """Seconds after which a late answer would come. The tests do not wait so long: they move the adapter's clock on."""
 NUMBERS = {
@@ -33,26 +35,6 @@ NUMBERS = {
     "REAL": ("f", [-0.5, 3.4028234663852886e38]),
     "LREAL": ("d", [3.141592653589793, 5e-324]),
 }
-
-
-@pytest.fixture(scope="module")
-def rig(rigs: Any) -> Any:
-    return rigs(ETHERNETIP)
-
-
-@pytest.fixture(scope="module")
-def device(rig: Any) -> Any:
-    return rig.device
-
-
-@pytest.fixture(scope="module")
-def adapter(rig: Any) -> Any:
-    return rig.adapter
-
-
-@pytest.fixture(autouse=True)
-def clean(device: Any) -> None:
-    device("reset")
 
 
 def poke(device: Any, tag: str, value: object) -> None:

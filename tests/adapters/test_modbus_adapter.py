@@ -14,28 +14,10 @@ from pytest_otmcp.reference_adapters.modbus.wire import BadReply, is_other_reply
 
 from .cases import MODBUS, MODBUS_TAGS
 
+pytestmark = pytest.mark.usefixtures("clean")
+CASE = MODBUS
 LATE_S = 60.0
 """Seconds after which a late reply would come. The tests do not wait so long: they move the adapter's clock on."""
-
-
-@pytest.fixture(scope="module")
-def rig(rigs: Any) -> Any:
-    return rigs(MODBUS)
-
-
-@pytest.fixture(scope="module")
-def device(rig: Any) -> Any:
-    return rig.device
-
-
-@pytest.fixture(scope="module")
-def adapter(rig: Any) -> Any:
-    return rig.adapter
-
-
-@pytest.fixture(autouse=True)
-def clean(device: Any) -> None:
-    device("reset")
 
 
 def poke(device: Any, table: str, address: int, *values: Any) -> None:

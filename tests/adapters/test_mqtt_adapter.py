@@ -20,6 +20,7 @@ from pytest_otmcp.reference_adapters.mqtt.topics import matches
 from .cases import MQTT
 from .conftest import PATIENCE_S
 
+CASE = MQTT
 CLIENT, GUARDED = "mqtt-tests-rw", "mqtt-tests-ro"
 
 
@@ -59,11 +60,6 @@ class Peer:
 
 
 @pytest.fixture(scope="module")
-def rig(rigs: Any) -> Any:
-    return rigs(MQTT)
-
-
-@pytest.fixture(scope="module")
 def broker(rig: Any) -> Any:
     return rig.device
 
@@ -71,11 +67,6 @@ def broker(rig: Any) -> Any:
 @pytest.fixture(scope="module")
 def guarded(rig: Any) -> Any:
     return rig.guarded
-
-
-@pytest.fixture(scope="module")
-def adapter(rig: Any) -> Any:
-    return rig.adapter
 
 
 @pytest.fixture(autouse=True)

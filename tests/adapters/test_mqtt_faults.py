@@ -22,6 +22,8 @@ from pytest_otmcp.reference_adapters.mqtt.connection import Connection, Connecti
 from .cases import MQTT
 from .conftest import PATIENCE_S
 
+pytestmark = pytest.mark.usefixtures("clean")
+CASE = MQTT
 CLIENT = "mqtt-tests-faults"
 LATE_S = 60.0
 """Seconds after which a late answer would come. The tests do not wait so long: they move the adapter's clock on."""
@@ -30,18 +32,8 @@ QUIET_S = 0.3
 
 
 @pytest.fixture(scope="module")
-def rig(rigs: Any) -> Any:
-    return rigs(MQTT)
-
-
-@pytest.fixture(scope="module")
 def broker(rig: Any) -> Any:
     return rig.device
-
-
-@pytest.fixture(autouse=True)
-def clean(broker: Any) -> None:
-    broker("reset")
 
 
 @pytest.fixture(scope="module")

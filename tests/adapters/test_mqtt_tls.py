@@ -21,6 +21,7 @@ from cryptography.x509.oid import NameOID
 
 from .cases import MQTT
 
+CASE = MQTT
 CLIENT = "mqtt-tls"
 
 
@@ -81,11 +82,6 @@ def tls_before(port: int, files: tuple[Path, Path]) -> Iterator[int]:
     finally:
         loop.call_soon_threadsafe(stop.set)
         thread.join()
-
-
-@pytest.fixture(scope="module")
-def rig(rigs: Any) -> Any:
-    return rigs(MQTT)
 
 
 @pytest.fixture(scope="module")

@@ -20,6 +20,8 @@ from pytest_otmcp.core.error_registry import wire_codes
 from .cases import OPCUA
 from .conftest import DEADLINE_S
 
+pytestmark = pytest.mark.usefixtures("clean")
+CASE = OPCUA
 LATE_S = 60.0
 """Seconds after which a late answer would come. The tests do not wait so long: they move the adapter's clock on."""
 FAREWELL = {"CloseSession", "CloseSecureChannel", "DISCONNECTED"}
@@ -29,23 +31,8 @@ READS, WRITES = OPCUA.reads, OPCUA.writes
 
 
 @pytest.fixture(scope="module")
-def rig(rigs: Any) -> Any:
-    return rigs(OPCUA)
-
-
-@pytest.fixture(scope="module")
 def plant(rig: Any) -> Any:
     return rig.device
-
-
-@pytest.fixture(scope="module")
-def adapter(rig: Any) -> Any:
-    return rig.adapter
-
-
-@pytest.fixture(autouse=True)
-def clean(plant: Any) -> None:
-    plant("reset")
 
 
 @pytest.fixture

@@ -15,28 +15,10 @@ from snap7.s7protocol import S7Protocol
 
 from .cases import S7, S7_TAGS
 
+pytestmark = pytest.mark.usefixtures("clean")
+CASE = S7
 LATE_S = 60.0
 """Seconds after which a late answer would come. The tests do not wait so long: they move the adapter's clock on."""
-
-
-@pytest.fixture(scope="module")
-def rig(rigs: Any) -> Any:
-    return rigs(S7)
-
-
-@pytest.fixture(scope="module")
-def device(rig: Any) -> Any:
-    return rig.device
-
-
-@pytest.fixture(scope="module")
-def adapter(rig: Any) -> Any:
-    return rig.adapter
-
-
-@pytest.fixture(autouse=True)
-def clean(device: Any) -> None:
-    device("reset")
 
 
 def poke(device: Any, area: str, byte: int, content: bytes) -> None:

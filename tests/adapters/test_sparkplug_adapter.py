@@ -26,6 +26,8 @@ from pytest_otmcp.protocols.mqtt.sparkplug_oracle import SparkplugSequence
 from ..feeding import fed
 from .cases import MQTT
 
+pytestmark = pytest.mark.usefixtures("clean")
+CASE = MQTT
 GROUP, NODE = "lab", "edge-tests"
 TOPIC = f"spBv1.0/{GROUP}"
 REBIRTH = "Node Control/Rebirth"
@@ -35,18 +37,8 @@ Start = Callable[..., Any]
 
 
 @pytest.fixture(scope="module")
-def rig(rigs: Any) -> Any:
-    return rigs(MQTT)
-
-
-@pytest.fixture(scope="module")
 def broker(rig: Any) -> Any:
     return rig.device
-
-
-@pytest.fixture(autouse=True)
-def clean(broker: Any) -> None:
-    broker("reset")
 
 
 @pytest.fixture(scope="module")

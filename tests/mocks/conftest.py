@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator, Awaitable, Callable
 
+import pytest
 import pytest_asyncio
 from mock_program import MockProgram
 
@@ -27,6 +28,26 @@ async def start_mock() -> AsyncIterator[StartMock]:
     yield start
     ended = [await program.end() for program in started]
     assert [stderr for _, stderr in ended] == [""] * len(ended)
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def program(request: pytest.FixtureRequest) -> AsyncIterator[MockProgram]:
+    """The mock that the test module names as ``MOCK``, paused, for all tests of the module."""
+    started = await MockProgram.start(request.module.MOCK)
+    try:
+        await started.ready()
+        yield started
+    finally:
+        _, stderr = await started.end()
+    assert stderr == ""
+
+
+@pytest_asyncio.fixture(loop_scope="module")
+async def device(program: MockProgram) -> MockProgram:
+    """The mock of the module with its start-up values, and a journal without entries."""
+    await program.control.ask("reset")
+    await program.control.ask("forget", before=await program.control.next())
+    return program
 
 
 @pytest_asyncio.fixture

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import struct
 
-from mock_program import PATIENCE_S, MockProgram
+from mock_program import PATIENCE_S
+from raw_connection import RawConnection
 
 __all__ = ["RawDnp3", "checksum", "crob", "link_frame"]
 
@@ -33,18 +33,12 @@ def crob(index: int, code: int, *, count: int = 1, status: int = 0) -> str:
     return "0c012801 00".replace(" ", "") + struct.pack("<HBBIIB", index, code, count, 100, 200, status).hex()
 
 
-class RawDnp3:
+class RawDnp3(RawConnection):
     """One connection."""
-
-    reader: asyncio.StreamReader
-    writer: asyncio.StreamWriter
 
     def __init__(self) -> None:
         self._transport = 0
         self.sequence = -1
-
-    async def open(self, program: MockProgram) -> None:
-        self.reader, self.writer = await asyncio.open_connection(program.host, program.port)
 
     def send_fragment(self, fragment: bytes, **link: int) -> None:
         """Send an application fragment, in as many segments as it needs."""
@@ -97,20 +91,3 @@ class RawDnp3:
 
     async def read(self) -> None:
         await self.ask("01 1e0000 0101")
-
-    async def take(self, count: int) -> bytes:
-        async with asyncio.timeout(PATIENCE_S):
-            return await self.reader.readexactly(count)
-
-    async def ended(self) -> bool:
-        """Tell whether the outstation ends the connection, without sending anything more."""
-        async with asyncio.timeout(PATIENCE_S):
-            try:
-                return await self.reader.read() == b""
-            except ConnectionError:
-                return True
-
-    async def close(self) -> None:
-        self.writer.close()
-        with contextlib.suppress(ConnectionError):
-            await self.writer.wait_closed()

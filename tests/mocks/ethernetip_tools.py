@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import struct
 
 from mock_program import PATIENCE_S, MockProgram
+from raw_connection import RawConnection
 
 __all__ = ["CONNECTION_PATH", "RawEip", "cip", "forward_close", "forward_open", "frame", "multiple", "packet", "symbol"]
 
@@ -68,23 +68,17 @@ def forward_close(serial: int = 7) -> bytes:
     return cip(0x4E, bytes.fromhex("20062401"), body.hex())
 
 
-class RawEip:
+class RawEip(RawConnection):
     """One connection."""
-
-    reader: asyncio.StreamReader
-    writer: asyncio.StreamWriter
 
     def __init__(self) -> None:
         self.session = 0
         self.connection_id = 0
         self.count = 0
 
-    async def connect(self, program: MockProgram) -> None:
-        self.reader, self.writer = await asyncio.open_connection(program.host, program.port)
-
     async def open(self, program: MockProgram) -> None:
         """Connect, and register a session."""
-        await self.connect(program)
+        await self.dial(program)
         answer = await self.ask(frame(0x65, b"\x01\0\0\0"))
         self.session = int.from_bytes(answer[4:8], "little")
 
@@ -136,16 +130,3 @@ class RawEip:
         assert answer[36:40] == bytes.fromhex("55000000")
         assert int.from_bytes(answer[44:46], "little") == self.count
         return answer[46:]
-
-    async def ended(self) -> bool:
-        """Tell whether the controller ends the connection, without sending anything more."""
-        async with asyncio.timeout(PATIENCE_S):
-            try:
-                return await self.reader.read() == b""
-            except ConnectionError:
-                return True
-
-    async def close(self) -> None:
-        self.writer.close()
-        with contextlib.suppress(ConnectionError):
-            await self.writer.wait_closed()

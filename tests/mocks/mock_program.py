@@ -73,6 +73,19 @@ class Control:
     async def image(self) -> dict[str, Any]:
         return await self.ask("image")
 
+    async def points(self) -> dict[str, Any]:
+        """Return the flat part of the image: the value of each point."""
+        found: dict[str, Any] = (await self.image())["points"]
+        return found
+
+    async def poke(self, **params: Any) -> None:
+        """Change the device past its protocol."""
+        await self.ask("poke", params=params)
+
+    async def fault(self, action: dict[str, Any], **conditions: Any) -> None:
+        """Give the device a fault plan of one rule."""
+        await self.ask("fault", rules=[{**conditions, "action": action}])
+
     async def journal(self, since: int = 0, **match: Any) -> list[dict[str, Any]]:
         """Return the entries from ``since`` on that have these fields."""
         entries = (await self.ask("journal", since=since))["entries"]

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import struct
 from typing import Any
 
 from mock_program import PATIENCE_S, MockProgram
+from raw_connection import RawConnection
 
 __all__ = ["RawS7", "areas", "frame", "item", "job", "user_data"]
 
@@ -33,15 +33,12 @@ def user_data(group: int, subfunction: int, data: bytes, reference: int = 7) -> 
     return job(head, struct.pack(">BBH", code, kind, len(data)) + data, reference=reference, rosctr=7)
 
 
-class RawS7:
+class RawS7(RawConnection):
     """One connection."""
-
-    reader: asyncio.StreamReader
-    writer: asyncio.StreamWriter
 
     async def connect(self, program: MockProgram, *, tsap: str = "0101") -> bytes:
         """Connect by TCP and COTP; return what the controller answers."""
-        self.reader, self.writer = await asyncio.open_connection(program.host, program.port)
+        await self.dial(program)
         parameters = bytes.fromhex("c0010a c1020100 c202" + tsap)
         self.writer.write(frame(struct.pack(">BBHHB", 6 + len(parameters), 0xE0, 0, 9, 0) + parameters))
         return await self.tpdu()
@@ -60,10 +57,6 @@ class RawS7:
 
     def send(self, pdu: bytes) -> None:
         self.writer.write(frame(b"\x02\xf0\x80" + pdu))
-
-    async def take(self, count: int) -> bytes:
-        async with asyncio.timeout(PATIENCE_S):
-            return await self.reader.readexactly(count)
 
     async def pdu(self) -> bytes:
         """Return the next PDU."""
@@ -86,19 +79,6 @@ class RawS7:
     def data(answer: bytes) -> str:
         parameters, error = int.from_bytes(answer[6:8]), answer[10:12]
         return f"error {error.hex()}" if any(error) else answer[12 + parameters :].hex()
-
-    async def ended(self) -> bool:
-        """Tell whether the controller ends the connection, without sending anything more."""
-        async with asyncio.timeout(PATIENCE_S):
-            try:
-                return await self.reader.read() == b""
-            except ConnectionError:
-                return True
-
-    async def close(self) -> None:
-        self.writer.close()
-        with contextlib.suppress(ConnectionError):
-            await self.writer.wait_closed()
 
 
 async def areas(program: MockProgram) -> dict[str, Any]:

@@ -30,6 +30,7 @@ from rusty_bacnet import (
 from pytest_otmcp.protocols.bacnet.decoder import BacnetConversation, contradiction
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
+MOCK = "bacnet"
 
 ZONE = ObjectIdentifier(ObjectType.ANALOG_INPUT, 1)
 VALVE = ObjectIdentifier(ObjectType.ANALOG_OUTPUT, 1)
@@ -40,34 +41,10 @@ DEVICE = ObjectIdentifier(ObjectType.DEVICE, 12345)
 PRESENT = PropertyIdentifier.PRESENT_VALUE
 
 
-@pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def program() -> AsyncIterator[MockProgram]:
-    started = await MockProgram.start("bacnet")
-    try:
-        await started.ready()
-        yield started
-    finally:
-        _, stderr = await started.end()
-    assert stderr == ""
-
-
 @pytest_asyncio.fixture(loop_scope="module")
-async def bacnet(program: MockProgram) -> MockProgram:
-    """The BACnet mock, paused, with its start-up values and an empty journal."""
-    await program.control.ask("reset")
-    await program.control.ask("forget", before=await program.control.next())
-    return program
-
-
-@pytest_asyncio.fixture(loop_scope="module")
-async def peer(bacnet: MockProgram) -> AsyncIterator[BacnetPeer]:
-    async with bacnet_peer(bacnet) as opened:
+async def peer(device: MockProgram) -> AsyncIterator[BacnetPeer]:
+    async with bacnet_peer(device) as opened:
         yield opened
-
-
-async def points(bacnet: MockProgram) -> dict[str, Any]:
-    found: dict[str, Any] = (await bacnet.control.image())["points"]
-    return found
 
 
 # Request APDU and the APDU that answers it; the invoke id is 1. The first two are the frames of the standard's own shape in
@@ -125,33 +102,33 @@ async def test_a_request_gets_the_answer_of_the_standard(peer: BacnetPeer, name:
     assert await peer.ask(request) == answer.replace(" ", "")
 
 
-async def test_the_present_value_is_the_slot_of_the_highest_priority(bacnet: MockProgram, peer: BacnetPeer) -> None:
-    start = await points(bacnet)
-    await bacnet.control.ask("poke", params={"object": "analog-output,1", "priority": 5, "value": 99.0})
+async def test_the_present_value_is_the_slot_of_the_highest_priority(device: MockProgram, peer: BacnetPeer) -> None:
+    start = await device.control.points()
+    await device.control.ask("poke", params={"object": "analog-output,1", "priority": 5, "value": 99.0})
     assert await peer.ask("0005010f 0c00400001 1955 3e 4441cc0000 3f 4908") == "20010f"
-    held = await points(bacnet)
+    held = await device.control.points()
     assert (held["analog-output,1/present-value"], held["analog-output,1/priority-array/8"]) == (99.0, 25.5)
-    await bacnet.control.ask("poke", params={"object": "analog-output,1", "priority": 5, "value": None})
-    assert (await points(bacnet))["analog-output,1/present-value"] == 25.5
+    await device.control.ask("poke", params={"object": "analog-output,1", "priority": 5, "value": None})
+    assert (await device.control.points())["analog-output,1/present-value"] == 25.5
     assert await peer.ask("0005020f 0c00400001 1955 3e 00 3f 4908") == "20020f"
-    assert await points(bacnet) == start
+    assert await device.control.points() == start
 
 
-async def test_a_schedule_holds_the_lowest_priority_of_the_setpoint(bacnet: MockProgram) -> None:
-    before = await points(bacnet)
-    await bacnet.control.ask("tick", steps=31)
-    after = await points(bacnet)
+async def test_a_schedule_holds_the_lowest_priority_of_the_setpoint(device: MockProgram) -> None:
+    before = await device.control.points()
+    await device.control.ask("tick", steps=31)
+    after = await device.control.points()
     point = "analog-value,2/priority-array/16"
     assert before[point] != after[point] == after["analog-value,2/present-value"] == after["schedule,1/present-value"]
 
 
-async def test_a_sensor_without_reliability_raises_its_fault_flag(bacnet: MockProgram, peer: BacnetPeer) -> None:
-    await bacnet.control.ask("poke", params={"object": "analog-input,1", "reliability": 1})
+async def test_a_sensor_without_reliability_raises_its_fault_flag(device: MockProgram, peer: BacnetPeer) -> None:
+    await device.control.ask("poke", params={"object": "analog-input,1", "reliability": 1})
     assert (await peer.ask("0005010c 0c00000001 196f")).endswith("3e8204403f")
 
 
-async def test_rusty_bacnet_reads_writes_and_is_refused(bacnet: MockProgram) -> None:
-    at = f"127.0.0.1:{bacnet.port}"
+async def test_rusty_bacnet_reads_writes_and_is_refused(device: MockProgram) -> None:
+    at = f"127.0.0.1:{device.port}"
     async with BACnetClient("127.0.0.1", 0) as client:
         assert (await client.read_property(at, ZONE, PRESENT)).value == 72.5
         listed = (await client.read_property(at, DEVICE, PropertyIdentifier.OBJECT_LIST)).value
@@ -180,15 +157,15 @@ async def test_rusty_bacnet_reads_writes_and_is_refused(bacnet: MockProgram) -> 
 
 
 @pytest_asyncio.fixture(loop_scope="module")
-async def bacpypes(bacnet: MockProgram) -> AsyncIterator[NormalApplication]:
+async def bacpypes(device: MockProgram) -> AsyncIterator[NormalApplication]:
     own = DeviceObject(objectIdentifier=("device", 4000000), objectName="test", vendorIdentifier=999)
     application = NormalApplication(own, IPv4Address("127.0.0.1:0"))
     yield application
     application.close()
 
 
-async def test_bacpypes3_finds_reads_writes_and_is_refused(bacnet: MockProgram, bacpypes: NormalApplication) -> None:
-    at = Address(f"127.0.0.1:{bacnet.port}")
+async def test_bacpypes3_finds_reads_writes_and_is_refused(device: MockProgram, bacpypes: NormalApplication) -> None:
+    at = Address(f"127.0.0.1:{device.port}")
     (found,) = await bacpypes.who_is(12345, 12345, address=at)
     assert str(found.iAmDeviceIdentifier) == "device,12345"
     assert await bacpypes.read_property(at, "analog-input,1", "present-value") == 72.5
@@ -208,7 +185,7 @@ async def test_bacpypes3_finds_reads_writes_and_is_refused(bacnet: MockProgram, 
         await bacpypes.write_property(at, "analog-input,1", "present-value", Real(1.0))
 
 
-async def test_a_who_is_for_another_device_is_not_answered(bacnet: MockProgram, peer: BacnetPeer) -> None:
+async def test_a_who_is_for_another_device_is_not_answered(device: MockProgram, peer: BacnetPeer) -> None:
     peer.send("1008 0a3038 1a3038", npdu="0100", function=0x0B)
     peer.send("1008 0a3039 1a3039", npdu="0120ffff00ff", function=0x0B)
     assert await peer.answer() == "01001000c4020030392205c491032203e7"
@@ -216,9 +193,9 @@ async def test_a_who_is_for_another_device_is_not_answered(bacnet: MockProgram, 
     assert (await peer.answer()).startswith("01001000")
     peer.send("1007 3d0600 56616c7665", npdu="0100")
     assert await peer.answer() == "0100" + "1001 c402003039 c400400001 750600 56616c7665".replace(" ", "")
-    asked = await bacnet.control.journal(request=True)
+    asked = await device.control.journal(request=True)
     assert [entry.get("low") for entry in asked] == [12344, 12345, None, None]
-    answered = {entry["answers"] for entry in await bacnet.control.journal(direction="out")}
+    answered = {entry["answers"] for entry in await device.control.journal(direction="out")}
     assert answered == {entry["seq"] for entry in asked[1:]}
 
 
@@ -227,25 +204,25 @@ async def test_a_client_behind_a_router_is_answered_by_that_router(peer: BacnetP
     assert (await peer.answer()).startswith("0120 0005 02 0a0b ff 30010c".replace(" ", ""))
 
 
-async def test_only_what_may_change_the_plant_is_state_changing(bacnet: MockProgram, peer: BacnetPeer) -> None:
+async def test_only_what_may_change_the_plant_is_state_changing(device: MockProgram, peer: BacnetPeer) -> None:
     for service in range(33):
         await peer.ask(f"000501{service:02x} 0c00400001 1955")
-    changing = await bacnet.control.journal(state_changing=True)
+    changing = await device.control.journal(state_changing=True)
     assert [entry["service"] for entry in changing] == [0, 7, 8, 9, 10, 11, 15, 16, 17, 20, 27]
-    mark = await bacnet.control.next()
+    mark = await device.control.next()
     for service in range(13):
         peer.send(f"10{service:02x}", npdu="0100")
-    await bacnet.control.wait(mark, count=13, direction="in")
-    seen = await bacnet.control.journal(mark, direction="in")
+    await device.control.wait(mark, count=13, direction="in")
+    seen = await device.control.journal(mark, direction="in")
     assert [entry.get("service") for entry in seen if entry["state_changing"]] == [6, 9, 10, 12]
 
 
 async def test_a_request_that_is_repeated_is_answered_again_and_keeps_its_invoke_id(
-    bacnet: MockProgram, peer: BacnetPeer
+    device: MockProgram, peer: BacnetPeer
 ) -> None:
     write = "0005070f 0c00400001 1955 3e 4441cc0000 3f 4908"
     assert [await peer.ask(write), await peer.ask(write)] == ["20070f", "20070f"]
-    first, second = await bacnet.control.journal(request=True)
+    first, second = await device.control.journal(request=True)
     assert first["bytes"] == second["bytes"]
     assert (first["connection"], first["invoke_id"]) == (second["connection"], second["invoke_id"])
 
@@ -268,12 +245,12 @@ WRITE = "0005010f 0c00400001 1955 3e 4441cc0000 3f 4908"
     ],
 )
 async def test_a_rule_falsifies_an_answer(
-    bacnet: MockProgram, peer: BacnetPeer, action: dict[str, Any], answer: str
+    device: MockProgram, peer: BacnetPeer, action: dict[str, Any], answer: str
 ) -> None:
-    await bacnet.control.ask("fault", rules=[{"service": 12, "object": "analog-input,1", "times": 1, "action": action}])
+    await device.control.ask("fault", rules=[{"service": 12, "object": "analog-input,1", "times": 1, "action": action}])
     assert await peer.ask(READ) == answer.replace(" ", "")
     assert await peer.ask(READ) == "30010c 0c00000001 1955 3e 4442910000 3f".replace(" ", "")
-    assert await bacnet.control.ask("fault", rules=[]) == {"hits": [1]}
+    assert await device.control.ask("fault", rules=[]) == {"hits": [1]}
 
 
 @pytest.mark.parametrize(
@@ -288,9 +265,9 @@ async def test_a_rule_falsifies_an_answer(
     ],
 )
 async def test_a_rule_decides_what_a_write_does(
-    bacnet: MockProgram, peer: BacnetPeer, action: dict[str, Any], held: float | None, answers: int
+    device: MockProgram, peer: BacnetPeer, action: dict[str, Any], held: float | None, answers: int
 ) -> None:
-    await bacnet.control.ask("fault", rules=[{"service": 15, "action": action}])
+    await device.control.ask("fault", rules=[{"service": 15, "action": action}])
     peer.send(WRITE)
     # The answer to a later request shows that every answer to the earlier one has come.
     peer.send("00050263")
@@ -298,19 +275,19 @@ async def test_a_rule_decides_what_a_write_does(
     while not got[-1].endswith("600209"):
         got.append(await peer.answer())
     assert len(got) - 1 == answers
-    assert (await points(bacnet))["analog-output,1/priority-array/8"] == held
-    (asked,) = await bacnet.control.journal(state_changing=True)
+    assert (await device.control.points())["analog-output,1/priority-array/8"] == held
+    (asked,) = await device.control.journal(state_changing=True)
     assert asked["fault"] == action
 
 
-async def test_what_is_no_answer_is_in_the_journal_as_it_was_sent(bacnet: MockProgram, peer: BacnetPeer) -> None:
+async def test_what_is_no_answer_is_in_the_journal_as_it_was_sent(device: MockProgram, peer: BacnetPeer) -> None:
     rules: list[dict[str, Any]] = [{"garbage": True}, {"truncate": 9}, {"mangle": {"flip": [[0, 1]]}}]
-    await bacnet.control.ask("fault", rules=[{"times": 1, "action": action} for action in rules])
+    await device.control.ask("fault", rules=[{"times": 1, "action": action} for action in rules])
     got = []
     for _ in rules:
         peer.send(READ)
         got.append((await asyncio.wait_for(peer.received.get(), PATIENCE_S)).hex())
-    entries = await bacnet.control.journal(direction="out")
+    entries = await device.control.journal(direction="out")
     assert [entry["bytes"] for entry in entries] == got
     assert [(entry["kind"], entry["answers"]) for entry in entries] == [
         ("garbage", None),
@@ -319,40 +296,40 @@ async def test_what_is_no_answer_is_in_the_journal_as_it_was_sent(bacnet: MockPr
     ]
 
 
-async def test_a_black_hole_loses_and_a_stalled_network_delays(bacnet: MockProgram, peer: BacnetPeer) -> None:
-    await bacnet.control.ask("poke", params={"network": "black_hole"})
+async def test_a_black_hole_loses_and_a_stalled_network_delays(device: MockProgram, peer: BacnetPeer) -> None:
+    await device.control.ask("poke", params={"network": "black_hole"})
     peer.send(READ)
-    await bacnet.control.wait(kind="lost")
-    await bacnet.control.ask("poke", params={"network": "stalled"})
+    await device.control.wait(kind="lost")
+    await device.control.ask("poke", params={"network": "stalled"})
     peer.send("0005020c 0c00000001 1955")
-    mark = await bacnet.control.next()
-    assert await bacnet.control.journal(mark) == []
-    await bacnet.control.ask("poke", params={"network": "open"})
+    mark = await device.control.next()
+    assert await device.control.journal(mark) == []
+    await device.control.ask("poke", params={"network": "open"})
     assert (await peer.answer()).startswith("010030020c")
-    assert [entry["invoke_id"] for entry in await bacnet.control.journal(request=True)] == [2]
+    assert [entry["invoke_id"] for entry in await device.control.journal(request=True)] == [2]
 
 
-async def test_what_a_stopped_device_did_not_see_is_never_executed(bacnet: MockProgram, peer: BacnetPeer) -> None:
-    bacnet.say("stop")
-    assert (await bacnet.event())["event"] == "stopped"
+async def test_what_a_stopped_device_did_not_see_is_never_executed(device: MockProgram, peer: BacnetPeer) -> None:
+    device.say("stop")
+    assert (await device.event())["event"] == "stopped"
     peer.send(WRITE)
-    bacnet.say("start")
-    await bacnet.ready()
+    device.say("start")
+    await device.ready()
     assert await peer.ask("0005020c 0c00000001 1955") == "30020c0c0000000119553e44429100003f"
-    assert await bacnet.control.journal(state_changing=True) == []
+    assert await device.control.journal(state_changing=True) == []
 
 
-async def test_more_objects_than_fit_into_an_answer_are_read_one_by_one(bacnet: MockProgram, peer: BacnetPeer) -> None:
-    await bacnet.control.ask("poke", params={"objects": 400})
+async def test_more_objects_than_fit_into_an_answer_are_read_one_by_one(device: MockProgram, peer: BacnetPeer) -> None:
+    await device.control.ask("poke", params={"objects": 400})
     assert await peer.ask(f"0005010c {GET_OBJECT_LIST[2:]}".replace("0c0c", "0c 0c")) == "710104"
     assert (await peer.ask("0005010c 0c02003039 194c 2900")).endswith("3e22019b3f")
     assert (await peer.ask("0005010c 0c02003039 194c 2a019b")).endswith("3ec4008005773f")
 
 
 async def test_objects_of_further_datatypes_hold_texts_large_numbers_and_no_numbers(
-    bacnet: MockProgram, peer: BacnetPeer
+    device: MockProgram, peer: BacnetPeer
 ) -> None:
-    await bacnet.control.ask("poke", params={"types": True})
+    await device.control.ask("poke", params={"types": True})
     for name, value in (
         ("positive-integer-value,1", 2**64 - 1),
         ("integer-value,1", -(2**63)),
@@ -360,8 +337,8 @@ async def test_objects_of_further_datatypes_hold_texts_large_numbers_and_no_numb
         ("large-analog-value,1", "-inf"),
         ("analog-input,1", "nan"),
     ):
-        await bacnet.control.ask("poke", params={"object": name, "value": value})
-        assert (await points(bacnet))[f"{name}/present-value"] == value
+        await device.control.ask("poke", params={"object": name, "value": value})
+        assert (await device.control.points())[f"{name}/present-value"] == value
     for request, held in (
         ("0c0c000001", "2508 ffffffffffffffff"),
         ("0c0b400001", "3508 8000000000000000"),
@@ -373,9 +350,9 @@ async def test_objects_of_further_datatypes_hold_texts_large_numbers_and_no_numb
         assert answer == f"30010c {request} 1955 3e {held} 3f".replace(" ", "")
 
 
-async def test_bytes_that_mean_nothing_are_survived_and_change_nothing(bacnet: MockProgram, peer: BacnetPeer) -> None:
+async def test_bytes_that_mean_nothing_are_survived_and_change_nothing(device: MockProgram, peer: BacnetPeer) -> None:
     rng = random.Random(20261122)
-    start = await points(bacnet)
+    start = await device.control.points()
     seeds = [
         bytes.fromhex("810a" + "0000" + "0104" + request) for request, _ in VECTORS.values() if "0f 0c" not in request
     ]
@@ -393,28 +370,28 @@ async def test_bytes_that_mean_nothing_are_survived_and_change_nothing(bacnet: M
             peer.send(PROBE)
             while not (await peer.answer()).endswith(PROBED):
                 pass
-    assert await points(bacnet) == start
+    assert await device.control.points() == start
 
 
-async def test_clients_are_told_apart_by_their_sockets(bacnet: MockProgram, peer: BacnetPeer) -> None:
-    async with bacnet_peer(bacnet) as other:
+async def test_clients_are_told_apart_by_their_sockets(device: MockProgram, peer: BacnetPeer) -> None:
+    async with bacnet_peer(device) as other:
         await peer.ask(READ)
         await other.ask(READ)
         await peer.ask(READ)
-    numbers = [entry["connection"] for entry in await bacnet.control.journal(request=True)]
+    numbers = [entry["connection"] for entry in await device.control.journal(request=True)]
     first, second, third = numbers
     assert first == third != second
 
 
-async def test_a_silent_device_is_not_there(bacnet: MockProgram) -> None:
-    await bacnet.control.ask("fault", rules=[{"action": {"drop": True}}])
+async def test_a_silent_device_is_not_there(device: MockProgram) -> None:
+    await device.control.ask("fault", rules=[{"action": {"drop": True}}])
     async with BACnetClient("127.0.0.1", 0, apdu_timeout_ms=50) as client:
         with pytest.raises(BacnetAbortError, match="reason=10"):
-            await client.read_property(f"127.0.0.1:{bacnet.port}", ZONE, PRESENT)
+            await client.read_property(f"127.0.0.1:{device.port}", ZONE, PRESENT)
 
 
 async def test_the_kits_decoder_reads_in_the_bytes_what_the_device_has_recorded(
-    bacnet: MockProgram, peer: BacnetPeer
+    device: MockProgram, peer: BacnetPeer
 ) -> None:
     for request, _ in VECTORS.values():
         await peer.ask(request)
@@ -423,7 +400,7 @@ async def test_the_kits_decoder_reads_in_the_bytes_what_the_device_has_recorded(
     peer.send("", npdu="", function=2)
     await peer.answer()
     conversation = BacnetConversation()
-    for entry in await bacnet.control.journal():
+    for entry in await device.control.journal():
         assert contradiction(entry) is None
         (message,) = conversation.decode(entry["direction"], bytes.fromhex(entry["bytes"]))
         assert message.kind == entry["kind"]

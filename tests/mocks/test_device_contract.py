@@ -552,11 +552,6 @@ async def client(plant: MockProgram, case: Case) -> AsyncIterator[AnyClient]:
     await plant.control.wait(mark, kind="DISCONNECTED", connection=entry["connection"])
 
 
-async def points(program: MockProgram) -> dict[str, Any]:
-    found: dict[str, Any] = (await program.control.image())["points"]
-    return found
-
-
 def of_clients(entries: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
     return [entry for entry in entries if entry["origin"] == "client"]
 
@@ -642,20 +637,20 @@ async def test_every_entry_has_the_fields_of_the_contract(plant: MockProgram, cl
 async def test_a_read_is_one_answered_request_that_changes_nothing(
     plant: MockProgram, case: Case, client: AnyClient
 ) -> None:
-    before, mark = await points(plant), await plant.control.next()
+    before, mark = await plant.control.points(), await plant.control.next()
     await client.read()
     entries = of_clients(await plant.control.journal(mark))
     [asked] = [entry for entry in entries if entry["request"]]
     assert (asked["kind"], asked["state_changing"]) == (case.asked_by_reading, False)
     [answer] = [entry for entry in entries if entry["answers"] is not None]
     assert answer["answers"] == asked["seq"]
-    assert await points(plant) == before
+    assert await plant.control.points() == before
 
 
 async def test_a_write_is_one_answered_request_that_changes_one_point(
     plant: MockProgram, case: Case, client: AnyClient
 ) -> None:
-    before, mark = await points(plant), await plant.control.next()
+    before, mark = await plant.control.points(), await plant.control.next()
     await client.write()
     entries = of_clients(await plant.control.journal(mark))
     [asked] = [entry for entry in entries if entry["state_changing"]]
@@ -663,7 +658,7 @@ async def test_a_write_is_one_answered_request_that_changes_one_point(
     assert [entry for entry in entries if entry["request"]] == [asked]
     [answer] = [entry for entry in entries if entry["answers"] is not None]
     assert answer["answers"] == asked["seq"]
-    after = await points(plant)
+    after = await plant.control.points()
     assert changes(before, after) == dict([case.written])
     assert before.keys() <= after.keys()
 
@@ -733,15 +728,15 @@ async def test_released_entries_are_gone_and_the_answer_says_so(plant: MockProgr
 
 
 async def test_points_are_flat(plant: MockProgram) -> None:
-    found = await points(plant)
+    found = await plant.control.points()
     assert found
     assert [name for name, value in found.items() if isinstance(value, dict)] == []
 
 
 async def test_a_poke_changes_what_it_names_and_is_no_request(plant: MockProgram, case: Case) -> None:
-    before, mark = await points(plant), await plant.control.next()
+    before, mark = await plant.control.points(), await plant.control.next()
     await plant.control.ask("poke", params=case.poke)
-    assert changes(before, await points(plant)) == dict([case.poked])
+    assert changes(before, await plant.control.points()) == dict([case.poked])
     entries = await plant.control.journal(mark)
     assert of_clients(entries) == []
     assert [entry for entry in entries if entry["request"] or entry["state_changing"]] == []
@@ -758,11 +753,11 @@ async def test_a_poke_that_is_not_understood_is_refused_and_changes_nothing(plan
 
 
 async def test_a_paused_plant_stands_still_and_a_tick_moves_it(plant: MockProgram) -> None:
-    start = await points(plant)
+    start = await plant.control.points()
     await plant.control.ask("tick", steps=0)
-    assert await points(plant) == start
+    assert await plant.control.points() == start
     await plant.control.ask("tick", steps=3)
-    moved = await points(plant)
+    moved = await plant.control.points()
     assert moved != start
     assert moved.keys() == start.keys()
 
@@ -772,20 +767,20 @@ async def test_the_same_ticks_give_the_same_plant(plant: MockProgram) -> None:
     for _ in range(2):
         await plant.control.ask("reset")
         await plant.control.ask("tick", steps=5)
-        found.append(await points(plant))
+        found.append(await plant.control.points())
     assert found[0] == found[1]
 
 
 async def test_reset_brings_back_the_values_and_keeps_journal_and_connections(
     plant: MockProgram, case: Case, client: AnyClient
 ) -> None:
-    start = await points(plant)
+    start = await plant.control.points()
     await client.write()
     await plant.control.ask("tick", steps=5)
     await plant.control.ask("fault", rules=[case.fault])
     seen = of_clients(await plant.control.journal())
     await plant.control.ask("reset")
-    assert await points(plant) == start
+    assert await plant.control.points() == start
     assert await plant.control.ask("fault", rules=[]) == {"hits": []}
     assert of_clients(await plant.control.journal()) == seen
     mark = await plant.control.next()
@@ -831,7 +826,7 @@ async def test_a_rule_that_is_not_understood_leaves_the_old_plan(
 
 
 async def test_a_restart_keeps_the_address_and_forgets_everything_else(plant: MockProgram, case: Case) -> None:
-    event, start = plant.ready_event, await points(plant)
+    event, start = plant.ready_event, await plant.control.points()
     writer = case.client()
     await writer.open(plant)
     await writer.write()
@@ -842,7 +837,7 @@ async def test_a_restart_keeps_the_address_and_forgets_everything_else(plant: Mo
     assert {**again, "pid": 0} == {**event, "pid": 0}
     assert again["pid"] != event["pid"]
     # Only one point is compared: the simulation ran freely until it was paused.
-    assert (await points(plant)).get(case.written[0]) == start.get(case.written[0])
+    assert (await plant.control.points()).get(case.written[0]) == start.get(case.written[0])
     assert await plant.control.ask("fault", rules=[]) == {"hits": []}
     whole = await plant.control.ask("journal", since=0)
     assert (whole["first"], whole["dropped"], of_clients(whole["entries"])) == (0, 0, [])

@@ -23,49 +23,18 @@ from mock_program import MockProgram, RefusedError
 from pytest_otmcp.protocols.dnp3.decoder import Dnp3Conversation, contradiction
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
+MOCK = "dnp3"
 
 OK = "8000"
 """Internal indications of a healthy outstation whose restart bit nobody has cleared."""
 
 
-@pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def program() -> AsyncIterator[MockProgram]:
-    started = await MockProgram.start("dnp3")
-    try:
-        await started.ready()
-        yield started
-    finally:
-        _, stderr = await started.end()
-    assert stderr == ""
-
-
 @pytest_asyncio.fixture(loop_scope="module")
-async def dnp3(program: MockProgram) -> MockProgram:
-    """The outstation with its start-up values, and a journal without entries."""
-    await program.control.ask("reset")
-    await program.control.ask("forget", before=await program.control.next())
-    return program
-
-
-@pytest_asyncio.fixture(loop_scope="module")
-async def raw(dnp3: MockProgram) -> AsyncIterator[RawDnp3]:
+async def raw(device: MockProgram) -> AsyncIterator[RawDnp3]:
     connection = RawDnp3()
-    await connection.open(dnp3)
+    await connection.dial(device)
     yield connection
     await connection.close()
-
-
-async def poke(dnp3: MockProgram, **params: Any) -> None:
-    await dnp3.control.ask("poke", params=params)
-
-
-async def fault(dnp3: MockProgram, action: dict[str, Any], **conditions: Any) -> None:
-    await dnp3.control.ask("fault", rules=[{**conditions, "action": action}])
-
-
-async def points(dnp3: MockProgram) -> dict[str, Any]:
-    found: dict[str, Any] = (await dnp3.control.image())["points"]
-    return found
 
 
 def compact(text: str) -> str:
@@ -126,25 +95,25 @@ async def test_class_0_is_every_point_but_the_text(raw: RawDnp3) -> None:
     assert len(answer) == 5 + 16 + 5 + 8 + 5 + 10 + 5 + 35 + 5 + 9 + 5 + 15 + 5 + 5
 
 
-async def test_values_that_do_not_fit_are_brought_within_and_said_to_be(dnp3: MockProgram, raw: RawDnp3) -> None:
-    await poke(dnp3, point="analog_input/1", value=-70000)
+async def test_values_that_do_not_fit_are_brought_within_and_said_to_be(device: MockProgram, raw: RawDnp3) -> None:
+    await device.control.poke(point="analog_input/1", value=-70000)
     assert await raw.ask("01 1e0200 0101") == f"{OK} 1e02000101210080"
-    await poke(dnp3, point="analog_input/7", value=1e300)
+    await device.control.poke(point="analog_input/7", value=1e300)
     assert await raw.ask("01 1e0500 0707") == f"{OK} 1e05000707210000807f"
-    await poke(dnp3, point="analog_input/7", value="NaN")
+    await device.control.poke(point="analog_input/7", value="NaN")
     assert await raw.ask("01 1e0600 0707") == f"{OK} 1e0600070701000000000000f87f"
     assert await raw.ask("01 1e0100 0707") == f"{OK} 1e010007072100000000"
-    await poke(dnp3, point="analog_input/1", value=1, flags=["ONLINE", "LOCAL_FORCED"])
+    await device.control.poke(point="analog_input/1", value=1, flags=["ONLINE", "LOCAL_FORCED"])
     assert await raw.ask("01 1e0100 0101") == f"{OK} 1e010001011101000000"
-    assert (await dnp3.control.image())["flags"]["analog_input/1"] == ["ONLINE", "LOCAL_FORCED"]
+    assert (await device.control.image())["flags"]["analog_input/1"] == ["ONLINE", "LOCAL_FORCED"]
 
 
 # -- events ---------------------------------------------------------------------------------------------------
 
 
-async def test_events_come_again_until_they_are_confirmed(dnp3: MockProgram, raw: RawDnp3) -> None:
+async def test_events_come_again_until_they_are_confirmed(device: MockProgram, raw: RawDnp3) -> None:
     for point, value in (("binary_input/3", True), ("binary_input/4", False), ("binary_input/5", True)):
-        await poke(dnp3, point=point, value=value)
+        await device.control.poke(point=point, value=value)
     assert (await raw.ask("01 1e0000 0101"))[:4] == "8200"
     told = []
     for confirmed in (False, False, True):
@@ -158,23 +127,25 @@ async def test_events_come_again_until_they_are_confirmed(dnp3: MockProgram, raw
             # A confirmation of something else is none.
             raw.confirm((answer[0] + 1) & 0x0F)
             raw.confirm(answer[0] & 0x0F, unsolicited=True)
-            assert (await dnp3.control.image())["events"] == {"1": 2, "2": 0, "3": 0}
+            assert (await device.control.image())["events"] == {"1": 2, "2": 0, "3": 0}
             raw.confirm(answer[0] & 0x0F)
     assert told[0] == told[1] == told[2]
     assert await raw.ask("01 3c0206") == f"{OK} "
-    assert len(await dnp3.control.journal(kind="confirm", request=False)) == 3
+    assert len(await device.control.journal(kind="confirm", request=False)) == 3
 
 
-async def test_of_an_analog_input_the_newest_event_is_kept(dnp3: MockProgram, raw: RawDnp3) -> None:
+async def test_of_an_analog_input_the_newest_event_is_kept(device: MockProgram, raw: RawDnp3) -> None:
     for value in (7, 8):
-        await poke(dnp3, point="analog_input/0", value=value)
+        await device.control.poke(point="analog_input/0", value=value)
     assert (await raw.ask("01 200106")) == "8000 200128010000000108000000"
     assert (await raw.ask("01 200106")) == f"{OK} "
 
 
-async def test_events_that_nobody_fetches_are_lost_in_the_end_and_that_is_said(dnp3: MockProgram, raw: RawDnp3) -> None:
+async def test_events_that_nobody_fetches_are_lost_in_the_end_and_that_is_said(
+    device: MockProgram, raw: RawDnp3
+) -> None:
     for number in range(101):
-        await poke(dnp3, point="binary_input/3", value=bool(number % 2))
+        await device.control.poke(point="binary_input/3", value=bool(number % 2))
     assert (await raw.ask("01 1e0000 0101"))[:4] == "8208"
     assert (await raw.ask("01 3c0207 60"))[:15] == "8208 0202286000"
     assert (await raw.ask("01 3c0206"))[5:15] == "0202280400"
@@ -182,22 +153,22 @@ async def test_events_that_nobody_fetches_are_lost_in_the_end_and_that_is_said(d
 
 
 async def test_unsolicited_responses_come_to_who_wants_them_and_once_until_they_are_confirmed(
-    dnp3: MockProgram, raw: RawDnp3
+    device: MockProgram, raw: RawDnp3
 ) -> None:
     assert await raw.ask("14 3c0206") == f"{OK} "
-    await poke(dnp3, point="binary_input/3", value=True)
+    await device.control.poke(point="binary_input/3", value=True)
     first = await raw.fragment()
     assert (first[0] >> 4, first[1], first[4:9].hex()) == (0b1111, 130, "0202280100")
-    await poke(dnp3, point="binary_input/3", value=False)
-    await poke(dnp3, point="analog_input/0", value=9)
+    await device.control.poke(point="binary_input/3", value=False)
+    await device.control.poke(point="analog_input/0", value=9)
     raw.confirm(first[0] & 0x0F, unsolicited=True)
     second = await raw.fragment()
     assert (second[0] & 0x0F, second[9:12].hex()) == ((first[0] + 1) & 0x0F, "030001")
     raw.confirm(second[0] & 0x0F, unsolicited=True)
     assert await raw.ask("15 3c0206") == "8400 "
-    await poke(dnp3, point="binary_input/3", value=True)
+    await device.control.poke(point="binary_input/3", value=True)
     assert (await raw.ask("01 1e0000 0101"))[:4] == "8600"
-    [one, two] = await dnp3.control.journal(kind="unsolicited")
+    [one, two] = await device.control.journal(kind="unsolicited")
     assert (one["answers"], two["objects"][0]["points"][0]["index"]) == (None, 3)
     assert await raw.ask("14 1e0006") == "8604 "
 
@@ -235,19 +206,19 @@ STATUSES: dict[str, tuple[str, int, dict[str, Any]]] = {
 @pytest.mark.parametrize("name", STATUSES)
 @pytest.mark.parametrize("direct", [True, False])
 async def test_each_point_of_an_operation_has_its_status(
-    dnp3: MockProgram, raw: RawDnp3, name: str, direct: bool
+    device: MockProgram, raw: RawDnp3, name: str, direct: bool
 ) -> None:
     objects, status, changed = STATUSES[name]
     expected = f"{OK} " + objects.replace(" ", "")[:-2] + f"{status:02x}"
-    before = await points(dnp3)
+    before = await device.control.points()
     if direct:
         assert await raw.ask("05" + objects) == expected
     else:
         assert await raw.ask("03" + objects) == expected
-        assert await points(dnp3) == before
+        assert await device.control.points() == before
         answer = await raw.ask("04" + objects)
         assert answer == (expected if not status else expected[:-2] + "02")
-    assert await points(dnp3) == {**before, **changed}
+    assert await device.control.points() == {**before, **changed}
 
 
 LATCH = crob(2, 3)
@@ -262,57 +233,57 @@ LATCH = crob(2, 3)
     ],
 )
 async def test_only_what_was_selected_just_before_is_operated(
-    dnp3: MockProgram, raw: RawDnp3, between: str, operated: str, status: int
+    device: MockProgram, raw: RawDnp3, between: str, operated: str, status: int
 ) -> None:
     assert (await raw.ask("03" + LATCH)).endswith("00")
     if between:
         await raw.ask(between)
     assert (await raw.ask("04" + operated))[-2:] == f"{status:02x}"
-    assert not (await points(dnp3))["binary_output/2"]
+    assert not (await device.control.points())["binary_output/2"]
 
 
 async def test_the_sequence_number_of_an_operation_follows_that_of_its_selection(
-    dnp3: MockProgram, raw: RawDnp3
+    device: MockProgram, raw: RawDnp3
 ) -> None:
     await raw.ask("03" + LATCH, sequence=15)
     assert (await raw.ask("04" + LATCH, sequence=1)).endswith("02")
     await raw.ask("03" + LATCH, sequence=15)
     assert (await raw.ask("04" + LATCH, sequence=0)).endswith("00")
-    assert (await points(dnp3))["binary_output/2"]
+    assert (await device.control.points())["binary_output/2"]
 
 
 async def test_a_selection_is_over_after_its_time_and_belongs_to_its_connection(
-    dnp3: MockProgram, raw: RawDnp3
+    device: MockProgram, raw: RawDnp3
 ) -> None:
-    await poke(dnp3, select_timeout_s=0)
+    await device.control.poke(select_timeout_s=0)
     await raw.ask("03" + LATCH)
     assert (await raw.ask("04" + LATCH)).endswith("01")
-    await poke(dnp3, select_timeout_s=5)
+    await device.control.poke(select_timeout_s=5)
     await raw.ask("03" + LATCH, sequence=3)
     other = RawDnp3()
-    await other.open(dnp3)
+    await other.dial(device)
     assert (await other.ask("04" + LATCH, sequence=4)).endswith("02")
     await other.close()
-    assert not (await points(dnp3))["binary_output/2"]
+    assert not (await device.control.points())["binary_output/2"]
 
 
-async def test_the_same_request_again_is_answered_again_and_not_done_again(dnp3: MockProgram, raw: RawDnp3) -> None:
+async def test_the_same_request_again_is_answered_again_and_not_done_again(device: MockProgram, raw: RawDnp3) -> None:
     pulse = crob(6, 1)
     first = await raw.ask("05" + pulse, sequence=4)
     assert await raw.ask("05" + pulse, sequence=4) == first
-    assert (await points(dnp3))["binary_output/6/pulses"] == 1
+    assert (await device.control.points())["binary_output/6/pulses"] == 1
     await raw.ask("05" + pulse, sequence=5)
-    assert (await points(dnp3))["binary_output/6/pulses"] == 2
-    asked = await dnp3.control.journal(kind="request")
+    assert (await device.control.points())["binary_output/6/pulses"] == 2
+    asked = await device.control.journal(kind="request")
     assert [entry.get("repeated", False) for entry in asked] == [False, True, False]
 
 
-async def test_several_points_are_operated_and_too_many_are_not(dnp3: MockProgram, raw: RawDnp3) -> None:
+async def test_several_points_are_operated_and_too_many_are_not(device: MockProgram, raw: RawDnp3) -> None:
     block = crob(2, 3)[8:]
     several = "0c0117 09" + "".join(f"{index:02x}" + block[6:] for index in (0, 1, 2, 3, 4, 5, 99, 0, 1))
     answer = bytes.fromhex((await raw.ask("05" + several)).split()[1])
     assert [answer[4 + 12 * number + 11] for number in range(9)] == [0, 0, 0, 0, 0, 7, 4, 0, 8]
-    held = await points(dnp3)
+    held = await device.control.points()
     assert [held[f"binary_output/{index}"] for index in range(6)] == [True] * 5 + [False]
 
 
@@ -336,56 +307,56 @@ async def test_several_points_are_operated_and_too_many_are_not(dnp3: MockProgra
     ],
 )
 async def test_what_cannot_be_done_is_refused_and_changes_nothing(
-    dnp3: MockProgram, raw: RawDnp3, request_: str, iin: str
+    device: MockProgram, raw: RawDnp3, request_: str, iin: str
 ) -> None:
-    before = await dnp3.control.image()
+    before = await device.control.image()
     assert await raw.ask(request_) == f"{iin} "
-    assert await dnp3.control.image() == before
+    assert await device.control.image() == before
 
 
-async def test_local_control_refuses_every_operation_and_says_so(dnp3: MockProgram, raw: RawDnp3) -> None:
-    await poke(dnp3, local=True)
+async def test_local_control_refuses_every_operation_and_says_so(device: MockProgram, raw: RawDnp3) -> None:
+    await device.control.poke(local=True)
     assert await raw.ask("05" + LATCH) == "a000 " + LATCH[:-2] + "07"
-    await poke(dnp3, local=False, trouble=True, needs_time=True)
+    await device.control.poke(local=False, trouble=True, needs_time=True)
     assert (await raw.ask("05" + LATCH))[:4] == "d000"
 
 
-async def test_an_operation_without_a_response_has_none(dnp3: MockProgram, raw: RawDnp3) -> None:
+async def test_an_operation_without_a_response_has_none(device: MockProgram, raw: RawDnp3) -> None:
     raw.send("06" + LATCH)
     assert await raw.ask("01 0a0000 0202") == f"{OK} 0a0200020281"
-    [asked] = await dnp3.control.journal(state_changing=True)
+    [asked] = await device.control.journal(state_changing=True)
     assert asked["function"] == 6
 
 
 # -- writing, time, restart -----------------------------------------------------------------------------------
 
 
-async def test_the_restart_bit_is_cleared_until_the_next_restart(dnp3: MockProgram, raw: RawDnp3) -> None:
+async def test_the_restart_bit_is_cleared_until_the_next_restart(device: MockProgram, raw: RawDnp3) -> None:
     assert await raw.ask("02 500100 0707 00") == "0000 "
     assert await raw.ask("0d") == "8000 340207010000"
     await raw.ask("02 500100 0707 00")
-    asked = await dnp3.control.journal(kind="request")
+    asked = await device.control.journal(kind="request")
     assert [entry["state_changing"] for entry in asked] == [False, True, False]
 
 
-async def test_the_time_is_told_and_taken(dnp3: MockProgram, raw: RawDnp3) -> None:
-    await poke(dnp3, needs_time=True)
+async def test_the_time_is_told_and_taken(device: MockProgram, raw: RawDnp3) -> None:
+    await device.control.poke(needs_time=True)
     assert await raw.ask("17") == "9000 340207010000"
     assert (await raw.ask("01 320107 01"))[:13] == "9000 32010701"
     assert await raw.ask("18") == "9000 "
     assert await raw.ask("02 320307 01 000102030405") == "8000 "
-    assert await dnp3.control.journal(state_changing=True) == []
+    assert await device.control.journal(state_changing=True) == []
 
 
-async def test_a_text_is_written_as_long_as_it_is(dnp3: MockProgram, raw: RawDnp3) -> None:
+async def test_a_text_is_written_as_long_as_it_is(device: MockProgram, raw: RawDnp3) -> None:
     text = "\u05e9" * 100
     raw.send("02 6ec800 0000" + text.encode().hex())
     assert (await raw.fragment())[2:].hex() == "8000"
-    assert (await points(dnp3))["octet_string/0"] == text
+    assert (await device.control.points())["octet_string/0"] == text
     assert (await raw.ask("01 6e0006"))[:15] == f"{OK} 6ec8000000"
     # A point of its own, by index.
     assert await raw.ask("02 6e0217 01 00 6f6b") == f"{OK} "
-    assert (await points(dnp3))["octet_string/0"] == "ok"
+    assert (await device.control.points())["octet_string/0"] == "ok"
 
 
 # -- link layer and transport ---------------------------------------------------------------------------------
@@ -396,11 +367,11 @@ async def test_the_check_sum_is_the_known_one() -> None:
     assert checksum(b"123456789").hex() == "82ea"
 
 
-async def test_the_link_is_reset_tested_and_tells_its_status(dnp3: MockProgram, raw: RawDnp3) -> None:
+async def test_the_link_is_reset_tested_and_tells_its_status(device: MockProgram, raw: RawDnp3) -> None:
     for asked, answer in ((0xC0, 0x00), (0xD2, 0x00), (0xC9, 0x0B), (0xCE, 0x0F)):
         raw.writer.write(link_frame(b"", control=asked))
         assert await raw.frame() == (answer, b"")
-    entries = await dnp3.control.journal(kind="link_request")
+    entries = await device.control.journal(kind="link_request")
     assert [(entry["link_function"], entry["request"]) for entry in entries] == [
         (0, False),
         (2, False),
@@ -415,23 +386,23 @@ async def test_user_data_that_wants_an_acknowledgement_gets_one(raw: RawDnp3) ->
     assert (await raw.fragment())[4:].hex() == "1e0100010101ecffffff"
 
 
-async def test_another_outstation_is_not_there(dnp3: MockProgram, raw: RawDnp3) -> None:
+async def test_another_outstation_is_not_there(device: MockProgram, raw: RawDnp3) -> None:
     raw.send("05" + LATCH, destination=11)
     raw.writer.write(link_frame(b"", control=0xC9, destination=11))
     assert await raw.ask("01 0a0000 0202") == f"{OK} 0a0200020201"
-    asked = await dnp3.control.journal(destination=11)
+    asked = await device.control.journal(destination=11)
     assert [(entry["kind"], entry["request"]) for entry in asked] == [("request", True), ("link_request", True)]
 
 
 async def test_what_is_for_every_outstation_is_done_and_said_with_the_next_answer(
-    dnp3: MockProgram, raw: RawDnp3
+    device: MockProgram, raw: RawDnp3
 ) -> None:
     raw.send("05" + LATCH, destination=0xFFFF)
     assert await raw.ask("01 0a0000 0202") == "8100 0a0200020281"
     assert (await raw.ask("01 0a0000 0202"))[:4] == OK
 
 
-async def test_a_request_comes_in_any_segments_and_from_any_master(dnp3: MockProgram, raw: RawDnp3) -> None:
+async def test_a_request_comes_in_any_segments_and_from_any_master(device: MockProgram, raw: RawDnp3) -> None:
     long = bytes.fromhex("c001") + bytes.fromhex("1e00000101") * 60
     raw.send_fragment(long)
     assert (await raw.fragment())[4:].hex() == "1e0100010101ecffffff" * 60
@@ -440,7 +411,7 @@ async def test_a_request_comes_in_any_segments_and_from_any_master(dnp3: MockPro
         raw.writer.write(part)
         await raw.writer.drain()
     assert (await raw.fragment())[4:].hex() == "1e0100010101ecffffff"
-    assert [entry["source"] for entry in await dnp3.control.journal(kind="request")] == [1, 77]
+    assert [entry["source"] for entry in await device.control.journal(kind="request")] == [1, 77]
 
 
 @pytest.mark.parametrize(
@@ -458,23 +429,23 @@ async def test_a_request_comes_in_any_segments_and_from_any_master(dnp3: MockPro
         link_frame(b"\xc0\xc0\x81\0\0"),
     ],
 )
-async def test_what_is_no_frame_ends_the_connection(dnp3: MockProgram, sent: bytes) -> None:
+async def test_what_is_no_frame_ends_the_connection(device: MockProgram, sent: bytes) -> None:
     connection = RawDnp3()
-    await connection.open(dnp3)
+    await connection.dial(device)
     connection.writer.write(sent)
     assert await connection.ended()
     await connection.close()
-    assert [entry["bytes"] for entry in await dnp3.control.journal(kind="malformed")] == [sent.hex()]
+    assert [entry["bytes"] for entry in await device.control.journal(kind="malformed")] == [sent.hex()]
 
 
 # -- decoders, and masters of other authors --------------------------------------------------------------------
 
 
 async def test_the_kits_decoder_reads_in_the_bytes_what_the_outstation_has_recorded(
-    dnp3: MockProgram, raw: RawDnp3
+    device: MockProgram, raw: RawDnp3
 ) -> None:
-    await poke(dnp3, point="binary_input/3", value=True)
-    await poke(dnp3, point="analog_input/0", value=5)
+    await device.control.poke(point="binary_input/3", value=True)
+    await device.control.poke(point="analog_input/0", value=5)
     await raw.ask("01 3c0206 3c0306 3c0106")
     for asked, _ in READS.values():
         await raw.ask("01" + asked)
@@ -490,7 +461,7 @@ async def test_the_kits_decoder_reads_in_the_bytes_what_the_outstation_has_recor
         "02 320107 01 000000000000",
     ):
         await raw.ask(other)
-    found = await dnp3.control.journal()
+    found = await device.control.journal()
     assert [(entry, contradiction(entry)) for entry in found if contradiction(entry)] == []
     # A link frame around the same fragment is the same message to the decoder that reads what the tap has recorded.
     for entry in found:
@@ -507,10 +478,10 @@ async def test_the_kits_decoder_reads_in_the_bytes_what_the_outstation_has_recor
                 )
 
 
-async def test_opendnp3_polls_selects_and_operates(dnp3: MockProgram) -> None:
+async def test_opendnp3_polls_selects_and_operates(device: MockProgram) -> None:
     pytest.importorskip("opendnp3")
     master = await asyncio.create_subprocess_exec(
-        *(sys.executable, str(Path(__file__).with_name("opendnp3_master.py")), str(dnp3.port)),
+        *(sys.executable, str(Path(__file__).with_name("opendnp3_master.py")), str(device.port)),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
     )
@@ -533,7 +504,7 @@ async def test_opendnp3_polls_selects_and_operates(dnp3: MockProgram) -> None:
         "analog_input": "Analog",
         "analog_output": "AnalogOutputStatus",
     }
-    held = await points(dnp3)
+    held = await device.control.points()
     seen = {
         name: told["values"][f"{names[kind]}/{index}"]
         for name in held
@@ -544,18 +515,18 @@ async def test_opendnp3_polls_selects_and_operates(dnp3: MockProgram) -> None:
     assert len(seen) == 38
     assert (held["analog_output/3"], held["binary_output/6/pulses"]) == (-70000, 1)
     # What it does at the start is housekeeping; what changes the plant are its commands.
-    changing = [entry["function"] for entry in await dnp3.control.journal(state_changing=True)]
+    changing = [entry["function"] for entry in await device.control.journal(state_changing=True)]
     assert changing == [3, 4, 3, 3, 5, 3, 4, 5, 3, 4]
-    assert {20, 21, 2} <= {entry["function"] for entry in await dnp3.control.journal(kind="request")}
-    assert await dnp3.control.journal(kind="malformed") == []
+    assert {20, 21, 2} <= {entry["function"] for entry in await device.control.journal(kind="request")}
+    assert await device.control.journal(kind="malformed") == []
 
 
-async def test_dnp3py_polls_confirms_and_operates(dnp3: MockProgram) -> None:
+async def test_dnp3py_polls_confirms_and_operates(device: MockProgram) -> None:
     handler = DefaultSOEHandler()
     master = Master(config=MasterConfig(address=3, outstation_address=10), handler=handler)
-    async with MasterTcpRunner(master, dnp3.host, dnp3.port, link_reset=LinkResetPolicy.ON_OPEN) as runner:
+    async with MasterTcpRunner(master, device.host, device.port, link_reset=LinkResetPolicy.ON_OPEN) as runner:
         await runner.integrity_poll()
-        held = await points(dnp3)
+        held = await device.control.points()
         assert {index: one.value for index, one in handler.binary_inputs.items()} == {
             index: held[f"binary_input/{index}"] for index in range(16)
         }
@@ -563,7 +534,7 @@ async def test_dnp3py_polls_confirms_and_operates(dnp3: MockProgram) -> None:
             index: held[f"analog_input/{index}"] for index in range(8)
         }
         assert {index: one.value for index, one in handler.counters.items()} == {0: 0, 1: 1000}
-        await poke(dnp3, point="binary_input/3", value=True)
+        await device.control.poke(point="binary_input/3", value=True)
         (first,) = await runner.class_poll()
         assert first.con
         assert handler.binary_inputs[3].value is True
@@ -572,17 +543,17 @@ async def test_dnp3py_polls_confirms_and_operates(dnp3: MockProgram) -> None:
         builder = master.command_builder()
         builder.add_crob(2, ControlCode.LATCH_ON)
         await runner.request(master.build_select(builder.build_select()))
-        assert not (await points(dnp3))["binary_output/2"]
+        assert not (await device.control.points())["binary_output/2"]
         await runner.request(master.build_operate(builder.build_operate()))
-    assert (await points(dnp3))["binary_output/2"] is True
-    assert await dnp3.control.journal(kind="malformed") == []
+    assert (await device.control.points())["binary_output/2"] is True
+    assert await device.control.journal(kind="malformed") == []
 
 
 @pytest.mark.skipif(shutil.which("tshark") is None, reason="tshark is not installed")
 async def test_tshark_finds_nothing_wrong_with_what_the_outstation_sends(
-    dnp3: MockProgram, raw: RawDnp3, tmp_path: Path
+    device: MockProgram, raw: RawDnp3, tmp_path: Path
 ) -> None:
-    await poke(dnp3, point="binary_input/3", value=True)
+    await device.control.poke(point="binary_input/3", value=True)
     sent = ["01 3c0206 3c0106", "03" + LATCH, "04" + LATCH, "05" + crob(99, 3), "01 1e0000 0209", "02 500100 0707 00"]
     packets = []
     for request in sent:
@@ -628,13 +599,13 @@ def _captured(packet: tuple[int, bytes]) -> bytes:
 # -- malformed input ------------------------------------------------------------------------------------------
 
 
-async def test_noise_never_stops_the_outstation_and_moves_nothing(dnp3: MockProgram, raw: RawDnp3) -> None:
+async def test_noise_never_stops_the_outstation_and_moves_nothing(device: MockProgram, raw: RawDnp3) -> None:
     chance = random.Random(20261123)
-    before = await points(dnp3)
+    before = await device.control.points()
     seeds = [bytes.fromhex("c0" + text) for text in ("011e00000007", "013c0206", "0214", "17", "032903", "011e0228")]
     for number in range(200):
         connection = RawDnp3()
-        await connection.open(dnp3)
+        await connection.dial(device)
         if number % 4 == 0:
             connection.writer.write(chance.randbytes(chance.randrange(1, 600)))
         else:
@@ -646,9 +617,9 @@ async def test_noise_never_stops_the_outstation_and_moves_nothing(dnp3: MockProg
             data = bytes([0xC0 | number & 0x3F]) + bytes(fragment)
             connection.writer.write(link_frame(data, control=0xC4 if number % 4 == 1 else chance.randrange(256)))
         await connection.close()
-    await dnp3.control.wait(kind="DISCONNECTED", count=200)
+    await device.control.wait(kind="DISCONNECTED", count=200)
     assert (await raw.ask("01 1e0000 0101")).endswith("ecffffff")
-    after = await points(dnp3)
+    after = await device.control.points()
     assert {name: after[name] for name in before if "octet" not in name} == {
         name: before[name] for name in before if "octet" not in name
     }
@@ -670,49 +641,51 @@ FALSE_ANSWERS: dict[str, tuple[dict[str, Any], str]] = {
 
 @pytest.mark.parametrize("name", FALSE_ANSWERS)
 async def test_an_answer_is_falsified_and_the_journal_has_what_was_sent(
-    dnp3: MockProgram, raw: RawDnp3, name: str
+    device: MockProgram, raw: RawDnp3, name: str
 ) -> None:
     action, expected = FALSE_ANSWERS[name]
-    await fault(dnp3, action, function=1, group=30, index=1, times=1)
+    await device.control.fault(action, function=1, group=30, index=1, times=1)
     raw.send("01 1e0000 0000", sequence=2)
     assert (await raw.fragment()).hex() == "c28180001e0100000001" + "64000000"
     raw.send(READ, sequence=3)
     assert (await raw.fragment()).hex() == expected.replace(" ", "")
-    [_, asked] = await dnp3.control.journal(kind="request")
-    [_, answer] = await dnp3.control.journal(kind="response")
+    [_, asked] = await device.control.journal(kind="request")
+    [_, answer] = await device.control.journal(kind="response")
     assert (asked["fault"], answer["answers"]) == (action, asked["seq"])
     assert answer["apdu"] == expected.replace(" ", "")
     raw.send(READ, sequence=3)
     assert (await raw.fragment()).hex() == f"c3818000{OBJECTS}".replace(" ", "")
 
 
-async def test_an_operation_has_another_status_or_is_acknowledged_and_not_done(dnp3: MockProgram, raw: RawDnp3) -> None:
-    await fault(dnp3, {"status": 6}, function=4)
+async def test_an_operation_has_another_status_or_is_acknowledged_and_not_done(
+    device: MockProgram, raw: RawDnp3
+) -> None:
+    await device.control.fault({"status": 6}, function=4)
     await raw.ask("03" + LATCH)
     assert (await raw.ask("04" + LATCH)).endswith("06")
-    await fault(dnp3, {"ack_only": True})
+    await device.control.fault({"ack_only": True})
     assert (await raw.ask("05" + LATCH)).endswith("00")
     assert await raw.ask("02 6e0217 01 00 6f6b") == f"{OK} "
-    held = await points(dnp3)
+    held = await device.control.points()
     assert (held["binary_output/2"], held["octet_string/0"]) == (False, "ready")
 
 
-async def test_an_unsolicited_response_comes_before_the_answer(dnp3: MockProgram, raw: RawDnp3) -> None:
-    await fault(dnp3, {"unsolicited": True}, times=2)
+async def test_an_unsolicited_response_comes_before_the_answer(device: MockProgram, raw: RawDnp3) -> None:
+    await device.control.fault({"unsolicited": True}, times=2)
     for events in (0, 1):
         if events:
-            await poke(dnp3, point="binary_input/3", value=True)
+            await device.control.poke(point="binary_input/3", value=True)
         raw.send(READ)
         first = await raw.fragment()
         assert (first[1], bool(first[4:])) == (130, bool(events))
         assert (await raw.fragment())[1] == 129
-    await poke(dnp3, unsolicited=[1, 2])
+    await device.control.poke(unsolicited=[1, 2])
     assert (await raw.fragment())[9:12].hex() == "030081"
 
 
-async def test_an_answer_is_dropped_delayed_cut_or_replaced(dnp3: MockProgram, raw: RawDnp3) -> None:
+async def test_an_answer_is_dropped_delayed_cut_or_replaced(device: MockProgram, raw: RawDnp3) -> None:
     actions: list[dict[str, Any]] = [{"drop": True}, {"delay_s": 0.2}, {"truncate": 9}, {"garbage": True}]
-    await dnp3.control.ask("fault", rules=[{"times": 1, "action": action} for action in actions])
+    await device.control.ask("fault", rules=[{"times": 1, "action": action} for action in actions])
     for sequence in range(1, 6):
         raw.send(READ, sequence=sequence)
     assert (await raw.take(9))[:3].hex() == "056414"
@@ -721,31 +694,31 @@ async def test_an_answer_is_dropped_delayed_cut_or_replaced(dnp3: MockProgram, r
     assert (await raw.fragment())[0] == 0xC2
 
 
-async def test_a_frame_has_another_length_or_sender(dnp3: MockProgram, raw: RawDnp3) -> None:
-    await dnp3.control.ask("fault", rules=[{"times": 1, "action": {"length": 2, "answer_source": 11}}])
+async def test_a_frame_has_another_length_or_sender(device: MockProgram, raw: RawDnp3) -> None:
+    await device.control.ask("fault", rules=[{"times": 1, "action": {"length": 2, "answer_source": 11}}])
     raw.send(READ)
     # 05 64, a length that is two too long, control, destination 1, source 11.
     assert (await raw.take(8)).hex() == "0564164401000b00"
 
 
-async def test_the_status_of_the_link_is_late_or_lost(dnp3: MockProgram, raw: RawDnp3) -> None:
-    await dnp3.control.ask("fault", rules=[{"times": 1, "action": {"drop": True}}, {"action": {"delay_s": 0.05}}])
+async def test_the_status_of_the_link_is_late_or_lost(device: MockProgram, raw: RawDnp3) -> None:
+    await device.control.ask("fault", rules=[{"times": 1, "action": {"drop": True}}, {"action": {"delay_s": 0.05}}])
     for _ in range(2):
         raw.writer.write(link_frame(b"", control=0xC9))
     assert await raw.frame() == (0x0B, b"")
-    asked = await dnp3.control.journal(kind="link_request")
-    [answer] = await dnp3.control.journal(kind="link_answer")
+    asked = await device.control.journal(kind="link_request")
+    [answer] = await device.control.journal(kind="link_answer")
     assert answer["answers"] == asked[1]["seq"]
 
 
 @pytest.mark.parametrize("action", [{"close": True}, {"reset": True}])
 async def test_the_connection_ends_instead_of_an_answer(
-    dnp3: MockProgram, raw: RawDnp3, action: dict[str, Any]
+    device: MockProgram, raw: RawDnp3, action: dict[str, Any]
 ) -> None:
-    await fault(dnp3, action, times=1)
+    await device.control.fault(action, times=1)
     raw.send("05" + LATCH)
     assert await raw.ended()
-    assert (await points(dnp3))["binary_output/2"]
+    assert (await device.control.points())["binary_output/2"]
 
 
 @pytest.mark.parametrize(
@@ -762,6 +735,8 @@ async def test_the_connection_ends_instead_of_an_answer(
         ({"local": 1}, "true or false"),
     ],
 )
-async def test_a_poke_that_is_not_understood_is_refused(dnp3: MockProgram, params: dict[str, Any], words: str) -> None:
+async def test_a_poke_that_is_not_understood_is_refused(
+    device: MockProgram, params: dict[str, Any], words: str
+) -> None:
     with pytest.raises(RefusedError, match=words):
-        await dnp3.control.ask("poke", params=params)
+        await device.control.ask("poke", params=params)

@@ -19,54 +19,27 @@ from pycomm3 import LogixDriver
 from pylogix import PLC
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
+MOCK = "ethernetip"
 
 READ, PART, WRITE, WRITE_PART, MODIFY = 0x4C, 0x52, 0x4D, 0x53, 0x4E
 SYMBOLS, MANAGER, CLOCK = bytes.fromhex("206b2400"), bytes.fromhex("20062401"), bytes.fromhex("208b2401")
 VALVE = symbol("ValvePosition")
 
 
-@pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def program() -> AsyncIterator[MockProgram]:
-    started = await MockProgram.start("ethernetip")
-    try:
-        await started.ready()
-        yield started
-    finally:
-        _, stderr = await started.end()
-    assert stderr == ""
-
-
 @pytest_asyncio.fixture(loop_scope="module")
-async def logix(program: MockProgram) -> MockProgram:
-    """The controller with its start-up values, and a journal without entries."""
-    await program.control.ask("reset")
-    await program.control.ask("forget", before=await program.control.next())
-    return program
-
-
-@pytest_asyncio.fixture(loop_scope="module")
-async def raw(logix: MockProgram) -> AsyncIterator[RawEip]:
+async def raw(device: MockProgram) -> AsyncIterator[RawEip]:
     connection = RawEip()
-    await connection.open(logix)
+    await connection.open(device)
     yield connection
     await connection.close()
-
-
-async def points(logix: MockProgram) -> dict[str, Any]:
-    found: dict[str, Any] = (await logix.control.image())["points"]
-    return found
-
-
-async def fault(logix: MockProgram, action: dict[str, Any], **conditions: Any) -> None:
-    await logix.control.ask("fault", rules=[{**conditions, "action": action}])
 
 
 # -- sessions and connections ---------------------------------------------------------------------------------
 
 
-async def test_a_session_is_registered_once_and_needed(logix: MockProgram) -> None:
+async def test_a_session_is_registered_once_and_needed(device: MockProgram) -> None:
     connection = RawEip()
-    await connection.connect(logix)
+    await connection.dial(device)
     read = packet((0, b""), (0xB2, cip(READ, VALVE, "0100")))
     assert (await connection.ask(frame(0x6F, read)))[8:12].hex() == "64000000"
     assert (await connection.ask(frame(0x65, b"\x02\0\0\0")))[8:12].hex() == "69000000"
@@ -78,38 +51,38 @@ async def test_a_session_is_registered_once_and_needed(logix: MockProgram) -> No
     assert (await connection.ask(frame(0x6F, read, session=session + 1)))[8:12].hex() == "64000000"
     assert (await connection.ask(frame(0x6F, b"\0" * 8, session=session)))[8:12].hex() == "03000000"
     assert (await connection.ask(frame(0x99, session=session)))[8:12].hex() == "01000000"
-    assert (await logix.control.image())["sessions"] == 1
+    assert (await device.control.image())["sessions"] == 1
     connection.writer.write(frame(0x00) + frame(0x66, session=session))
     assert await connection.ended()
     await connection.close()
-    await logix.control.wait(kind="DISCONNECTED")
-    assert (await logix.control.image())["sessions"] == 0
-    refused = await logix.control.journal(kind="request")
+    await device.control.wait(kind="DISCONNECTED")
+    assert (await device.control.image())["sessions"] == 0
+    refused = await device.control.journal(kind="request")
     assert [entry["items"][0]["tag"] for entry in refused] == ["ValvePosition"] * 2
 
 
-async def test_the_controller_tells_who_it_is_without_a_session(logix: MockProgram) -> None:
+async def test_the_controller_tells_who_it_is_without_a_session(device: MockProgram) -> None:
     connection = RawEip()
-    await connection.connect(logix)
+    await connection.dial(device)
     identity = await connection.ask(frame(0x63))
     assert identity.endswith(b"\x0b1756-L83E/B\x03")
     assert b"Communications" in await connection.ask(frame(0x04))
     assert (await connection.ask(frame(0x64)))[24:].hex() == "0000"
     await connection.close()
-    [asked] = await logix.control.journal(kind="request")
+    [asked] = await device.control.journal(kind="request")
     assert (asked["service"], asked["state_changing"]) == ("list_identity", False)
 
 
 @pytest.mark.parametrize(
     "sent", [b"\x65\0\xff\xff", frame(0x65, b"\x01\0\0\0", status=1), frame(0x65, b"\x01\0\0\0")[:20] + b"\1\0\0\0" * 2]
 )
-async def test_what_is_no_request_ends_the_connection(logix: MockProgram, sent: bytes) -> None:
+async def test_what_is_no_request_ends_the_connection(device: MockProgram, sent: bytes) -> None:
     connection = RawEip()
-    await connection.connect(logix)
+    await connection.dial(device)
     connection.writer.write(sent)
     assert await connection.ended()
     await connection.close()
-    assert [entry["bytes"] for entry in await logix.control.journal(kind="malformed")] == [sent.hex()]
+    assert [entry["bytes"] for entry in await device.control.journal(kind="malformed")] == [sent.hex()]
 
 
 OPENED = {
@@ -123,57 +96,57 @@ OPENED = {
 
 
 @pytest.mark.parametrize("name", OPENED)
-async def test_a_connection_that_leads_elsewhere_is_refused(logix: MockProgram, raw: RawEip, name: str) -> None:
+async def test_a_connection_that_leads_elsewhere_is_refused(device: MockProgram, raw: RawEip, name: str) -> None:
     request, reason = OPENED[name]
     answer = await raw.unconnected(request)
     assert (answer[2], answer[3], int.from_bytes(answer[4:6], "little")) == (1, 1, reason)
-    assert (await logix.control.image())["connections"] == 0
+    assert (await device.control.image())["connections"] == 0
     drives = name == "data of the plant"
-    [entry] = await logix.control.journal(service="forward_open", direction="in")
+    [entry] = await device.control.journal(service="forward_open", direction="in")
     assert (entry["request"], entry["state_changing"]) == (drives, drives)
 
 
-async def test_connections_are_counted_limited_and_closed(logix: MockProgram, raw: RawEip) -> None:
-    await logix.control.ask("poke", params={"connection_limit": 2})
+async def test_connections_are_counted_limited_and_closed(device: MockProgram, raw: RawEip) -> None:
+    await device.control.ask("poke", params={"connection_limit": 2})
     await raw.join(1)
     await raw.join(2, size=4002)
     assert (await raw.unconnected(forward_open(2)))[4:6].hex() == "0001"
     assert (await raw.unconnected(forward_open(3)))[4:6].hex() == "1301"
     assert (await raw.unconnected(forward_close(1)))[2] == 0
     assert (await raw.unconnected(forward_close(1)))[4:6].hex() == "0701"
-    assert (await logix.control.image())["connections"] == 1
+    assert (await device.control.image())["connections"] == 1
     await raw.close()
-    await logix.control.wait(kind="DISCONNECTED")
-    image = await logix.control.image()
+    await device.control.wait(kind="DISCONNECTED")
+    image = await device.control.image()
     assert (image["connections"], image["forgotten"]) == (0, 1)
 
 
 async def test_a_request_on_a_connection_is_executed_once_and_never_on_an_unknown_one(
-    logix: MockProgram, raw: RawEip
+    device: MockProgram, raw: RawEip
 ) -> None:
     await raw.join()
     write = cip(WRITE, VALVE, "c400 0100 29000000")
     assert (await raw.connected(write)).hex() == "cd000000"
-    await logix.control.ask("poke", params={"tag": "ValvePosition", "value": 1})
+    await device.control.ask("poke", params={"tag": "ValvePosition", "value": 1})
     raw.count -= 1
     assert (await raw.connected(write)).hex() == "cd000000"
-    assert (await points(logix))["ValvePosition"] == 1
-    await logix.control.ask("poke", params={"connections": "forget"})
+    assert (await device.control.points())["ValvePosition"] == 1
+    await device.control.ask("poke", params={"connections": "forget"})
     raw.send_connected(write)
     assert (await raw.unconnected(cip(READ, VALVE, "0100"))).hex() == "cc000000c40001000000"
-    writes = await logix.control.journal(service="write", direction="in")
+    writes = await device.control.journal(service="write", direction="in")
     assert [entry["sequence"] for entry in writes] == [1, 1, 2]
-    assert len(await logix.control.journal(service="write", direction="out")) == 2
+    assert len(await device.control.journal(service="write", direction="out")) == 2
 
 
-async def test_a_message_is_no_longer_than_was_agreed(logix: MockProgram, raw: RawEip) -> None:
+async def test_a_message_is_no_longer_than_was_agreed(device: MockProgram, raw: RawEip) -> None:
     await raw.join(size=64)
     assert (await raw.connected(cip(READ, symbol("Counts"), "4000")))[2] == 6
     raw.send_connected(cip(READ, VALVE, "0100" + "00" * 60))
     assert await raw.ended()
 
 
-async def test_an_unconnected_send_goes_to_its_slot(logix: MockProgram, raw: RawEip) -> None:
+async def test_an_unconnected_send_goes_to_its_slot(device: MockProgram, raw: RawEip) -> None:
     def wrapped(request: bytes, route: str) -> bytes:
         body = struct.pack("<BBH", 10, 14, len(request)) + request + bytes(len(request) % 2)
         hops = bytes.fromhex(route)
@@ -182,7 +155,7 @@ async def test_an_unconnected_send_goes_to_its_slot(logix: MockProgram, raw: Raw
     assert (await raw.unconnected(wrapped(cip(READ, VALVE, "0100"), "0100"))).hex() == "cc000000c40032000000"
     assert (await raw.unconnected(wrapped(cip(READ, VALVE, "0100"), "0103"))).hex() == "d200010112030100"
     assert (await raw.unconnected(cip(0x52, MANAGER, "0a0e")))[2] == 8
-    [first, *_] = await logix.control.journal(kind="request")
+    [first, *_] = await device.control.journal(kind="request")
     assert (first["service"], first["route"], first["items"][0]["tag"]) == ("read", "0100", "ValvePosition")
 
 
@@ -256,16 +229,16 @@ WRITES: dict[str, tuple[bytes, str, dict[str, Any]]] = {
 
 
 @pytest.mark.parametrize("name", WRITES)
-async def test_a_write_changes_what_it_names_or_nothing(logix: MockProgram, raw: RawEip, name: str) -> None:
+async def test_a_write_changes_what_it_names_or_nothing(device: MockProgram, raw: RawEip, name: str) -> None:
     request, status, changed = WRITES[name]
-    await logix.control.ask("poke", params={"tag": "FreeBool", "value": False})
-    before = await points(logix)
+    await device.control.ask("poke", params={"tag": "FreeBool", "value": False})
+    before = await device.control.points()
     assert (await raw.unconnected(request))[2:3].hex() == status
-    after = await points(logix)
+    after = await device.control.points()
     moving = {"MotorSpeed", "Temperature", "TankLevel", "AlarmHigh", "Program:MainProgram.MotorSpeed"}
     assert {name for name in after if after[name] != before[name]} - moving == set(changed)
     assert changed.items() <= after.items()
-    [entry] = await logix.control.journal(kind="request")
+    [entry] = await device.control.journal(kind="request")
     assert entry["state_changing"]
 
 
@@ -280,15 +253,15 @@ async def test_what_is_too_long_comes_in_parts(raw: RawEip) -> None:
     assert (len(rest), part[2]) == (128, 0)
 
 
-async def test_services_in_one_packet_have_a_status_each(logix: MockProgram, raw: RawEip) -> None:
+async def test_services_in_one_packet_have_a_status_each(device: MockProgram, raw: RawEip) -> None:
     write = multiple(
         cip(WRITE, VALVE, "c400 0100 07000000"), cip(WRITE, symbol("Locked"), "c400 0100 07000000"), multiple(b"\x4c\0")
     )
     answer = await raw.unconnected(write)
     assert answer.hex() == "8a001e00 0300 0800 0c00 1000 cd000000 cd000f00 8a000800".replace(" ", "")
-    held = await points(logix)
+    held = await device.control.points()
     assert (held["ValvePosition"], held["Locked"]) == (7, 4711)
-    [entry] = await logix.control.journal(service="multiple", direction="in")
+    [entry] = await device.control.journal(service="multiple", direction="in")
     assert [item["asks"] for item in entry["items"]] == ["write", "write", "multiple"]
     assert (await raw.unconnected(cip(0x0A, bytes.fromhex("20022401"), "0200 0400")))[2] == 0x13
     assert (await raw.unconnected(multiple(*[cip(READ, symbol("Message"), "0100")] * 8)))[2] == 0x1E
@@ -322,33 +295,33 @@ async def test_the_list_of_tags_has_no_hidden_one_and_goes_on_where_it_ended(raw
     assert (await raw.unconnected(cip(0x55, SYMBOLS, "0200 0100")))[2] == 0x13
 
 
-async def test_the_clock_is_read_and_set(logix: MockProgram, raw: RawEip) -> None:
+async def test_the_clock_is_read_and_set(device: MockProgram, raw: RawEip) -> None:
     moment = 1_936_000_000_000_000
     set_to = "0100 0600" + struct.pack("<Q", moment).hex()
     assert (await raw.unconnected(cip(4, CLOCK, set_to))).hex() == "84000000010006000000"
     answer = await raw.unconnected(cip(3, CLOCK, "0100 0b00"))
     assert answer[:10].hex() == "8300000001000b000000"
     assert 0 <= int.from_bytes(answer[10:], "little") - moment < 60_000_000
-    assert (await points(logix))["Clock"] == "2031-05-08T09:46:40+00:00"
+    assert (await device.control.points())["Clock"] == "2031-05-08T09:46:40+00:00"
     assert (await raw.unconnected(cip(4, CLOCK, "0100 0600" + "ff" * 8)))[2] == 9
     assert (await raw.unconnected(cip(4, CLOCK, "0100 6300 00")))[2] == 0x0A
     assert (await raw.unconnected(cip(4, CLOCK, set_to + "00")))[2] == 0x15
-    assert (await points(logix))["Clock"] == "2031-05-08T09:46:40+00:00"
+    assert (await device.control.points())["Clock"] == "2031-05-08T09:46:40+00:00"
 
 
-async def test_restless_bits_turn_before_every_request(logix: MockProgram, raw: RawEip) -> None:
-    await logix.control.ask("poke", params={"restless": [{"tag": "Flags", "bits": 64}]})
+async def test_restless_bits_turn_before_every_request(device: MockProgram, raw: RawEip) -> None:
+    await device.control.ask("poke", params={"restless": [{"tag": "Flags", "bits": 64}]})
     read = cip(READ, symbol("Flags"), "0100")
     assert [(await raw.unconnected(read))[6] for _ in range(3)] == [64, 0, 64]
-    assert (await logix.control.image())["restless"] == [{"tag": "Flags", "bits": 64, "changes": 3}]
+    assert (await device.control.image())["restless"] == [{"tag": "Flags", "bits": 64, "changes": 3}]
 
 
 # -- clients of other authors ---------------------------------------------------------------------------------
 
 
-async def test_pylogix_reads_and_writes_everything(logix: MockProgram) -> None:
+async def test_pylogix_reads_and_writes_everything(device: MockProgram) -> None:
     def exchange() -> None:
-        with PLC(logix.host, port=logix.port) as client:
+        with PLC(device.host, port=device.port) as client:
             assert client.Read("Levels", 10).Value == [10.0 + 2.5 * index for index in range(10)]
             several = client.Read(["ValvePosition", "Message", "NoSuchTag", "Program:MainProgram.Tank_Levels[2]"])
             assert [one.Value for one in several] == [50, "ready", None, 32.0]
@@ -367,18 +340,18 @@ async def test_pylogix_reads_and_writes_everything(logix: MockProgram) -> None:
             client.conn.msg_socket.close()
 
     await asyncio.to_thread(exchange)
-    held = await points(logix)
+    held = await device.control.points()
     assert [held[name] for name in ("ValvePosition", "Flags", "Message", "HeaterPower")] == [31, 8, "hello", 5]
-    await logix.control.wait(kind="unregister")
-    assert (await logix.control.image())["forgotten"] == 0
-    assert await logix.control.journal(kind="malformed") == []
+    await device.control.wait(kind="unregister")
+    assert (await device.control.image())["forgotten"] == 0
+    assert await device.control.journal(kind="malformed") == []
 
 
-async def test_pycomm3_reads_and_writes_everything(logix: MockProgram) -> None:
+async def test_pycomm3_reads_and_writes_everything(device: MockProgram) -> None:
     recipe = {"Name": "x", "Rate": 2.5, "Count": 9, "Enabled": True}
 
     def exchange() -> None:
-        with LogixDriver(f"{logix.host}:{logix.port}/0") as client:
+        with LogixDriver(f"{device.host}:{device.port}/0") as client:
             assert client.info["keyswitch"] == "REMOTE RUN"
             assert client.tags["Locked"]["external_access"] == "Read Only"
             read = client.read("Levels{3}", "PumpEnabled", "Recipe", "Program:MainProgram.Step", "Counts{64}")
@@ -394,12 +367,12 @@ async def test_pycomm3_reads_and_writes_everything(logix: MockProgram) -> None:
             assert client.get_module_info(0)["product_name"] == "1756-L83E/B"
 
     await asyncio.to_thread(exchange)
-    held = await points(logix)
+    held = await device.control.points()
     assert [held[name] for name in ("ValvePosition", "HeaterPower", "Flags", "PumpEnabled")] == [31, 5, 16, False]
-    assert await logix.control.journal(kind="malformed") == []
+    assert await device.control.journal(kind="malformed") == []
     # pycomm3 sends path, type and value a second time behind the value; that is no second write.
     [single, *_] = [
-        entry for entry in await logix.control.journal(service="write") if entry["items"][0].get("type") == 0xC4
+        entry for entry in await device.control.journal(service="write") if entry["items"][0].get("type") == 0xC4
     ]
     assert (single["items"][0]["data"], single["items"][0]["excess"]) == ("1f000000", 18)
 
@@ -407,7 +380,7 @@ async def test_pycomm3_reads_and_writes_everything(logix: MockProgram) -> None:
 # -- malformed input ------------------------------------------------------------------------------------------
 
 
-async def test_noise_never_stops_the_controller(logix: MockProgram, raw: RawEip) -> None:
+async def test_noise_never_stops_the_controller(device: MockProgram, raw: RawEip) -> None:
     chance = random.Random(20261123)
     messages = [
         cip(WRITE, VALVE, "c400 0100 29000000"),
@@ -418,10 +391,10 @@ async def test_noise_never_stops_the_controller(logix: MockProgram, raw: RawEip)
     for number in range(200):
         connection = RawEip()
         if number % 5 == 0:
-            await connection.connect(logix)
+            await connection.dial(device)
             connection.writer.write(chance.randbytes(chance.randrange(1, 600)))
         else:
-            await connection.open(logix)
+            await connection.open(device)
             data = packet((0, b""), (0xB2, chance.choice(messages)))
             sent = bytearray(frame(0x6F, data, session=connection.session))
             # The header stays in most cases, so that the noise arrives behind it.
@@ -430,7 +403,7 @@ async def test_noise_never_stops_the_controller(logix: MockProgram, raw: RawEip)
                 sent[chance.randrange(first, len(sent))] = chance.randrange(256)
             connection.writer.write(bytes(sent[: chance.randrange(1, len(sent) + 1)] if number % 5 == 3 else sent))
         await connection.close()
-    await logix.control.wait(kind="DISCONNECTED", count=200)
+    await device.control.wait(kind="DISCONNECTED", count=200)
     assert (await raw.unconnected(cip(READ, symbol("Message"), "0100")))[:8].hex() == "cc000000a002ce0f"
 
 
@@ -462,23 +435,23 @@ FALSE_ANSWERS = {
 
 @pytest.mark.parametrize("name", FALSE_ANSWERS)
 async def test_an_answer_is_falsified_and_the_journal_has_what_was_sent(
-    logix: MockProgram, raw: RawEip, name: str
+    device: MockProgram, raw: RawEip, name: str
 ) -> None:
     action, expected = FALSE_ANSWERS[name]
-    await fault(logix, action, service="read", tag="ValvePosition", times=1)
+    await device.control.fault(action, service="read", tag="ValvePosition", times=1)
     raw.send(READ_VALVE)
     wanted = expected.replace("session", struct.pack("<I", raw.session).hex()).replace(" ", "")
     assert (await raw.frame()).hex() == wanted
-    [asked] = await logix.control.journal(kind="request")
-    [answer] = await logix.control.journal(kind="response")
+    [asked] = await device.control.journal(kind="request")
+    [answer] = await device.control.journal(kind="response")
     assert (asked["fault"], answer["answers"], answer["frame"]) == (action, asked["seq"], wanted)
     assert (await raw.unconnected(READ_VALVE))[2] == 0
 
 
-async def test_an_answer_on_a_connection_has_another_count_or_connection(logix: MockProgram, raw: RawEip) -> None:
+async def test_an_answer_on_a_connection_has_another_count_or_connection(device: MockProgram, raw: RawEip) -> None:
     await raw.join()
     rules = [{"times": 1, "action": action} for action in ({"sequence": 1}, {"connection": 2}, {"length": 4})]
-    await logix.control.ask("fault", rules=rules)
+    await device.control.ask("fault", rules=rules)
     raw.send_connected(READ_VALVE)
     assert (await raw.frame())[44:46].hex() == "0200"
     raw.send_connected(READ_VALVE)
@@ -487,28 +460,28 @@ async def test_an_answer_on_a_connection_has_another_count_or_connection(logix: 
     assert int.from_bytes((await raw.reader.readexactly(24))[2:4], "little") == 32 + 4
 
 
-async def test_a_rule_is_about_one_service_of_several(logix: MockProgram, raw: RawEip) -> None:
-    await fault(logix, {"status": 0x10}, tag="HeaterPower")
+async def test_a_rule_is_about_one_service_of_several(device: MockProgram, raw: RawEip) -> None:
+    await device.control.fault({"status": 0x10}, tag="HeaterPower")
     answer = await raw.unconnected(
         multiple(cip(WRITE, VALVE, "c400 0100 07000000"), cip(WRITE, symbol("HeaterPower"), "c400 0100 07000000"))
     )
     assert answer.hex() == "8a001e00 0200 0600 0a00 cd000000 cd001000".replace(" ", "")
-    held = await points(logix)
+    held = await device.control.points()
     assert (held["ValvePosition"], held["HeaterPower"]) == (7, 30)
 
 
-async def test_a_write_is_acknowledged_and_not_done(logix: MockProgram, raw: RawEip) -> None:
-    await fault(logix, {"ack_only": True})
+async def test_a_write_is_acknowledged_and_not_done(device: MockProgram, raw: RawEip) -> None:
+    await device.control.fault({"ack_only": True})
     assert (await raw.unconnected(cip(WRITE, VALVE, "c400 0100 07000000"))).hex() == "cd000000"
     assert (await raw.unconnected(cip(MODIFY, symbol("Flags"), "0400 08000000 ffffffff"))).hex() == "ce000000"
     assert (await raw.unconnected(cip(4, CLOCK, "0100 0600" + "00" * 8)))[2] == 0
-    held = await points(logix)
+    held = await device.control.points()
     assert (held["ValvePosition"], held["Flags"], held["Clock"]) == (50, 0, None)
 
 
-async def test_an_answer_is_dropped_delayed_cut_or_replaced(logix: MockProgram, raw: RawEip) -> None:
+async def test_an_answer_is_dropped_delayed_cut_or_replaced(device: MockProgram, raw: RawEip) -> None:
     actions: list[dict[str, Any]] = [{"drop": True}, {"delay_s": 0.2}, {"truncate": 9}, {"garbage": True}]
-    await logix.control.ask("fault", rules=[{"times": 1, "action": action} for action in actions])
+    await device.control.ask("fault", rules=[{"times": 1, "action": action} for action in actions])
     for tag in ("FanSpeed", "HeaterPower", "FanSpeed", "FanSpeed", "ValvePosition"):
         raw.send(cip(READ, symbol(tag), "0100"))
     assert (await raw.reader.readexactly(9))[:4].hex() == "6f001a00"
@@ -519,25 +492,25 @@ async def test_an_answer_is_dropped_delayed_cut_or_replaced(logix: MockProgram, 
 
 @pytest.mark.parametrize("action", [{"close": True}, {"reset": True}])
 async def test_the_connection_ends_instead_of_an_answer(
-    logix: MockProgram, raw: RawEip, action: dict[str, Any]
+    device: MockProgram, raw: RawEip, action: dict[str, Any]
 ) -> None:
-    await fault(logix, action, times=1)
+    await device.control.fault(action, times=1)
     raw.send(cip(WRITE, VALVE, "c400 0100 07000000"))
     assert await raw.ended()
-    assert (await points(logix))["ValvePosition"] == 7
+    assert (await device.control.points())["ValvePosition"] == 7
 
 
-async def test_connecting_is_spared_unless_it_is_named(logix: MockProgram) -> None:
-    await fault(logix, {"close": True})
+async def test_connecting_is_spared_unless_it_is_named(device: MockProgram) -> None:
+    await device.control.fault({"close": True})
     connection = RawEip()
-    await connection.open(logix)
+    await connection.open(device)
     await connection.join()
     assert (await connection.unconnected(forward_close()))[2] == 0
-    await fault(logix, {"status": 1, "extended": 0x0113}, service="forward_open")
+    await device.control.fault({"status": 1, "extended": 0x0113}, service="forward_open")
     assert (await connection.unconnected(forward_open()))[2:6].hex() == "01011301"
     await connection.close()
-    await fault(logix, {"encapsulation": 2}, service="register")
-    await connection.connect(logix)
+    await device.control.fault({"encapsulation": 2}, service="register")
+    await connection.dial(device)
     assert (await connection.ask(frame(0x65, b"\x01\0\0\0")))[8] == 2
     await connection.close()
 
@@ -561,16 +534,18 @@ async def test_connecting_is_spared_unless_it_is_named(logix: MockProgram) -> No
         ({"restless": {}}, "a list of objects"),
     ],
 )
-async def test_a_poke_that_is_not_understood_is_refused(logix: MockProgram, params: dict[str, Any], words: str) -> None:
+async def test_a_poke_that_is_not_understood_is_refused(
+    device: MockProgram, params: dict[str, Any], words: str
+) -> None:
     with pytest.raises(RefusedError, match=words):
-        await logix.control.ask("poke", params=params)
+        await device.control.ask("poke", params=params)
 
 
-async def test_the_plant_moves_and_follows_its_orders(logix: MockProgram) -> None:
+async def test_the_plant_moves_and_follows_its_orders(device: MockProgram) -> None:
     for tag, value in (("HeaterPower", 100), ("ConveyorSpeed", 30), ("Flags.3", True), ("FreeReal", "NaN")):
-        await logix.control.ask("poke", params={"tag": tag, "value": value})
-    await logix.control.ask("tick", steps=120)
-    held = await points(logix)
+        await device.control.ask("poke", params={"tag": tag, "value": value})
+    await device.control.ask("tick", steps=120)
+    held = await device.control.points()
     assert held["Temperature"] > 90
     assert held["AlarmHigh"] is True
     assert 720 < held["MotorSpeed"] < 730

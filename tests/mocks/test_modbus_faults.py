@@ -61,14 +61,6 @@ async def raw(modbus: MockProgram) -> AsyncIterator[Raw]:
     raw.writer.close()
 
 
-async def fault(modbus: MockProgram, action: dict[str, Any], **conditions: Any) -> None:
-    await modbus.control.ask("fault", rules=[{**conditions, "action": action}])
-
-
-async def poke(modbus: MockProgram, **params: Any) -> None:
-    await modbus.control.ask("poke", params=params)
-
-
 async def cells(modbus: MockProgram, table: str = "holding_registers", unit: int = 1) -> list[Any]:
     found: list[Any] = (await modbus.control.image())["units"][str(unit)][table]
     return found
@@ -106,7 +98,7 @@ async def test_an_answer_is_falsified_and_the_journal_has_what_was_sent(
     modbus: MockProgram, raw: Raw, name: str
 ) -> None:
     action, request, expected = FALSE_ANSWERS[name]
-    await fault(modbus, action, times=1)
+    await modbus.control.fault(action, times=1)
     raw.send(request)
     sent = bytes.fromhex(expected)
     assert await raw.take(len(sent)) == sent
@@ -126,7 +118,7 @@ async def test_an_answer_is_falsified_and_the_journal_has_what_was_sent(
 
 async def test_an_answer_is_mangled_and_the_journal_has_the_bytes(modbus: MockProgram, raw: Raw) -> None:
     # Position 18 is byte 7 of the eleven: positions are counted round and round.
-    await fault(modbus, {"mangle": {"flip": [[1, 255], [18, 1]], "cut": 1, "append": "abcd"}}, times=1)
+    await modbus.control.fault({"mangle": {"flip": [[1, 255], [18, 1]], "cut": 1, "append": "abcd"}}, times=1)
     raw.send("03 0000 0001")
     sent = bytes.fromhex("00f8 0000 0005 01 03 03 00 abcd")
     assert await raw.take(len(sent)) == sent
@@ -134,7 +126,7 @@ async def test_an_answer_is_mangled_and_the_journal_has_the_bytes(modbus: MockPr
     assert await modbus.control.journal(kind="response") == []
     raw.send(READ_THREE)
     assert (await raw.frame())[2] == "03060032001e0028"
-    await fault(modbus, {"mangle": {"cut": 300, "end": True}})
+    await modbus.control.fault({"mangle": {"cut": 300, "end": True}})
     raw.send(READ_THREE)
     assert await raw.reader.read() == b""
 
@@ -152,7 +144,7 @@ async def test_a_rule_may_let_requests_pass_first(modbus: MockProgram, raw: Raw)
 
 
 async def test_a_dripped_answer_takes_its_time_and_the_next_one_waits_behind_it(modbus: MockProgram, raw: Raw) -> None:
-    await fault(modbus, {"drip_s": 0.02}, times=1)
+    await modbus.control.fault({"drip_s": 0.02}, times=1)
     raw.send("03 0000 0001", transaction=1)
     raw.send("03 0001 0001", transaction=2)
     loop = asyncio.get_running_loop()
@@ -165,7 +157,7 @@ async def test_a_dripped_answer_takes_its_time_and_the_next_one_waits_behind_it(
 
 
 async def test_pipelined_requests_are_answered_out_of_order(modbus: MockProgram, raw: Raw) -> None:
-    await fault(modbus, {"delay_s": 0.2}, address=0)
+    await modbus.control.fault({"delay_s": 0.2}, address=0)
     raw.send("03 0000 0001", transaction=1)
     raw.send("03 0001 0001", transaction=2)
     assert await raw.frame() == (2, 1, "0302001e")
@@ -174,7 +166,7 @@ async def test_pipelined_requests_are_answered_out_of_order(modbus: MockProgram,
 
 
 async def test_a_late_answer_is_followed_by_normal_operation(modbus: MockProgram) -> None:
-    await fault(modbus, {"delay_s": 0.5}, times=1)
+    await modbus.control.fault({"delay_s": 0.5}, times=1)
     client = AsyncModbusTcpClient(modbus.host, port=modbus.port, timeout=0.2, retries=0)
     assert await client.connect()
     try:
@@ -189,7 +181,7 @@ async def test_a_late_answer_is_followed_by_normal_operation(modbus: MockProgram
 
 
 async def test_written_registers_are_clamped_and_the_echo_does_not_say_so(modbus: MockProgram, raw: Raw) -> None:
-    await fault(modbus, {"clamp": [10, 20]})
+    await modbus.control.fault({"clamp": [10, 20]})
     assert await raw.ask("06 0028 0005") == "0600280005"
     assert await raw.ask("10 0029 0003 06 0005 000f ffff") == "1000290003"
     assert await raw.ask("16 002c 0000 00ff") == "16002c000000ff"
@@ -197,7 +189,7 @@ async def test_written_registers_are_clamped_and_the_echo_does_not_say_so(modbus
 
 
 async def test_a_half_open_connection_is_dead_and_others_are_served(modbus: MockProgram, raw: Raw) -> None:
-    await fault(modbus, {"half_open": True}, function=6)
+    await modbus.control.fault({"half_open": True}, function=6)
     raw.send("06 000a 0005")
     assert await raw.silent()
     raw.send(READ_THREE)
@@ -214,14 +206,14 @@ async def test_a_half_open_connection_is_dead_and_others_are_served(modbus: Mock
 
 async def test_a_black_hole_accepts_and_never_answers(modbus: MockProgram, raw: Raw) -> None:
     assert await raw.ask(READ_THREE)
-    await poke(modbus, network="black_hole")
+    await modbus.control.poke(network="black_hole")
     raw.send("06 000a 0005")
     other = Raw(*await asyncio.open_connection(modbus.host, modbus.port))
     other.send("06 000b 0005")
     assert await raw.silent()
     assert await other.silent()
     assert [entry["connection"] for entry in await modbus.control.journal(kind="lost")] == [1, 2]
-    await poke(modbus, network="open")
+    await modbus.control.poke(network="open")
     # Connections that lost something stay dead; a new one is served.
     raw.send(READ_THREE)
     assert await raw.silent()
@@ -235,18 +227,18 @@ async def test_a_black_hole_accepts_and_never_answers(modbus: MockProgram, raw: 
 
 
 async def test_a_late_answer_that_is_lost_is_not_in_the_journal(modbus: MockProgram, raw: Raw) -> None:
-    await fault(modbus, {"delay_s": 0.1})
+    await modbus.control.fault({"delay_s": 0.1})
     raw.send(READ_THREE)
     await modbus.control.wait(kind="request")
-    await poke(modbus, network="black_hole")
+    await modbus.control.poke(network="black_hole")
     assert await raw.silent()
     assert await modbus.control.journal(kind="response") == []
-    await poke(modbus, network="open")
+    await modbus.control.poke(network="open")
     assert await raw.silent()
 
 
 async def test_a_stalled_network_goes_on_late(modbus: MockProgram, raw: Raw) -> None:
-    await poke(modbus, network="stalled")
+    await modbus.control.poke(network="stalled")
     raw.send("06 000a 0005")
     other = Raw(*await asyncio.open_connection(modbus.host, modbus.port))
     other.send(READ_THREE)
@@ -262,13 +254,13 @@ async def test_a_stalled_network_goes_on_late(modbus: MockProgram, raw: Raw) -> 
 async def test_an_unknown_condition_of_the_network_is_refused(modbus: MockProgram) -> None:
     for params in ({"network": "slow"}, {"network": "open", "unit": 1}):
         with pytest.raises(RefusedError, match="with one of open, black_hole, stalled"):
-            await poke(modbus, **params)
+            await modbus.control.poke(**params)
 
 
 async def test_units_have_contents_of_their_own(modbus: MockProgram, raw: Raw) -> None:
-    await poke(modbus, unit=1, table="holding_registers", address=10, values=[4711])
-    await poke(modbus, units=[1, 2, 17, 247, 255])
-    await poke(modbus, unit=247, table="coils", address=3, values=[True])
+    await modbus.control.poke(unit=1, table="holding_registers", address=10, values=[4711])
+    await modbus.control.poke(units=[1, 2, 17, 247, 255])
+    await modbus.control.poke(unit=247, table="coils", address=3, values=[True])
     found = {unit: await raw.ask("03 000a 0002", unit=unit) for unit in (1, 2, 17, 247, 255, 3)}
     assert found == {
         1: "030412670000",
@@ -287,8 +279,8 @@ async def test_units_have_contents_of_their_own(modbus: MockProgram, raw: Raw) -
 
 async def test_a_unit_may_have_cells_up_to_the_last_address(modbus: MockProgram, raw: Raw) -> None:
     assert await raw.ask("03 fffe 0002") == "8302"
-    await poke(modbus, unit=1, cells=0x10000)
-    await poke(modbus, unit=1, table="holding_registers", address=0xFFFF, values=[4711])
+    await modbus.control.poke(unit=1, cells=0x10000)
+    await modbus.control.poke(unit=1, table="holding_registers", address=0xFFFF, values=[4711])
     assert await raw.ask("03 fffe 0002") == "030400001267"
     assert await raw.ask("03 ffff 0002") == "8302"
     assert await raw.ask("06 fffe 0007") == "06fffe0007"
@@ -312,7 +304,7 @@ async def test_pokes_that_are_not_understood_are_refused_in_a_sentence(modbus: M
         ({"restless": [{}]}, "lacks 'address'"),
     ):
         with pytest.raises(RefusedError) as refused:
-            await poke(modbus, **params)
+            await modbus.control.poke(**params)
         assert sentence in str(refused.value)
     for action, sentence in (
         ({"echo": {"values": 1}}, "expected an object with value, address, count"),
@@ -324,33 +316,35 @@ async def test_pokes_that_are_not_understood_are_refused_in_a_sentence(modbus: M
         ({"mangle": {"drop": True}}, "expected an object with flip"),
     ):
         with pytest.raises(RefusedError) as refused:
-            await fault(modbus, action)
+            await modbus.control.fault(action)
         assert sentence in str(refused.value)
 
 
 async def test_the_identification_holds_any_bytes(modbus: MockProgram, raw: Raw) -> None:
     vendor, private = b"Ol\xff\x00\x1b[31m", "\u202eegalp".encode()
     objects = {"0": base64.b64encode(vendor).decode(), "128": base64.b64encode(private).decode(), "2": None}
-    await poke(modbus, identification=objects)
+    await modbus.control.poke(identification=objects)
     assert await raw.ask("2b 0e 04 00") == "2b0e0482000001" + bytes([0, len(vendor)]).hex() + vendor.hex()
     assert await raw.ask("2b 0e 04 80") == "2b0e0482000001" + bytes([128, len(private)]).hex() + private.hex()
     assert await raw.ask("2b 0e 04 02") == "ab02"
 
 
 async def test_a_restless_register_counts_the_requests_of_its_unit(modbus: MockProgram, raw: Raw) -> None:
-    await poke(modbus, units=[1, 2])
-    await poke(modbus, restless=[{"address": 20}, {"address": 3, "table": "discrete_inputs", "change": "toggle"}])
+    await modbus.control.poke(units=[1, 2])
+    await modbus.control.poke(
+        restless=[{"address": 20}, {"address": 3, "table": "discrete_inputs", "change": "toggle"}]
+    )
     assert [await raw.ask("03 0014 0001") for _ in range(2)] == ["03020001", "03020002"]
     await raw.ask("03 0000 0001", unit=2)
     assert [await raw.ask("02 0003 0001") for _ in range(2)] == ["020101", "020100"]
     assert (await modbus.control.image())["restless"][0]["changes"] == 4
-    await poke(modbus, restless=[])
+    await modbus.control.poke(restless=[])
     assert await raw.ask("03 0014 0001") == "03020004"
     assert "restless" not in await modbus.control.image()
 
 
 async def test_other_bits_change_between_the_read_and_the_write_of_a_mask(modbus: MockProgram) -> None:
-    await poke(modbus, restless=[{"address": 20, "change": "toggle", "bits": 0xFF00}])
+    await modbus.control.poke(restless=[{"address": 20, "change": "toggle", "bits": 0xFF00}])
     client = AsyncModbusTcpClient(modbus.host, port=modbus.port, timeout=PATIENCE_S, retries=0)
     assert await client.connect()
     try:

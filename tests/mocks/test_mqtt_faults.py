@@ -145,10 +145,6 @@ async def mqtt(start_mock: StartMock) -> MockProgram:
     return await start_mock("mqtt")
 
 
-async def poke(mqtt: MockProgram, **params: Any) -> None:
-    await mqtt.control.ask("poke", params=params)
-
-
 @contextlib.asynccontextmanager
 async def client(mqtt: MockProgram, *filters: str, version: int = 5, client_id: str = "client") -> AsyncIterator[Peer]:
     """Connect paho and subscribe, in a thread because it blocks."""
@@ -175,7 +171,7 @@ def encoded(data: bytes) -> str:
 async def test_a_burst_arrives_whole_in_order_and_fast(mqtt: MockProgram) -> None:
     async with client(mqtt, "flood/#") as peer:
         began = time.monotonic()
-        await poke(mqtt, burst={"topic": "flood/{n}", "count": 5000, "size": 20})
+        await mqtt.control.poke(burst={"topic": "flood/{n}", "count": 5000, "size": 20})
         published_s = time.monotonic() - began
         found = await asyncio.to_thread(lambda: [peer.next() for _ in range(5000)])
     assert [one.payload for one in found] == [str(number).encode().ljust(20) for number in range(5000)]
@@ -187,8 +183,8 @@ async def test_a_burst_arrives_whole_in_order_and_fast(mqtt: MockProgram) -> Non
 @pytest.mark.asyncio
 async def test_a_brief_burst_arrives_whole_and_has_an_entry_for_each_connection(mqtt: MockProgram) -> None:
     async with client(mqtt, "flood/#") as peer, client(mqtt, "flood/1", client_id="other") as other:
-        await poke(mqtt, burst={"topic": "flood/1", "count": 700, "brief": True})
-        await poke(mqtt, publish={"topic": "flood/1", "payload": encoded(b"later")})
+        await mqtt.control.poke(burst={"topic": "flood/1", "count": 700, "brief": True})
+        await mqtt.control.poke(publish={"topic": "flood/1", "payload": encoded(b"later")})
         found = await asyncio.to_thread(lambda: [peer.next() for _ in range(701)])
         last = await asyncio.to_thread(lambda: [other.next() for _ in range(701)][-1])
     assert [one.payload for one in found] == [*(str(number).encode() for number in range(700)), b"later"]
@@ -207,7 +203,7 @@ async def test_a_brief_burst_arrives_whole_and_has_an_entry_for_each_connection(
 @pytest.mark.asyncio
 async def test_a_burst_keeps_its_rate(mqtt: MockProgram) -> None:
     began = time.monotonic()
-    await poke(mqtt, burst={"topic": "f", "count": 20, "rate_per_s": 100})
+    await mqtt.control.poke(burst={"topic": "f", "count": 20, "rate_per_s": 100})
     assert time.monotonic() - began >= 0.19
 
 
@@ -226,7 +222,7 @@ async def test_any_topic_and_payload_are_published(
     raw = Raw(mqtt.port).send(connect_bytes("raw"), frame(0x82, b"\0\1", utf8("x/#"), b"\0"))
     with raw:
         assert [raw.packet()[0] for _ in range(2)] == [0x20, 0x90]
-        await poke(mqtt, publish={**place, "payload": encoded(payload), "retain": True})
+        await mqtt.control.poke(publish={**place, "payload": encoded(payload), "retain": True})
         assert await asyncio.to_thread(raw.packet) == (0x30, bytes([0, len(on_the_wire)]) + on_the_wire + payload)
     [entry] = await mqtt.control.journal(kind="PUBLISH", origin="kit")
     assert (entry["topic"], entry["payload"]) == (shown, encoded(payload))
@@ -236,17 +232,17 @@ async def test_any_topic_and_payload_are_published(
 @pytest.mark.asyncio
 async def test_all_clients_are_disconnected_with_a_reason(mqtt: MockProgram) -> None:
     async with client(mqtt) as peer:
-        await poke(mqtt, disconnect={"reason_code": 0x8B})
+        await mqtt.control.poke(disconnect={"reason_code": 0x8B})
         code = await asyncio.to_thread(peer.disconnects.get, timeout=PATIENCE_S)
         assert code.value == 0x8B
     assert (await mqtt.control.image())["edge_node"]["connected"]
     with pytest.raises(RefusedError, match="no client 'nobody' is connected"):
-        await poke(mqtt, disconnect={"client_id": "nobody", "reason_code": 0x8B})
+        await mqtt.control.poke(disconnect={"client_id": "nobody", "reason_code": 0x8B})
 
 
 @pytest.mark.asyncio
 async def test_a_black_hole_swallows_clients_and_spares_the_plant(mqtt: MockProgram) -> None:
-    await poke(mqtt, network="black_hole")
+    await mqtt.control.poke(network="black_hole")
     with Raw(mqtt.port).send(connect_bytes("raw")) as raw:
         await mqtt.control.wait(kind="lost")
         assert await mqtt.control.journal(kind="CONNECT", client_id="raw") == []
@@ -273,7 +269,7 @@ def metrics(message: Any) -> list[dict[str, Any]]:
 @pytest.mark.asyncio
 async def test_births_have_aliases_and_data_has_nothing_else(mqtt: MockProgram) -> None:
     async with client(mqtt, NODE.format("DBIRTH") + "/device-1", NODE.format("DDATA") + "/device-1") as peer:
-        await poke(mqtt, edge_node={"aliases": True})
+        await mqtt.control.poke(edge_node={"aliases": True})
         birth = metrics(await asyncio.to_thread(peer.next))
         aliases = {one["alias"]: one["name"] for one in birth}
         assert sorted(aliases.values()) == ["pressure", "running", "setpoint", "temperature"]
@@ -282,8 +278,8 @@ async def test_births_have_aliases_and_data_has_nothing_else(mqtt: MockProgram) 
         assert [(one["name"], aliases[one["alias"]]) for one in data] == [(None, "temperature"), (None, "pressure")]
         setpoint = next(alias for alias, name in aliases.items() if name == "setpoint")
         order = {"alias": setpoint, "datatype": "Double", "value": 33.5}
-        await poke(
-            mqtt, command={"group": "factory", "edge_node": "edge-node-1", "device": "device-1", "metrics": [order]}
+        await mqtt.control.poke(
+            command={"group": "factory", "edge_node": "edge-node-1", "device": "device-1", "metrics": [order]}
         )
         done = metrics(await asyncio.to_thread(peer.next))
         assert [(one["alias"], one["value"]) for one in done] == [(setpoint, 33.5)]
@@ -317,11 +313,11 @@ async def test_metrics_of_every_datatype_have_special_values(mqtt: MockProgram) 
     wanted = [{"device": "new", "name": kind, "datatype": kind, "value": value} for kind, value in SPECIAL.items()]
     nothing = {"device": "new", "name": "null", "datatype": "Int32", "value": None}
     async with client(mqtt, NODE.format("+") + "/new") as peer:
-        await poke(mqtt, edge_node={"metrics": [*wanted, nothing]})
+        await mqtt.control.poke(edge_node={"metrics": [*wanted, nothing]})
         birth = await asyncio.to_thread(peer.next)
         assert birth.topic == NODE.format("DBIRTH") + "/new"
         found = {one["name"]: one for one in metrics(birth)}
-        await poke(mqtt, edge_node={"metrics": [{**wanted[2], "value": -2}]})
+        await mqtt.control.poke(edge_node={"metrics": [{**wanted[2], "value": -2}]})
         data = await asyncio.to_thread(peer.next)
         assert data.topic == NODE.format("DDATA") + "/new"
         assert [one["value"] for one in metrics(data)] == [-2]
@@ -339,16 +335,16 @@ async def test_metrics_of_every_datatype_have_special_values(mqtt: MockProgram) 
 @pytest.mark.asyncio
 async def test_the_node_dies_stays_away_and_is_born_again(mqtt: MockProgram) -> None:
     async with client(mqtt, NODE.format("NDEATH"), NODE.format("NBIRTH"), NODE.format("DDEATH") + "/+") as peer:
-        await poke(mqtt, edge_node={"death": "device-2"})
-        await poke(mqtt, edge_node={"offline": True})
+        await mqtt.control.poke(edge_node={"death": "device-2"})
+        await mqtt.control.poke(edge_node={"offline": True})
         dead = [(await asyncio.to_thread(peer.next)).topic for _ in range(2)]
         assert dead == [NODE.format("DDEATH") + "/device-2", NODE.format("NDEATH")]
         assert not (await mqtt.control.image())["edge_node"]["connected"]
         with pytest.raises(RefusedError, match="the edge node is offline"):
-            await poke(mqtt, edge_node={"rebirth": True})
-        await poke(mqtt, edge_node={"offline": False})
+            await mqtt.control.poke(edge_node={"rebirth": True})
+        await mqtt.control.poke(edge_node={"offline": False})
         assert (await asyncio.to_thread(peer.next)).topic == NODE.format("NBIRTH")
-        await poke(mqtt, edge_node={"cut": True})
+        await mqtt.control.poke(edge_node={"cut": True})
         again = [(await asyncio.to_thread(peer.next)).topic for _ in range(2)]
         assert again == [NODE.format("NDEATH"), NODE.format("NBIRTH")]
 
@@ -356,7 +352,7 @@ async def test_the_node_dies_stays_away_and_is_born_again(mqtt: MockProgram) -> 
 @pytest.mark.asyncio
 async def test_sequence_numbers_are_left_out(mqtt: MockProgram) -> None:
     seq = (await mqtt.control.image())["edge_node"]["seq"]
-    await poke(mqtt, edge_node={"skip_seq": 3})
+    await mqtt.control.poke(edge_node={"skip_seq": 3})
     since = await mqtt.control.next()
     await mqtt.control.ask("tick", steps=1)
     [first, *_] = await mqtt.control.wait(since, kind="PUBLISH", direction="in", origin="plant")
@@ -367,13 +363,13 @@ async def test_sequence_numbers_are_left_out(mqtt: MockProgram) -> None:
 async def test_a_host_commands_the_clients_node(mqtt: MockProgram) -> None:
     rebirth = {"name": "Node Control/Rebirth", "datatype": "Boolean", "value": True}
     async with client(mqtt, "spBv1.0/g/NCMD/mine", "spBv1.0/g/DCMD/mine/#") as peer:
-        await poke(mqtt, command={"group": "g", "edge_node": "mine", "metrics": [rebirth]})
+        await mqtt.control.poke(command={"group": "g", "edge_node": "mine", "metrics": [rebirth]})
         asked = await asyncio.to_thread(peer.next)
         assert asked.topic == "spBv1.0/g/NCMD/mine"
         [entry] = await mqtt.control.journal(origin="kit", kind="PUBLISH")
         expected = encode_payload([rebirth], timestamp=entry["sparkplug"]["timestamp"], seq=None)
         assert asked.payload == expected
-        await poke(mqtt, command={"group": "g", "edge_node": "mine", "device": "d", "metrics": [rebirth]})
+        await mqtt.control.poke(command={"group": "g", "edge_node": "mine", "device": "d", "metrics": [rebirth]})
         assert (await asyncio.to_thread(peer.next)).topic == "spBv1.0/g/DCMD/mine/d"
 
 
@@ -395,5 +391,5 @@ async def test_pokes_that_are_not_understood_are_refused_in_a_sentence(mqtt: Moc
         ({"edge_node": {"metrics": [{**one, "colour": 1}]}}, "edge_node: a metric is"),
     ):
         with pytest.raises(RefusedError) as refused:
-            await poke(mqtt, **params)
+            await mqtt.control.poke(**params)
         assert sentence in str(refused.value)

@@ -25,36 +25,19 @@ ACTUATORS = {"PumpEnabled", "ValvePosition", "HeaterPower", "FanSpeed", "Conveyo
 METHODS = {"StartProduction", "StopProduction", "TriggerEmergencyStop", "ResetAlarms", "SetProductionRate"}
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
-
-
-@pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def program() -> AsyncIterator[MockProgram]:
-    started = await MockProgram.start("opcua")
-    try:
-        await started.ready()
-        yield started
-    finally:
-        _, stderr = await started.end()
-    assert stderr == ""
-
-
-@pytest_asyncio.fixture(loop_scope="module")
-async def plant(program: MockProgram) -> MockProgram:
-    """The mock with its start-up values."""
-    await program.control.ask("reset")
-    return program
+MOCK = "opcua"
 
 
 Connect = Callable[[], Awaitable[Client]]
 
 
 @pytest_asyncio.fixture(loop_scope="module")
-async def connect(plant: MockProgram) -> AsyncIterator[Connect]:
+async def connect(device: MockProgram) -> AsyncIterator[Connect]:
     """Function that opens sessions, which are closed after the test."""
     opened: list[Client] = []
 
     async def opens() -> Client:
-        client = Client(f"opc.tcp://{plant.host}:{plant.port}", timeout=PATIENCE_S, watchdog_intervall=600)
+        client = Client(f"opc.tcp://{device.host}:{device.port}", timeout=PATIENCE_S, watchdog_intervall=600)
         await client.connect()
         opened.append(client)
         return client
@@ -120,27 +103,22 @@ def names(result: ua.BrowseResult) -> list[str]:
     return [reference.BrowseName.Name for reference in result.References]
 
 
-async def create(plant: MockProgram, *wishes: dict[str, Any]) -> None:
-    await plant.control.ask("poke", params={"create": list(wishes)})
+async def create(device: MockProgram, *wishes: dict[str, Any]) -> None:
+    await device.control.ask("poke", params={"create": list(wishes)})
 
 
-async def limit(plant: MockProgram, **limits: int) -> None:
-    await plant.control.ask("poke", params={"limits": limits})
-
-
-async def fault(plant: MockProgram, **rule: Any) -> None:
-    conditions: dict[str, Any] = {name: rule.pop(name) for name in ("service", "node", "times") if name in rule}
-    await plant.control.ask("fault", rules=[{**conditions, "action": rule}])
+async def limit(device: MockProgram, **limits: int) -> None:
+    await device.control.ask("poke", params={"limits": limits})
 
 
 # -- the address space -----------------------------------------------------------------------------------------
 
 
-async def test_the_plant_has_the_papers_nodes_in_one_listed_namespace(plant: MockProgram, client: Client) -> None:
+async def test_the_plant_has_the_papers_nodes_in_one_listed_namespace(device: MockProgram, client: Client) -> None:
     assert (await client.get_namespace_array())[2] == URI
     children = await browse(client, *(description(node(folder)) for folder in ("Sensors", "Actuators", "Methods")))
     assert [set(names(result)) for result in children] == [SENSORS, ACTUATORS, METHODS]
-    image = await plant.control.image()
+    image = await device.control.image()
     assert image["namespace"] == {"index": 2, "uri": URI}
     assert set(image["methods"]) == {f"ns=2;s={name}" for name in METHODS}
     assert len(image["variables"]) == 20
@@ -162,9 +140,9 @@ async def test_a_value_has_the_times_that_are_asked_for(client: Client) -> None:
     assert await status(read(client, "Temperature", MaxAge=-1.0)) == "BadMaxAgeInvalid"
 
 
-async def test_reading_what_there_is_not_has_its_status(plant: MockProgram, client: Client) -> None:
+async def test_reading_what_there_is_not_has_its_status(device: MockProgram, client: Client) -> None:
     await create(
-        plant,
+        device,
         {"variable": "Hidden", "type": "Double", "value": 1.0, "access": "hidden"},
         {"variable": "Denied", "type": "Double", "value": 1.0, "access": "denied"},
         {"variable": "Row", "type": "Int32", "value": [1, 2, 3]},
@@ -186,8 +164,8 @@ async def test_reading_what_there_is_not_has_its_status(plant: MockProgram, clie
     assert results[5].Value.Value == [2, 3]
 
 
-async def test_a_call_without_operations_or_with_too_many_does_nothing(plant: MockProgram, client: Client) -> None:
-    await limit(plant, nodes_per_read=2, nodes_per_browse=2)
+async def test_a_call_without_operations_or_with_too_many_does_nothing(device: MockProgram, client: Client) -> None:
+    await limit(device, nodes_per_read=2, nodes_per_browse=2)
     item = ua.ReadValueId(NodeId=node("Pressure"), AttributeId=ua.AttributeIds.Value)
     assert await status(client.uaclient.read(ua.ReadParameters(NodesToRead=[item] * 3))) == "BadTooManyOperations"
     assert await status(client.uaclient.read(ua.ReadParameters(NodesToRead=[]))) == "BadNothingToDo"
@@ -200,22 +178,22 @@ async def test_a_call_without_operations_or_with_too_many_does_nothing(plant: Mo
 # -- writing ---------------------------------------------------------------------------------------------------
 
 
-async def test_a_clients_write_stays_and_drives_the_plant(plant: MockProgram, client: Client) -> None:
+async def test_a_clients_write_stays_and_drives_the_plant(device: MockProgram, client: Client) -> None:
     assert await write(client, "HeaterPower", 100.0, ua.VariantType.Double) == "Good"
     assert await write(client, "ValvePosition", 25.0, ua.VariantType.Double) == "Good"
     cold = (await read(client, "Temperature")).Value.Value
-    await plant.control.ask("tick", steps=20)
+    await device.control.ask("tick", steps=20)
     assert (await read(client, "HeaterPower")).Value.Value == 100.0
     assert (await read(client, "Temperature")).Value.Value > cold + 5
     assert (await read(client, "FlowRate")).Value.Value == 30.0
     assert await write(client, "PumpEnabled", False, ua.VariantType.Boolean) == "Good"
-    await plant.control.ask("tick", steps=1)
+    await device.control.ask("tick", steps=1)
     assert (await read(client, "FlowRate")).Value.Value == 0.0
-    held = (await plant.control.image())["variables"]
+    held = (await device.control.image())["variables"]
     assert (held["ns=2;s=PumpEnabled"]["value"], held["ns=2;s=HeaterPower"]["value"]) == (False, 100.0)
 
 
-async def test_the_simulation_runs_freely_until_it_is_paused(plant: MockProgram, client: Client) -> None:
+async def test_the_simulation_runs_freely_until_it_is_paused(device: MockProgram, client: Client) -> None:
     changed: asyncio.Queue[int] = asyncio.Queue()
 
     class Handler:
@@ -225,10 +203,10 @@ async def test_the_simulation_runs_freely_until_it_is_paused(plant: MockProgram,
     subscription = await client.create_subscription(50, Handler())
     await subscription.subscribe_data_change(client.get_node(node("Uptime")))
     assert await asyncio.wait_for(changed.get(), PATIENCE_S) == 0
-    await plant.control.ask("resume")
+    await device.control.ask("resume")
     # On a busy machine the plant makes up for missed seconds: the first notification may be about the third second.
     assert await asyncio.wait_for(changed.get(), PATIENCE_S) > 0
-    await plant.control.ask("pause")
+    await device.control.ask("pause")
     await subscription.delete()
 
 
@@ -258,20 +236,20 @@ async def test_the_simulation_runs_freely_until_it_is_paused(plant: MockProgram,
     ],
 )
 async def test_a_write_is_checked_like_on_a_strict_server(
-    plant: MockProgram, client: Client, name: str, value: Any, kind: str, expected: str
+    device: MockProgram, client: Client, name: str, value: Any, kind: str, expected: str
 ) -> None:
     await create(
-        plant,
+        device,
         {"variable": "Denied", "type": "Double", "value": 0.0, "access": "denied"},
         {"variable": "Bounded", "type": "Double", "value": 0.0, "range": [0, 10]},
         {"variable": "Row", "type": "Int32", "value": [1, 2, 3], "dimensions": [3]},
         {"variable": "Grid", "type": "Int16", "value": [[0, 0], [0, 0]]},
     )
-    before = await plant.control.image()
-    mark = await plant.control.next()
+    before = await device.control.image()
+    mark = await device.control.next()
     assert await write(client, name, value, ua.VariantType[kind]) == expected
-    after = await plant.control.image()
-    (answer,) = await plant.control.journal(mark, kind="Write", direction="out")
+    after = await device.control.image()
+    (answer,) = await device.control.journal(mark, kind="Write", direction="out")
     assert answer["results"] == [{"status": expected}]
     if expected == "Good":
         assert after["variables"][f"ns=2;s={name}"]["value"] == value
@@ -285,12 +263,12 @@ async def test_attributes_other_than_the_value_cannot_be_written(client: Client)
     assert await write(client, "ValvePosition", 1.0, ua.VariantType.Double, IndexRange="0") == "BadWriteNotSupported"
 
 
-async def test_the_journal_tells_what_was_written_besides_the_value(plant: MockProgram, client: Client) -> None:
-    mark = await plant.control.next()
+async def test_the_journal_tells_what_was_written_besides_the_value(device: MockProgram, client: Client) -> None:
+    mark = await device.control.next()
     await write(client, "FanSpeed", 12.5, ua.VariantType.Double)
     timed = ua.DataValue(ua.Variant(13.5, ua.VariantType.Double), SourceTimestamp=datetime(2026, 1, 1, tzinfo=UTC))
     await client.get_node(node("FanSpeed")).write_value(timed)
-    first, second = (entry["nodes"] for entry in await plant.control.journal(mark, kind="Write", direction="in"))
+    first, second = (entry["nodes"] for entry in await device.control.journal(mark, kind="Write", direction="in"))
     plain = {"node_id": "ns=2;s=FanSpeed", "attribute": "Value", "variant_type": "Double"}
     assert first == [{**plain, "value": 12.5, "has_status": False, "has_timestamp": False}]
     assert second == [{**plain, "value": 13.5, "has_status": False, "has_timestamp": True}]
@@ -303,9 +281,9 @@ async def test_the_journal_tells_what_was_written_besides_the_value(plant: MockP
 
 @pytest.mark.parametrize("page", [1, 2, 3, 7, 8, 9])
 async def test_pages_are_as_long_as_asked_for_and_complete_together(
-    plant: MockProgram, client: Client, page: int
+    device: MockProgram, client: Client, page: int
 ) -> None:
-    mark = await plant.control.next()
+    mark = await device.control.next()
     (result,) = await browse(client, description(node("Sensors")), most=page)
     found, turns = names(result), 0
     while result.ContinuationPoint:
@@ -315,19 +293,19 @@ async def test_pages_are_as_long_as_asked_for_and_complete_together(
         turns += 1
     assert sorted(found) == sorted(SENSORS)
     assert turns == math.ceil(8 / page) - 1
-    assert len(await plant.control.journal(mark, kind="BrowseNext", direction="in")) == turns
-    assert (await plant.control.image())["clients"]["continuation_points"] == 0
+    assert len(await device.control.journal(mark, kind="BrowseNext", direction="in")) == turns
+    assert (await device.control.image())["clients"]["continuation_points"] == 0
 
 
-async def test_the_server_may_want_shorter_pages_than_the_client(plant: MockProgram, client: Client) -> None:
-    await limit(plant, references_per_node=3)
+async def test_the_server_may_want_shorter_pages_than_the_client(device: MockProgram, client: Client) -> None:
+    await limit(device, references_per_node=3)
     for most, expected in ((0, 3), (2, 2), (5, 3)):
         (result,) = await browse(client, description(node("Sensors")), most=most)
         assert len(result.References) == expected
 
 
 async def test_a_continuation_point_is_good_for_one_turn_of_its_own_session(
-    plant: MockProgram, connect: Connect
+    device: MockProgram, connect: Connect
 ) -> None:
     client, other = await connect(), await connect()
     (first,) = await browse(client, description(node("Sensors")), most=3)
@@ -337,22 +315,22 @@ async def test_a_continuation_point_is_good_for_one_turn_of_its_own_session(
     assert second.StatusCode.name == "Good"
     again, invented = await browse_next(client, first.ContinuationPoint, b"invented")
     assert {again.StatusCode.name, invented.StatusCode.name} == {"BadContinuationPointInvalid"}
-    assert (await plant.control.image())["clients"]["continuation_points"] == 1
+    assert (await device.control.image())["clients"]["continuation_points"] == 1
     assert await browse_next(client, second.ContinuationPoint, release=True) == []
     (released,) = await browse_next(client, second.ContinuationPoint)
     assert released.StatusCode.name == "BadContinuationPointInvalid"
-    assert (await plant.control.image())["clients"]["continuation_points"] == 0
+    assert (await device.control.image())["clients"]["continuation_points"] == 0
 
 
-async def test_continuation_points_run_out_and_end_with_their_session(plant: MockProgram, connect: Connect) -> None:
-    await limit(plant, continuation_points=2)
+async def test_continuation_points_run_out_and_end_with_their_session(device: MockProgram, connect: Connect) -> None:
+    await limit(device, continuation_points=2)
     client, other = await connect(), await connect()
     results = await browse(client, *[description(node("Sensors"))] * 3, most=1)
     assert [result.StatusCode.name for result in results] == ["Good", "Good", "BadNoContinuationPoints"]
     (result,) = await browse(other, description(node("Sensors")), most=1)
     assert result.StatusCode.name == "Good"
     await client.disconnect()
-    clients = (await plant.control.image())["clients"]
+    clients = (await device.control.image())["clients"]
     assert (clients["sessions"], clients["continuation_points"]) == (1, 1)
 
 
@@ -400,7 +378,7 @@ async def call(client: Client, name: str, *arguments: ua.Variant, owner: str = "
     return result
 
 
-async def test_methods_do_what_their_names_say(plant: MockProgram, client: Client) -> None:
+async def test_methods_do_what_their_names_say(device: MockProgram, client: Client) -> None:
     async def mode() -> Any:
         return (await read(client, "Mode")).Value.Value
 
@@ -417,7 +395,7 @@ async def test_methods_do_what_their_names_say(plant: MockProgram, client: Clien
         assert ((await call(client, name)).StatusCode.name, await mode()) == (expected, then)
     result = await call(client, "SetProductionRate", ua.Variant(120.0, ua.VariantType.Double))
     assert [output.Value for output in result.OutputArguments] == [100.0]
-    image = await plant.control.image()
+    image = await device.control.image()
     assert image["variables"]["ns=2;s=ProductionRate"]["value"] == 120.0
     assert image["methods"]["ns=2;s=StartProduction"]["calls"] == 2
 
@@ -438,15 +416,15 @@ async def test_methods_do_what_their_names_say(plant: MockProgram, client: Clien
     ],
 )
 async def test_a_methods_arguments_are_checked(
-    plant: MockProgram, client: Client, name: str, arguments: list[tuple[Any, str]], expected: str, each: list[str]
+    device: MockProgram, client: Client, name: str, arguments: list[tuple[Any, str]], expected: str, each: list[str]
 ) -> None:
-    await create(plant, {"method": "Echo", "inputs": ["Int32", "String"]})
-    before = await plant.control.image()
+    await create(device, {"method": "Echo", "inputs": ["Int32", "String"]})
+    before = await device.control.image()
     result = await call(client, name, *(ua.Variant(value, ua.VariantType[kind]) for value, kind in arguments))
     assert result.StatusCode.name == expected
     assert [argument.name for argument in result.InputArgumentResults] == each
     if expected != "Good":
-        assert await plant.control.image() == before
+        assert await device.control.image() == before
 
 
 async def test_a_method_belongs_to_its_object(client: Client) -> None:
@@ -457,8 +435,8 @@ async def test_a_method_belongs_to_its_object(client: Client) -> None:
 # -- journal, sessions, faults ---------------------------------------------------------------------------------
 
 
-async def test_every_service_is_on_the_journal_in_order(plant: MockProgram, connect: Connect) -> None:
-    mark = await plant.control.next()
+async def test_every_service_is_on_the_journal_in_order(device: MockProgram, connect: Connect) -> None:
+    mark = await device.control.next()
     client = await connect()
     await read(client, "Pressure")
     (page,) = await browse(client, description(node("Sensors")), most=7)
@@ -468,8 +446,8 @@ async def test_every_service_is_on_the_journal_in_order(plant: MockProgram, conn
     await call(client, "ResetAlarms")
     await write(client, "FanSpeed", 1.0, ua.VariantType.Double)
     await client.disconnect()
-    await plant.control.wait(mark, kind="DISCONNECTED")
-    entries = await plant.control.journal(mark)
+    await device.control.wait(mark, kind="DISCONNECTED")
+    entries = await device.control.journal(mark)
     services = ["CreateSession", "ActivateSession", "Read", "Browse", "BrowseNext", "RegisterNodes"]
     services += ["TranslateBrowsePaths", "Call", "Write", "CloseSession"]
     assert [entry["kind"] for entry in entries if entry["direction"] == "in"] == [
@@ -481,7 +459,7 @@ async def test_every_service_is_on_the_journal_in_order(plant: MockProgram, conn
     ]
     assert {entry["service_result"] for entry in entries if entry["direction"] == "out"} == {"Good"}
     assert len({entry["connection"] for entry in entries}) == 1
-    assert await plant.control.journal(entries[-1]["seq"]) == [entries[-1]]
+    assert await device.control.journal(entries[-1]["seq"]) == [entries[-1]]
 
 
 class Silent:
@@ -492,48 +470,48 @@ class Silent:
 
 
 async def test_a_session_with_subscriptions_outlives_its_connection_until_the_reset(
-    plant: MockProgram, connect: Connect
+    device: MockProgram, connect: Connect
 ) -> None:
     first, other = await connect(), await connect()
     await (await first.create_subscription(1000, Silent())).subscribe_data_change(first.get_node(node("FanSpeed")))
-    mark = await plant.control.next()
+    mark = await device.control.next()
     first.disconnect_socket()
-    await plant.control.wait(mark, kind="DISCONNECTED")
-    assert (await plant.control.image())["clients"]["sessions"] == 2
-    await plant.control.ask("reset")
-    assert (await plant.control.image())["clients"]["sessions"] == 1
+    await device.control.wait(mark, kind="DISCONNECTED")
+    assert (await device.control.image())["clients"]["sessions"] == 2
+    await device.control.ask("reset")
+    assert (await device.control.image())["clients"]["sessions"] == 1
     assert await other.get_node(node("FanSpeed")).read_value() == 40.0
 
 
-async def test_sessions_are_counted_and_limited(plant: MockProgram, connect: Connect) -> None:
-    await limit(plant, sessions=2)
+async def test_sessions_are_counted_and_limited(device: MockProgram, connect: Connect) -> None:
+    await limit(device, sessions=2)
     first, _ = await connect(), await connect()
-    assert (await plant.control.image())["clients"]["sessions"] == 2
+    assert (await device.control.image())["clients"]["sessions"] == 2
     assert await status(connect()) == "BadTooManySessions"
-    mark = await plant.control.next()
+    mark = await device.control.next()
     first.disconnect_socket()
-    await plant.control.wait(mark, kind="DISCONNECTED")
+    await device.control.wait(mark, kind="DISCONNECTED")
     await connect()
-    assert (await plant.control.image())["clients"]["sessions"] == 2
+    assert (await device.control.image())["clients"]["sessions"] == 2
     # The client that vanished has not asked for the end of its session.
-    assert await plant.control.journal(mark, kind="CloseSession") == []
+    assert await device.control.journal(mark, kind="CloseSession") == []
 
 
-async def test_a_phantom_write_is_acknowledged_and_not_done(plant: MockProgram, client: Client) -> None:
-    await fault(plant, service="Write", ack_only=True)
+async def test_a_phantom_write_is_acknowledged_and_not_done(device: MockProgram, client: Client) -> None:
+    await device.control.fault({"ack_only": True}, service="Write")
     assert await write(client, "FanSpeed", 77.0, ua.VariantType.Double) == "Good"
     assert (await read(client, "FanSpeed")).Value.Value == 40.0
     assert await write(client, "Temperature", 77.0, ua.VariantType.Double) == "BadNotWritable"
 
 
-async def test_a_clamped_write_says_so(plant: MockProgram, client: Client) -> None:
-    await fault(plant, service="Write", clamp=80.0)
+async def test_a_clamped_write_says_so(device: MockProgram, client: Client) -> None:
+    await device.control.fault({"clamp": 80.0}, service="Write")
     assert await write(client, "FanSpeed", 120.0, ua.VariantType.Double) == "GoodClamped"
     assert (await read(client, "FanSpeed")).Value.Value == 80.0
 
 
-async def test_a_delayed_answer_holds_up_no_other(plant: MockProgram, client: Client) -> None:
-    await fault(plant, service="Read", node="ns=2;s=Pressure", delay_s=3.0)
+async def test_a_delayed_answer_holds_up_no_other(device: MockProgram, client: Client) -> None:
+    await device.control.fault({"delay_s": 3.0}, service="Read", node="ns=2;s=Pressure")
     order: list[str] = []
 
     async def ask(name: str) -> None:
@@ -545,12 +523,12 @@ async def test_a_delayed_answer_holds_up_no_other(plant: MockProgram, client: Cl
 
 
 @pytest.mark.parametrize("action", ["drop", "close", "reset"])
-async def test_a_write_without_answer_was_done_all_the_same(plant: MockProgram, connect: Connect, action: str) -> None:
+async def test_a_write_without_answer_was_done_all_the_same(device: MockProgram, connect: Connect, action: str) -> None:
     client = await connect()
-    await fault(plant, service="Write", times=1, **{action: True})
-    mark = await plant.control.next()
+    await device.control.fault({action: True}, service="Write", times=1)
+    mark = await device.control.next()
     writing = asyncio.create_task(write(client, "FanSpeed", 55.0, ua.VariantType.Double))
-    await plant.control.wait(mark, kind="Write", direction="in")
+    await device.control.wait(mark, kind="Write", direction="in")
     if action == "drop":
         await read(client, "Pressure")
         assert not writing.done()
@@ -560,35 +538,35 @@ async def test_a_write_without_answer_was_done_all_the_same(plant: MockProgram, 
     else:
         with pytest.raises(ConnectionError):
             await writing
-    assert await plant.control.journal(mark, kind="Write", direction="out") == []
-    assert (await plant.control.image())["variables"]["ns=2;s=FanSpeed"]["value"] == 55.0
+    assert await device.control.journal(mark, kind="Write", direction="out") == []
+    assert (await device.control.image())["variables"]["ns=2;s=FanSpeed"]["value"] == 55.0
 
 
-async def test_status_and_service_faults_are_applied_as_often_as_told(plant: MockProgram, client: Client) -> None:
-    await fault(plant, times=1, status="BadSensorFailure")
+async def test_status_and_service_faults_are_applied_as_often_as_told(device: MockProgram, client: Client) -> None:
+    await device.control.fault({"status": "BadSensorFailure"}, times=1)
     assert (await read(client, "Pressure")).StatusCode.name == "BadSensorFailure"
     assert (await read(client, "Pressure")).StatusCode.name == "Good"
-    await fault(plant, service="Browse", service_fault="BadServerHalted")
-    mark = await plant.control.next()
+    await device.control.fault({"service_fault": "BadServerHalted"}, service="Browse")
+    mark = await device.control.next()
     assert await status(browse(client, description(node("Sensors")))) == "BadServerHalted"
-    (answer,) = await plant.control.journal(mark, kind="Browse", direction="out")
+    (answer,) = await device.control.journal(mark, kind="Browse", direction="out")
     assert answer["service_result"] == "BadServerHalted"
-    assert (await plant.control.ask("fault", rules=[]))["hits"] == [1]
+    assert (await device.control.ask("fault", rules=[]))["hits"] == [1]
 
 
-async def test_a_bad_value_does_not_stop_the_simulation(plant: MockProgram) -> None:
-    await plant.control.ask("poke", params={"node": "ValvePosition", "value": 1.0, "status": "BadSensorFailure"})
-    await plant.control.ask("poke", params={"node": "HeaterPower", "value": math.nan})
-    await plant.control.ask("tick", steps=2)
-    held = (await plant.control.image())["variables"]
+async def test_a_bad_value_does_not_stop_the_simulation(device: MockProgram) -> None:
+    await device.control.ask("poke", params={"node": "ValvePosition", "value": 1.0, "status": "BadSensorFailure"})
+    await device.control.ask("poke", params={"node": "HeaterPower", "value": math.nan})
+    await device.control.ask("tick", steps=2)
+    held = (await device.control.image())["variables"]
     assert held["ns=2;s=Uptime"]["value"] == 2
     assert held["ns=2;s=ValvePosition"]["status"] == "BadSensorFailure"
 
 
-async def test_what_was_added_is_gone_after_a_reset(plant: MockProgram, client: Client) -> None:
-    before = await plant.control.image()
+async def test_what_was_added_is_gone_after_a_reset(device: MockProgram, client: Client) -> None:
+    before = await device.control.image()
     await create(
-        plant,
+        device,
         {"folder": "Cell"},
         {"folder": "Inner", "in": "Cell"},
         {"variable": "Part", "in": "Inner", "type": "UInt16", "value": 7},
@@ -599,8 +577,8 @@ async def test_what_was_added_is_gone_after_a_reset(plant: MockProgram, client: 
     )
     (inner,) = await browse(client, description(node("Inner")))
     assert names(inner) == ["Part", "Cell", "Sensors"]
-    await plant.control.ask("reset")
-    assert await plant.control.image() == before
+    await device.control.ask("reset")
+    assert await device.control.image() == before
     both = ua.BrowseDirection.Both
     gone, sensors = await browse(client, description(node("Inner")), description(node("Sensors"), BrowseDirection=both))
     assert gone.StatusCode.name == "BadNodeIdUnknown"
@@ -610,21 +588,21 @@ async def test_what_was_added_is_gone_after_a_reset(plant: MockProgram, client: 
 # -- what the library leaves out -------------------------------------------------------------------------------
 
 
-async def test_the_endpoint_offers_the_one_way_to_log_in_that_works(plant: MockProgram, client: Client) -> None:
+async def test_the_endpoint_offers_the_one_way_to_log_in_that_works(device: MockProgram, client: Client) -> None:
     (endpoint,) = await client.get_endpoints()
     assert [policy.TokenType for policy in endpoint.UserIdentityTokens] == [ua.UserTokenType.Anonymous]
     assert endpoint.Server.ApplicationUri == "urn:otmcp:mock"
     assert (await client.get_namespace_array())[:3] == ["http://opcfoundation.org/UA/", "urn:otmcp:mock", URI]
     assert await client.get_node(ua.NodeId(ua.ObjectIds.Server_ServerArray)).read_value() == ["urn:otmcp:mock"]
-    named = Client(f"opc.tcp://{plant.host}:{plant.port}", timeout=PATIENCE_S)
+    named = Client(f"opc.tcp://{device.host}:{device.port}", timeout=PATIENCE_S)
     named.set_user("operator")
     named.set_password("secret")
     with pytest.raises((UaStatusCodeError, ua.UaError)):
         await named.connect()
 
 
-async def test_a_methods_arguments_have_names(plant: MockProgram, client: Client) -> None:
-    await create(plant, {"method": "Echo", "inputs": ["Double", "String"]})
+async def test_a_methods_arguments_have_names(device: MockProgram, client: Client) -> None:
+    await create(device, {"method": "Echo", "inputs": ["Double", "String"]})
 
     async def arguments(method: str, which: str) -> list[tuple[str, ua.NodeId]]:
         held = await (await client.get_node(node(method)).get_child(f"0:{which}")).read_value()
@@ -692,9 +670,9 @@ async def test_only_a_notification_that_is_kept_is_sent_again(connect: Connect) 
 
 
 @pytest.mark.long
-async def test_more_connections_than_it_serves_are_closed_without_a_word(plant: MockProgram) -> None:
+async def test_more_connections_than_it_serves_are_closed_without_a_word(device: MockProgram) -> None:
     # The library serves a thousand; a module's mock must have written nothing to stderr when it ends.
-    opened = [await asyncio.open_connection(plant.host, plant.port) for _ in range(1001)]
+    opened = [await asyncio.open_connection(device.host, device.port) for _ in range(1001)]
     try:
         async with asyncio.timeout(PATIENCE_S):
             assert await opened[-1][0].read() == b""

@@ -21,27 +21,16 @@ from mock_program import PATIENCE_S, MockProgram, RefusedError
 
 URI = "urn:otmcp:plant"
 pytestmark = pytest.mark.asyncio(loop_scope="module")
+MOCK = "opcua"
 
 Connect = Callable[[], Awaitable[Client]]
 
 
-@pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def program() -> AsyncIterator[MockProgram]:
-    started = await MockProgram.start("opcua")
-    try:
-        await started.ready()
-        yield started
-    finally:
-        _, stderr = await started.end()
-    assert stderr == ""
-
-
 @pytest_asyncio.fixture(loop_scope="module")
-async def plant(program: MockProgram) -> AsyncIterator[MockProgram]:
+async def plant(device: MockProgram) -> AsyncIterator[MockProgram]:
     """The mock with its start-up values; again after the test, so that clients can say good-bye."""
-    await program.control.ask("reset")
-    yield program
-    await program.control.ask("reset")
+    yield device
+    await device.control.ask("reset")
 
 
 @pytest_asyncio.fixture(loop_scope="module")
@@ -76,14 +65,6 @@ def node(name: str, index: int = 2) -> ua.NodeId:
     return ua.NodeId(name, index)
 
 
-async def fault(plant: MockProgram, action: dict[str, Any], **conditions: Any) -> None:
-    await plant.control.ask("fault", rules=[{**conditions, "action": action}])
-
-
-async def poke(plant: MockProgram, **params: Any) -> None:
-    await plant.control.ask("poke", params=params)
-
-
 async def read(client: Client, name: str) -> ua.DataValue:
     item = ua.ReadValueId(NodeId=node(name), AttributeId=ua.AttributeIds.Value)
     (result,) = await client.uaclient.read(ua.ReadParameters(NodesToRead=[item]))
@@ -112,7 +93,7 @@ async def browse(client: Client, name: str) -> list[str]:
 
 async def test_a_write_is_done_and_answered_with_another_good_status(plant: MockProgram, client: Client) -> None:
     since = await plant.control.next()
-    await fault(plant, {"with_status": "GoodCompletesAsynchronously"}, service="Write", skip=1)
+    await plant.control.fault({"with_status": "GoodCompletesAsynchronously"}, service="Write", skip=1)
     assert await write(client, "ValvePosition", 11.0) == "Good"
     assert await write(client, "ValvePosition", 12.0) == "GoodCompletesAsynchronously"
     assert (await read(client, "ValvePosition")).Value.Value == 12.0
@@ -128,7 +109,7 @@ async def test_a_write_is_done_and_answered_with_another_good_status(plant: Mock
 
 
 async def test_a_value_is_read_with_an_uncertain_status(plant: MockProgram, client: Client) -> None:
-    await fault(plant, {"with_status": "UncertainSensorNotAccurate"}, service="Read", node="ns=2;s=Pressure")
+    await plant.control.fault({"with_status": "UncertainSensorNotAccurate"}, service="Read", node="ns=2;s=Pressure")
     read_value = await read(client, "Pressure")
     assert (read_value.StatusCode.name, read_value.Value.Value) == ("UncertainSensorNotAccurate", 1.5)
     assert (await read(client, "Humidity")).StatusCode.name == "Good"
@@ -136,17 +117,17 @@ async def test_a_value_is_read_with_an_uncertain_status(plant: MockProgram, clie
 
 async def test_timestamps_and_status_codes_are_refused(plant: MockProgram, client: Client) -> None:
     now, bad = {"SourceTimestamp": datetime.now(UTC)}, {"StatusCode": ua.StatusCode(ua.StatusCodes.BadDeviceFailure)}
-    await fault(plant, {"refuse_timestamps": True}, service="Write")
+    await plant.control.fault({"refuse_timestamps": True}, service="Write")
     assert await write(client, "FanSpeed", 1.0, **now) == "BadWriteNotSupported"
     assert await write(client, "FanSpeed", 2.0, **bad) == "Good"
-    await fault(plant, {"refuse_status": True}, service="Write")
+    await plant.control.fault({"refuse_status": True}, service="Write")
     assert await write(client, "FanSpeed", 3.0, **bad) == "BadWriteNotSupported"
     assert await write(client, "FanSpeed", 4.0, **now) == "Good"
     assert (await read(client, "FanSpeed")).Value.Value == 4.0
 
 
 async def test_answers_come_out_of_order(plant: MockProgram, client: Client) -> None:
-    await fault(plant, {"delay_s": 0.3}, node="ns=2;s=Pressure")
+    await plant.control.fault({"delay_s": 0.3}, node="ns=2;s=Pressure")
     since = await plant.control.next()
     late = asyncio.create_task(read(client, "Pressure"))
     await plant.control.wait(since, kind="Read", direction="in")
@@ -156,7 +137,7 @@ async def test_answers_come_out_of_order(plant: MockProgram, client: Client) -> 
 
 
 async def test_a_dripped_answer_is_whole_and_what_follows_waits(plant: MockProgram, client: Client) -> None:
-    await fault(plant, {"drip_s": 0.002}, service="Read", times=1)
+    await plant.control.fault({"drip_s": 0.002}, service="Read", times=1)
     since = await plant.control.next()
     loop = asyncio.get_running_loop()
     began = loop.time()
@@ -168,7 +149,7 @@ async def test_a_dripped_answer_is_whole_and_what_follows_waits(plant: MockProgr
 
 
 async def test_an_answer_comes_twice(plant: MockProgram, client: Client) -> None:
-    await fault(plant, {"duplicate": True}, service="Read", times=1)
+    await plant.control.fault({"duplicate": True}, service="Read", times=1)
     since = await plant.control.next()
     assert (await read(client, "Pressure")).Value.Value == 1.5
     answers = await plant.control.journal(since, kind="Read", direction="out")
@@ -178,7 +159,7 @@ async def test_an_answer_comes_twice(plant: MockProgram, client: Client) -> None
 async def test_a_half_open_connection_is_dead_and_others_are_served(
     plant: MockProgram, client: Client, connect: Connect
 ) -> None:
-    await fault(plant, {"half_open": True}, service="Write")
+    await plant.control.fault({"half_open": True}, service="Write")
     since = await plant.control.next()
     writing = asyncio.create_task(write(client, "ValvePosition", 77.0))
     await plant.control.wait(since, kind="Write", direction="in")
@@ -194,7 +175,7 @@ async def test_a_half_open_connection_is_dead_and_others_are_served(
 
 
 async def test_a_black_hole_does_not_even_say_hello(plant: MockProgram) -> None:
-    await poke(plant, network="black_hole")
+    await plant.control.poke(network="black_hole")
     url = f"opc.tcp://{plant.host}:{plant.port}".encode()
     body = struct.pack("<IIIIII", 0, 65536, 65536, 0, 0, len(url)) + url
     hello = b"HELF" + struct.pack("<I", 8 + len(body)) + body
@@ -209,7 +190,7 @@ async def test_a_black_hole_does_not_even_say_hello(plant: MockProgram) -> None:
     with pytest.raises(TimeoutError):
         await asyncio.to_thread(ask)
     assert [one["count"] for one in await plant.control.journal(since, kind="lost")] == [len(hello)]
-    await poke(plant, network="open")
+    await plant.control.poke(network="open")
     assert await asyncio.to_thread(ask) == b"ACKF"
 
 
@@ -239,13 +220,13 @@ async def test_a_subscription_is_kept_silent(plant: MockProgram, client: Client)
     await subscription.subscribe_data_change(client.get_node(node("FanSpeed")))
     async with asyncio.timeout(PATIENCE_S):
         assert await seen.values.get() == 40.0
-    await poke(plant, subscriptions="silent")
+    await plant.control.poke(subscriptions="silent")
     since = await plant.control.next()
     assert await write(client, "FanSpeed", 41.0) == "Good"
     await withheld(plant)
     assert seen.values.empty()
     assert await plant.control.journal(since, kind="Publish", direction="out") == []
-    await poke(plant, subscriptions="normal")
+    await plant.control.poke(subscriptions="normal")
     assert await write(client, "FanSpeed", 42.0) == "Good"
     async with asyncio.timeout(PATIENCE_S):
         assert [await seen.values.get() for _ in range(2)] == [41.0, 42.0]
@@ -257,10 +238,10 @@ async def test_a_subscription_says_that_nothing_has_changed(plant: MockProgram, 
     await subscription.subscribe_data_change(client.get_node(node("FanSpeed")))
     async with asyncio.timeout(PATIENCE_S):
         assert await seen.values.get() == 40.0
-    await poke(plant, subscriptions="stale")
+    await plant.control.poke(subscriptions="stale")
     assert await write(client, "FanSpeed", 41.0) == "Good"
     await withheld(plant)
-    await poke(plant, subscriptions="normal")
+    await plant.control.poke(subscriptions="normal")
     assert await write(client, "FanSpeed", 42.0) == "Good"
     async with asyncio.timeout(PATIENCE_S):
         assert await seen.values.get() == 42.0
@@ -274,7 +255,7 @@ BUILT_IN = [
 
 
 async def test_there_is_a_node_of_every_built_in_type(plant: MockProgram, client: Client) -> None:
-    await poke(plant, nodes="types")
+    await plant.control.poke(nodes="types")
     assert sorted(await browse(client, "Types")) == sorted(kind.name for kind in BUILT_IN)
     for kind in BUILT_IN:
         found = await read(client, kind.name)
@@ -289,7 +270,7 @@ async def test_there_is_a_node_of_every_built_in_type(plant: MockProgram, client
 
 
 async def test_special_values_arrive_as_they_are(plant: MockProgram, client: Client) -> None:
-    await poke(plant, nodes=["special"])
+    await plant.control.poke(nodes=["special"])
     found = {name: (await read(client, name)).Value for name in await browse(client, "Special")}
     assert math.isnan(found["Double.NaN"].Value)
     assert found["Float.MinusInfinity"].Value == -math.inf
@@ -316,7 +297,7 @@ async def test_special_values_arrive_as_they_are(plant: MockProgram, client: Cli
 
 
 async def test_arrays_and_structures_have_their_shapes(plant: MockProgram, client: Client) -> None:
-    await poke(plant, nodes=["arrays", "structures"])
+    await plant.control.poke(nodes=["arrays", "structures"])
     assert (await read(client, "Int32.Vector")).Value.Value == [1, -2, 3]
     matrix = (await read(client, "Double.Matrix")).Value
     assert matrix.Dimensions == [2, 3]
@@ -330,7 +311,9 @@ async def test_arrays_and_structures_have_their_shapes(plant: MockProgram, clien
 
 async def test_a_structure_of_a_type_that_nobody_knows_comes_as_its_bytes(plant: MockProgram, client: Client) -> None:
     unknown = {"ns=2;i=4711": "AP8="}
-    await poke(plant, create=[{"variable": "Odd", "type": "ExtensionObject", "value": unknown, "data_type": "i=22"}])
+    await plant.control.poke(
+        create=[{"variable": "Odd", "type": "ExtensionObject", "value": unknown, "data_type": "i=22"}]
+    )
     found = (await read(client, "Odd")).Value.Value
     assert (found.TypeId.to_string(), found.Body) == ("ns=2;i=4711", b"\x00\xff")
 
@@ -340,11 +323,11 @@ async def test_a_value_has_the_times_and_the_status_that_it_is_given(plant: Mock
     both = ua.ReadParameters(TimestampsToReturn=ua.TimestampsToReturn.Both, NodesToRead=[item])
     source, server = "2026-01-02T03:04:05.678+00:00", "2026-01-02T03:04:06.789+00:00"
     for given in ((source, server), (source, None), (None, server), (None, None)):
-        await poke(plant, node="Temperature", value=1.0, source_timestamp=given[0], server_timestamp=given[1])
+        await plant.control.poke(node="Temperature", value=1.0, source_timestamp=given[0], server_timestamp=given[1])
         (found,) = await client.uaclient.read(both)
         times = (found.SourceTimestamp, found.ServerTimestamp)
         assert times == tuple(None if text is None else datetime.fromisoformat(text) for text in given)
-    await poke(plant, node="Temperature", value=1.0, status=0xC0000000)
+    await plant.control.poke(node="Temperature", value=1.0, status=0xC0000000)
     (found,) = await client.uaclient.read(both)
     assert found.StatusCode.value == 0xC0000000
     assert None not in (found.SourceTimestamp, found.ServerTimestamp)
@@ -352,7 +335,7 @@ async def test_a_value_has_the_times_and_the_status_that_it_is_given(plant: Mock
 
 async def test_sessions_are_closed_and_their_connections_stay(plant: MockProgram, connect: Connect) -> None:
     first, since = await connect(), await plant.control.next()
-    await poke(plant, sessions="closed")
+    await plant.control.poke(sessions="closed")
     assert (await plant.control.image())["clients"]["sessions"] == 0
     with pytest.raises(ua.uaerrors.BadSessionIdInvalid):
         await read(first, "Temperature")
@@ -361,7 +344,7 @@ async def test_sessions_are_closed_and_their_connections_stay(plant: MockProgram
 
 
 async def test_an_answer_says_how_many_continuation_points_are_open(plant: MockProgram, client: Client) -> None:
-    await poke(plant, limits={"references_per_node": 4})
+    await plant.control.poke(limits={"references_per_node": 4})
     since = await plant.control.next()
     await browse(client, "Actuators")
     pages = await plant.control.journal(since, direction="out")
@@ -369,7 +352,7 @@ async def test_an_answer_says_how_many_continuation_points_are_open(plant: MockP
 
 
 async def test_access_rights_differ(plant: MockProgram, client: Client) -> None:
-    await poke(plant, nodes="access")
+    await plant.control.poke(nodes="access")
     assert {name: await write(client, name, 9.0) for name in ("ReadOnly", "Denied", "Hidden", "Writable")} == {
         "ReadOnly": "BadNotWritable",
         "Denied": "BadUserAccessDenied",
@@ -381,7 +364,7 @@ async def test_access_rights_differ(plant: MockProgram, client: Client) -> None:
 
 
 async def test_an_analog_item_has_a_range(plant: MockProgram, client: Client) -> None:
-    await poke(plant, nodes="analog")
+    await plant.control.poke(nodes="analog")
     level = client.get_node(node("Level"))
     span = await (await level.get_child("0:EURange")).read_value()
     assert (span.Low, span.High) == (0.0, 100.0)
@@ -390,7 +373,7 @@ async def test_an_analog_item_has_a_range(plant: MockProgram, client: Client) ->
 
 
 async def test_folders_form_a_circle(plant: MockProgram, client: Client) -> None:
-    await poke(plant, nodes="cycle")
+    await plant.control.poke(nodes="cycle")
     assert [await browse(client, name) for name in ("CycleA", "CycleB", "CycleC")] == [
         ["CycleB"],
         ["CycleC"],
@@ -399,7 +382,7 @@ async def test_folders_form_a_circle(plant: MockProgram, client: Client) -> None
 
 
 async def test_calls_of_methods_are_journalled_with_their_arguments(plant: MockProgram, client: Client) -> None:
-    await poke(plant, nodes="methods")
+    await plant.control.poke(nodes="methods")
     arguments = [ua.Variant(-7, ua.VariantType.Int32), ua.Variant("x", ua.VariantType.String)]
     since = await plant.control.next()
     assert await client.get_node(node("Methods")).call_method(node("Mix"), *arguments) == [-7, "x"]
@@ -410,7 +393,7 @@ async def test_calls_of_methods_are_journalled_with_their_arguments(plant: MockP
 
 @pytest.mark.long
 async def test_thousands_of_nodes_come_and_go(plant: MockProgram, client: Client) -> None:
-    await poke(plant, nodes=["wide", "many"])
+    await plant.control.poke(nodes=["wide", "many"])
     assert len(await browse(client, "Wide.Folder")) == 2_500
     assert await write(client, "Wide2499", 7, ua.VariantType.Int32) == "Good"
     assert [(await read(client, name)).Value.Value for name in ("Wide2499", "Wide2498")] == [7, 0]
@@ -424,7 +407,7 @@ async def test_thousands_of_nodes_come_and_go(plant: MockProgram, client: Client
 async def test_namespaces_are_in_another_order_and_connections_end(
     plant: MockProgram, client: Client, connect: Connect
 ) -> None:
-    await poke(plant, namespaces=["urn:a", "urn:b"])
+    await plant.control.poke(namespaces=["urn:a", "urn:b"])
     again = await connect()
     assert await again.get_namespace_index(URI) == 4
     value = await again.get_node(node("Temperature", 4)).read_value()
@@ -457,8 +440,8 @@ async def test_pokes_and_rules_that_are_not_understood_are_refused_in_a_sentence
         ({"sessions": "gone"}, "sessions: expected closed"),
     ):
         with pytest.raises(RefusedError) as refused:
-            await poke(plant, **params)
+            await plant.control.poke(**params)
         assert sentence in str(refused.value)
     for action in ({"with_status": "Excellent"}, {"refuse_status": 1}, {"drip_s": "slow"}):
         with pytest.raises(RefusedError, match="a fault rule cannot have"):
-            await fault(plant, action)
+            await plant.control.fault(action)

@@ -7,13 +7,12 @@ import json
 import os
 import random
 import sys
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import pytest
-import pytest_asyncio
 from mock_program import PATIENCE_S, MockProgram
 from profibus_tools import Master, request
 from pytest_otmcp.mocks.profibus.receiver import Receiver
@@ -21,45 +20,27 @@ from pytest_otmcp.mocks.profibus.receiver import Receiver
 from pytest_otmcp.protocols.profibus.decoder import ProfibusConversation, contradiction
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
+MOCK = "profibus"
 
 LONG = "ff64"
 """Factors of a watchdog of 255 s."""
 STATION_5 = {"ident": "809c", "cfg": "1121"}
 
 
-@pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def program() -> AsyncIterator[MockProgram]:
-    started = await MockProgram.start("profibus")
-    try:
-        await started.ready()
-        yield started
-    finally:
-        _, stderr = await started.end()
-    assert stderr == ""
-
-
-@pytest_asyncio.fixture(loop_scope="module")
-async def bus(program: MockProgram) -> MockProgram:
-    """The segment, paused, with its start-up values and an empty journal."""
-    await program.control.ask("reset")
-    await program.control.ask("forget", before=await program.control.next())
-    return program
-
-
 @pytest.fixture
-def master(bus: MockProgram) -> Iterator[Master]:
-    opened = Master(bus)
+def master(device: MockProgram) -> Iterator[Master]:
+    opened = Master(device)
     yield opened
     opened.close()
 
 
-async def points(bus: MockProgram, station: int, which: str) -> list[int]:
-    found: dict[str, int] = (await bus.control.image())["points"]
+async def points(device: MockProgram, station: int, which: str) -> list[int]:
+    found: dict[str, int] = (await device.control.image())["points"]
     return [value for name, value in found.items() if name.startswith(f"{station}.{which}.")]
 
 
-async def state(bus: MockProgram, station: int) -> tuple[str, int | None]:
-    found = (await bus.control.image())["stations"][str(station)]
+async def state(device: MockProgram, station: int) -> tuple[str, int | None]:
+    found = (await device.control.image())["stations"][str(station)]
     return found["state"], found["master"]
 
 
@@ -90,14 +71,14 @@ async def test_a_telegram_gets_the_answer_of_the_standard(master: Master, name: 
     assert await master.ask(bytes.fromhex(asked)) == answer
 
 
-async def test_a_master_parameterises_configures_and_exchanges(bus: MockProgram, master: Master) -> None:
+async def test_a_master_parameterises_configures_and_exchanges(device: MockProgram, master: Master) -> None:
     assert await master.ask(request(5, 61, f"88{LONG}00809c01")) == "e5"
-    assert await state(bus, 5) == ("wait_cfg", 2)
+    assert await state(device, 5) == ("wait_cfg", 2)
     assert await master.ask(request(5, 60)) == "680b0b688285083e3c020c0002809cb516"
     assert await master.ask(request(5, 62, "1121")) == "e5"
-    assert await state(bus, 5) == ("data_exchange", 2)
+    assert await state(device, 5) == ("data_exchange", 2)
     assert await master.ask(bytes.fromhex("6805056805027d1234ca16")) == "6805056802050802d5e616"
-    assert await points(bus, 5, "output") == [0x12, 0x34]
+    assert await points(device, 5, "output") == [0x12, 0x34]
     assert await master.ask(request(5, 57)) == "680707688285083e391234cc16"
 
 
@@ -132,14 +113,14 @@ async def test_the_diagnosis_says_what_is_wrong(master: Master, telegrams: list[
     assert diagnosis in await master.ask(request(5, 60))
 
 
-async def test_a_slave_answers_no_other_master_until_it_is_free(bus: MockProgram, master: Master) -> None:
+async def test_a_slave_answers_no_other_master_until_it_is_free(device: MockProgram, master: Master) -> None:
     await master.exchange(5, "0102", **STATION_5)
     assert await master.ask(request(5, None, "0506", source=4)) == "100405030c16"
     assert await master.ask(request(5, 62, "1121", source=4)) == "100405030c16"
     assert await master.ask(request(5, 61, f"88{LONG}00809c00", source=4)) == "e5"
-    assert await state(bus, 5) == ("data_exchange", 2)
-    assert await points(bus, 5, "output") == [1, 2]
-    changing = await bus.control.journal(state_changing=True)
+    assert await state(device, 5) == ("data_exchange", 2)
+    assert await points(device, 5, "output") == [1, 2]
+    changing = await device.control.journal(state_changing=True)
     assert [(entry["service"], entry["master"]) for entry in changing] == [
         ("data_exchange", 2),
         ("data_exchange", 4),
@@ -148,71 +129,73 @@ async def test_a_slave_answers_no_other_master_until_it_is_free(bus: MockProgram
     ]
 
 
-async def test_outputs_that_are_not_repeated_fall_at_the_watchdog(bus: MockProgram, master: Master) -> None:
+async def test_outputs_that_are_not_repeated_fall_at_the_watchdog(device: MockProgram, master: Master) -> None:
     # 300 ms.
     await master.exchange(5, "1234", **STATION_5, watchdog="1e01")
-    (fallen,) = await bus.control.wait(kind="watchdog")
+    (fallen,) = await device.control.wait(kind="watchdog")
     assert (fallen["station"], fallen["outputs"], fallen["origin"]) == (5, "1234", "plant")
-    assert await points(bus, 5, "output") == [0, 0]
-    assert await state(bus, 5) == ("wait_prm", None)
+    assert await points(device, 5, "output") == [0, 0]
+    assert await state(device, 5) == ("wait_prm", None)
     assert await master.ask(request(5, None, "1234")) == "100205030a16"
 
 
-async def test_outputs_are_held_while_their_master_repeats_them(bus: MockProgram, master: Master) -> None:
+async def test_outputs_are_held_while_their_master_repeats_them(device: MockProgram, master: Master) -> None:
     await master.exchange(5, "1234", **STATION_5, watchdog="1e01")
     loop = asyncio.get_running_loop()
     end = loop.time() + 0.7
     while loop.time() < end:
         assert await master.ask(request(5, None, "1234")) == "6805056802050802d5e616"
-    assert await bus.control.journal(kind="watchdog") == []
-    assert await points(bus, 5, "output") == [0x12, 0x34]
+    assert await device.control.journal(kind="watchdog") == []
+    assert await points(device, 5, "output") == [0x12, 0x34]
 
 
-async def test_an_exchange_that_says_nothing_new_is_not_in_the_journal(bus: MockProgram, master: Master) -> None:
+async def test_an_exchange_that_says_nothing_new_is_not_in_the_journal(device: MockProgram, master: Master) -> None:
     await master.exchange(5, "1234", **STATION_5)
     for _ in range(3):
         await master.ask(request(5, None, "1234"))
-    await bus.control.ask("poke", params={"station": 5, "inputs": "0001"})
+    await device.control.ask("poke", params={"station": 5, "inputs": "0001"})
     for _ in range(3):
         assert "080001" in await master.ask(request(5, None, "1234"))
-    told = [entry for entry in await bus.control.journal(direction="in") if entry["service"] == "data_exchange"]
+    told = [entry for entry in await device.control.journal(direction="in") if entry["service"] == "data_exchange"]
     assert [(entry["kind"], entry["request"], entry["state_changing"]) for entry in told] == [
         ("request", True, True),
         ("cycle", False, False),
     ]
 
 
-async def test_a_global_control_clears_the_outputs_of_the_masters_own_slaves(bus: MockProgram, master: Master) -> None:
+async def test_a_global_control_clears_the_outputs_of_the_masters_own_slaves(
+    device: MockProgram, master: Master
+) -> None:
     await master.exchange(5, "1234", **STATION_5)
-    await bus.control.ask("poke", params={"station": 9, "outputs": "07"})
+    await device.control.ask("poke", params={"station": 9, "outputs": "07"})
     master.send(request(127, 58, "0200", source=4, control=0x46))
     assert await master.ask(request(5, 57)) == "680707688285083e391234cc16"
     master.send(request(127, 58, "0200", control=0x46))
     assert await master.ask(request(5, 57)) == "680707688285083e3900008616"
-    assert await points(bus, 9, "output") == [7]
-    told = await bus.control.journal(service="global_control")
+    assert await points(device, 9, "output") == [7]
+    told = await device.control.journal(service="global_control")
     assert [entry["state_changing"] for entry in told] == [True, False]
 
 
-async def test_a_diagnosis_is_announced_until_the_owner_has_fetched_it(bus: MockProgram, master: Master) -> None:
+async def test_a_diagnosis_is_announced_until_the_owner_has_fetched_it(device: MockProgram, master: Master) -> None:
     await master.exchange(5, "1234", **STATION_5)
-    await bus.control.ask("poke", params={"station": 5, "diagnosis": "0399"})
+    await device.control.ask("poke", params={"station": 5, "diagnosis": "0399"})
     assert await master.ask(request(5, None, "1234")) == "6805056802050a02d5e816"
     assert await master.ask(request(5, 60)) == "680d0d688285083e3c080c0002809c03995716"
     assert await master.ask(request(5, None, "1234")) == "6805056802050802d5e616"
 
 
 async def test_a_telegram_that_repeats_the_frame_count_bit_is_answered_again_and_not_executed(
-    bus: MockProgram, master: Master
+    device: MockProgram, master: Master
 ) -> None:
     await master.exchange(5, "0102", **STATION_5)
     first, again = request(5, None, "0304", control=0x6D), request(5, None, "0506", control=0x7D)
     answer = await master.ask(first)
     assert await master.ask(again) == answer
-    assert await points(bus, 5, "output") == [3, 4]
+    assert await points(device, 5, "output") == [3, 4]
     await master.ask(request(5, None, "0506", control=0x5D))
-    assert await points(bus, 5, "output") == [5, 6]
-    sent = await bus.control.journal(service="data_exchange", request=True)
+    assert await points(device, 5, "output") == [5, 6]
+    sent = await device.control.journal(service="data_exchange", request=True)
     assert [(entry.get("repeated", False), entry["state_changing"]) for entry in sent] == [
         (False, True),
         (False, True),
@@ -222,21 +205,25 @@ async def test_a_telegram_that_repeats_the_frame_count_bit_is_answered_again_and
 
 
 async def test_a_station_that_is_not_there_is_silent_and_the_journal_has_the_request(
-    bus: MockProgram, master: Master
+    device: MockProgram, master: Master
 ) -> None:
     master.send(request(77, None, control=0x49))
-    await bus.control.ask("poke", params={"station": 8, "present": False})
+    await device.control.ask("poke", params={"station": 8, "present": False})
     master.send(request(8, None, control=0x49))
     # The answer to a later request is the first that comes.
     assert await master.ask(request(5, None, control=0x49)) == "100205000716"
-    assert [entry["station"] for entry in await bus.control.journal(service="fdl_status", request=True)] == [77, 8, 5]
+    assert [entry["station"] for entry in await device.control.journal(service="fdl_status", request=True)] == [
+        77,
+        8,
+        5,
+    ]
 
 
-async def test_tokens_and_answers_of_others_ask_for_nothing(bus: MockProgram, master: Master) -> None:
+async def test_tokens_and_answers_of_others_ask_for_nothing(device: MockProgram, master: Master) -> None:
     for telegram in ("dc0302", "e5", "100205000716"):
         master.send(bytes.fromhex(telegram))
     await master.ask(request(5, None, control=0x49))
-    told = await bus.control.journal(direction="in")
+    told = await device.control.journal(direction="in")
     assert [(entry["kind"], entry["request"]) for entry in told] == [
         ("token", False),
         ("message", False),
@@ -263,12 +250,12 @@ ANSWER = "680707688285083e3802d55c16"
     ],
 )
 async def test_a_rule_falsifies_an_answer(
-    bus: MockProgram, master: Master, action: dict[str, Any], answer: str
+    device: MockProgram, master: Master, action: dict[str, Any], answer: str
 ) -> None:
-    await bus.control.ask("fault", rules=[{"service": "rd_inp", "station": 5, "times": 1, "action": action}])
+    await device.control.ask("fault", rules=[{"service": "rd_inp", "station": 5, "times": 1, "action": action}])
     assert await master.ask(READ) == answer
     assert await master.ask(READ) == ANSWER
-    assert await bus.control.ask("fault", rules=[]) == {"hits": [1]}
+    assert await device.control.ask("fault", rules=[]) == {"hits": [1]}
 
 
 @pytest.mark.parametrize(
@@ -282,29 +269,29 @@ async def test_a_rule_falsifies_an_answer(
     ],
 )
 async def test_a_rule_decides_what_a_write_does(
-    bus: MockProgram, master: Master, action: dict[str, Any], held: list[int], answers: int
+    device: MockProgram, master: Master, action: dict[str, Any], held: list[int], answers: int
 ) -> None:
     await master.exchange(5, "0000", **STATION_5)
-    await bus.control.ask("fault", rules=[{"changes": True, "action": action}])
+    await device.control.ask("fault", rules=[{"changes": True, "action": action}])
     master.send(request(5, None, "0102"))
     master.send(request(5, None, control=0x49))
     got = [(await master.telegram()).hex()]
     while got[-1] != "100205000716":
         got.append((await master.telegram()).hex())
     assert len(got) - 1 == answers
-    assert await points(bus, 5, "output") == held
-    (asked,) = await bus.control.journal(state_changing=True)
+    assert await points(device, 5, "output") == held
+    (asked,) = await device.control.journal(state_changing=True)
     assert asked["fault"] == action
 
 
-async def test_what_is_no_answer_is_in_the_journal_as_it_was_sent(bus: MockProgram, master: Master) -> None:
+async def test_what_is_no_answer_is_in_the_journal_as_it_was_sent(device: MockProgram, master: Master) -> None:
     rules: list[dict[str, Any]] = [{"garbage": True}, {"truncate": 3}, {"mangle": {"flip": [[0, 1]]}}]
-    await bus.control.ask("fault", rules=[{"times": 1, "action": action} for action in rules])
+    await device.control.ask("fault", rules=[{"times": 1, "action": action} for action in rules])
     got = []
     for length in (8, 3, 13):
         master.send(READ)
         got.append((await master.take(length)).hex())
-    entries = await bus.control.journal(direction="out")
+    entries = await device.control.journal(direction="out")
     assert [(entry["kind"], entry["answers"], entry["bytes"]) for entry in entries] == [
         ("garbage", None, got[0]),
         ("mangled", None, got[1]),
@@ -312,29 +299,29 @@ async def test_what_is_no_answer_is_in_the_journal_as_it_was_sent(bus: MockProgr
     ]
 
 
-async def test_a_black_hole_loses_and_a_stalled_line_delays(bus: MockProgram, master: Master) -> None:
-    await bus.control.ask("poke", params={"network": "black_hole"})
+async def test_a_black_hole_loses_and_a_stalled_line_delays(device: MockProgram, master: Master) -> None:
+    await device.control.ask("poke", params={"network": "black_hole"})
     master.send(READ)
-    await bus.control.wait(kind="lost", count=1)
-    await bus.control.ask("poke", params={"network": "stalled"})
+    await device.control.wait(kind="lost", count=1)
+    await device.control.ask("poke", params={"network": "stalled"})
     master.send(request(8, None, control=0x49))
-    await bus.control.ask("journal", since=0)
+    await device.control.ask("journal", since=0)
     assert master.nothing_came()
-    await bus.control.ask("poke", params={"network": "open"})
+    await device.control.ask("poke", params={"network": "open"})
     assert (await master.telegram()).hex() == "100208000a16"
-    assert [entry["station"] for entry in await bus.control.journal(request=True)] == [8]
+    assert [entry["station"] for entry in await device.control.journal(request=True)] == [8]
 
 
-async def test_what_a_stopped_segment_did_not_hear_is_never_executed(bus: MockProgram, master: Master) -> None:
+async def test_what_a_stopped_segment_did_not_hear_is_never_executed(device: MockProgram, master: Master) -> None:
     await master.exchange(5, "0102", **STATION_5)
-    bus.say("stop")
-    assert (await bus.event())["event"] == "stopped"
+    device.say("stop")
+    assert (await device.event())["event"] == "stopped"
     master.send(request(5, 61, f"88{LONG}00809c00"))
-    bus.say("start")
-    await bus.ready()
+    device.say("start")
+    await device.ready()
     assert "020500ff809c" in await master.ask(request(5, 60))
-    assert await points(bus, 5, "output") == [0, 0]
-    assert [entry["service"] for entry in await bus.control.journal(request=True)] == ["slave_diag"]
+    assert await points(device, 5, "output") == [0, 0]
+    assert [entry["service"] for entry in await device.control.journal(request=True)] == ["slave_diag"]
 
 
 async def test_a_telegram_may_come_in_pieces() -> None:
@@ -346,9 +333,9 @@ async def test_a_telegram_may_come_in_pieces() -> None:
     assert (telegrams, malformed) == ([READ, READ], [])
 
 
-async def test_a_telegram_that_does_not_end_is_given_up(bus: MockProgram, master: Master) -> None:
+async def test_a_telegram_that_does_not_end_is_given_up(device: MockProgram, master: Master) -> None:
     master.send(READ[:-1])
-    (entry,) = await bus.control.wait(kind="malformed")
+    (entry,) = await device.control.wait(kind="malformed")
     assert entry["reason"] == "the rest of the telegram did not come"
     assert await master.ask(READ) == ANSWER
 
@@ -364,17 +351,17 @@ async def test_a_telegram_that_does_not_end_is_given_up(bus: MockProgram, master
     ],
 )
 async def test_a_telegram_that_is_none_is_not_answered(
-    bus: MockProgram, master: Master, raw: bytes, reason: str
+    device: MockProgram, master: Master, raw: bytes, reason: str
 ) -> None:
     master.send(raw)
-    (entry,) = await bus.control.wait(kind="malformed")
+    (entry,) = await device.control.wait(kind="malformed")
     assert (entry["reason"], entry["bytes"]) == (reason, raw.hex())
     assert await master.ask(READ) == ANSWER
 
 
-async def test_bytes_that_mean_nothing_are_survived_and_change_nothing(bus: MockProgram, master: Master) -> None:
+async def test_bytes_that_mean_nothing_are_survived_and_change_nothing(device: MockProgram, master: Master) -> None:
     rng = random.Random(20261123)
-    start = (await bus.control.image())["points"]
+    start = (await device.control.image())["points"]
     seeds = [bytes.fromhex(asked) for asked, _ in VECTORS.values()]
     for _ in range(300):
         data = bytearray(rng.choice(seeds))
@@ -384,19 +371,19 @@ async def test_bytes_that_mean_nothing_are_survived_and_change_nothing(bus: Mock
             data[-2] = sum(data[4:-2]) & 0xFF
         master.send(bytes(data))
         if rng.random() < 0.05:
-            await bus.control.ask("journal", since=await bus.control.next())
+            await device.control.ask("journal", since=await device.control.next())
     # No telegram is longer than these zeros, and none begins with one: an unfinished one is over.
-    mark = await bus.control.next()
+    mark = await device.control.next()
     master.send(bytes(260))
-    await bus.control.wait(mark, kind="malformed")
+    await device.control.wait(mark, kind="malformed")
     master.drop()
     assert await master.ask(READ) == ANSWER
-    assert (await bus.control.image())["points"] == start
+    assert (await device.control.image())["points"] == start
 
 
-async def test_a_client_is_the_process_that_has_the_terminal_open(bus: MockProgram, master: Master) -> None:
+async def test_a_client_is_the_process_that_has_the_terminal_open(device: MockProgram, master: Master) -> None:
     await master.ask(READ)
-    whole = await bus.control.ask("journal", since=0)
+    whole = await device.control.ask("journal", since=0)
     (number,) = {entry["connection"] for entry in whole["entries"]}
     assert whole["peers"][str(number)]["process"]["pid"] == os.getpid()
 
@@ -415,10 +402,12 @@ HERE = Path(__file__).parent / "pyprofibus_plant"
 
 
 @pytest.mark.skipif(not _has_pyprofibus(), reason="pyprofibus is not installed; it is in the extra dev")
-async def test_pyprofibus_parameterises_exchanges_and_is_told_of_a_watchdog(bus: MockProgram, tmp_path: Path) -> None:
+async def test_pyprofibus_parameterises_exchanges_and_is_told_of_a_watchdog(
+    device: MockProgram, tmp_path: Path
+) -> None:
     configuration = tmp_path / "master.conf"
     configuration.write_text(
-        f"[PROFIBUS]\ndebug=0\n[PHY]\ntype=serial\ndev={bus.ready_event['endpoints']['profibus']['path']}\nbaud=19200\n"
+        f"[PROFIBUS]\ndebug=0\n[PHY]\ntype=serial\ndev={device.ready_event['endpoints']['profibus']['path']}\nbaud=19200\n"
         f"[DP]\nmaster_class=1\nmaster_addr=2\n[SLAVE_0]\nname=five\naddr=5\ngsd={HERE / 'station5.gsd'}\n"
         "sync_mode=0\nfreeze_mode=0\ngroup_mask=1\nwatchdog_ms=1000\nmodule_0=2 bytes in\nmodule_1=2 bytes out\n"
         "input_size=2\noutput_size=2\ndiag_period=0\n"
@@ -434,18 +423,18 @@ async def test_pyprofibus_parameterises_exchanges_and_is_told_of_a_watchdog(bus:
         async with asyncio.timeout(PATIENCE_S):
             while (line := await process.stdout.readline()) != b'{"slave.5.miso.u16.0": 725}\n':
                 assert line, "it has ended"
-            assert await points(bus, 5, "output") == [0x12, 0x34]
-            await bus.control.ask("poke", params={"station": 5, "inputs": "0007"})
+            assert await points(device, 5, "output") == [0x12, 0x34]
+            await device.control.ask("poke", params={"station": 5, "inputs": "0007"})
             while (line := await process.stdout.readline()) != b'{"slave.5.miso.u16.0": 7}\n':
                 assert line, "it has ended"
     finally:
         process.kill()
         await process.wait()
-    (fallen,) = await bus.control.wait(kind="watchdog", station=5)
+    (fallen,) = await device.control.wait(kind="watchdog", station=5)
     assert fallen["outputs"] == "1234"
-    services = [entry.get("service") for entry in await bus.control.journal(request=True)]
+    services = [entry.get("service") for entry in await device.control.journal(request=True)]
     assert {"fdl_status", "slave_diag", "set_prm", "chk_cfg", "data_exchange"} <= set(services)
-    assert await bus.control.journal(kind="malformed") == []
+    assert await device.control.journal(kind="malformed") == []
 
 
 # What the master of profirust 0.6.0 sends at the address 2, with the highest address 3, and the answers to it, as recorded on this line: tokens to
@@ -562,17 +551,17 @@ async def test_profirust_that_repeats_the_frame_count_bit_for_a_diagnosis_gets_t
 
 
 async def test_the_kits_decoder_reads_in_the_bytes_what_the_device_has_recorded(
-    bus: MockProgram, master: Master
+    device: MockProgram, master: Master
 ) -> None:
     for asked, _ in VECTORS.values():
         await master.ask(bytes.fromhex(asked))
     await master.exchange(5, "0102", **STATION_5)
-    await bus.control.ask("poke", params={"station": 5, "inputs": "0001"})
+    await device.control.ask("poke", params={"station": 5, "inputs": "0001"})
     await master.ask(request(5, None, "0102"))
     master.send(request(77, None, control=0x49) + bytes.fromhex("dc0302"))
     await master.ask(request(8, 57))
     conversation = ProfibusConversation()
-    for entry in await bus.control.journal():
+    for entry in await device.control.journal():
         assert contradiction(entry) is None
         (message,) = conversation.decode(entry["direction"], bytes.fromhex(entry["telegram"]))
         assert message.kind == entry["kind"]

@@ -20,60 +20,38 @@ from snap7.async_client import AsyncClient
 from snap7.error import S7Error
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
+MOCK = "s7"
 
 DB, FLAGS = 0x84, 0x83
 
 
-@pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def program() -> AsyncIterator[MockProgram]:
-    started = await MockProgram.start("s7")
-    try:
-        await started.ready()
-        yield started
-    finally:
-        _, stderr = await started.end()
-    assert stderr == ""
-
-
 @pytest_asyncio.fixture(loop_scope="module")
-async def s7(program: MockProgram) -> MockProgram:
-    """The controller with its start-up values, and a journal without entries."""
-    await program.control.ask("reset")
-    await program.control.ask("forget", before=await program.control.next())
-    return program
-
-
-@pytest_asyncio.fixture(loop_scope="module")
-async def raw(s7: MockProgram) -> AsyncIterator[RawS7]:
+async def raw(device: MockProgram) -> AsyncIterator[RawS7]:
     connection = RawS7()
-    assert await connection.open(s7) == 480
+    assert await connection.open(device) == 480
     yield connection
     await connection.close()
-
-
-async def fault(s7: MockProgram, action: dict[str, Any], **conditions: Any) -> None:
-    await s7.control.ask("fault", rules=[{**conditions, "action": action}])
 
 
 # -- connecting -----------------------------------------------------------------------------------------------
 
 
-async def test_another_slot_is_refused_and_journalled(s7: MockProgram) -> None:
+async def test_another_slot_is_refused_and_journalled(device: MockProgram) -> None:
     connection = RawS7()
     # X.224 13.5: a disconnect request to our reference 9, reason 3, address unknown.
-    assert (await connection.connect(s7, tsap="0102")).hex() == "06800009000003"
+    assert (await connection.connect(device, tsap="0102")).hex() == "06800009000003"
     assert await connection.ended()
     await connection.close()
-    [request] = await s7.control.journal(kind="connect_request")
+    [request] = await device.control.journal(kind="connect_request")
     assert (request["rack"], request["slot"], request["request"]) == (0, 2, False)
-    assert await s7.control.journal(kind="connect_refused")
+    assert await device.control.journal(kind="connect_refused")
 
 
-async def test_the_smaller_pdu_is_agreed_to(s7: MockProgram) -> None:
+async def test_the_smaller_pdu_is_agreed_to(device: MockProgram) -> None:
     for asked, allowed, agreed in ((480, 480, 480), (960, 480, 480), (480, 240, 240), (100, 480, 240)):
-        await s7.control.ask("poke", params={"pdu_size": allowed})
+        await device.control.ask("poke", params={"pdu_size": allowed})
         connection = RawS7()
-        assert await connection.open(s7, pdu_size=asked) == agreed
+        assert await connection.open(device, pdu_size=asked) == agreed
         await connection.close()
 
 
@@ -88,13 +66,13 @@ async def test_the_smaller_pdu_is_agreed_to(s7: MockProgram) -> None:
         frame(bytes.fromhex("0ae00000000900c20401010101")),
     ],
 )
-async def test_what_is_no_beginning_of_a_session_ends_it(s7: MockProgram, sent: bytes) -> None:
+async def test_what_is_no_beginning_of_a_session_ends_it(device: MockProgram, sent: bytes) -> None:
     connection = RawS7()
-    connection.reader, connection.writer = await asyncio.open_connection(s7.host, s7.port)
+    await connection.dial(device)
     connection.writer.write(sent)
     assert await connection.ended()
     await connection.close()
-    assert [entry["bytes"] for entry in await s7.control.journal(kind="malformed")] == [sent.hex()]
+    assert [entry["bytes"] for entry in await device.control.journal(kind="malformed")] == [sent.hex()]
 
 
 # -- reading and writing --------------------------------------------------------------------------------------
@@ -144,11 +122,11 @@ WRITES = {
 
 
 @pytest.mark.parametrize("name", WRITES)
-async def test_a_write_changes_what_it_names_or_nothing(s7: MockProgram, raw: RawS7, name: str) -> None:
+async def test_a_write_changes_what_it_names_or_nothing(device: MockProgram, raw: RawS7, name: str) -> None:
     address, transport, length, content, expected = WRITES[name]
-    before = await areas(s7)
+    before = await areas(device)
     assert await raw.write(address, transport, length, content) == expected
-    after = await areas(s7)
+    after = await areas(device)
     if expected == "ff":
         start = int.from_bytes(address[9:]) // 8
         block = bytearray(before["DB10"])
@@ -157,28 +135,28 @@ async def test_a_write_changes_what_it_names_or_nothing(s7: MockProgram, raw: Ra
     assert after == before
 
 
-async def test_a_bit_is_written_alone(s7: MockProgram, raw: RawS7) -> None:
-    await s7.control.ask("poke", params={"area": "M", "byte": 3, "data": "4a"})
+async def test_a_bit_is_written_alone(device: MockProgram, raw: RawS7) -> None:
+    await device.control.ask("poke", params={"area": "M", "byte": 3, "data": "4a"})
     assert await raw.write(item(FLAGS, 0, 3, bit=5, transport=1), 3, 1, "01") == "ff"
-    assert (await areas(s7))["M"][3] == 0x6A
+    assert (await areas(device))["M"][3] == 0x6A
     assert await raw.write(item(FLAGS, 0, 3, bit=1, transport=1), 3, 1, "00") == "ff"
-    assert (await areas(s7))["M"][3] == 0x68
-    write = (await s7.control.journal(service="write"))[0]
+    assert (await areas(device))["M"][3] == 0x68
+    write = (await device.control.journal(service="write"))[0]
     assert write["items"] == [{"area": FLAGS, "db": 0, "byte": 3, "bit": 5, "transport": 1, "count": 1, "data": "01"}]
 
 
-async def test_reads_and_writes_can_be_switched_off(s7: MockProgram, raw: RawS7) -> None:
-    await s7.control.ask("poke", params={"put_get": False})
+async def test_reads_and_writes_can_be_switched_off(device: MockProgram, raw: RawS7) -> None:
+    await device.control.ask("poke", params={"put_get": False})
     assert await raw.read(item(DB, 10, 0)) == "error 8104"
     assert await raw.write(item(DB, 10, 0), 4, 8, "07") == "error 8104"
-    assert (await areas(s7))["DB10"][0] == 0
+    assert (await areas(device))["DB10"][0] == 0
     assert (await raw.ask(user_data(4, 1, bytes.fromhex("04240000"))))[-20:].hex().startswith("4302ff08")
 
 
-async def test_restless_bits_turn_before_every_request(s7: MockProgram, raw: RawS7) -> None:
-    await s7.control.ask("poke", params={"restless": [{"area": "M", "byte": 3, "bits": 64}]})
+async def test_restless_bits_turn_before_every_request(device: MockProgram, raw: RawS7) -> None:
+    await device.control.ask("poke", params={"restless": [{"area": "M", "byte": 3, "bits": 64}]})
     assert [await raw.read(item(FLAGS, 0, 3)) for _ in range(3)] == ["ff04000840", "ff04000800", "ff04000840"]
-    assert (await s7.control.image())["restless"] == [{"area": "M", "byte": 3, "bits": 64, "changes": 3}]
+    assert (await device.control.image())["restless"] == [{"area": "M", "byte": 3, "bits": 64, "changes": 3}]
 
 
 # -- control and user data ------------------------------------------------------------------------------------
@@ -187,29 +165,29 @@ STOP = b"\x29\0\0\0\0\0\x09P_PROGRAM"
 START = b"\x28\0\0\0\0\0\0\xfd\0\0\x09P_PROGRAM"
 
 
-async def test_the_cpu_is_stopped_and_started_and_says_so(s7: MockProgram, raw: RawS7) -> None:
+async def test_the_cpu_is_stopped_and_started_and_says_so(device: MockProgram, raw: RawS7) -> None:
     async def state() -> str:
         return (await raw.ask(user_data(4, 1, bytes.fromhex("04240000"))))[-20:].hex()[:8]
 
     assert await state() == "4302ff08"
-    batch = (await areas(s7))["DB1"][:20]
+    batch = (await areas(device))["DB1"][:20]
     assert RawS7.data(await raw.ask(job(STOP))) == ""
     assert await state() == "4303ff04"
     assert RawS7.data(await raw.ask(job(STOP))) == "error 8402"
-    await s7.control.ask("tick", steps=5)
-    assert (await areas(s7))["DB1"][:20] == batch
+    await device.control.ask("tick", steps=5)
+    assert (await areas(device))["DB1"][:20] == batch
     assert RawS7.data(await raw.ask(job(START))) == ""
-    await s7.control.ask("tick", steps=5)
-    assert (await areas(s7))["DB1"][:20] != batch
-    asked = await s7.control.journal(kind="request", state_changing=True)
+    await device.control.ask("tick", steps=5)
+    assert (await areas(device))["DB1"][:20] != batch
+    asked = await device.control.journal(kind="request", state_changing=True)
     assert [entry["service"] for entry in asked] == ["stop", "stop", "control"]
     assert RawS7.data(await raw.ask(job(b"\x28\0\0\0\0\0\0\xfd\0\0\x05_GARB"))) == "error 8104"
 
 
-async def test_an_answer_that_is_too_long_for_the_pdu_comes_in_parts(s7: MockProgram) -> None:
-    await s7.control.ask("poke", params={"pdu_size": 240})
+async def test_an_answer_that_is_too_long_for_the_pdu_comes_in_parts(device: MockProgram) -> None:
+    await device.control.ask("poke", params={"pdu_size": 240})
     connection = RawS7()
-    assert await connection.open(s7) == 240
+    assert await connection.open(device) == 240
     first = await connection.ask(user_data(4, 1, bytes.fromhex("001c0000")))
     assert first[10:22].hex() == "000112081284010100010000"
     rest = await connection.ask(job(bytes.fromhex("000112081244010100000000"), bytes.fromhex("0a000000"), rosctr=7))
@@ -230,9 +208,9 @@ async def test_unknown_lists_functions_and_groups_are_refused(raw: RawS7) -> Non
 # -- clients of other authors ---------------------------------------------------------------------------------
 
 
-async def test_python_snap7_reads_writes_and_asks_for_everything(s7: MockProgram) -> None:
+async def test_python_snap7_reads_writes_and_asks_for_everything(device: MockProgram) -> None:
     client = AsyncClient()
-    await client.connect(s7.host, 0, 1, s7.port)
+    await client.connect(device.host, 0, 1, device.port)
     assert struct.unpack(">4hfi", await client.db_read(10, 0, 16)) == (50, 30, 40, 60, 100.0, 7)
     await client.db_write_real(10, 8, 2.5)
     assert await client.db_read_real(10, 8) == 2.5
@@ -247,44 +225,44 @@ async def test_python_snap7_reads_writes_and_asks_for_everything(s7: MockProgram
     await client.plc_stop()
     assert (await client.read_szl(0x424)).Data[7] == 4
     await client.plc_hot_start()
-    assert (await s7.control.image())["cpu"] == "RUN"
+    assert (await device.control.image())["cpu"] == "RUN"
     await client.disconnect()
-    assert (await s7.control.wait(kind="disconnect_request"))[0]["request"] is False
+    assert (await device.control.wait(kind="disconnect_request"))[0]["request"] is False
 
 
-async def test_python_snap7_has_no_cpu_state(s7: MockProgram) -> None:
+async def test_python_snap7_has_no_cpu_state(device: MockProgram) -> None:
     """Its request is malformed and is refused; an adapter has to read the system status instead."""
     client = AsyncClient()
-    await client.connect(s7.host, 0, 1, s7.port)
+    await client.connect(device.host, 0, 1, device.port)
     with pytest.raises(S7Error, match="0x85"):
         await client.get_cpu_state()
     await client.disconnect()
 
 
-async def test_pys7_reads_and_writes(s7: MockProgram) -> None:
+async def test_pys7_reads_and_writes(device: MockProgram) -> None:
     def exchange() -> tuple[Any, Any, str]:
-        with S7Client(s7.host, 0, 1, port=s7.port) as client:
+        with S7Client(device.host, 0, 1, port=device.port) as client:
             first = client.read(["DB1,R0", "DB10,I0", "M3.5", "DB2,S2.30", "Q0.0"])
             client.write(["DB10,I2", "M3.5", "DB10,R8", "DB10,B17"], [7, True, 2.5, 9])
             return first, client.read(["DB10,I2", "M3.5", "DB10,R8", "DB10,B17"]), client.get_cpu_status()
 
     assert await asyncio.to_thread(exchange) == ([900.0, 50, False, "no message", True], [7, True, 2.5, 9], "RUN")
-    held = await areas(s7)
+    held = await areas(device)
     assert (held["DB10"][2:4].hex(), held["M"][3], held["DB10"][17]) == ("0007", 0x20, 9)
 
 
 # -- malformed input ------------------------------------------------------------------------------------------
 
 
-async def test_noise_never_stops_the_controller(s7: MockProgram, raw: RawS7) -> None:
+async def test_noise_never_stops_the_controller(device: MockProgram, raw: RawS7) -> None:
     chance = random.Random(20261122)
     for number in range(200):
         connection = RawS7()
         if number % 4 == 0:
-            connection.reader, connection.writer = await asyncio.open_connection(s7.host, s7.port)
+            await connection.dial(device)
             connection.writer.write(chance.randbytes(chance.randrange(1, 600)))
         else:
-            await connection.open(s7)
+            await connection.open(device)
             pdu = bytearray(job(b"\x05\x01" + item(DB, 10, 40, count=2), b"\0\4\0\x10\0\7"))
             if number % 4 == 1:
                 pdu = bytearray(user_data(4, 1, bytes.fromhex("001c0000")))
@@ -292,7 +270,7 @@ async def test_noise_never_stops_the_controller(s7: MockProgram, raw: RawS7) -> 
                 pdu[chance.randrange(len(pdu))] = chance.randrange(256)
             connection.send(bytes(pdu[: chance.randrange(1, len(pdu) + 1)] if number % 4 == 3 else pdu))
         await connection.close()
-    await s7.control.wait(kind="DISCONNECTED", count=200)
+    await device.control.wait(kind="DISCONNECTED", count=200)
     assert (await raw.read(item(DB, 10, 0, transport=5))).startswith("ff050010")
 
 
@@ -313,29 +291,31 @@ FALSE_ANSWERS = {
 
 
 @pytest.mark.parametrize("name", FALSE_ANSWERS)
-async def test_an_answer_is_falsified_and_the_journal_has_what_was_sent(s7: MockProgram, raw: RawS7, name: str) -> None:
+async def test_an_answer_is_falsified_and_the_journal_has_what_was_sent(
+    device: MockProgram, raw: RawS7, name: str
+) -> None:
     action, expected = FALSE_ANSWERS[name]
-    await fault(s7, action, service="read", db=10, byte=0, times=1)
+    await device.control.fault(action, service="read", db=10, byte=0, times=1)
     assert (await raw.ask(READ_VALVE)).hex() == expected.replace(" ", "")
-    [asked] = await s7.control.journal(kind="request")
-    [answer] = await s7.control.journal(kind="response")
+    [asked] = await device.control.journal(kind="request")
+    [answer] = await device.control.journal(kind="response")
     assert (asked["fault"], answer["answers"]) == (action, asked["seq"])
     assert answer["pdu"] == expected.replace(" ", "")
     assert (await raw.ask(READ_VALVE)).hex() == ANSWER.replace(" ", "")
 
 
-async def test_a_write_is_acknowledged_and_not_done(s7: MockProgram, raw: RawS7) -> None:
-    await fault(s7, {"ack_only": True})
+async def test_a_write_is_acknowledged_and_not_done(device: MockProgram, raw: RawS7) -> None:
+    await device.control.fault({"ack_only": True})
     assert await raw.write(item(DB, 10, 0), 4, 8, "07") == "ff"
     assert RawS7.data(await raw.ask(job(STOP))) == ""
-    image = await s7.control.image()
+    image = await device.control.image()
     assert (image["areas"]["DB10"][:2], image["cpu"]) == ("00", "RUN")
 
 
-async def test_an_answer_is_dropped_delayed_cut_or_replaced(s7: MockProgram, raw: RawS7) -> None:
+async def test_an_answer_is_dropped_delayed_cut_or_replaced(device: MockProgram, raw: RawS7) -> None:
     actions: list[dict[str, Any]] = [{"drop": True}, {"delay_s": 0.2}, {"truncate": 9}, {"garbage": True}]
     rules = [{"times": 1, "action": action} for action in actions]
-    await s7.control.ask("fault", rules=rules)
+    await device.control.ask("fault", rules=rules)
     for reference in range(1, 6):
         raw.send(job(b"\x04\x01" + item(DB, 10, 0, transport=5), reference=reference))
     whole = len(bytes.fromhex(ANSWER.replace(" ", ""))) + 7
@@ -346,20 +326,22 @@ async def test_an_answer_is_dropped_delayed_cut_or_replaced(s7: MockProgram, raw
 
 
 @pytest.mark.parametrize("action", [{"close": True}, {"reset": True}])
-async def test_the_connection_ends_instead_of_an_answer(s7: MockProgram, raw: RawS7, action: dict[str, Any]) -> None:
-    await fault(s7, action, times=1)
+async def test_the_connection_ends_instead_of_an_answer(
+    device: MockProgram, raw: RawS7, action: dict[str, Any]
+) -> None:
+    await device.control.fault(action, times=1)
     raw.send(job(b"\x05\x01" + item(DB, 10, 1), b"\0\4\0\x08\x07"))
     assert await raw.ended()
-    assert (await areas(s7))["DB10"][1] == 7
+    assert (await areas(device))["DB10"][1] == 7
 
 
-async def test_the_agreement_on_a_pdu_is_spared_unless_it_is_named(s7: MockProgram) -> None:
-    await fault(s7, {"close": True})
+async def test_the_agreement_on_a_pdu_is_spared_unless_it_is_named(device: MockProgram) -> None:
+    await device.control.fault({"close": True})
     connection = RawS7()
-    assert await connection.open(s7) == 480
+    assert await connection.open(device) == 480
     await connection.close()
-    await fault(s7, {"error": 0x8302}, service="setup")
-    assert (await connection.connect(s7))[1] == 0xD0
+    await device.control.fault({"error": 0x8302}, service="setup")
+    assert (await connection.connect(device))[1] == 0xD0
     assert RawS7.data(await connection.ask(job(struct.pack(">BBHHH", 0xF0, 0, 1, 1, 480)))) == "error 8302"
     await connection.close()
 
@@ -377,6 +359,8 @@ async def test_the_agreement_on_a_pdu_is_spared_unless_it_is_named(s7: MockProgr
         ({"restless": {}}, "a list of objects"),
     ],
 )
-async def test_a_poke_that_is_not_understood_is_refused(s7: MockProgram, params: dict[str, Any], words: str) -> None:
+async def test_a_poke_that_is_not_understood_is_refused(
+    device: MockProgram, params: dict[str, Any], words: str
+) -> None:
     with pytest.raises(RefusedError, match=words):
-        await s7.control.ask("poke", params=params)
+        await device.control.ask("poke", params=params)

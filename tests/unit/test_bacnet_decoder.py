@@ -104,9 +104,10 @@ def test_a_read_must_be_answered_to_prove_something() -> None:
 
 def test_an_error_is_told_by_class_and_code() -> None:
     refused = entry(1, "out", "810a000d 0100 50010c 9101 911f", answers=0)
-    assert oracle.error_sent([refused], 1, 31) == []
-    assert oracle.error_sent([refused], 2, 37)
-    assert oracle.error_sent([entry(1, "out", WRITE_ACK, answers=0)], 1, 31)
+    assert oracle.refused_with([refused], 1, 31) == []
+    [finding] = oracle.refused_with([refused], 2, 37)
+    assert (finding.code, "error 2,37, its answers had 1,31" in finding.message) == ("no_refusal", True)
+    assert oracle.refused_with([entry(1, "out", WRITE_ACK, answers=0)], 1, 31)
 
 
 def test_what_was_found_must_be_there() -> None:

@@ -120,7 +120,7 @@ async def test_pymodbus_and_the_mock_agree_with_the_modbus_witness() -> None:
     ours, others = comparable(mine), comparable(theirs)
     assert len(ours) == 20
     assert ours == others
-    assert modbus_oracle.exception_sent(mine, 2) == []
+    assert modbus_oracle.refused_with(mine, 2) == []
     assert contradictions("modbus", mine) == contradictions("modbus", theirs) == []
 
 

@@ -273,11 +273,13 @@ def test_events_have_to_be_confirmed_with_their_sequence_number() -> None:
 
 def test_refusals_are_told_by_indication_and_status() -> None:
     refused = entries(("out", answered("c0818004")))
-    assert oracle.iin_sent(refused, 0x0400) == []
-    assert oracle.iin_sent(refused, 0x0200)
+    assert oracle.refused_with_iin(refused, 0x0400) == []
+    [finding] = oracle.refused_with_iin(refused, 0x0200)
+    assert (finding.code, "0200, its answers had 0480" in finding.message) == ("no_refusal", True)
     echo = entries(("out", answered("c0818000" + LATCH[:-2] + "0c")))
-    assert oracle.status_sent(echo, 12) == []
-    assert oracle.status_sent(echo, 7)
+    assert oracle.refused_with_status(echo, 12) == []
+    [finding] = oracle.refused_with_status(echo, 7)
+    assert (finding.code, "status 7, its answers had 12" in finding.message) == ("no_refusal", True)
 
 
 def test_an_entry_that_says_something_else_than_its_fragment_is_contradicted() -> None:

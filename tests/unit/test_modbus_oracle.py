@@ -129,9 +129,9 @@ def test_every_state_changing_function_is_a_write_also_without_an_answer(pdu: st
 
 
 def test_an_exception_is_seen_by_its_code() -> None:
-    assert oracle.exception_sent(journal(MISSING), 2) == []
-    assert "exception 03, its answers were [2]" in words(oracle.exception_sent(journal(MISSING), 3))
-    assert "exception 02, its answers were none" in words(oracle.exception_sent([], 2))
+    assert oracle.refused_with(journal(MISSING), 2) == []
+    assert "exception 03, its answers had 02" in words(oracle.refused_with(journal(MISSING), 3))
+    assert "exception 02, its answers had none" in words(oracle.refused_with([], 2))
 
 
 def image(**changes: int) -> dict[str, Any]:

@@ -233,7 +233,7 @@ def test_controls_and_refusals_are_told_apart() -> None:
     assert "stop the CPU" in words(oracle.one_control(journal(STOP), "control"))
     assert oracle.refused_with(journal(MISSING), 0x0A) == []
     assert oracle.refused_with(journal(REFUSED), 0x8104) == []
-    assert "its answers were none" in words(oracle.refused_with(journal(unanswered(MISSING)), 0x0A))
+    assert "its answers had none" in words(oracle.refused_with(journal(unanswered(MISSING)), 0x0A))
     assert "no_refusal ERR-002" in words(oracle.refused_with(journal(READ), 0x0A))
 
 

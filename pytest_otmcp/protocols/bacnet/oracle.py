@@ -12,7 +12,6 @@ from .entries import PRESENT_VALUE, Target, as_bacnet, changes, describe, label
 
 __all__ = [
     "array",
-    "error_sent",
     "exactly_one_write",
     "held",
     "holds",
@@ -24,6 +23,7 @@ __all__ = [
     "present",
     "reached",
     "read_from_device",
+    "refused_with",
     "slot",
     "some_exchange",
 ]
@@ -107,18 +107,13 @@ def exactly_one_write(
     return _WITNESS.exactly_one_write(changes(entries), f"write of {value} ({kind}) to {name}", problem)
 
 
-def error_sent(entries: Entries, error_class: int, error_code: int) -> list[Finding]:
+def refused_with(entries: Entries, error_class: int, error_code: int) -> list[Finding]:
     """Expect that the device answered with this error."""
-    sent = [as_bacnet(entry).get("error") for entry in entries if entry["kind"] == "response"]
+    sent = [error for entry in entries if entry["kind"] == "response" and (error := as_bacnet(entry).get("error"))]
     if [error_class, error_code] in sent:
         return []
-    return [
-        Finding(
-            code="no_error",
-            message=f"the device should have answered with the error {error_class},{error_code}, its answers were {sent or 'none'}",
-            requirement="ERR-002",
-        )
-    ]
+    shown = [f"{one},{code}" for one, code in sent]
+    return _WITNESS.no_refusal(entries, f"the error {error_class},{error_code}", shown, requirement="ERR-002")
 
 
 def not_effective(told: object, before: object, label: str) -> Finding:

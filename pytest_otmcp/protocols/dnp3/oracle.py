@@ -18,7 +18,6 @@ __all__ = [
     "exactly_one_operation",
     "held",
     "holds",
-    "iin_sent",
     "no_state_changing_request",
     "nothing_changed_by",
     "only_changed",
@@ -26,9 +25,10 @@ __all__ = [
     "polled",
     "reached",
     "read_from_device",
+    "refused_with_iin",
+    "refused_with_status",
     "selected_first",
     "some_exchange",
-    "status_sent",
     "told_off_line",
 ]
 
@@ -184,26 +184,21 @@ def confirmed(entries: Entries) -> list[Finding]:
     ]
 
 
-def iin_sent(entries: Entries, bit: int) -> list[Finding]:
-    """Expect that the outstation refused with this internal indication."""
+def refused_with_iin(entries: Entries, bit: int) -> list[Finding]:
+    """Expect that the outstation answered with this internal indication."""
     sent = [as_dnp3(entry).get("iin", 0) for entry in entries if entry["kind"] == "response"]
     if any(iin & bit for iin in sent):
         return []
-    return [_no_rejection(f"the internal indication {bit:04X}", [f"{iin:04X}" for iin in sent])]
+    shown = [f"{iin:04X}" for iin in sent]
+    return _WITNESS.no_refusal(entries, f"the internal indication {bit:04X}", shown, requirement="ERR-002")
 
 
-def status_sent(entries: Entries, status: int) -> list[Finding]:
+def refused_with_status(entries: Entries, status: int) -> list[Finding]:
     """Expect that the outstation answered a command with this status."""
     sent = [one["status"] for entry in entries if entry["kind"] == "response" for one in commands(entry)]
-    return [] if status in sent else [_no_rejection(f"the status {status}", sent)]
-
-
-def _no_rejection(what: str, sent: object) -> Finding:
-    return Finding(
-        code="no_rejection",
-        message=f"the outstation should have refused with {what}, its answers had {sent or 'none'}",
-        requirement="ERR-002",
-    )
+    if status in sent:
+        return []
+    return _WITNESS.no_refusal(entries, f"the status {status}", [str(one) for one in sent], requirement="ERR-002")
 
 
 def told_off_line(flags: object, label: str) -> list[Finding]:

@@ -207,8 +207,7 @@ def refused_with(entries: Entries, status: int, extended: int | None = None) -> 
         return []
     shown = [f"{one:02X}" + ("" if more is None else f"/{more:04X}") for one, more in sent if one is not None]
     wanted = f"{status:02X}" + ("" if extended is None else f"/{extended:04X}")
-    message = f"the controller should have answered with {wanted}, its answers were {shown or 'none'}"
-    return [Finding(code="no_refusal", message=message, requirement="ERR-002", evidence=_WITNESS.seen(entries))]
+    return _WITNESS.no_refusal(entries, f"the status {wanted}", shown, requirement="ERR-002")
 
 
 def connections_left(image: Image, *, most: int) -> list[Finding]:

@@ -16,7 +16,6 @@ __all__ = [
     "asked_of_unit",
     "exactly_one_mask_write",
     "exactly_one_write",
-    "exception_sent",
     "held",
     "holds",
     "identified",
@@ -29,6 +28,7 @@ __all__ = [
     "read_from_device",
     "read_where_asked",
     "refused_nothing_else",
+    "refused_with",
     "some_exchange",
     "stored_otherwise",
     "torn",
@@ -219,18 +219,14 @@ def values_sent(entries: Entries) -> list[int]:
     return [value for entry in entries if entry["kind"] == "response" for value in as_modbus(entry).get("values", [])]
 
 
-def exception_sent(entries: Entries, code: int) -> list[Finding]:
+def refused_with(entries: Entries, code: int) -> list[Finding]:
     """Expect that the device answered with this exception code."""
-    sent = [as_modbus(entry).get("exception") for entry in entries if entry["kind"] == "response"]
+    answers = (as_modbus(entry) for entry in entries if entry["kind"] == "response")
+    sent = [exception for answer in answers if (exception := answer.get("exception")) is not None]
     if code in sent:
         return []
-    return [
-        Finding(
-            code="no_exception",
-            message=f"the device should have answered with exception {code:02X}, its answers were {sent or 'none'}",
-            requirement="ERR-002",
-        )
-    ]
+    shown = [f"{exception:02X}" for exception in sent]
+    return _WITNESS.no_refusal(entries, f"exception {code:02X}", shown, requirement="ERR-002")
 
 
 def image_holds(image: Image, table: str, address: int, values: list[Any], unit: int = 1) -> list[Finding]:

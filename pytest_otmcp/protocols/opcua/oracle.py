@@ -126,13 +126,7 @@ def refused_with(entries: Entries, node: str, symbol: str) -> list[Finding]:
     found = [code for entry in entries if entry["answers"] in asked for code in _codes(entry)]
     if symbol in found:
         return []
-    return [
-        Finding(
-            code="no_status",
-            message=f"the server should have answered {symbol} for {node}, its answers were {found or 'none'}",
-            requirement="ERR-003",
-        )
-    ]
+    return _WITNESS.no_refusal(entries, f"{symbol} for {node}", found, requirement="ERR-003")
 
 
 def _codes(entry: JournalEntry) -> list[str]:

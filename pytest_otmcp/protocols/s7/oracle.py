@@ -129,9 +129,8 @@ def refused_with(entries: Entries, code: int) -> list[Finding]:
             sent += [as_s7(entry).get("error"), *(item.get("code") for item in as_s7(entry).get("items", []))]
     if code in sent:
         return []
-    shown = [f"{found:02X}" for found in sent if found is not None] or "none"
-    message = f"the controller should have answered with {code:02X}, its answers were {shown}"
-    return [Finding(code="no_refusal", message=message, requirement="ERR-002", evidence=_WITNESS.seen(entries))]
+    shown = [f"{found:02X}" for found in sent if found is not None]
+    return _WITNESS.no_refusal(entries, f"{code:02X}", shown, requirement="ERR-002")
 
 
 def held(image: Image, area: str, byte: int, size: int) -> bytes:

@@ -9,7 +9,7 @@ from ...modbus import link as modbus_link
 from ...mqtt import connection as mqtt_connection
 from ...mqtt import link as mqtt_link
 from ..any_protocol import guard_after_sending, named_after_exceptions, result
-from ..mutant import Bend, Data, Handler, Mutant, each, failing, on, wrap
+from ..mutant import Bend, Data, Handler, Mutant, each, failing, on, succeeding, wrap
 
 __all__ = ["MUTANTS"]
 
@@ -21,17 +21,8 @@ def collapsed(call: Call, error: AdapterError) -> Exception | None:
     return AdapterError("protocol_error", "Modbus error") if "exception_code" in call.trace else None
 
 
-def busy_is_success(genuine: Handler) -> Handler:
-    async def handler(call: Call, arguments: Any) -> Data:
-        try:
-            data: Data = await genuine(call, arguments)
-        except AdapterError as error:
-            if error.code != "device_busy":
-                raise
-            return {"address": arguments.address, "count": 0, "values": []}
-        return data
-
-    return handler
+def _nothing(call: Call, arguments: Any) -> Data:
+    return {"address": arguments.address, "count": 0, "values": []}
 
 
 def parity_is_unknown(server: AdapterServer) -> None:
@@ -214,7 +205,7 @@ MUTANTS: tuple[Mutant, ...] = (
         id="MU-46b",
         protocol="modbus",
         sentence="A busy device is a success without data.",
-        bend=each("read_multiple_holding_registers", change=busy_is_success),
+        bend=succeeding("read_multiple_holding_registers", code="device_busy", answer=_nothing),
         items="ERR-002.modbus",
         requirements="ERR-002",
         areas="err",

@@ -13,7 +13,7 @@ from ..claims import local_time
 from ..mutant import Data, Mutant, failing, told
 from ..refusals import _end
 from .enc import as_zero, by_way_of_float
-from .further import altered, declared, last_answer, merged, module_of, stripped
+from .further import altered, declared, last_answer, lower_half, merged, module_of, reencoded, stripped, truth
 
 __all__ = ["MUTANTS"]
 
@@ -32,29 +32,6 @@ def _one_element_more(server: AdapterServer) -> None:
         return request
 
     tools.write_service = longer
-
-
-def _lower_half(server: AdapterServer) -> None:
-    tools = _module("tools")
-    encode = tools.encode
-
-    def fitting(value: Any, kind: Any, *rest: Any) -> bytes:
-        fits = (value + 0x8000) % 0x10000 - 0x8000 if kind == "INT" and type(value) is int else value
-        content: bytes = encode(fits, kind, *rest)
-        return content
-
-    tools.encode = fitting
-
-
-def _words_are_true(server: AdapterServer) -> None:
-    tools = _module("tools")
-    encode = tools.encode
-
-    def lenient(value: Any, kind: Any, *rest: Any) -> bytes:
-        content: bytes = encode(bool(value) if kind == "BOOL" else value, kind, *rest)
-        return content
-
-    tools.encode = lenient
 
 
 def _confirmed_at_once(server: AdapterServer) -> None:
@@ -120,7 +97,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "adr",
         "ADR-003",
         "ADR-003",
-        _lower_half,
+        reencoded("ethernetip", lower_half),
         "Of a value that does not fit into a tag of the type INT the lower half is written.",
     ),
     _mutant(
@@ -131,7 +108,9 @@ MUTANTS: tuple[Mutant, ...] = (
         altered(_READ, "tag_name", _cut_index),
         "Of the index of an element the last 32 bits count.",
     ),
-    _mutant("MU-11ei", "adr", "ADR-004", "ADR-004", _words_are_true, "The word false is true for a BOOL."),
+    _mutant(
+        "MU-11ei", "adr", "ADR-004", "ADR-004", reencoded("ethernetip", truth), "The word false is true for a BOOL."
+    ),
     _mutant(
         "MU-37ei",
         "con",

@@ -15,7 +15,18 @@ from pydantic import create_model, field_validator
 from ...core import AdapterServer, Call
 from ..mutant import Bend, Data, Handler, Mutant, each, on, wrap
 
-__all__ = ["altered", "cut_off", "declared", "last_answer", "merged", "module_of", "stripped"]
+__all__ = [
+    "altered",
+    "cut_off",
+    "declared",
+    "last_answer",
+    "lower_half",
+    "merged",
+    "module_of",
+    "reencoded",
+    "stripped",
+    "truth",
+]
 
 _GATHERED_S = 0.02
 """Seconds for which an adapter gathers writes to one target: longer than the kit takes to send both."""
@@ -110,6 +121,31 @@ def altered(tool: str, argument: str, change: Callable[[Any], Any]) -> Bend:
         wrap(server, tool, lambda handler: handler, model=model)
 
     return bend
+
+
+def reencoded(protocol: str, change: Callable[[Any, str], Any]) -> Bend:
+    """Return the defect that a value is changed before it is encoded.
+
+    Args:
+        change: returns the value that is encoded, from that of the call and the name of its data type.
+    """
+
+    def bend(server: AdapterServer) -> None:
+        tools = module_of(protocol, "tools")
+        encode = tools.encode
+        tools.encode = lambda value, kind, *rest: encode(change(value, kind), kind, *rest)
+
+    return bend
+
+
+def lower_half(value: Any, kind: str) -> Any:
+    """Return what an INT keeps of a whole number of any size."""
+    return (value + 0x8000) % 0x10000 - 0x8000 if kind == "INT" and type(value) is int else value
+
+
+def truth(value: Any, kind: str) -> Any:
+    """Return True for a BOOL that is any text but the empty one."""
+    return bool(value) if kind == "BOOL" else value
 
 
 def stripped(data: Data) -> Data:

@@ -11,7 +11,7 @@ from ..claims import local_time
 from ..mutant import Data, Mutant, failing, told
 from ..refusals import _end
 from .enc import as_zero, by_way_of_float
-from .further import cut_off, declared, last_answer, merged, module_of, stripped
+from .further import cut_off, declared, last_answer, lower_half, merged, module_of, reencoded, stripped, truth
 
 __all__ = ["MUTANTS"]
 
@@ -25,29 +25,6 @@ def _four_bytes_for_an_int(server: AdapterServer) -> None:
     tools = _module("tools")
     encode = tools.encode
     tools.encode = lambda value, kind, *rest: encode(value, kind, *rest) + (bytes(2) if kind == "INT" else b"")
-
-
-def _lower_half(server: AdapterServer) -> None:
-    tools = _module("tools")
-    encode = tools.encode
-
-    def fitting(value: Any, kind: Any, *rest: Any) -> bytes:
-        fits = (value + 0x8000) % 0x10000 - 0x8000 if kind == "INT" and type(value) is int else value
-        content: bytes = encode(fits, kind, *rest)
-        return content
-
-    tools.encode = fitting
-
-
-def _words_are_true(server: AdapterServer) -> None:
-    tools = _module("tools")
-    encode = tools.encode
-
-    def lenient(value: Any, kind: Any, *rest: Any) -> bytes:
-        content: bytes = encode(bool(value) if kind == "BOOL" else value, kind, *rest)
-        return content
-
-    tools.encode = lenient
 
 
 def _confirmed_at_once(server: AdapterServer) -> None:
@@ -104,10 +81,10 @@ MUTANTS: tuple[Mutant, ...] = (
         "adr",
         "ADR-003",
         "ADR-003",
-        _lower_half,
+        reencoded("s7", lower_half),
         "Of a value that does not fit into an INT the lower half is written.",
     ),
-    _mutant("MU-11k", "adr", "ADR-004", "ADR-004", _words_are_true, "The word false is true for a bit."),
+    _mutant("MU-11k", "adr", "ADR-004", "ADR-004", reencoded("s7", truth), "The word false is true for a bit."),
     _mutant(
         "MU-06k",
         "adr",
