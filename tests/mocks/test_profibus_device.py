@@ -491,17 +491,17 @@ async def played(master: Master, recorded: str) -> None:
 
 
 async def test_profirust_brings_two_slaves_to_data_exchange_and_fetches_a_diagnosis(
-    bus: MockProgram, master: Master
+    device: MockProgram, master: Master
 ) -> None:
     await played(master, PROFIRUST_STARTS)
     for station, held in ((5, [0x12, 0x34]), (8, [1, 2, 3, 4, 5, 6, 7, 8])):
-        assert await state(bus, station) == ("data_exchange", 2)
-        assert await points(bus, station, "output") == held
-    await bus.control.ask("poke", params={"station": 5, "inputs": "0007"})
+        assert await state(device, station) == ("data_exchange", 2)
+        assert await points(device, station, "output") == held
+    await device.control.ask("poke", params={"station": 5, "inputs": "0007"})
     await played(master, PROFIRUST_READS)
-    await bus.control.ask("poke", params={"station": 5, "diagnosis": "0399"})
+    await device.control.ask("poke", params={"station": 5, "diagnosis": "0399"})
     await played(master, PROFIRUST_IS_TOLD)
-    asked = await bus.control.journal(direction="in")
+    asked = await device.control.journal(direction="in")
     assert [(entry["kind"], entry["service"], entry["station"]) for entry in asked if entry["kind"] != "token"] == [
         ("request", "slave_diag", 5),
         ("request", "fdl_status", 0),
@@ -526,16 +526,16 @@ async def test_profirust_brings_two_slaves_to_data_exchange_and_fetches_a_diagno
 
 
 async def test_profirust_that_repeats_the_frame_count_bit_for_a_diagnosis_gets_the_lost_answer_as_it_was(
-    bus: MockProgram, master: Master
+    device: MockProgram, master: Master
 ) -> None:
     await played(master, PROFIRUST_STARTS)
-    await bus.control.ask("fault", rules=[{"station": 8, "times": 2, "action": {"drop": True}}])
+    await device.control.ask("fault", rules=[{"station": 8, "times": 2, "action": {"drop": True}}])
     exchange, diagnosis = "a208027d0102030405060708ab16", "6805056888827c3c3e0016"
     answer = "680b0b6802080800000000000000001216"
     # Its two attempts are lost, and it takes the slave for gone. It asks whether it is back without beginning a new sequence: inputs
     # that came with the access points of a diagnosis would be one, of another device.
     await played(master, f"{exchange}\n{exchange}\n{diagnosis} {answer}\n{diagnosis} {answer}")
-    sent = await bus.control.journal(direction="in", station=8)
+    sent = await device.control.journal(direction="in", station=8)
     assert [(entry["kind"], entry["service"], entry.get("repeated", False)) for entry in sent[-4:]] == [
         ("cycle", "data_exchange", False),
         ("cycle", "data_exchange", True),
