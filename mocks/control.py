@@ -110,7 +110,9 @@ class ControlServer:
             if request.get("op") == "alone":
                 result = self._alone(writer)
             else:
-                result = await self._operation(request)(request)
+                operation = self._operation(request)
+                await self._device.caught_up()
+                result = await operation(request)
             line = json.dumps({**answer, "ok": True, "result": result}, separators=(",", ":"))
         except ValueError as error:
             line = json.dumps({**answer, "error": str(error)})

@@ -13,11 +13,11 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, cast
 
 from .journal import Journal
-from .network import condition_of
+from .medium import MessageMedium
 from .peer import holder, socket_of
 
 __all__ = ["Datagrams"]
@@ -25,37 +25,27 @@ __all__ = ["Datagrams"]
 Address = Any
 
 
-class Datagrams(asyncio.DatagramProtocol):
+class Datagrams(MessageMedium, asyncio.DatagramProtocol):
     """One UDP endpoint of a device.
 
     Args:
         journal: of the device.
         receive: takes the number of a client and its datagram, and what sends an answer to it.
-
-    Attributes:
-        condition: of the network.
     """
 
     def __init__(self, journal: Journal, receive: Callable[[int, bytes, Callable[[bytes], None]], None]) -> None:
-        self.condition = "open"
-        self._journal = journal
+        super().__init__(journal)
         self._receive = receive
         self._transport: asyncio.DatagramTransport
         self._numbers = itertools.count(1)
         self._clients: dict[tuple[Address, int], int] = {}
-        self._held: list[Callable[[], None]] = []
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport = cast(asyncio.DatagramTransport, transport)
 
     def datagram_received(self, data: bytes, addr: Address) -> None:
         number = self._number(addr)
-        if self.condition == "black_hole":
-            self._journal.append(connection=number, direction="in", kind="lost", count=len(data))
-        elif self.condition == "stalled":
-            self._held.append(lambda: self._deliver(number, data, addr))
-        else:
-            self._deliver(number, data, addr)
+        self._arrived(number, len(data), lambda: self._deliver(number, data, addr))
 
     def _number(self, addr: Address) -> int:
         client = socket_of(self._transport.get_extra_info("sockname"), addr)
@@ -77,27 +67,6 @@ class Datagrams(asyncio.DatagramProtocol):
     def carries(self) -> bool:
         """Tell whether what is sent now is sent at all, so that a journal may say so."""
         return self.condition != "black_hole" and not self._transport.is_closing()
-
-    def poke(self, params: Mapping[str, Any]) -> bool:
-        """Apply the parameters of a poke that are about the network: ``{"network": "black_hole"}``; tell whether it was one.
-
-        Raises:
-            ValueError: there is no such condition, or the poke has other members.
-        """
-        condition = condition_of(params)
-        if condition is not None:
-            self.become(condition)
-        return condition is not None
-
-    def become(self, condition: str) -> None:
-        """Change the condition; the journal has every change."""
-        if condition == self.condition:
-            return
-        self.condition = condition
-        self._journal.append(connection=0, direction="out", kind="network", origin="kit", condition=condition)
-        held, self._held = self._held, []
-        for one in held if condition == "open" else ():
-            one()
 
     def close(self) -> None:
         """Serve nobody any more."""

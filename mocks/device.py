@@ -5,11 +5,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from .endpoint import OpenEndpoint
 from .journal import Journal
+from .serial_line import SerialLine
 
 __all__ = ["Device", "Simulation"]
 
@@ -21,10 +22,12 @@ class Device(ABC):
         protocol: name of the protocol.
         port: port of the first endpoint, None if that has none; set by the launcher, before ``serve``.
         journal: everything that reached the device and that it sent.
+        lines: its serial lines.
     """
 
     protocol: str
     port: int | None = None
+    lines: Sequence[SerialLine] = ()
 
     def __init__(self) -> None:
         self.journal = Journal()
@@ -36,6 +39,11 @@ class Device(ABC):
     @abstractmethod
     async def aclose(self) -> None:
         """Stop serving."""
+
+    async def caught_up(self) -> None:
+        """Return when all that clients had sent before has been read. What they send over sockets is there at once."""
+        for line in self.lines:
+            await line.caught_up()
 
     @abstractmethod
     def image(self) -> dict[str, Any]:

@@ -9,12 +9,13 @@ passes a rule, or finds it used up, is offered to the next one.
 from __future__ import annotations
 
 import math
+import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
-__all__ = ["FLAG", "SKIP", "TEXT", "Field", "Plan", "Table", "integer", "number", "one_of"]
+__all__ = ["FLAG", "SKIP", "TEXT", "Field", "Plan", "Table", "hexadecimal", "integer", "number", "one_of"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,10 +25,12 @@ class Field:
     Attributes:
         accepts: tells whether the field can have a value.
         expected: description of the values that it can have, for the sentence that refuses another value.
+        convert: makes of an accepted value, which is one of JSON's, that of the rule.
     """
 
     accepts: Callable[[Any], bool]
     expected: str
+    convert: Callable[[Any], Any] = lambda value: value
 
 
 def integer(lowest: int, highest: int = sys.maxsize) -> Field:
@@ -47,6 +50,16 @@ def number(lowest: float = -math.inf, highest: float = math.inf) -> Field:
 def one_of(*names: str) -> Field:
     """Return a field for one of these names."""
     return Field(accepts=lambda value: isinstance(value, str) and value in names, expected=f"one of {', '.join(names)}")
+
+
+def hexadecimal(most: int) -> Field:
+    """Return a field for so many bytes at most, as pairs of hexadecimal digits in lower case."""
+    pattern = re.compile(f"(?:[0-9a-f]{{2}}){{0,{most}}}")
+    return Field(
+        accepts=lambda value: isinstance(value, str) and bool(pattern.fullmatch(value)),
+        expected=f"at most {most} bytes as hexadecimal digits",
+        convert=bytes.fromhex,
+    )
 
 
 FLAG = Field(accepts=lambda value: isinstance(value, bool), expected="true or false")
@@ -94,7 +107,7 @@ class Table:
                     continue
                 if not known[name].accepts(value):
                     raise ValueError(f"a fault rule cannot have {value!r} as {name!r}: expected {known[name].expected}")
-                values[name] = value
+                values[name] = known[name].convert(value)
         for name in self.required:
             if name not in values:
                 raise ValueError(f"a fault rule needs {name!r}, {self.conditions[name].expected}")

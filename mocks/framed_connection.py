@@ -11,9 +11,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, TypeVar
 
+from .fault_plan import FaultRule
 from .fault_rules import FLAG, integer, number
 from .journal import Direction
-from .network import AT_ONCE, MANNERS, Link, Manner
+from .network import MANNERS, Link
 from .peer import process_of
 from .tcp_device import TcpDevice
 
@@ -35,7 +36,7 @@ ANSWER_FAULTS = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class AnswerRule:
+class AnswerRule(FaultRule):
     """What a fault rule of any of these devices may do to an answer; the request has been executed.
 
     Attributes:
@@ -44,7 +45,6 @@ class AnswerRule:
         garbage: answer with bytes that are no frame.
         truncate: send only this many bytes of the answer.
         close, reset: close the connection instead, or reset it.
-        manner: how the answer travels, see :class:`~.network.Manner`.
     """
 
     delay_s: float = 0.0
@@ -53,7 +53,6 @@ class AnswerRule:
     truncate: int | None = None
     close: bool = False
     reset: bool = False
-    manner: Manner = AT_ONCE
 
 
 class IllegalFrame(ValueError):

@@ -23,16 +23,15 @@ import re
 import socket
 import struct
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from .fault_rules import FLAG, Field, integer, number, one_of
+from .fault_rules import FLAG, Field, integer, number
 from .journal import Journal
+from .medium import Medium
 
-__all__ = ["AT_ONCE", "CONDITIONS", "MANNERS", "Link", "Mangling", "Manner", "Network", "condition_of"]
-
-CONDITIONS = ("open", "black_hole", "stalled")
+__all__ = ["AT_ONCE", "MANNERS", "Link", "Mangling", "Manner", "Network"]
 
 _HEX = re.compile("(?:[0-9a-f]{2})*")
 
@@ -65,6 +64,7 @@ MANNERS = {
     "mangle": Field(
         accepts=_is_mangling,
         expected="an object with flip (a list of pairs of position and byte), cut (a number of bytes), append (hexadecimal), end",
+        convert=lambda given: Mangling(**given),
     ),
 }
 """Actions of a fault rule that every TCP device has; see :class:`Manner`."""
@@ -114,58 +114,24 @@ class Manner:
     @classmethod
     def of(cls, values: dict[str, Any]) -> Manner:
         """Take the values of these fields out of the values of a rule."""
-        given = {name: values.pop(name) for name in MANNERS if name in values}
-        if "mangle" in given:
-            given["mangle"] = Mangling(**given["mangle"])
-        return cls(**given)
+        return cls(**{name: values.pop(name) for name in MANNERS if name in values})
 
 
 AT_ONCE = Manner()
 
 
-def condition_of(params: Mapping[str, Any]) -> str | None:
-    """Return the condition that the parameters of a poke ask for; None if they are not about the network.
-
-    Raises:
-        ValueError: there is no such condition, or the poke has other members.
-    """
-    if "network" not in params:
-        return None
-    condition, field = params["network"], one_of(*CONDITIONS)
-    if not field.accepts(condition) or len(params) > 1:
-        raise ValueError(f"a poke of the network is {{'network': …}} with {field.expected}, found {dict(params)!r}")
-    return str(condition)
-
-
-class Network:
+class Network(Medium):
     """The way between one device and its clients."""
 
     def __init__(self, journal: Journal) -> None:
-        self._journal = journal
-        self.condition = "open"
+        super().__init__(journal)
         self.links: set[Link] = set()
 
     def protocol(self, factory: Callable[[], asyncio.Protocol]) -> Callable[[], asyncio.Protocol]:
         """Return the factory for a listener whose connections this factory serves."""
         return lambda: _Below(self, factory())
 
-    def poke(self, params: Mapping[str, Any]) -> bool:
-        """Apply the parameters of a poke that are about the network: ``{"network": "black_hole"}``; tell whether it was one.
-
-        Raises:
-            ValueError: there is no such condition, or the poke has other members.
-        """
-        condition = condition_of(params)
-        if condition is not None:
-            self.become(condition)
-        return condition is not None
-
-    def become(self, condition: str) -> None:
-        """Change the condition, for connections that exist and for new ones; the journal has every change."""
-        if condition == self.condition:
-            return
-        self.condition = condition
-        self._journal.append(connection=0, direction="out", kind="network", origin="kit", condition=condition)
+    def _changed(self) -> None:
         for link in list(self.links):
             link.changed()
 

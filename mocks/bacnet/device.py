@@ -258,12 +258,12 @@ class _Client:
         elif rule.garbage:
             # The entry answers no request: no client can tell which request the bytes are for.
             self._unrelated("garbage", _GARBAGE)
-        elif rule.mangle is not None:
-            self._unrelated("mangled", rule.mangle.applied(datagram))
+        elif rule.manner.mangle is not None:
+            self._unrelated("mangled", rule.manner.mangle.applied(datagram))
         elif rule.truncate is not None:
             self._unrelated("mangled", datagram[: rule.truncate])
         else:
-            for index in range(2 if rule.duplicate else 1):
+            for index in range(2 if rule.manner.duplicate else 1):
                 self._answer(asked, datagram, "response", **said, **({"duplicate": True} if index else {}))
 
     def _answer(self, asked: int, datagram: bytes, kind: str, **said: Any) -> None:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from typing import Any
 
-from ..fault_rules import FLAG, SKIP, Field, Plan, Table, integer, number
-from ..network import MANNERS, Mangling
+from ..fault_plan import FaultRule, TablePlan
+from ..fault_rules import FLAG, SKIP, Field, Table, integer, number
+from ..network import MANNERS
 from .names import ObjectType
 from .values import Value, encode
 
@@ -44,13 +45,19 @@ def _is_values(value: object) -> bool:
 TABLE = Table(
     conditions={
         "service": integer(0, 0xFF),
-        "object": Field(accepts=lambda value: identifier_of(value) is not None, expected="such as 'analog-input,1'"),
+        "object": Field(
+            accepts=lambda value: identifier_of(value) is not None,
+            expected="such as 'analog-input,1'",
+            convert=identifier_of,
+        ),
         "discovery": FLAG,
         "skip": SKIP,
     },
     actions={
         "error": Field(
-            accepts=lambda value: _is_pair(value, integer(0, 0xFFFF)), expected="a list of error class and error code"
+            accepts=lambda value: _is_pair(value, integer(0, 0xFFFF)),
+            expected="a list of error class and error code",
+            convert=tuple,
         ),
         "reject": _BYTE,
         "abort": _BYTE,
@@ -60,10 +67,15 @@ TABLE = Table(
         "garbage": FLAG,
         "invoke_id": integer(-0xFF, 0xFF),
         "answer_instance": integer(0, 4194302),
-        "answer_values": Field(accepts=_is_values, expected="a list of objects with type and value"),
+        "answer_values": Field(
+            accepts=_is_values,
+            expected="a list of objects with type and value",
+            convert=lambda given: [Value(kind=one["type"], value=one["value"]) for one in given],
+        ),
         "clamp": Field(
             accepts=lambda value: _is_pair(value, number()) and value[0] <= value[1],
             expected="a list of two numbers, the lower one first",
+            convert=tuple,
         ),
         "truncate": integer(0, 1500),
         "ack_only": FLAG,
@@ -75,16 +87,13 @@ TABLE = Table(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Rule:
-    """One rule: conditions (None matches everything), how often it applies, and what happens.
+class Rule(FaultRule):
+    """One rule: conditions (None matches everything), how often it applies, and what happens beside what :class:`FaultRule` has.
 
     Attributes:
         service: number of a confirmed service.
         object: type and instance of an object that the request is about.
         discovery: True for Who-Is alone, which no other rule concerns.
-        skip: so many requests that fit pass first.
-        times: applied at most this often, None without limit.
-        action: the action as it was given, for the journal.
         error, reject, abort: answer with this error (class and code), reject reason or abort reason; nothing is executed.
         delay_s: answer this many seconds later; later requests are not delayed by it.
         drop: execute, but do not answer.
@@ -96,16 +105,11 @@ class Rule:
         clamp: an analog present value that is written is stored not lower and not higher than these two numbers.
         truncate: send only this many bytes of the answer.
         ack_only: acknowledge a write without doing it.
-        duplicate: send the answer twice.
-        mangle: change the answer's bytes; the journal has what was sent, as an entry ``mangled``, in its place.
     """
 
     service: int | None = None
     object: tuple[int, int] | None = None
     discovery: bool = False
-    skip: int = 0
-    times: int | None = None
-    action: Mapping[str, Any] = field(default_factory=dict)
     error: tuple[int, int] | None = None
     reject: int | None = None
     abort: int | None = None
@@ -119,19 +123,12 @@ class Rule:
     clamp: tuple[float, float] | None = None
     truncate: int | None = None
     ack_only: bool = False
-    duplicate: bool = False
-    mangle: Mangling | None = None
 
 
-class FaultPlan(Plan[Rule]):
-    """The plan that the rules of the control channel make.
+class FaultPlan(TablePlan[Rule]):
+    """The plan that the rules of the control channel make."""
 
-    Raises:
-        ValueError: a rule is not understood.
-    """
-
-    def __init__(self, rules: list[dict[str, Any]]) -> None:
-        super().__init__([_read(rule) for rule in rules])
+    table, rule = TABLE, Rule
 
     def match(self, service: int, objects: Collection[tuple[int, int]]) -> Rule | None:
         """Return the rule that applies to a confirmed request, if any; count it."""
@@ -146,17 +143,3 @@ class FaultPlan(Plan[Rule]):
     def match_discovery(self) -> Rule | None:
         """Return the rule that applies to a Who-Is, if any; count it."""
         return self.first(lambda rule: rule.discovery)
-
-
-def _read(source: Mapping[str, Any]) -> Rule:
-    values = TABLE.read(source)
-    for name in ("error", "clamp"):
-        if name in values:
-            values[name] = tuple(values[name])
-    if "object" in values:
-        values["object"] = identifier_of(values["object"])
-    if "answer_values" in values:
-        values["answer_values"] = [Value(kind=one["type"], value=one["value"]) for one in values["answer_values"]]
-    if "mangle" in values:
-        values["mangle"] = Mangling(**values["mangle"])
-    return Rule(action=dict(source["action"]), **values)

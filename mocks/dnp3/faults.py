@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
-from ..fault_rules import FLAG, SKIP, Field, Plan, Table, integer
+from ..fault_plan import TablePlan
+from ..fault_rules import FLAG, SKIP, Table, hexadecimal, integer
 from ..framed_connection import ANSWER_FAULTS, AnswerRule
-from ..network import Manner
 from .requests import Request
 
 __all__ = ["TABLE", "FaultPlan", "Rule"]
 
-_HEX = re.compile("(?:[0-9a-f]{2}){0,1000}")
 TABLE = Table(
     conditions={
         "function": integer(1, 127),
@@ -30,10 +26,7 @@ TABLE = Table(
         "sequence": integer(-15, 15),
         "answer_index": integer(-0xFF, 0xFF),
         "answer_source": integer(0, 0xFFFF),
-        "answer_objects": Field(
-            accepts=lambda value: isinstance(value, str) and bool(_HEX.fullmatch(value)),
-            expected="at most 1000 bytes as hexadecimal digits",
-        ),
+        "answer_objects": hexadecimal(1000),
         "length": integer(-255, 255),
         "unsolicited": FLAG,
         **ANSWER_FAULTS,
@@ -49,9 +42,6 @@ class Rule(AnswerRule):
     Attributes:
         function: function code of the request.
         group, index: of an object that it names.
-        skip: so many requests that fit pass first.
-        times: applied at most this often, None without limit.
-        action: the action as it was given, for the journal.
         iin: not executed; answered without objects and with these internal indications beside the outstation's own.
         with_iin: executed, answered with these internal indications as well.
         status: nothing is selected or operated, and each point of the answer has this status.
@@ -67,9 +57,6 @@ class Rule(AnswerRule):
     function: int | None = None
     group: int | None = None
     index: int | None = None
-    skip: int = 0
-    times: int | None = None
-    action: Mapping[str, Any] = field(default_factory=dict)
     iin: int | None = None
     with_iin: int = 0
     status: int | None = None
@@ -82,15 +69,10 @@ class Rule(AnswerRule):
     unsolicited: bool = False
 
 
-class FaultPlan(Plan[Rule]):
-    """The plan that the rules of the control channel make.
+class FaultPlan(TablePlan[Rule]):
+    """The plan that the rules of the control channel make."""
 
-    Raises:
-        ValueError: a rule is not understood.
-    """
-
-    def __init__(self, rules: list[dict[str, Any]]) -> None:
-        super().__init__([_read(rule) for rule in rules])
+    table, rule = TABLE, Rule
 
     def match(self, request: Request | None) -> Rule | None:
         """Return the rule that applies to this request, if any; count it. None is a request of the link layer, which only rules without
@@ -102,10 +84,3 @@ class FaultPlan(Plan[Rule]):
                 else rule.function in (None, request.function) and request.concerns(rule.group, rule.index)
             )
         )
-
-
-def _read(source: Mapping[str, Any]) -> Rule:
-    values = TABLE.read(source)
-    if "answer_objects" in values:
-        values["answer_objects"] = bytes.fromhex(values["answer_objects"])
-    return Rule(action=dict(source["action"]), manner=Manner.of(values), **values)

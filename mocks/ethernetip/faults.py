@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
-from ..fault_rules import FLAG, SKIP, TEXT, Field, Plan, Table, integer, one_of
+from ..fault_plan import TablePlan
+from ..fault_rules import FLAG, SKIP, TEXT, Table, hexadecimal, integer, one_of
 from ..framed_connection import ANSWER_FAULTS, AnswerRule
-from ..network import Manner
 
 __all__ = ["TABLE", "FaultPlan", "Rule"]
 
-_HEX = re.compile("(?:[0-9a-f]{2}){0,400}")
 _CONNECTING = ("register", "forward_open", "forward_close")
 TABLE = Table(
     conditions={
@@ -46,10 +44,7 @@ TABLE = Table(
         "connection": integer(-0xFFFF, 0xFFFF),
         "answer_service": integer(0, 0xFF),
         "answer_type": integer(0, 0xFFFF),
-        "answer_data": Field(
-            accepts=lambda value: isinstance(value, str) and bool(_HEX.fullmatch(value)),
-            expected="at most 400 bytes as hexadecimal digits",
-        ),
+        "answer_data": hexadecimal(400),
         "length": integer(-1000, 1000),
         **ANSWER_FAULTS,
     },
@@ -64,9 +59,6 @@ class Rule(AnswerRule):
     Attributes:
         service: what is asked for, by the request or by one of the services that it holds.
         tag: name of the tag that this service is for, without its program's if it is not the program's.
-        skip: so many requests that fit pass first.
-        times: applied at most this often, None without limit.
-        action: the action as it was given, for the journal.
         status, extended: not executed; general status, and the word that follows, of the services that fit.
         encapsulation: not executed; status of the encapsulation header, without data.
         ack_only: acknowledge a write without doing it.
@@ -80,9 +72,6 @@ class Rule(AnswerRule):
 
     service: str | None = None
     tag: str | None = None
-    skip: int = 0
-    times: int | None = None
-    action: Mapping[str, Any] = field(default_factory=dict)
     status: int | None = None
     extended: int | None = None
     encapsulation: int | None = None
@@ -107,23 +96,11 @@ class Rule(AnswerRule):
         return named and self.tag in (None, tag)
 
 
-class FaultPlan(Plan[Rule]):
-    """The plan that the rules of the control channel make.
+class FaultPlan(TablePlan[Rule]):
+    """The plan that the rules of the control channel make."""
 
-    Raises:
-        ValueError: a rule is not understood.
-    """
-
-    def __init__(self, rules: list[dict[str, Any]]) -> None:
-        super().__init__([_read(rule) for rule in rules])
+    table, rule = TABLE, Rule
 
     def match(self, asked: list[tuple[Mapping[str, Any], str | None]]) -> Rule | None:
         """Return the rule that applies to a request with these services and tags, if any; count it."""
         return self.first(lambda rule: any(rule.fits(item, tag) for item, tag in asked))
-
-
-def _read(source: Mapping[str, Any]) -> Rule:
-    values = TABLE.read(source)
-    if "answer_data" in values:
-        values["answer_data"] = bytes.fromhex(values["answer_data"])
-    return Rule(action=dict(source["action"]), manner=Manner.of(values), **values)

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..fault_rules import FLAG, SKIP, Field, Plan, Table, integer
+from ..fault_plan import TablePlan
+from ..fault_rules import FLAG, SKIP, Field, Table, integer
 from ..framed_connection import ANSWER_FAULTS, AnswerRule
-from ..network import Manner
 
 __all__ = ["TABLE", "FaultPlan", "Rule"]
 
@@ -42,11 +42,13 @@ TABLE = Table(
                 and value[0] <= value[1]
             ),
             expected="a list of two integers from 0 to 65535, the lower one first",
+            convert=tuple,
         ),
         "ack_only": FLAG,
         "answer_values": Field(
             accepts=lambda value: isinstance(value, list) and len(value) <= 125 and all(map(_REGISTER.accepts, value)),
             expected="a list of at most 125 integers from 0 to 65535",
+            convert=tuple,
         ),
         **ANSWER_FAULTS,
     },
@@ -59,9 +61,6 @@ class Rule(AnswerRule):
     """One rule: conditions (None matches everything), how often it applies, and what happens beside what :class:`AnswerRule` has.
 
     Attributes:
-        skip: so many requests that fit pass first.
-        times: applied at most this often, None without limit.
-        action: the action as it was given, for the journal.
         exception: answer with this exception code; the request is not executed.
         transaction_id: added to the transaction identifier of the answer.
         answer_transaction: transaction identifier of the answer.
@@ -81,9 +80,6 @@ class Rule(AnswerRule):
     function: int | None = None
     address: int | None = None
     unit: int | None = None
-    skip: int = 0
-    times: int | None = None
-    action: Mapping[str, Any] = field(default_factory=dict)
     exception: int | None = None
     transaction_id: int = 0
     answer_transaction: int | None = None
@@ -98,15 +94,10 @@ class Rule(AnswerRule):
     answer_values: tuple[int, ...] | None = None
 
 
-class FaultPlan(Plan[Rule]):
-    """The plan that the rules of the control channel make.
+class FaultPlan(TablePlan[Rule]):
+    """The plan that the rules of the control channel make."""
 
-    Raises:
-        ValueError: a rule is not understood.
-    """
-
-    def __init__(self, rules: list[dict[str, Any]]) -> None:
-        super().__init__([_read(rule) for rule in rules])
+    table, rule = TABLE, Rule
 
     def match(self, unit: int, request: Mapping[str, Any]) -> Rule | None:
         """Return the rule that applies to this request, if any; count it."""
@@ -117,11 +108,3 @@ class FaultPlan(Plan[Rule]):
                 and rule.unit in (None, unit)
             )
         )
-
-
-def _read(source: Mapping[str, Any]) -> Rule:
-    values = TABLE.read(source)
-    for name in ("answer_values", "clamp"):
-        if name in values:
-            values[name] = tuple(values[name])
-    return Rule(action=dict(source["action"]), manner=Manner.of(values), **values)

@@ -115,53 +115,79 @@ def execute(unit: UnitImage, pdu: bytes, *, apply: bool = True) -> bytes:
     Raises:
         IllegalRequest: the exception code to answer with.
     """
-    function, body = pdu[0], pdu[1:]
-    if function in (READ_COILS, READ_DISCRETE):
-        address, quantity = _span(unit, body, 2000)
-        cells = unit.coils if function == READ_COILS else unit.discrete_inputs
-        return read_response(function, cells[address : address + quantity])
-    if function in (READ_HOLDING, READ_INPUT):
-        address, quantity = _span(unit, body, 125)
-        registers = unit.holding_registers if function == READ_HOLDING else unit.input_registers
-        return read_response(function, registers[address : address + quantity])
-    if function == WRITE_COIL:
-        address, value = _pair(body)
-        if value not in _COIL_STATES:
-            raise IllegalRequest(ILLEGAL_DATA_VALUE)
-        _within(unit, address, 1)
-        if apply:
-            unit.coils[address] = _COIL_STATES[value]
-        return pdu
-    if function == WRITE_REGISTER:
-        address, value = _pair(body)
-        _within(unit, address, 1)
-        if apply:
-            unit.holding_registers[address] = value
-        return pdu
-    if function == WRITE_COILS:
-        address, quantity, data = _block(unit, body, 1968, lambda count: (count + 7) // 8)
-        if apply:
-            unit.coils[address : address + quantity] = _bits(data, quantity)
-        return pdu[:5]
-    if function == WRITE_REGISTERS:
-        address, quantity, data = _block(unit, body, 123, lambda count: 2 * count)
-        if apply:
-            unit.holding_registers[address : address + quantity] = _registers(data)
-        return pdu[:5]
-    if function == MASK_WRITE:
-        if len(body) != 6:
-            raise IllegalRequest(ILLEGAL_DATA_VALUE)
-        address, and_mask, or_mask = struct.unpack(">HHH", body)
-        _within(unit, address, 1)
-        if apply:
-            current = unit.holding_registers[address]
-            unit.holding_registers[address] = (current & and_mask) | (or_mask & ~and_mask & 0xFFFF)
-        return pdu
-    if function == READ_WRITE:
-        return _read_write(unit, body, apply)
-    if function == ENCAPSULATED:
-        return identify(unit.identification, body)
-    raise IllegalRequest(ILLEGAL_FUNCTION)
+    if pdu[0] not in _FUNCTIONS:
+        raise IllegalRequest(ILLEGAL_FUNCTION)
+    return _FUNCTIONS[pdu[0]](unit, pdu, apply)
+
+
+def _read_bits(unit: UnitImage, pdu: bytes, apply: bool) -> bytes:
+    address, quantity = _span(unit, pdu[1:], 2000)
+    cells = unit.coils if pdu[0] == READ_COILS else unit.discrete_inputs
+    return read_response(pdu[0], cells[address : address + quantity])
+
+
+def _read_registers(unit: UnitImage, pdu: bytes, apply: bool) -> bytes:
+    address, quantity = _span(unit, pdu[1:], 125)
+    registers = unit.holding_registers if pdu[0] == READ_HOLDING else unit.input_registers
+    return read_response(pdu[0], registers[address : address + quantity])
+
+
+def _write_coil(unit: UnitImage, pdu: bytes, apply: bool) -> bytes:
+    address, value = _pair(pdu[1:])
+    if value not in _COIL_STATES:
+        raise IllegalRequest(ILLEGAL_DATA_VALUE)
+    _within(unit, address, 1)
+    if apply:
+        unit.coils[address] = _COIL_STATES[value]
+    return pdu
+
+
+def _write_register(unit: UnitImage, pdu: bytes, apply: bool) -> bytes:
+    address, value = _pair(pdu[1:])
+    _within(unit, address, 1)
+    if apply:
+        unit.holding_registers[address] = value
+    return pdu
+
+
+def _write_coils(unit: UnitImage, pdu: bytes, apply: bool) -> bytes:
+    address, quantity, data = _block(unit, pdu[1:], 1968, lambda count: (count + 7) // 8)
+    if apply:
+        unit.coils[address : address + quantity] = _bits(data, quantity)
+    return pdu[:5]
+
+
+def _write_registers(unit: UnitImage, pdu: bytes, apply: bool) -> bytes:
+    address, quantity, data = _block(unit, pdu[1:], 123, lambda count: 2 * count)
+    if apply:
+        unit.holding_registers[address : address + quantity] = _registers(data)
+    return pdu[:5]
+
+
+def _mask_write(unit: UnitImage, pdu: bytes, apply: bool) -> bytes:
+    if len(pdu) != 7:
+        raise IllegalRequest(ILLEGAL_DATA_VALUE)
+    address, and_mask, or_mask = struct.unpack_from(">HHH", pdu, 1)
+    _within(unit, address, 1)
+    if apply:
+        current = unit.holding_registers[address]
+        unit.holding_registers[address] = (current & and_mask) | (or_mask & ~and_mask & 0xFFFF)
+    return pdu
+
+
+def _read_write(unit: UnitImage, pdu: bytes, apply: bool) -> bytes:
+    if len(pdu) < 10:
+        raise IllegalRequest(ILLEGAL_DATA_VALUE)
+    read_address, read_quantity, address, quantity, count = struct.unpack_from(">HHHHB", pdu, 1)
+    data = pdu[10:]
+    if not 1 <= read_quantity <= 125 or not 1 <= quantity <= 121 or count != 2 * quantity or len(data) != count:
+        raise IllegalRequest(ILLEGAL_DATA_VALUE)
+    _within(unit, read_address, read_quantity)
+    _within(unit, address, quantity)
+    # Section 6.17: the write is performed before the read.
+    if apply:
+        unit.holding_registers[address : address + quantity] = _registers(data)
+    return read_response(READ_WRITE, unit.holding_registers[read_address : read_address + read_quantity])
 
 
 def _pair(body: bytes) -> tuple[int, int]:
@@ -193,21 +219,6 @@ def _block(unit: UnitImage, body: bytes, limit: int, size: Callable[[int], int])
         raise IllegalRequest(ILLEGAL_DATA_VALUE)
     _within(unit, address, quantity)
     return address, quantity, data
-
-
-def _read_write(unit: UnitImage, body: bytes, apply: bool) -> bytes:
-    if len(body) < 9:
-        raise IllegalRequest(ILLEGAL_DATA_VALUE)
-    read_address, read_quantity, address, quantity, count = struct.unpack_from(">HHHHB", body)
-    data = body[9:]
-    if not 1 <= read_quantity <= 125 or not 1 <= quantity <= 121 or count != 2 * quantity or len(data) != count:
-        raise IllegalRequest(ILLEGAL_DATA_VALUE)
-    _within(unit, read_address, read_quantity)
-    _within(unit, address, quantity)
-    # Section 6.17: the write is performed before the read.
-    if apply:
-        unit.holding_registers[address : address + quantity] = _registers(data)
-    return read_response(READ_WRITE, unit.holding_registers[read_address : read_address + read_quantity])
 
 
 def identify(objects: Mapping[int, bytes], body: bytes) -> bytes:
@@ -245,6 +256,26 @@ def identify(objects: Mapping[int, bytes], body: bytes) -> bytes:
         taken += 1
     more = b"\x00\x00" if following is None else bytes([0xFF, following])
     return bytes([ENCAPSULATED, 0x0E, code, 0x82]) + more + bytes([taken]) + listed
+
+
+def _encapsulated(unit: UnitImage, pdu: bytes, apply: bool) -> bytes:
+    return identify(unit.identification, pdu[1:])
+
+
+_FUNCTIONS: Mapping[int, Callable[[UnitImage, bytes, bool], bytes]] = {
+    READ_COILS: _read_bits,
+    READ_DISCRETE: _read_bits,
+    READ_HOLDING: _read_registers,
+    READ_INPUT: _read_registers,
+    WRITE_COIL: _write_coil,
+    WRITE_REGISTER: _write_register,
+    WRITE_COILS: _write_coils,
+    WRITE_REGISTERS: _write_registers,
+    MASK_WRITE: _mask_write,
+    READ_WRITE: _read_write,
+    ENCAPSULATED: _encapsulated,
+}
+"""What executes a request PDU, by function code; False as the last argument leaves the memory as it is."""
 
 
 def _pack(registers: Sequence[int]) -> bytes:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
-from ..fault_rules import FLAG, SKIP, TEXT, Plan, Table, integer, number, one_of
-from ..network import AT_ONCE, MANNERS, Manner
+from ..fault_plan import FaultRule, TablePlan
+from ..fault_rules import FLAG, SKIP, TEXT, Table, integer, number, one_of
+from ..network import MANNERS
 from .packets import Packet, Publish, Subscribe, Unsubscribe
 
 __all__ = ["OWN_CLIENTS", "TABLE", "FaultPlan", "Rule"]
@@ -42,17 +43,14 @@ TABLE = Table(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Rule:
-    """One rule: conditions (None matches everything), how often it applies, and what happens.
+class Rule(FaultRule):
+    """One rule: conditions (None matches everything), how often it applies, and what happens beside what :class:`FaultRule` has.
 
     Attributes:
         packet: name of the control packet received.
         topic: topic of a PUBLISH, or one of the filters of a SUBSCRIBE or UNSUBSCRIBE.
-        skip: so many packets that fit pass first.
-        times: applied at most this often, None without limit.
         no_answer: handle the packet, but do not answer it; a CONNECT is not handled either.
         delay_s: handle it and answer this many seconds later; a CONNECT is handled later.
-        action: the action as it was given, for the journal.
         reason_code: refuse with this code and do not handle it; a SUBSCRIBE with 0 to 2 is granted that QoS instead. A rule with
             a topic refuses that filter alone and handles the others of the same SUBSCRIBE. 3.1.1 cannot refuse a PUBLISH or
             UNSUBSCRIBE: they are acknowledged and not handled.
@@ -60,15 +58,11 @@ class Rule:
         ack_only: acknowledge a PUBLISH as delivered, and deliver it to nobody.
         disconnect: handle it; then, instead of an answer, an MQTT 5 client gets a DISCONNECT with this reason code and the
             connection is closed. 3.1.1 has no such packet: there the connection is closed.
-        manner: how the answer travels, see :class:`~..network.Manner`.
     """
 
     packet: str
     client_id: str | None = None
     topic: str | None = None
-    skip: int = 0
-    times: int | None = None
-    action: Mapping[str, Any] = field(default_factory=dict)
     no_answer: bool = False
     delay_s: float = 0.0
     reason_code: int | None = None
@@ -76,7 +70,6 @@ class Rule:
     reset: bool = False
     ack_only: bool = False
     disconnect: int | None = None
-    manner: Manner = AT_ONCE
 
     def applies(self, packet: Packet, client_id: str) -> bool:
         """Tell whether the conditions hold."""
@@ -104,28 +97,21 @@ def _topics(packet: Packet) -> tuple[str, ...]:
             return ()
 
 
-class FaultPlan(Plan[Rule]):
-    """The plan that the rules of the control channel make.
+class FaultPlan(TablePlan[Rule]):
+    """The plan that the rules of the control channel make."""
 
-    Raises:
-        ValueError: a rule is not understood.
-    """
-
-    def __init__(self, rules: list[dict[str, Any]]) -> None:
-        super().__init__([_read(rule) for rule in rules])
+    table, rule = TABLE, Rule
 
     def match(self, packet: Packet, client_id: str) -> Rule | None:
         """Return the rule that applies to this packet, if any; count it."""
         return self.first(lambda rule: rule.applies(packet, client_id))
 
-
-def _read(source: Mapping[str, Any]) -> Rule:
-    values = TABLE.read(source)
-    rule = Rule(action=dict(source["action"]), manner=Manner.of(values), **values)
-    if rule.reason_code is not None and rule.reason_code not in _CODES.get(rule.packet, ()):
-        raise ValueError(f"reason_code {rule.reason_code!r} is no answer to {rule.packet}")
-    if rule.ack_only and rule.packet != "PUBLISH":
-        raise ValueError(f"ack_only is about PUBLISH, not {rule.packet}")
-    if rule.disconnect is not None and rule.packet == "CONNECT":
-        raise ValueError("a CONNECT is refused with a reason_code, not with a DISCONNECT")
-    return rule
+    def _read(self, source: Mapping[str, Any]) -> Rule:
+        rule = super()._read(source)
+        if rule.reason_code is not None and rule.reason_code not in _CODES.get(rule.packet, ()):
+            raise ValueError(f"reason_code {rule.reason_code!r} is no answer to {rule.packet}")
+        if rule.ack_only and rule.packet != "PUBLISH":
+            raise ValueError(f"ack_only is about PUBLISH, not {rule.packet}")
+        if rule.disconnect is not None and rule.packet == "CONNECT":
+            raise ValueError("a CONNECT is refused with a reason_code, not with a DISCONNECT")
+        return rule

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 from asyncua import ua
 
-from ..fault_rules import FLAG, SKIP, TEXT, Field, Plan, Table, number
-from ..network import AT_ONCE, MANNERS, Manner
+from ..fault_plan import FaultRule, TablePlan
+from ..fault_rules import FLAG, SKIP, TEXT, Field, Table, number
+from ..network import MANNERS
 
 __all__ = ["NOTHING", "TABLE", "FaultPlan", "Rule"]
 
@@ -38,15 +38,12 @@ TABLE = Table(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Rule:
-    """One rule: conditions (None matches everything), how often it applies, and what happens.
+class Rule(FaultRule):
+    """One rule: conditions (None matches everything), how often it applies, and what happens beside what :class:`FaultRule` has.
 
     Attributes:
         service: name of the service as in the journal, for instance ``Read``.
         node: node id that the request must name among others.
-        skip: so many calls that fit pass first.
-        times: applied at most this often, None without limit.
-        action: the action as it was given, for the journal.
         status: every item is answered with this status code, by symbol, and not executed.
         with_status: a Read, Write or Call is executed, and what is Good is answered with this status code instead, such as
             ``GoodCompletesAsynchronously`` or ``UncertainSensorNotAccurate``.
@@ -58,14 +55,10 @@ class Rule:
             with BadWriteNotSupported (OPC 10000-4, 5.11.4); other writes are executed.
         drop: executed, but not answered.
         close, reset: executed; then the connection is closed, or reset, without an answer.
-        manner: how the answer travels, see :class:`~..network.Manner`.
     """
 
     service: str | None = None
     node: str | None = None
-    skip: int = 0
-    times: int | None = None
-    action: Mapping[str, Any] = field(default_factory=dict)
     status: str | None = None
     with_status: str | None = None
     service_fault: str | None = None
@@ -77,29 +70,18 @@ class Rule:
     drop: bool = False
     close: bool = False
     reset: bool = False
-    manner: Manner = AT_ONCE
 
 
 NOTHING = Rule()
 """The rule for a call that no rule matches."""
 
 
-class FaultPlan(Plan[Rule]):
-    """The plan that the rules of the control channel make.
+class FaultPlan(TablePlan[Rule]):
+    """The plan that the rules of the control channel make."""
 
-    Raises:
-        ValueError: a rule is not understood.
-    """
-
-    def __init__(self, rules: list[dict[str, Any]]) -> None:
-        super().__init__([_read(rule) for rule in rules])
+    table, rule = TABLE, Rule
 
     def match(self, service: str, nodes: Sequence[str]) -> Rule:
         """Return the rule that applies to this call, or :data:`NOTHING`; count it."""
         found = self.first(lambda rule: rule.service in (None, service) and (rule.node is None or rule.node in nodes))
         return NOTHING if found is None else found
-
-
-def _read(source: Mapping[str, Any]) -> Rule:
-    values = TABLE.read(source)
-    return Rule(action=dict(source["action"]), manner=Manner.of(values), **values)

@@ -50,6 +50,7 @@ class ProfibusDevice(Device):
         self.plant = Plant()
         self.faults = FaultPlan([])
         self.line = SerialLine(self.journal, self._received)
+        self.lines = (self.line,)
         self._receiver = Receiver(self._frame, self._malformed)
         self._client = 0
         self._last: dict[int, _Last] = {}
@@ -236,8 +237,8 @@ class ProfibusDevice(Device):
 
     def _send(self, asked: int, request: Telegram, reply: Reply, service: str, rule: Rule | None) -> None:
         raw = _encoded(request, reply, rule)
-        if rule is not None and rule.mangle is not None:
-            self._unrelated("mangled", rule.mangle.applied(raw))
+        if rule is not None and rule.manner.mangle is not None:
+            self._unrelated("mangled", rule.manner.mangle.applied(raw))
             return
         if rule is not None and rule.truncate is not None:
             self._unrelated("mangled", raw[: rule.truncate])
@@ -250,7 +251,7 @@ class ProfibusDevice(Device):
             "status": reply.function,
             "data": _data(reply, rule).hex(),
         }
-        for index in range(2 if falsified.duplicate else 1):
+        for index in range(2 if falsified.manner.duplicate else 1):
             if self.line.carries():
                 if index:
                     shown["duplicate"] = True
@@ -262,7 +263,7 @@ class ProfibusDevice(Device):
                     **shown,
                     telegram=raw.hex(),
                 )
-                self.line.send(raw, falsified.drip_s)
+                self.line.send(raw, falsified.manner.drip_s)
 
     def _unrelated(self, kind: str, data: bytes) -> None:
         if self.line.carries():

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
-from ..fault_rules import FLAG, SKIP, Field, Plan, Table, integer, one_of
+from ..fault_plan import TablePlan
+from ..fault_rules import FLAG, SKIP, Table, hexadecimal, integer, one_of
 from ..framed_connection import ANSWER_FAULTS, AnswerRule
-from ..network import Manner
 
 __all__ = ["TABLE", "FaultPlan", "Rule"]
 
-_HEX = re.compile("(?:[0-9a-f]{2}){0,400}")
 TABLE = Table(
     conditions={
         "service": one_of("setup", "read", "write", "control", "stop", "szl", "clock", "set_clock", "other"),
@@ -29,10 +27,7 @@ TABLE = Table(
         "answer_reference": integer(0, 0xFFFF),
         "answer_function": integer(0, 0xFF),
         "answer_count": integer(0, 0xFF),
-        "answer_data": Field(
-            accepts=lambda value: isinstance(value, str) and bool(_HEX.fullmatch(value)),
-            expected="at most 400 bytes as hexadecimal digits",
-        ),
+        "answer_data": hexadecimal(400),
         "data_length": integer(-4000, 4000),
         "length": integer(-1000, 1000),
         **ANSWER_FAULTS,
@@ -47,9 +42,6 @@ class Rule(AnswerRule):
 
     Attributes:
         service: what the request asks for; ``db`` and ``byte`` are those of its first variable.
-        skip: so many requests that fit pass first.
-        times: applied at most this often, None without limit.
-        action: the action as it was given, for the journal.
         error: not executed; class and code of the answer's header, or the error of user data.
         return_code: not executed; the code of every variable, or of user data.
         ack_only: acknowledge a write or a control without doing it.
@@ -64,9 +56,6 @@ class Rule(AnswerRule):
     service: str | None = None
     db: int | None = None
     byte: int | None = None
-    skip: int = 0
-    times: int | None = None
-    action: Mapping[str, Any] = field(default_factory=dict)
     error: int | None = None
     return_code: int | None = None
     ack_only: bool = False
@@ -79,15 +68,10 @@ class Rule(AnswerRule):
     length: int = 0
 
 
-class FaultPlan(Plan[Rule]):
-    """The plan that the rules of the control channel make.
+class FaultPlan(TablePlan[Rule]):
+    """The plan that the rules of the control channel make."""
 
-    Raises:
-        ValueError: a rule is not understood.
-    """
-
-    def __init__(self, rules: list[dict[str, Any]]) -> None:
-        super().__init__([_read(rule) for rule in rules])
+    table, rule = TABLE, Rule
 
     def match(self, request: Mapping[str, Any]) -> Rule | None:
         """Return the rule that applies to this request, if any; count it."""
@@ -100,10 +84,3 @@ class FaultPlan(Plan[Rule]):
                 and rule.byte in (None, first.get("byte"))
             )
         )
-
-
-def _read(source: Mapping[str, Any]) -> Rule:
-    values = TABLE.read(source)
-    if "answer_data" in values:
-        values["answer_data"] = bytes.fromhex(values["answer_data"])
-    return Rule(action=dict(source["action"]), manner=Manner.of(values), **values)

@@ -36,7 +36,12 @@ def add_parser(subparsers: Any) -> None:
             "adapter really talks to the mock device. Nothing is written."
         ),
     )
-    parser.add_argument("--subject", metavar="FILE", type=Path, help="a subject file (default: otmcp.toml)")
+    parser.add_argument(
+        "--subject",
+        metavar="FILE",
+        type=Path,
+        help="a subject file (default: otmcp.toml, else the reference adapters of every run)",
+    )
     parser.add_argument("--protocol", choices=tuple(protocols()), help="what COMMAND speaks (default: seen in it)")
     parser.add_argument("--env", metavar="NAME=VALUE", action="append", default=[], help="environment of COMMAND")
     parser.add_argument(
@@ -75,6 +80,7 @@ def _next(args: argparse.Namespace) -> str:
 
 def _adapters(args: argparse.Namespace) -> Iterator[Adapter]:
     from ..onboarding.drafting import describe_launch
+    from ..subject.selection import select
 
     if args.command:
         if args.subject is not None:
@@ -91,7 +97,8 @@ def _adapters(args: argparse.Namespace) -> Iterator[Adapter]:
             files=parse_environment(args.file, "--file"),
         )
         return
-    yield from subject_or_reference(args.subject).adapters.values()
+    # Without a subject file: the adapters that every run has. Further ones may lack their library, which is no illness.
+    yield from select(_named_or_here(args.subject)).subject.adapters.values()
 
 
 def subject_or_reference(given: Path | None) -> Subject:
@@ -102,10 +109,16 @@ def subject_or_reference(given: Path | None) -> Subject:
     """
     from ..subject import load_subject, reference_subject
 
+    source = _named_or_here(given)
+    return reference_subject() if source is None else load_subject(source)
+
+
+def _named_or_here(given: Path | None) -> Path | None:
+    """Return the subject file that is named, or the one that is here; None, and say so, where there is neither."""
     if given is None and not _SUBJECT.is_file():
-        show("no subject file otmcp.toml here: these are the reference adapters", sys.stderr)
-        return reference_subject()
-    return load_subject(given or _SUBJECT)
+        show(f"no subject file {_SUBJECT} here: these are the reference adapters", sys.stderr)
+        return None
+    return given or _SUBJECT
 
 
 async def _examine(adapter: Adapter, variant: str) -> bool:

@@ -17,6 +17,10 @@ from . import Refusal, show, tell
 __all__ = ["add_parser", "parse_environment", "recognise_protocol", "run"]
 
 
+_DEFAULT = Path("otmcp.toml")
+"""The file that is written, where none is named: pytest takes it without being told."""
+
+
 def add_parser(subparsers: Any) -> None:
     """Declare the subcommand."""
     parser: argparse.ArgumentParser = subparsers.add_parser(
@@ -48,7 +52,7 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument("--url", help="its endpoint, when it serves streamable HTTP: http://127.0.0.1:{http_port}/mcp")
     parser.add_argument("--deadline", metavar="S", type=float, default=15.0, help="seconds for each call (default: 15)")
-    parser.add_argument("--out", metavar="FILE", type=Path, default=Path("otmcp.toml"), help="default: otmcp.toml")
+    parser.add_argument("--out", metavar="FILE", type=Path, default=_DEFAULT, help="default: otmcp.toml")
     parser.add_argument("--force", action="store_true", help="replace FILE when it exists")
     parser.add_argument("command", metavar="COMMAND", nargs="+", help="how the adapter is started, after --")
     parser.set_defaults(run=run)
@@ -94,6 +98,7 @@ def run(args: argparse.Namespace) -> int:
         finally:
             await device.close()
 
+    tell(f"{protocols()[protocol].name}: {' '.join(args.command)}")
     loop = LoopThread()
     try:
         drafted = loop.run(work())
@@ -112,7 +117,8 @@ def run(args: argparse.Namespace) -> int:
     show(f"\n{args.out} is written. What is left to fill in:")
     for line in drafted.left:
         tell(f"  - {line}")
-    show(f"Then: pytest --otmcp-subject={args.out} --otmcp-reps=1")
+    named = "" if args.out == _DEFAULT else f"--otmcp-subject={args.out} "
+    show(f"Then: pytest {named}--otmcp-reps=1")
     return 0
 
 

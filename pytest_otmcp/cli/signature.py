@@ -48,10 +48,13 @@ def sign(path: Path, key: Path) -> Path:
     Raises:
         Refusal: the key does not sign.
     """
+    signature = path.with_name(path.name + ".sig")
+    # During the run an adapter may have put a link there.
+    signature.unlink(missing_ok=True)
     done = _ssh_keygen("-Y", "sign", "-f", str(key), "-n", NAMESPACE, str(path), patience_s=_PATIENCE_WITH_PERSON_S)
     if done.returncode != 0:
         raise Refusal(f"{path} is valid, but not signed: {_words(done)}")
-    return path.with_name(path.name + ".sig")
+    return signature
 
 
 def signer(content: bytes, signature: bytes, trust: Path) -> str:

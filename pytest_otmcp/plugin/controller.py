@@ -90,8 +90,7 @@ class RunRecorder:
         self._started = datetime.now(UTC)
         self._writer: RunWriter | None = None
         self._folder = _own(settings.report_dir)
-        # Samples that a killed run has left.
-        shutil.rmtree(settings.report_dir / SPOOLS, ignore_errors=True)
+        _clear(settings.report_dir / SPOOLS)
         # A deviation that no item can have is reported now, not after the run.
         judge_deviations(selection.subject.deviations, {}, required, self._started.date())
 
@@ -278,6 +277,14 @@ def _own(directory: Path) -> int:
             f"--otmcp-report-dir: another run is writing to {directory}; wait for its end, or choose another directory"
         ) from None
     return descriptor
+
+
+def _clear(spools: Path) -> None:
+    """Remove samples that a killed run has left, or a link, which leads elsewhere."""
+    if spools.is_symlink():
+        spools.unlink()
+    else:
+        shutil.rmtree(spools, ignore_errors=True)
 
 
 def _instant(moment: datetime) -> str:

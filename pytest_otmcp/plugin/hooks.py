@@ -62,6 +62,7 @@ __all__ = [
     "otmcp_subject",
     "pytest_addoption",
     "pytest_collect_file",
+    "pytest_collection",
     "pytest_collection_finish",
     "pytest_collection_modifyitems",
     "pytest_configure",
@@ -126,13 +127,29 @@ def _worker(config: pytest.Config) -> str | None:
     return str(config.workerinput["workerid"]) if hasattr(config, "workerinput") else None
 
 
-def pytest_sessionstart(session: pytest.Session) -> None:
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_sessionstart(session: pytest.Session) -> Generator[None]:
     config = session.config
     if not _is_worker(config):
         config.pluginmanager.register(_ResultReceiver(config))
-        if config.getoption("dist", "no") != "no" and asks_for_suite(config):
-            # An error in the subject file is reported once here, instead of by each of the workers that start later.
-            select_adapters(config)
+    if not asks_for_suite(config) or config.option.collectonly:
+        return (yield)
+    _endings(config).install()
+    if not _is_worker(config) and config.getoption("dist", "no") != "no":
+        # An error in the subject file is reported once here, instead of by each of the workers that start later.
+        select_adapters(config)
+    try:
+        return (yield)
+    except KeyboardInterrupt:
+        # pytest has no summary of a session that did not start, and pytest-xdist takes its time to start one.
+        _tell_unstarted(config.pluginmanager.get_plugin("terminalreporter"))
+        raise
+
+
+def _tell_unstarted(terminal: Any) -> None:
+    """Print the verdict of a run that was interrupted before its items were known."""
+    if terminal is not None:
+        terminal.write_line("VERDICT: INCOMPLETE (interrupted before the items were collected)", red=True, bold=True)
 
 
 def pytest_report_header(config: pytest.Config) -> str | None:
@@ -142,6 +159,14 @@ def pytest_report_header(config: pytest.Config) -> str | None:
 
 
 # -- collection ---------------------------------------------------------------------------------------------------
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection(session: pytest.Session) -> None:
+    if not _is_worker(session.config) and asks_for_suite(session.config):
+        # What ends the run while a module is collected is shown with a traceback, for each of the modules.
+        with ignore_warnings():
+            select_adapters(session.config)
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -513,7 +538,11 @@ def pytest_terminal_summary(terminalreporter: Any, exitstatus: int, config: pyte
     # A run that was refused has the same exit code as one that was interrupted.
     interrupted = ENDINGS in config.stash and config.stash[ENDINGS].name is not None
     refused = exitstatus == pytest.ExitCode.INTERRUPTED and not interrupted
-    if recorder is None or (refused and not recorder.statuses):
+    if recorder is None:
+        if interrupted and asks_for_suite(config):
+            _tell_unstarted(terminalreporter)
+        return
+    if refused and not recorder.statuses:
         return
     if not recorder.statuses:
         for sentence in config.stash[INTERFERENCE].sentences:

@@ -6,14 +6,34 @@ see :class:`Exercise`. A protocol without one has no such checks.
 
 from __future__ import annotations
 
+import math
 import random
+import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from .journal import Entries, JournalEntry
 
-__all__ = ["Asked", "Contended", "Exercise", "Texts", "every_change"]
+__all__ = [
+    "LARGEST_FLOAT32",
+    "NO_INTEGERS",
+    "NO_REALS",
+    "SPECIAL",
+    "Asked",
+    "Contended",
+    "Exercise",
+    "Texts",
+    "every_change",
+]
+
+LARGEST_FLOAT32: float = struct.unpack(">f", bytes.fromhex("7f7fffff"))[0]
+"""The largest finite number of 32 bits (IEEE 754)."""
+SPECIAL = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
+"""Values that JSON has no numbers for, by the names that stand for them."""
+NO_INTEGERS = (40.7, "abc", "40", [40], None)
+NO_REALS = ("abc", "7.5", True, [7.5], None)
+"""What is no value of a whole number, or of a floating-point number; some would be one after a conversion that nobody asked for."""
 
 Poke = Mapping[str, object]
 """What a mock device is told to set out of band."""

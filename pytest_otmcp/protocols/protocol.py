@@ -219,6 +219,7 @@ class OtProtocol:
         contradiction: says in one clause where a journal entry differs from the bytes of the wire that it holds, or its members
             from one another; None where they agree.
         is_answer: tells whether an entry of one kind can be the answer to an entry of another.
+        asking: kinds of entries that a client causes by what it sends; any kind can be one while there are none.
         facts: what a journal entry says of members of ``meta.trace``, by name (``a.b`` for a member of a member): the values
             that the wire has for it; None where nothing is known of traces.
         mock: name of the mock as ``python -m pytest_otmcp.mocks`` takes it: a folder of ``mocks``, or the dotted name of
@@ -258,6 +259,7 @@ class OtProtocol:
     carried_out: Callable[[JournalEntry, JournalEntry | None], bool | None] = _assumed
     contradiction: Callable[[JournalEntry], str | None] = _no_bytes
     is_answer: Callable[[str, str], bool] = _any_answer
+    asking: Collection[str] = ()
     composites: Mapping[str, Composite] = field(default_factory=dict)
     probes: Mapping[str, object] = field(default_factory=dict)
     choices: tuple[Choice, ...] = ()

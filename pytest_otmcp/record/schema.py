@@ -200,10 +200,11 @@ class AdapterFacts(TypedDict):
     ``bindings``: every operation that was used; None for one that a Python function performs. ``unmet``: requirements of the
     envelope that its own answers do not meet. ``listing``: every tool that was called by a binding. ``unjudged``: outputs that the
     subject file does not say where to find. The members of the server are None when no session was ever opened.
-    ``addressed_by``: keys of the subject file that hold the address of the mock device.
+    ``addressed_by``: keys of the subject file that hold the address of the mock device. ``transport``: that of MCP.
     """
 
     command: list[str]
+    transport: NotRequired[Literal["stdio", "http"]]
     envelope: Literal["native", "synthesised"]
     recovery: str
     recovery_s: NotRequired[Deadline]

@@ -35,20 +35,25 @@ class Connections:
         self._asked: dict[int, tuple[int, str]] = {}
         self._known = self._next = first
         self._whose: dict[int, str] = {}
+        self._begun: set[int] = set()
+        self._whole = first == 0
 
     def restart(self) -> None:
         """Begin again, as the journal and the numbers of connections do when the device was started again."""
         self._asked.clear()
         self._whose.clear()
+        self._begun.clear()
         self._known = self._next = 0
+        self._whole = True
 
     def contradiction(self, entry: JournalEntry) -> str | None:
         """Take the next entry; say in one clause where it contradicts the entries before it, None where it does not."""
         if entry["seq"] != self._next:
             # What an item that could not be judged again has left out.
             self._known = entry["seq"]
+            self._whole = False
         self._next = entry["seq"] + 1
-        found = self._of_answer(entry) or self._of_owner(entry)
+        found = self._of_kind(entry) or self._of_answer(entry) or self._of_owner(entry) or self._of_begin(entry)
         if entry["direction"] == "in":
             self._asked[entry["seq"]] = (entry["connection"], entry["kind"])
             if len(self._asked) > _MOST_ASKED:
@@ -56,6 +61,21 @@ class Connections:
                 del self._asked[oldest]
                 self._known = oldest + 1
         return found
+
+    def _of_kind(self, entry: JournalEntry) -> str | None:
+        kind, known = entry["kind"], self._protocol.asking
+        if not known or entry["direction"] == "out" or kind in EVENTS or kind in known:
+            return None
+        return f"is of the kind {kind!r}, which nothing is that a client sends"
+
+    def _of_begin(self, entry: JournalEntry) -> str | None:
+        number, kind = entry["connection"], entry["kind"]
+        if kind == "CONNECTED":
+            self._begun.add(number)
+        # A witness that has seen none begin may be one of datagrams; of a journal that is not whole, some beginnings are missing.
+        if not self._begun or number in self._begun or number == 0 or kind in EVENTS or not self._whole:
+            return None
+        return f"is of the connection {number}, which did not begin"
 
     def _of_answer(self, entry: JournalEntry) -> str | None:
         seq = entry["answers"]

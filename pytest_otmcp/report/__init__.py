@@ -58,9 +58,12 @@ def whole(run: Run) -> bool:
 
 
 def deadlines(run: Run) -> str:
-    """Say within which time each adapter has to answer a call, as the subject file declares it."""
-    told = (f"{protocol} {facts['deadline_s']:g} s" for protocol, facts in adapters(run).items())
-    return ", ".join(told)
+    """Say within which time an adapter has to answer a call, as the subject file declares it; one time when all have the same."""
+    told = {protocol: f"{facts['deadline_s']:g} s" for protocol, facts in adapters(run).items()}
+    if len(set(told.values())) == 1:
+        return next(iter(told.values()))
+    names = {protocol["key"]: protocol["name"] for protocol in run["kit"]["protocols"]}
+    return ", ".join(f"{names.get(protocol, protocol)} {time}" for protocol, time in told.items())
 
 
 def tally(items: Iterable[Item]) -> tuple[int, int]:

@@ -130,6 +130,7 @@ def _in_any(runs: Sequence[Run], names: Callable[[Run], list[str]]) -> list[str]
 def _capabilities(runs: Sequence[Run]) -> list[Row]:
     grades = [{heading.name: by_family for heading, by_family in earned(run)} for run in runs]
     applying = [set(applying_families(run)) for run in runs]
+    explained: set[str] = set()
     rows = []
     for family in _in_any(runs, families):
         for heading, _ in earned(runs[0]):
@@ -141,7 +142,10 @@ def _capabilities(runs: Sequence[Run]) -> list[Row]:
                 because = " ".join(one.because) if one is not None and grade is Grade.NOT_EARNED else ""
                 cells.append(Cell(text=grade.value, tone=tone, note=because))
             if any(cell.text not in (Grade.NOT_CLAIMED, Grade.NOT_TESTED) for cell in cells):
-                rows.append(Row(name=f"{family}: {heading.name}", about=heading.meaning, cells=tuple(cells)))
+                # What a capability means is said once, not with every protocol again.
+                about = "" if heading.name in explained else heading.meaning
+                explained.add(heading.name)
+                rows.append(Row(name=f"{family}: {heading.name}", about=about, cells=tuple(cells)))
     return rows
 
 

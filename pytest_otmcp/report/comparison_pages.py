@@ -23,6 +23,8 @@ def write_comparison(runs: Sequence[Run], directory: Path) -> Comparison:
     comparison = compared(runs)
     directory.mkdir(parents=True, exist_ok=True)
     for name, text in zip(NAMES, (html(comparison), markdown(comparison)), strict=True):
+        # Nothing is written through a link.
+        (directory / name).unlink(missing_ok=True)
         (directory / name).write_text(text, encoding="utf-8", newline="\n")
     return comparison
 

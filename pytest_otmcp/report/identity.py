@@ -7,12 +7,15 @@ from . import Run, adapters
 __all__ = ["identity"]
 
 _NONE = "—"
+_TRANSPORTS = {"stdio": "stdio", "http": "streamable HTTP"}
 
 
 def identity(run: Run) -> list[tuple[str, str]]:
     """Return the facts that a printed page needs so that nobody takes it for another one, each with its name."""
     sessions, footer, settings = adapters(run), run["footer"], run["settings"]
     revisions = dict.fromkeys(str(facts.get("protocol_version") or _NONE) for facts in sessions.values())
+    # A record of an earlier kit does not name the transport.
+    transports = dict.fromkeys(_TRANSPORTS.get(facts.get("transport", ""), _NONE) for facts in sessions.values())
     elapsed = footer.get("elapsed_s")
     return [
         ("Date", _moment(str(run["environment"].get("started_at") or _NONE))),
@@ -20,7 +23,7 @@ def identity(run: Run) -> list[tuple[str, str]]:
         ("Kit", f"{run['kit'].get('name')} {run['kit'].get('version')}"),
         ("Repetitions", f"N = {settings.get('reps', _NONE)}"),
         ("MCP revision", ", ".join(revisions) or _NONE),
-        ("Transport", ", ".join(dict.fromkeys(_transport(run, key) for key in sessions)) or _NONE),
+        ("Transport", ", ".join(transports) or _NONE),
     ]
 
 
@@ -33,9 +36,3 @@ def _moment(text: str) -> str:
 def _duration(seconds: float) -> str:
     minutes, rest = divmod(round(seconds), 60)
     return f"{minutes} min {rest} s" if minutes else f"{seconds:.1f} s"
-
-
-def _transport(run: Run, protocol: str) -> str:
-    # Only an adapter that listens itself is given a port for it.
-    devices = [device for device in run["devices"].values() if device.get("protocol") == protocol]
-    return "streamable HTTP" if any(device["placeholders"].get("http_port") for device in devices) else "stdio"

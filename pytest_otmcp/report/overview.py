@@ -19,7 +19,7 @@ from ..core.statistics import (
     standard_deviation,
 )
 from ..record.warnings import failing, findings_of
-from . import Item, Run, control_failed, durations, least, phases, recovered, tally
+from . import Item, Run, applies, control_failed, durations, least, phases, recovered, tally
 from . import adapters as having_sessions
 from .text import at_least, count, interval, number
 
@@ -133,10 +133,10 @@ def _cell(items: Mapping[str, str]) -> Cell:
 
 
 def recovery_rows(run: Run) -> list[tuple[str, ...]]:
-    """Return a row for each item with outages: id, family, median detection, rate and median of the same session, how often
+    """Return a row for each item with outages that applies: id, family, median detection, rate and median of the same session, how often
     that was within the paper's window, and rate and median of a fresh session."""
     rows: list[tuple[str, ...]] = []
-    for item in run["items"]:
+    for item in filter(applies, run["items"]):
         if item["suite"] == "recovery" or any(sample["phases"] for sample in item["samples"]):
             same, fresh = (phases(run, item, way) for way in ("same_session", "fresh_session"))
             rows.append(
@@ -252,7 +252,9 @@ def facts(run: Run) -> list[tuple[str, str]]:
         "Python": environment.get("python"),
         "Packages": ", ".join(f"{name} {version}" for name, version in packages.items() if version),
         "Settings": ", ".join(
-            f"{name}: {_flat(value)}" for name, value in settings.items() if name != "narrowed" and value is not None
+            f"{name}: {_flat(value)}"
+            for name, value in settings.items()
+            if name != "narrowed" and value not in (None, [], {})
         ),
         "Tool calls": ", ".join(f"{role} {calls}" for role, calls in footer.get("tool_calls", {}).items()),
     }

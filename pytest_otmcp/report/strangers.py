@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from ..core.text import counted
 from . import Run
 
 __all__ = ["strangers"]
@@ -43,6 +44,4 @@ def _sentence(at: str, origin: str, program: str | None, found: _Found) -> str:
         if program is not None
         else "somebody who had gone before it could be known who it was, the adapter or another program,"
     )
-    return (
-        f"{who} connected to the device of {at} {found.connections} time(s) in {where} and sent {sent}; it was left out"
-    )
+    return f"{who} connected to the device of {at} {counted(found.connections, 'time')} in {where} and sent {sent}; it was left out"

@@ -10,7 +10,7 @@ import re
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from ..protocols.protocol import GUARD, RECOVERY
 from ..protocols.registry import protocols
@@ -356,7 +356,7 @@ class Adapter:
     lists: Mapping[str, tuple[str, ...]]
     probes: Mapping[str, Any]
     secrets: tuple[str, ...]
-    transport: str
+    transport: Literal["stdio", "http"]
     url: str | None
     era: str | None
     deadline_s: float
@@ -436,6 +436,7 @@ class Adapter:
         """Return what ``run.json`` says about the test of this adapter; its server's facts are added later."""
         facts: AdapterFacts = {
             "command": list(self.variants["rw"].command),
+            "transport": self.transport,
             "envelope": "native" if self.answering.native else "synthesised",
             "recovery": self.recovery,
             "recovery_s": self.recovery_s,

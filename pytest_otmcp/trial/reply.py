@@ -170,7 +170,12 @@ def observe(exchange: Exchange, expected: Expectation) -> Reply:
         silent,
         envelope=envelope,
         outputs=outputs,
-        faults=(*faults, *_client_faults(exchange, message), *_timing_faults(exchange, expected.deadline_s)),
+        faults=(
+            *faults,
+            *_contradictory(exchange, message),
+            *_client_faults(exchange, message),
+            *_timing_faults(exchange, expected.deadline_s),
+        ),
         native=native,
     )
 
@@ -245,6 +250,20 @@ def _too_large(expected: Expectation) -> dict[str, Any]:
     answer = Answer(success=False, document=None, text=words, code="limit_exceeded")
     operation = protocols()[expected.adapter].operations[expected.operation]
     return synthesised(answer, protocol=expected.adapter, operation=expected.operation, writes=operation.writes)
+
+
+def _contradictory(exchange: Exchange, message: Mapping[str, object]) -> list[Finding]:
+    """JSON-RPC 2.0, section 5: a response has a result or an error, and not both. An error that is null says nothing."""
+    if "result" not in message or message.get("error") is None:
+        return []
+    return [
+        Finding(
+            code="json_rpc_error",
+            message=f"{_label(exchange)}: answered with a result and with a JSON-RPC error at once: {message['error']}",
+            requirement="MCP-007",
+            evidence=_excerpt(exchange.response or b""),
+        )
+    ]
 
 
 def _client_faults(exchange: Exchange, message: Mapping[str, object]) -> list[Finding]:

@@ -195,7 +195,7 @@ class Dnp3Client:
 
     async def open(self, program: MockProgram) -> None:
         self._raw = RawDnp3()
-        await self._raw.open(program)
+        await self._raw.dial(program)
 
     async def read(self) -> None:
         await self._raw.ask("01 1e0000 0101")

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from pytest_otmcp.mocks.dnp3 import faults as dnp3
 from pytest_otmcp.mocks.ethernetip import faults as ethernetip
+from pytest_otmcp.mocks.medium import CONDITIONS
 from pytest_otmcp.mocks.modbus import faults as modbus
 from pytest_otmcp.mocks.mqtt import faults as mqtt
-from pytest_otmcp.mocks.network import CONDITIONS
 from pytest_otmcp.mocks.opcua import faults as opcua
 from pytest_otmcp.mocks.opcua.sample_nodes import SETS
 from pytest_otmcp.mocks.profibus import faults as profibus

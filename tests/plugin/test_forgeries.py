@@ -543,6 +543,14 @@ FORGERIES: dict[str, tuple[str, Change]] = {
         "is a 'CONNECTED', which asks nothing, and is called a request",
         lambda run: entry(run, "M1", kind="CONNECTED").update(request=True),
     ),
+    "a connection that never begins": (
+        "of the journal of modbus is of the connection 1, which did not begin",
+        lambda run: entry(run, "M1", kind="CONNECTED").update(connection=99),
+    ),
+    "the begin of a connection that is called something else": (
+        "of the journal of modbus is of the kind 'begin', which nothing is that a client sends",
+        lambda run: entry(run, "M1", kind="CONNECTED").update(kind="begin"),
+    ),
     "a connection that begins twice": (
         "of the journal of mqtt begins the connection",
         a_connection_that_begins_twice,

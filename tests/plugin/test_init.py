@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from pytest_otmcp.cli import main
 from pytest_otmcp.protocols.own import OWN
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.soundness.warm_start import WarmStart
@@ -338,3 +339,21 @@ tool = "pin"
     assert "modbus-reference" in done.stdout
     assert "the adapter lists no tool 'pin'; did you mean 'ping'?" in done.stdout
     assert "all is well" not in done.stdout
+
+
+def test_the_doctor_without_a_file_examines_the_adapters_that_every_run_has(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    async def healthy(*_: object) -> bool:
+        return True
+
+    # A plain installation has no libraries of the further protocols: their adapters would be called ill.
+    monkeypatch.setattr("pytest_otmcp.cli.doctor._examine", healthy)
+    monkeypatch.chdir(tmp_path)
+    assert main(["doctor"]) == 0
+    shown = capsys.readouterr()
+    assert [line.partition(":")[0] for line in shown.out.splitlines()[:-1]] == [
+        protocol.name for protocol in protocols().values() if protocol.always
+    ]
+    assert "no subject file otmcp.toml here: these are the reference adapters" in shown.err
+    assert shown.out.endswith("all is well, next: otmcp init -- COMMAND, with an adapter of yours\n")

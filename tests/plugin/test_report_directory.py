@@ -55,11 +55,18 @@ def test_links_in_the_directory_are_not_followed(empty_repository: Repository) -
     names = ("run.json", "run.json.new", "report.html", "summary.md", "tables/tab_results.tex", "figures")
     for name in names:
         (folder / name).symlink_to(mine)
+    elsewhere = empty_repository.root / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "mine").write_text("mine", encoding="utf-8")
+    (folder / "run.parts").symlink_to(elsewhere)
     outcome = empty_repository.pytest(*SUITE)
     assert outcome.statuses == {"M1": "PASS", "M2": "PASS"}
     assert mine.read_text(encoding="utf-8") == "mine"
     assert [name for name in names if (folder / name).is_symlink()] == []
     assert (folder / "report.html").is_file()
+    # Samples were not put where the link led to.
+    assert not (folder / "run.parts").is_symlink()
+    assert [path.name for path in elsewhere.iterdir()] == ["mine"]
 
 
 AFTER_AN_ITEM = """

@@ -318,6 +318,10 @@ def pytest_{moment}:
 def _moments() -> Iterator[Any]:
     """Hooks during which a run is ended, and the signal that ends it."""
     for moment in (
+        "sessionstart(session)",
+        "collectstart(collector)",
+        "collection_modifyitems(items)",
+        "collection_finish(session)",
         "runtest_setup(item)",
         "runtest_logreport(report)",
         "runtest_logfinish(nodeid)",
@@ -325,7 +329,11 @@ def _moments() -> Iterator[Any]:
         "terminal_summary(config)",
     ):
         for ending in ("SIGTERM", "SIGINT"):
-            few = (moment, ending) in (("runtest_logreport(report)", "SIGTERM"), ("terminal_summary(config)", "SIGINT"))
+            few = (moment, ending) in (
+                ("collectstart(collector)", "SIGTERM"),
+                ("runtest_logreport(report)", "SIGTERM"),
+                ("terminal_summary(config)", "SIGINT"),
+            )
             yield pytest.param(moment, ending, marks=() if few else pytest.mark.long)
 
 
@@ -456,6 +464,18 @@ def test_a_run_with_a_bad_option_ends_with_that_sentence_and_code_2(repository: 
     assert outcome.code == 2
     assert "--otmcp-suite: 'falt' is unknown; did you mean 'fault'?" in outcome.output
     assert "Traceback" not in outcome.output
+
+
+@pytest.mark.parametrize("parallel", [(), ("-n", "2")])
+def test_a_mistake_in_the_subject_file_is_said_once_in_its_sentence(
+    repository: Repository, parallel: tuple[str, ...]
+) -> None:
+    repository.write(otmcp_toml=HTTP.format(command='["x"]').replace("{port}", "{prot}"))
+    outcome = repository.pytest("--otmcp-reps=1", *parallel, plugins="xdist")
+    assert outcome.code == 2
+    assert "adapter.modbus.env.MODBUS_PORT: {prot} is not replaced; did you mean {port}?" in outcome.output
+    assert "ERROR" not in outcome.output
+    assert "During handling" not in outcome.output
 
 
 def test_the_plugin_is_inert_where_nothing_of_it_is_collected(repository: Repository) -> None:

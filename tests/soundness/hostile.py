@@ -713,6 +713,11 @@ def _(identifier: Any) -> None:
     say(id=identifier, error={"code": -32603, "message": FORGED * 1000, "data": {"deep": [FORGED] * 1000}})
 
 
+@calling("result-and-error")
+def _(identifier: Any) -> None:
+    say(id=identifier, result=answer(), error={"code": -32603, "message": "it failed"})
+
+
 @calling("error-code-of-any-size")
 def _(identifier: Any) -> None:
     raw(b'{"jsonrpc": "2.0", "id": %d, "error": {"code": %s, "message": "x"}}\n' % (identifier, b"9" * 4000))

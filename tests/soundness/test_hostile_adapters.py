@@ -95,6 +95,7 @@ NOTHING_WRONG = r"the device should have answered at least 1 request\(s\) during
         pytest.param("wants-more-input", r"has no structuredContent object", marks=LONG),
         pytest.param("becomes-a-task", r"has no structuredContent object", marks=LONG),
         pytest.param("error-of-words", r"answered with a JSON-RPC error", marks=LONG),
+        pytest.param("result-and-error", r"answered with a result and with a JSON-RPC error at once", marks=LONG),
         pytest.param("error-code-of-any-size", r"answered with a JSON-RPC error", marks=LONG),
         pytest.param("meta-of-any-size", r"meta\.latency_ms says 1e\+308 ms", marks=LONG),
         pytest.param("meta-beyond-any-size", r"meta\.latency_ms says 9999", marks=LONG),

@@ -11,7 +11,7 @@ import pytest
 from pytest_otmcp import cli
 from pytest_otmcp.record.writer import RunWriter, laid_out
 from pytest_otmcp.report.comparison import compared
-from pytest_otmcp.report.comparison_pages import html, markdown, write_comparison
+from pytest_otmcp.report.comparison_pages import NAMES, html, markdown, write_comparison
 
 from ..stored_runs import header_of
 from .samples import item, run, written_twice
@@ -63,6 +63,12 @@ def test_the_runs_are_columns_of_one_matrix(versions: list[dict[str, Any]]) -> N
 def test_runs_of_the_same_version_can_be_told_apart(versions: list[dict[str, Any]]) -> None:
     names = [column.name for column in compared([versions[0], versions[1], versions[0]]).columns]
     assert names == ["acme-modbus 1 (run 1)", "acme-modbus 2", "acme-modbus 1 (run 2)"]
+
+
+def test_what_a_capability_means_is_said_once(versions: list[dict[str, Any]]) -> None:
+    said = [row.about for row in compared(versions).capabilities if row.about]
+    assert len(said) == len(set(said)) > 1
+    assert len(said) < len(compared(versions).capabilities)
 
 
 def test_what_changed_is_said_and_what_only_some_have_is_counted(versions: list[dict[str, Any]]) -> None:
@@ -122,3 +128,13 @@ def test_the_same_runs_give_the_same_bytes(versions: list[dict[str, Any]], tmp_p
         write_comparison(versions, tmp_path / name)
     for name in ("comparison.html", "comparison.md"):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
+
+
+def test_a_link_in_the_directory_is_not_followed(versions: list[dict[str, Any]], tmp_path: Path) -> None:
+    mine = tmp_path / "mine"
+    mine.write_text("mine", encoding="utf-8")
+    for name in NAMES:
+        (tmp_path / name).symlink_to(mine)
+    write_comparison(versions, tmp_path)
+    assert mine.read_text(encoding="utf-8") == "mine"
+    assert [(tmp_path / name).is_symlink() for name in NAMES] == [False, False]

@@ -145,12 +145,12 @@ def exchange(*changes: dict[str, Any]) -> list[Entry]:
     [
         ({}, {}, None),
         ({"connection": 2}, {}, "answers the entry 0 of another connection"),
-        ({"kind": "note"}, {}, "is called 'response' and answers the entry 0, which is called 'note'"),
+        ({"kind": "lost"}, {}, "is called 'response' and answers the entry 0, which is called 'lost'"),
         ({"direction": "out"}, {}, "answers the entry 0, which asked nothing"),
         ({}, {"answers": 1}, "answers the entry 1, which asked nothing"),
         ({}, {"answers": 10**30}, f"answers the entry {10**30}, which asked nothing"),
         ({}, {"answers": -1}, "answers the entry -1, which asked nothing"),
-        ({}, {"direction": "in"}, "answers the entry 0, which asked nothing"),
+        ({}, {"direction": "in", "kind": "request"}, "answers the entry 0, which asked nothing"),
         ({}, {"origin": "stranger"}, "is called the stranger's, its connection was the client's"),
         ({"origin": "stranger"}, {}, "is called the client's, its connection was the stranger's"),
         ({"origin": "plant"}, {}, "is called the client's, its connection was the plant's"),
@@ -190,6 +190,34 @@ def test_what_was_asked_before_the_journal_is_known_is_believed() -> None:
 def test_a_connection_begins_once() -> None:
     begun = numbered(entry("CONNECTED"), entry("CONNECTED", connection=2), entry("CONNECTED"))
     assert contradictions(*begun) == [None, None, "begins the connection 1, which was there already"]
+
+
+def test_a_connection_that_is_used_has_begun() -> None:
+    used = numbered(entry("CONNECTED"), entry("request", **ASKS), entry("request", connection=2, **ASKS))
+    assert contradictions(*used) == [None, None, "is of the connection 2, which did not begin"]
+    # Of datagrams, and of a journal whose first entries are not known, nobody knows the beginnings.
+    assert contradictions(*used[1:], first=1) == [None, None]
+    assert contradictions(*({**one, "seq": one["seq"] + 1} for one in used)) == [None, None, None]
+
+
+@pytest.mark.parametrize("protocol", ["modbus", "s7", "bacnet", "ethernetip", "dnp3", "profibus"])
+def test_what_a_client_sends_is_of_a_kind_that_clients_send(protocol: str) -> None:
+    connections = Connections(protocols()[protocol], 0)
+    sent = numbered(entry("request", **ASKS), entry("requestx"), entry("garbage", "out"), entry("malformed"))
+    assert [connections.contradiction(one) for one in sent] == [
+        None,
+        "is of the kind 'requestx', which nothing is that a client sends",
+        None,
+        None,
+    ]
+
+
+@pytest.mark.parametrize(("protocol", "asked"), [("dnp3", "link_request"), ("profibus", "token")])
+def test_an_answer_is_of_a_kind_that_answers_what_was_asked(protocol: str, asked: str) -> None:
+    connections = Connections(protocols()[protocol], 0)
+    exchanged = numbered(entry(asked), entry("response", "out", answers=0))
+    clause = f"is called 'response' and answers the entry 0, which is called {asked!r}"
+    assert [connections.contradiction(one) for one in exchanged] == [None, clause]
 
 
 def test_the_number_of_a_connection_comes_again() -> None:

@@ -168,6 +168,8 @@ def test_an_entry_that_says_something_else_than_its_bytes_is_found() -> None:
     assert "says kind 'unregister'" in (contradiction({**request, "kind": "unregister", "request": False}) or "")
     assert "says items" in (contradiction({**response, "items": [{"code": 0x4D, "status": 5}]}) or "")
     assert "has no frame" in (contradiction({**response, "frame": "6f"}) or "")
+    registered = {**response, "frame": f"65{response['frame'][2:]}"}
+    assert "its frame carries no message that could have one" in (contradiction(registered) or "")
     without = {name: value for name, value in request.items() if name != "frame"}
     assert "has no frame" in (contradiction(without) or "")
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 import base64
 import copy
 import hashlib
+import json
 import os
 import re
 import shutil
 import subprocess
 from collections import Counter
 from collections.abc import Callable
+from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -18,6 +20,7 @@ from typing import Any
 import pytest
 
 from pytest_otmcp.report.html import page, write_html
+from pytest_otmcp.suite.catalogue import all_tasks
 from pytest_otmcp.suite.requirements import requirements
 
 from .samples import around as checks
@@ -89,6 +92,36 @@ def hostile(value: Any) -> Any:
     if isinstance(value, list):
         return [hostile(inner) for inner in value]
     return HOSTILE if isinstance(value, str) else value
+
+
+PDFTOTEXT = shutil.which("pdftotext")
+
+
+def chromium() -> str | None:
+    return next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+
+
+@pytest.fixture
+def browse(tmp_path: Path) -> Callable[..., tuple[str, list[str]]]:
+    """A function that opens a page in a real browser, and returns the browser's DOM and the lines of its console."""
+
+    def start(path: Path, *tasks: str) -> tuple[str, list[str]]:
+        program = chromium()
+        assert program is not None
+        options = [
+            "--headless",
+            "--disable-gpu",
+            "--disable-dev-shm-usage",
+            "--enable-logging=stderr",
+            f"--user-data-dir={tmp_path / 'profile'}",
+        ]
+        # Chromium has no sandbox for root, as in a container of a CI job.
+        options += ["--no-sandbox"] if os.geteuid() == 0 else []
+        command = [program, *options, *(tasks or ("--dump-dom",)), path.as_uri()]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+        return done.stdout, [line for line in done.stderr.splitlines() if "CONSOLE" in line]
+
+    return start
 
 
 RUNS = {
@@ -364,12 +397,67 @@ def test_an_item_that_does_not_apply_says_why_and_takes_nothing_from_what_was_ea
 
 def test_the_first_lines_say_which_run_it_is() -> None:
     record = run([M1])
-    record["devices"] = {"modbus": {"protocol": "modbus", "placeholders": {"http_port": "8123"}}}
+    for protocol, transport in (("modbus", "http"), ("mqtt", "stdio"), ("opcua", "stdio")):
+        record["subject"]["adapters"][protocol]["transport"] = transport
     shown = Page(page(record)).text
     assert (
         "Date 2026-11-21 07:03 UTC Duration 1.0 s Kit pytest-otmcp 0.0.0 Repetitions N = 30 "
         "MCP revision 2026-07-28 Transport streamable HTTP, stdio Verdict:"
     ) in shown
+    # A record of an earlier kit does not say how it spoke to the adapters.
+    assert "Transport — Verdict:" in Page(page(run([M1]))).text
+
+
+def of_every_protocol() -> dict[str, Any]:
+    """A run of everything that there is; a fault item of each protocol failed, so that the longest grade is among the cells."""
+    return run(
+        [
+            item(task.id, task.suite, task.family, task.title, [1.0], failing=int(task.suite == "fault"))
+            for task in all_tasks().values()
+        ]
+    )
+
+
+def test_many_protocols_are_rows_and_what_may_be_connected_columns() -> None:
+    families = {task.family for task in all_tasks().values()}
+    html = page(of_every_protocol())
+    matrix = html.partition('<section id="earned">')[2].partition("</section>")[0]
+    heads = re.findall(r'<th scope="row">([^<]*)</th>', matrix)
+    assert len(heads) > 5
+    assert set(heads) == families
+    # What decided an earned capability is folded where it is long: a column of fifty names would hide the grade.
+    assert re.search(r"<summary>\d+ items</summary>", matrix)
+    assert "turned" not in page(run(ALL)).partition("<body>")[2]
+
+
+@pytest.mark.long
+@pytest.mark.skipif(chromium() is None, reason="no Chromium is installed")
+@pytest.mark.parametrize("width", [1280, 500])
+def test_the_tables_of_every_protocol_fit_a_screen_and_a_telephone(tmp_path: Path, browse: Any, width: int) -> None:
+    path = tmp_path / "report.html"
+    html = page(of_every_protocol())
+    # The page forbids scripts, this one too, which measures.
+    measure = (
+        "<script>document.title = JSON.stringify([...document.querySelectorAll('.wide:has(.matrix)')]"
+        ".map(part => [part.getAttribute('aria-label'), part.scrollWidth - part.clientWidth]))</script>"
+    )
+    html = re.sub(r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", html).replace("<details", "<details open")
+    path.write_text(html.replace("</body>", f"{measure}</body>"), encoding="utf-8")
+    dom, _ = browse(path, f"--window-size={width},900", "--dump-dom")
+    measured = dict(json.loads(unescape(re.findall("<title>(.*?)</title>", dom)[0])))
+    assert "What was earned" in measured
+    assert max(measured.values()) == 0, measured
+
+
+def test_outages_that_do_not_apply_have_no_row_and_empty_settings_are_not_named() -> None:
+    lost = {**item("R-modbus", "recovery", "Modbus", "Recover.", []), "status": "NOT_APPLICABLE", "planned": 20}
+    record = run([M1, lost])
+    record["settings"] |= {"protocols": [], "not_measured": {}, "xdist_workers": 0}
+    shown = Page(page(record)).text
+    assert "medians in milliseconds, rates with their bound" not in shown
+    assert "xdist_workers: 0" in shown
+    assert "protocols:" not in shown
+    assert "not_measured" not in shown
 
 
 def test_the_answer_in_plain_words_comes_before_its_evidence() -> None:
@@ -495,7 +583,7 @@ def test_deadlines_stand_beside_the_verdict_and_the_adapters() -> None:
     record = run([M1])
     record["subject"]["adapters"]["mqtt"]["deadline_s"] = 12.5
     shown = Page(page(record)).text
-    assert "Deadlines of a call: modbus 5 s, mqtt 12.5 s, opcua 5 s." in shown
+    assert "Deadlines of a call: Modbus 5 s, MQTT 12.5 s, OPC UA 5 s." in shown
     assert "mqtt acme 1 2026-07-28 15 12.5" in shown
     assert "1 of 38 items applied ; 30 of 30 repetitions passed" in shown
 
@@ -515,36 +603,6 @@ def test_pictures_bear_times_that_a_clock_cannot_have() -> None:
     shown = Page(page(run([odd, lost])))
     assert "did not happen" in shown.text
     assert "nan" not in " ".join(shown.values("x"))
-
-
-PDFTOTEXT = shutil.which("pdftotext")
-
-
-def chromium() -> str | None:
-    return next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-
-
-@pytest.fixture
-def browse(tmp_path: Path) -> Callable[..., tuple[str, list[str]]]:
-    """A function that opens a page in a real browser, and returns the browser's DOM and the lines of its console."""
-
-    def start(path: Path, task: str = "--dump-dom") -> tuple[str, list[str]]:
-        program = chromium()
-        assert program is not None
-        options = [
-            "--headless",
-            "--disable-gpu",
-            "--disable-dev-shm-usage",
-            "--enable-logging=stderr",
-            f"--user-data-dir={tmp_path / 'profile'}",
-        ]
-        # Chromium has no sandbox for root, as in a container of a CI job.
-        options += ["--no-sandbox"] if os.geteuid() == 0 else []
-        command = [program, *options, task, path.as_uri()]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
-        return done.stdout, [line for line in done.stderr.splitlines() if "CONSOLE" in line]
-
-    return start
 
 
 @pytest.mark.long

@@ -145,6 +145,7 @@ def test_an_entry_that_says_something_else_than_its_bytes_is_found() -> None:
     assert "says state_changing False" in (contradiction({**request, "state_changing": False}) or "")
     assert "says items" in (contradiction({**response, "items": [{"code": 5}]}) or "")
     assert "has no PDU" in (contradiction({**response, "pdu": "32"}) or "")
+    assert "has no PDU" in (contradiction({**response, "pdu": f"72{response['pdu'][2:]}"}) or "")
 
 
 def test_any_segments_and_any_bytes_are_decoded_without_an_exception() -> None:

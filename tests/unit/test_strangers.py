@@ -132,7 +132,7 @@ def test_reports_say_once_who_was_there() -> None:
     record = run(items)
     stranger, former, unknown = strangers(record)
     assert stranger == (
-        "a stranger (curl<b>) connected to the device of mqtt 12 time(s) in Q1, Q2, Q3, Q4, FQ1 and 1 more and sent "
+        "a stranger (curl<b>) connected to the device of mqtt 12 times in Q1, Q2, Q3, Q4, FQ1 and 1 more and sent "
         "< PINGREQ; it was left out"
     )
     assert "a process of a session that was over (node) still spoke to the device of mqtt" in former

@@ -9,7 +9,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import socket
-from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -17,8 +16,7 @@ from ...protocols.conversation import Direction
 from ...protocols.protocol import Framing
 from .faults import STREAM_ACTIONS, Action, FaultPlan, FaultRule
 from .frame_queue import FrameQueue
-from .journal import TapJournal
-from .medium import Medium
+from .medium import Medium, MediumOwner
 from .peer import sender_of
 
 __all__ = ["DatagramTap"]
@@ -31,7 +29,7 @@ _Address = Any
 """As :mod:`socket` has it, of any family."""
 
 
-class DatagramTap:
+class DatagramTap(MediumOwner):
     """A relay in front of ``target_host:target_port``; see :class:`~pytest_otmcp.plant.tap.tap.Tap`.
 
     A connection of the journal is a client address. Of more than 256 the one that has been silent for longest is forgotten.
@@ -42,10 +40,10 @@ class DatagramTap:
     """
 
     def __init__(self, target_host: str, target_port: int, *, framing: Framing | None = None) -> None:
+        super().__init__()
         self.host = "127.0.0.1"
         self._target: _Address = (target_host, target_port)
         self._family: int = socket.AF_INET
-        self._medium = Medium()
         self._framing = framing
         self._socket: socket.socket | None = None
         self._is_up = False
@@ -57,16 +55,6 @@ class DatagramTap:
         """Port of the tap; stays the same over :meth:`down` and :meth:`up`."""
         port: int = self._bound().getsockname()[1]
         return port
-
-    @property
-    def journal(self) -> TapJournal:
-        """What passed, decoded."""
-        return self._medium.journal
-
-    @property
-    def injected(self) -> Counter[Action]:
-        """How often each fault of the plan in effect was really injected."""
-        return self._medium.plan.injected
 
     @property
     def open_connections(self) -> int:
@@ -111,10 +99,6 @@ class DatagramTap:
         for client in self._clients.values():
             client.close()
         self._clients.clear()
-
-    def begin_journal(self) -> None:
-        """Begin an empty journal that counts from 0 again."""
-        self._medium.journal = TapJournal()
 
     def inject(self, *rules: FaultRule) -> None:
         """Replace the fault plan, counting from now; without rules datagrams pass untouched again.

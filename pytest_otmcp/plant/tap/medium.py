@@ -1,13 +1,14 @@
-"""The journal and the fault plan that the connections of one tap share."""
+"""The journal and the fault plan that the connections of one tap share, and what every tap tells of them."""
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 
-from .faults import FaultPlan
+from .faults import Action, FaultPlan
 from .journal import TapJournal
 
-__all__ = ["Medium"]
+__all__ = ["Medium", "MediumOwner"]
 
 
 @dataclass(slots=True)
@@ -16,3 +17,24 @@ class Medium:
 
     journal: TapJournal = field(default_factory=TapJournal)
     plan: FaultPlan = field(default_factory=FaultPlan)
+
+
+class MediumOwner:
+    """A tap, as far as it is its medium; see :class:`~.tap.Tap`."""
+
+    def __init__(self) -> None:
+        self._medium = Medium()
+
+    @property
+    def journal(self) -> TapJournal:
+        """What passed, decoded."""
+        return self._medium.journal
+
+    @property
+    def injected(self) -> Counter[Action]:
+        """How often each fault of the plan in effect was really injected."""
+        return self._medium.plan.injected
+
+    def begin_journal(self) -> None:
+        """Begin an empty journal that counts from 0 again."""
+        self._medium.journal = TapJournal()

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from collections import Counter
 from collections.abc import Callable
 
 from ...core.errors import KitError
@@ -16,10 +15,9 @@ from ...core.exhaustion import exhausted
 from ...protocols.conversation import Direction
 from ...protocols.framing import Framer
 from ...protocols.protocol import Framing
-from .faults import Action, FaultPlan, FaultRule
-from .journal import TapJournal
+from .faults import FaultPlan, FaultRule
 from .lane import Lane, reset_connection
-from .medium import Medium
+from .medium import Medium, MediumOwner
 from .peer import process_of
 
 __all__ = ["StreamTap"]
@@ -28,7 +26,7 @@ _CONNECT_TIMEOUT_S = 5.0
 _DIRECTIONS: tuple[Direction, Direction] = ("in", "out")
 
 
-class StreamTap:
+class StreamTap(MediumOwner):
     """A proxy in front of ``target_host:target_port``; see :class:`~pytest_otmcp.plant.tap.tap.Tap`.
 
     Args:
@@ -43,9 +41,9 @@ class StreamTap:
     def __init__(self, target_host: str, target_port: int, *, framing: Framing | None = None) -> None:
         if framing is not None and framing.frame_length is None:
             raise KitError("a TCP connection cannot be recorded: the frames of its protocol are datagrams")
+        super().__init__()
         self.host = "127.0.0.1"
         self._target = (target_host, target_port)
-        self._medium = Medium()
         self._framing = framing
         self._reserved: socket.socket | None = None
         self._server: asyncio.Server | None = None
@@ -58,16 +56,6 @@ class StreamTap:
         assert self._reserved is not None, "the tap has not been started"
         port: int = self._reserved.getsockname()[1]
         return port
-
-    @property
-    def journal(self) -> TapJournal:
-        """What passed, decoded."""
-        return self._medium.journal
-
-    @property
-    def injected(self) -> Counter[Action]:
-        """How often each fault of the plan in effect was really injected."""
-        return self._medium.plan.injected
 
     @property
     def open_connections(self) -> int:
@@ -102,10 +90,6 @@ class StreamTap:
             link.reset()
         for link in links:
             await link.ended.wait()
-
-    def begin_journal(self) -> None:
-        """Begin an empty journal that counts from 0 again."""
-        self._medium.journal = TapJournal()
 
     def inject(self, *rules: FaultRule) -> None:
         """Replace the fault plan, counting from now; without rules bytes pass untouched again."""

@@ -28,6 +28,7 @@ PROTOCOL = OtProtocol(
     changes=changes,
     carried_out=carried_out,
     contradiction=contradiction,
+    asking=("request", "response", "message", "bvlc", "network-message"),
     is_answer=lambda kind, asked: (kind, asked) in ANSWERS,
     describe=describe,
     facts=facts,

@@ -6,7 +6,7 @@ import random
 from collections.abc import Sequence
 from dataclasses import replace
 
-from ..exercise import Asked, Contended, Exercise, Texts
+from ..exercise import LARGEST_FLOAT32, Asked, Contended, Exercise, Texts
 from ..journal import Entries, JournalEntry
 from .entries import as_bacnet, changes
 
@@ -16,8 +16,6 @@ _DEVICE, _PRIORITY = 12345, 8
 _LIMIT, _MODE = ("analog-value", 9), ("multi-state-value", 1)
 _REALS = (("analog-input", 1), ("analog-input", 2), ("analog-output", 1))
 """Objects whose present value is any REAL that is set at the mock."""
-_LARGEST = 3.4028234663852886e38
-"""The largest REAL."""
 _ALIASES = ("otmcp_zone", "otmcp_valve")
 """Names that a launch of an adapter with names of its own has for the analog input 1, and for the analog output 1 at priority 8."""
 
@@ -165,8 +163,8 @@ def _real(value: float) -> Asked:
 def _bounds() -> tuple[tuple[Asked, object], ...]:
     # The device itself limits what the states of a multi-state object may be; its type is Unsigned.
     return (
-        (_real(_LARGEST), 1e39),
-        (_real(-_LARGEST), -1e39),
+        (_real(LARGEST_FLOAT32), 1e39),
+        (_real(-LARGEST_FLOAT32), -1e39),
         (_writing(*_MODE, 1, before=2), -1),
     )
 

@@ -15,7 +15,10 @@ from ..journal import JournalEntry
 from ..reread import difference
 from .wire import LinkHeader, Segments, objects_of, unpack_frame
 
-__all__ = ["Dnp3Conversation", "contradiction"]
+__all__ = ["ANSWERS", "Dnp3Conversation", "contradiction"]
+
+ANSWERS = frozenset({("response", "request"), ("unsolicited", "request"), ("link_answer", "link_request")})
+"""Kinds of entries of which the first can answer the second; a faulty device calls an answer unsolicited."""
 
 CONFIRM, READ, WRITE, SELECT, OPERATE, DIRECT_OPERATE, DIRECT_OPERATE_NR = range(7)
 RESPONSE, UNSOLICITED_RESPONSE = 129, 130

@@ -6,7 +6,7 @@ import re
 
 from ..protocol import Colour, Framing, OtProtocol
 from ..session_oracle import Exchanges, StateChanges
-from .decoder import Dnp3Conversation, contradiction
+from .decoder import ANSWERS, Dnp3Conversation, contradiction
 from .entries import carried_out, changes, describe, title
 from .exercise import EXERCISE
 from .operations import OPERATIONS
@@ -29,6 +29,8 @@ PROTOCOL = OtProtocol(
     changes=changes,
     carried_out=carried_out,
     contradiction=contradiction,
+    is_answer=lambda kind, asked: (kind, asked) in ANSWERS,
+    asking=("link_request", "link_answer", "request", "confirm"),
     describe=describe,
     facts=facts,
     title=title,

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import random
-import struct
 
-from ..exercise import Asked, Contended, Exercise, Texts
+from ..exercise import LARGEST_FLOAT32, NO_INTEGERS, NO_REALS, SPECIAL, Asked, Contended, Exercise, Texts
 from ..journal import Entries, JournalEntry
 from .entries import DIRECT_OPERATE, OPERATE, as_dnp3, changes, commands
 
@@ -19,7 +18,6 @@ _LEVEL, _EXACT, _PUMP = "otmcp_level", "otmcp_exact", "otmcp_pump"
 _SETPOINT, _BATCH, _TEXT = "otmcp_setpoint", "otmcp_batch", "otmcp_text"
 """Names that a launch of an adapter with names of its own has: the analog input 1, the analog input 7 (a double), the binary output 2,
 the analog output 0 (a float), the analog output 3 (a whole number of 32 bits) and the octet string 0."""
-(_LARGEST,) = struct.unpack(">f", bytes.fromhex("7f7fffff"))
 
 
 def _whole(rng: random.Random) -> int:
@@ -152,7 +150,7 @@ def _special() -> tuple[Asked, ...]:
     return tuple(
         _named(name, point, special, special=special)
         for name, point in ((_EXACT, "analog_input/7"), (_SETPOINT, "analog_output/0"))
-        for special in ("NaN", "Infinity", "-Infinity")
+        for special in SPECIAL
     )
 
 
@@ -164,16 +162,16 @@ def _bounds() -> tuple[tuple[Asked, object], ...]:
     return (
         (_set(_BATCH, 3, 2**31 - 1, before=0), 2**31),
         (_set(_BATCH, 3, -(2**31), before=0), -(2**31) - 1),
-        (_set(_SETPOINT, 0, _LARGEST, before=0.0), 1e39),
-        (_set(_SETPOINT, 0, -_LARGEST, before=0.0), -1e39),
+        (_set(_SETPOINT, 0, LARGEST_FLOAT32, before=0.0), 1e39),
+        (_set(_SETPOINT, 0, -LARGEST_FLOAT32, before=0.0), -1e39),
     )
 
 
 def _misfits() -> tuple[tuple[Asked, tuple[object, ...]], ...]:
     return (
         (_latch(_OUTPUT, True), ("false", "off", 1, [True], None)),
-        (_set(_BATCH, 3, 7, before=0), (40.7, "abc", "40", [40], None)),
-        (_set(_SETPOINT, 0, 7.5, before=0.0), ("abc", "7.5", True, [7.5], None)),
+        (_set(_BATCH, 3, 7, before=0), NO_INTEGERS),
+        (_set(_SETPOINT, 0, 7.5, before=0.0), NO_REALS),
     )
 
 

@@ -178,6 +178,8 @@ def contradiction(entry: JournalEntry) -> str | None:
         return f"has no frame but {members.get('frame')!r}"
     if incoming:
         shown |= {"kind": kind, "request": kind == "request", "state_changing": bool(shown.get("state_changing"))}
+    elif "status" in members and "status" not in shown:
+        return "has a status, its frame carries no message that could have one"
     else:
         # An answer's numbers are those of the client's end.
         shown = {name: value for name, value in shown.items() if name not in ("connection_id", "sequence")}

@@ -28,6 +28,7 @@ PROTOCOL = OtProtocol(
     changes=changes,
     carried_out=carried_out,
     contradiction=contradiction,
+    asking=("unregister", "list", "register", "forward_open", "forward_close", "request"),
     is_answer=lambda kind, asked: ANSWERS.get(asked) == kind,
     describe=describe,
     facts=facts,

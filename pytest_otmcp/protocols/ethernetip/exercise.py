@@ -7,7 +7,7 @@ import struct
 from collections.abc import Sequence
 from datetime import UTC, datetime
 
-from ..exercise import Asked, Contended, Exercise, Texts, every_change
+from ..exercise import LARGEST_FLOAT32, NO_INTEGERS, NO_REALS, SPECIAL, Asked, Contended, Exercise, Texts, every_change
 from ..journal import JournalEntry
 from .entries import as_ethernetip
 
@@ -170,7 +170,7 @@ def _special() -> tuple[Asked, ...]:
             pokes=(_poke(_free(kind), name),),
         )
         for kind in _REALS
-        for name in ("NaN", "Infinity", "-Infinity")
+        for name in SPECIAL
     )
 
 
@@ -189,14 +189,13 @@ def _bounds() -> tuple[tuple[Asked, object], ...]:
                 (_writing(_free(kind), lowest, kind), lowest - 1),
                 (_writing(_free(kind), highest, kind), highest + 1),
             ]
-    (largest,) = struct.unpack(">f", bytes.fromhex("7f7fffff"))
-    return (*found, (_writing(_free("REAL"), largest, "REAL"), 1e39))
+    return (*found, (_writing(_free("REAL"), LARGEST_FLOAT32, "REAL"), 1e39))
 
 
 def _misfits() -> tuple[tuple[Asked, tuple[object, ...]], ...]:
     return (
-        (_writing(_WRITTEN, 7, "DINT"), (40.7, "abc", "40", [40], None)),
-        (_writing(_free("REAL"), 7.5, "REAL"), ("abc", "7.5", True, [7.5], None)),
+        (_writing(_WRITTEN, 7, "DINT"), NO_INTEGERS),
+        (_writing(_free("REAL"), 7.5, "REAL"), NO_REALS),
         (_writing(_free("BOOL"), True, "BOOL"), ("false", "off", 5, None)),
     )
 

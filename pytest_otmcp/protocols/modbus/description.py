@@ -27,6 +27,7 @@ PROTOCOL = OtProtocol(
     unsolicited=lambda entries, declared: no_state_changing_request(entries),
     carried_out=carried_out,
     contradiction=contradiction,
+    asking=("request",),
     is_answer=lambda kind, asked: kind == "response" and asked == "request",
     describe=describe,
     facts=facts,

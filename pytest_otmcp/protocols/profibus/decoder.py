@@ -13,7 +13,10 @@ from ..conversation import Direction, Message
 from ..journal import JournalEntry
 from ..reread import difference
 
-__all__ = ["ProfibusConversation", "contradiction"]
+__all__ = ["ANSWERS", "ProfibusConversation", "contradiction"]
+
+ANSWERS = frozenset({("response", "request"), ("response", "cycle")})
+"""Kinds of entries of which the first can answer the second."""
 
 _SHORT = bytes([0xE5])
 _SERVICES = {

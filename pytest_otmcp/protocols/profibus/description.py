@@ -6,7 +6,7 @@ import re
 
 from ..protocol import Colour, Framing, OtProtocol
 from ..session_oracle import Exchanges, StateChanges
-from .decoder import ProfibusConversation, contradiction
+from .decoder import ANSWERS, ProfibusConversation, contradiction
 from .entries import carried_out, describe, title
 from .exercise import EXERCISE
 from .operations import OPERATIONS
@@ -28,6 +28,8 @@ PROTOCOL = OtProtocol(
     unsolicited=lambda entries, declared: no_state_changing_request(entries),
     carried_out=carried_out,
     contradiction=contradiction,
+    is_answer=lambda kind, asked: (kind, asked) in ANSWERS,
+    asking=("request", "cycle", "token", "message"),
     describe=describe,
     facts=facts,
     title=title,

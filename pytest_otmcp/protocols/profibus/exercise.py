@@ -6,7 +6,7 @@ import random
 import struct
 from collections.abc import Sequence
 
-from ..exercise import Asked, Contended, Exercise
+from ..exercise import LARGEST_FLOAT32, NO_INTEGERS, NO_REALS, SPECIAL, Asked, Contended, Exercise
 from ..journal import Entries, JournalEntry
 from .entries import as_profibus, points
 from .oracle import outputs_sent
@@ -23,7 +23,6 @@ and a FLOAT64; for its outputs an INT16 from byte 0 and a FLOAT32 from byte 4.""
 _INPUTS = {"service": "rd_inp"}
 _NEW_OUTPUTS = {"service": "data_exchange", "changes": True}
 """Conditions of a fault plan."""
-_LARGEST = struct.unpack(">f", bytes.fromhex("7f7fffff"))[0]
 
 
 def _inputs(station: int, content: bytes) -> Asked:
@@ -94,11 +93,10 @@ def _large_numbers(values: Sequence[int], signed: bool) -> tuple[Asked, ...]:
 
 
 def _special() -> tuple[Asked, ...]:
-    numbers = {"NaN": float("nan"), "Infinity": float("inf"), "-Infinity": float("-inf")}
     return tuple(
         _alias(alias, struct.pack(form, value), {"special": name})
         for alias, form in ((_SPEED, ">f"), (_DOUBLE, ">d"))
-        for name, value in numbers.items()
+        for name, value in SPECIAL.items()
     )
 
 
@@ -123,15 +121,15 @@ def _bounds() -> tuple[tuple[Asked, object], ...]:
     return (
         (_setpoint(-(2**15)), -(2**15) - 1),
         (_setpoint(2**15 - 1), 2**15),
-        (_real(_LARGEST), 1e39),
-        (_real(-_LARGEST), -1e39),
+        (_real(LARGEST_FLOAT32), 1e39),
+        (_real(-LARGEST_FLOAT32), -1e39),
     )
 
 
 def _misfits() -> tuple[tuple[Asked, tuple[object, ...]], ...]:
     return (
-        (_setpoint(7), (40.7, "abc", "40", [40], None)),
-        (_real(7.5), ("abc", "7.5", True, [7.5], None)),
+        (_setpoint(7), NO_INTEGERS),
+        (_real(7.5), NO_REALS),
     )
 
 

@@ -18,6 +18,7 @@ from ..reread import difference
 
 __all__ = ["ANSWERS", "S7Conversation", "contradiction", "tpkt_length"]
 
+_PROTOCOL = 0x32
 JOB, ACK, ACK_DATA, USER_DATA = 1, 2, 3, 7
 READ, WRITE, SETUP = 0x04, 0x05, 0xF0
 SUCCESS = 0xFF
@@ -69,7 +70,7 @@ class S7Conversation:
         if kind is not None:
             return [self._transport(direction, kind, tpdu)]
         raw = tpdu[3:]
-        if tpdu[1] != 0xF0 or len(raw) < 10 or raw[0] != 0x32:
+        if tpdu[1] != 0xF0 or len(raw) < 10 or raw[0] != _PROTOCOL:
             return [_malformed(direction, frame, "it is no S7 PDU")]
         kinds = (JOB, USER_DATA) if direction == "in" else (ACK, ACK_DATA, USER_DATA)
         if raw[1] not in kinds:
@@ -234,6 +235,8 @@ def contradiction(entry: JournalEntry) -> str | None:
         return "is called a request, and has no PDU" if entry["request"] else None
     try:
         raw = bytes.fromhex(members["pdu"])
+        if raw[0] != _PROTOCOL:
+            raise ValueError
         shown = _fields(entry["direction"], raw)
     except (KeyError, TypeError, ValueError, IndexError, struct.error):
         return f"has no PDU but {members.get('pdu')!r}"

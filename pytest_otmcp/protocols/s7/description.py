@@ -27,6 +27,7 @@ PROTOCOL = OtProtocol(
     unsolicited=lambda entries, declared: no_state_changing_request(entries),
     carried_out=carried_out,
     contradiction=contradiction,
+    asking=("connect_request", "connect_confirm", "disconnect_request", "setup", "request"),
     is_answer=lambda kind, asked: (kind, asked) in ANSWERS,
     describe=describe,
     facts=facts,

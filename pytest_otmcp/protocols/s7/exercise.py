@@ -6,7 +6,7 @@ import random
 import struct
 from collections.abc import Iterator, Sequence
 
-from ..exercise import Asked, Contended, Exercise, Texts, every_change
+from ..exercise import LARGEST_FLOAT32, NO_INTEGERS, NO_REALS, SPECIAL, Asked, Contended, Exercise, Texts, every_change
 from ..journal import JournalEntry
 from .entries import as_s7, points
 
@@ -166,11 +166,10 @@ def _large_numbers(values: Sequence[int], signed: bool) -> tuple[Asked, ...]:
 
 
 def _special() -> tuple[Asked, ...]:
-    numbers = {"NaN": float("nan"), "Infinity": float("inf"), "-Infinity": float("-inf")}
     return tuple(
         _held(kind, struct.pack(form, value), {"special": name})
         for kind, form in (("REAL", ">f"), ("LREAL", ">d"))
-        for name, value in numbers.items()
+        for name, value in SPECIAL.items()
     )
 
 
@@ -200,15 +199,14 @@ def _bounds() -> tuple[tuple[Asked, object], ...]:
             (_write_typed(kind, form, lowest), lowest - 1),
             (_write_typed(kind, form, highest), highest + 1),
         ]
-    (largest,) = struct.unpack(">f", bytes.fromhex("7f7fffff"))
-    return (*found, (_write_typed("REAL", ">f", largest), 1e39))
+    return (*found, (_write_typed("REAL", ">f", LARGEST_FLOAT32), 1e39))
 
 
 def _misfits() -> tuple[tuple[Asked, tuple[object, ...]], ...]:
     flag = Asked(operation="write_marker", inputs={"byte": _MARKER, "bit": 0, "value": True})
     return (
-        (_write_typed("INT", ">h", 7), (40.7, "abc", "40", [40], None)),
-        (_write_typed("REAL", ">f", 7.5), ("abc", "7.5", True, [7.5], None)),
+        (_write_typed("INT", ">h", 7), NO_INTEGERS),
+        (_write_typed("REAL", ">f", 7.5), NO_REALS),
         (flag, ("false", "off", None)),
     )
 

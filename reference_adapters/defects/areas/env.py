@@ -59,8 +59,9 @@ def counts_calls(server: AdapterServer) -> None:
     meta(change)(server)
 
 
-def counts_twice(stated: Data) -> None:
-    stated["attempts"] *= 2
+def counts_tenfold(stated: Data) -> None:
+    # A few more could be messages of the next call, which may come late.
+    stated["attempts"] *= 10
 
 
 def tells_less_of_failures(envelope: Data, genuine: Callable[[Data], Data]) -> Data:
@@ -169,8 +170,8 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         id="MU-32b",
         protocol="mqtt",
-        sentence="attempts is twice the number of requests.",
-        bend=meta(counts_twice),
+        sentence="attempts is ten times the number of requests.",
+        bend=meta(counts_tenfold),
         items=on("mqtt", "ENV-001 ENV-002 ENV-003 ENV-004 ENV-005 ENV-006 ENV-007 ENV-008"),
         requirements="ENV-005",
         areas="env",
