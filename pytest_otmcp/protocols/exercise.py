@@ -6,6 +6,7 @@ see :class:`Exercise`. A protocol without one has no such checks.
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,7 +14,7 @@ from typing import Any
 
 from .journal import Entries, JournalEntry
 
-__all__ = ["Asked", "Contended", "Exercise", "Texts", "every_change"]
+__all__ = ["Asked", "Contended", "Exercise", "Texts", "every_change", "number_in_json"]
 
 Poke = Mapping[str, object]
 """What a mock device is told to set out of band."""
@@ -110,7 +111,8 @@ class Exercise:
         contended: makes writes and a read of one target; None where nothing can be read that was written.
         large: makes a read of each of these whole numbers of 64 bits, of a type with a sign or of one without; None where checks of the
             protocol's own have it.
-        special: makes reads of what is no number, or infinite, each with the name as its output ``special``; None as for ``large``.
+        special: makes reads of this number, which may be infinite or no number at all, one for each type of floating-point numbers; None
+            as for ``large``.
         real: makes a write of a floating-point number, which is its input ``value``.
         texts: reads and writes of a text; None as for ``large``.
         bounds: makes writes of values at a bound of their type, each with a value just beyond; None as for ``large``.
@@ -140,7 +142,7 @@ class Exercise:
     bounds: Callable[[], tuple[tuple[Asked, object], ...]] | None = None
     misfits: Callable[[], tuple[tuple[Asked, tuple[object, ...]], ...]] | None = None
     large: Callable[[Sequence[int], bool], tuple[Asked, ...]] | None = None
-    special: Callable[[], tuple[Asked, ...]] | None = None
+    special: Callable[[float], tuple[Asked, ...]] | None = None
     real: Callable[[float], Asked] | None = None
     texts: Texts | None = None
 
@@ -148,3 +150,10 @@ class Exercise:
 def every_change(entries: Entries, asked: Asked) -> list[JournalEntry]:
     """Return every request that may change the plant: what a write asks for, where an adapter sends nothing of its own."""
     return [entry for entry in entries if entry["state_changing"]]
+
+
+def number_in_json(value: float) -> float | str:
+    """Return a number as a mock is told it: what is infinite or no number is its name, such as ``"NaN"``."""
+    if math.isfinite(value):
+        return value
+    return "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"

@@ -93,13 +93,9 @@ def _large_numbers(values: Sequence[int], signed: bool) -> tuple[Asked, ...]:
     return tuple(_alias(name, value.to_bytes(8, "big", signed=signed), {"value": value}) for value in values)
 
 
-def _special() -> tuple[Asked, ...]:
-    numbers = {"NaN": float("nan"), "Infinity": float("inf"), "-Infinity": float("-inf")}
-    return tuple(
-        _alias(alias, struct.pack(form, value), {"special": name})
-        for alias, form in ((_SPEED, ">f"), (_DOUBLE, ">d"))
-        for name, value in numbers.items()
-    )
+def _special(value: float) -> tuple[Asked, ...]:
+    forms = ((_SPEED, ">f"), (_DOUBLE, ">d"))
+    return tuple(_alias(alias, struct.pack(form, value), {"value": value}) for alias, form in forms)
 
 
 def _named(name: str, value: object, offset: int, content: bytes) -> Asked:

@@ -165,13 +165,9 @@ def _large_numbers(values: Sequence[int], signed: bool) -> tuple[Asked, ...]:
     return tuple(_held(kind, value.to_bytes(8, "big", signed=signed), {"value": value}) for value in values)
 
 
-def _special() -> tuple[Asked, ...]:
-    numbers = {"NaN": float("nan"), "Infinity": float("inf"), "-Infinity": float("-inf")}
-    return tuple(
-        _held(kind, struct.pack(form, value), {"special": name})
-        for kind, form in (("REAL", ">f"), ("LREAL", ">d"))
-        for name, value in numbers.items()
-    )
+def _special(value: float) -> tuple[Asked, ...]:
+    forms = (("REAL", ">f"), ("LREAL", ">d"))
+    return tuple(_held(kind, struct.pack(form, value), {"value": value}) for kind, form in forms)
 
 
 def _real(value: float) -> Asked:
