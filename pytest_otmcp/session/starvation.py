@@ -7,10 +7,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-__all__ = ["LOOK_S", "Starvation"]
+__all__ = ["LOOK_S", "Patience", "Starvation"]
 
 LOOK_S = 0.1
 """Seconds between two looks at a process; what is found out is so exact."""
+
+_STARVED_S = 60.0
+"""Time without a processor, in seconds, that is not held against processes."""
 
 
 class Starvation:
@@ -22,6 +25,27 @@ class Starvation:
     def seconds(self) -> float:
         """Look again; return for how long, in all, the processes were ready to run and did not run."""
         return sum(thread.waited_s() for thread in self._threads)
+
+
+class Patience:
+    """A time that processes are given, of which what they wait for a processor is not taken, up to a minute.
+
+    Args:
+        seconds: the time, from now on.
+    """
+
+    def __init__(self, seconds: float) -> None:
+        self._until = time.monotonic() + seconds
+        self._starvation: Starvation | None = None
+
+    def watch(self, pids: Iterable[int]) -> None:
+        """From now on these processes are looked at."""
+        self._starvation = Starvation(pids)
+
+    def left_s(self) -> float:
+        """Look again; return what is left, 0 or less when the time is over."""
+        starved = 0.0 if self._starvation is None else min(self._starvation.seconds(), _STARVED_S)
+        return self._until + starved - time.monotonic()
 
 
 @dataclass(slots=True)
