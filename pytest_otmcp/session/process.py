@@ -21,7 +21,7 @@ from ..core.errors import ExhaustedError
 from ..core.exhaustion import exhausted
 from .keeping import Watcher
 from .limits import MAX_FRAME_BYTES
-from .starvation import LOOK_S, Starvation
+from .starvation import finish_within
 
 __all__ = ["StopReport", "SubjectProcess", "subject_environment"]
 
@@ -300,11 +300,9 @@ class SubjectProcess:
 
         On a busy machine seconds pass before a process gets a processor at all, or the watcher, which tells of its end.
         """
-        begun = time.monotonic()
-        starvation = Starvation((self._watcher.pid, self._watcher.root))
-        left = grace_s
-        while left > 0 and not await _within(min(left, LOOK_S), self._watcher.exited):
-            left = grace_s + min(starvation.seconds(), _STARVED_S) - (time.monotonic() - begun)
+        processes = (self._watcher.pid, self._watcher.root)
+        with suppress(TimeoutError):
+            await finish_within(grace_s, self._watcher.exited.wait(), processes, starved_s=_STARVED_S)
         return self._watcher.exited.is_set()
 
 

@@ -2,18 +2,49 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
-from collections.abc import Iterable
+from collections.abc import Coroutine, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, TypeVar
 
-__all__ = ["LOOK_S", "Starvation"]
+__all__ = ["finish_within"]
 
-LOOK_S = 0.1
+_LOOK_S = 0.1
 """Seconds between two looks at a process; what is found out is so exact."""
 
+_T = TypeVar("_T")
 
-class Starvation:
+
+async def finish_within(
+    seconds: float, waiting: Coroutine[Any, Any, _T], pids: Iterable[int], *, starved_s: float
+) -> _T:
+    """Return the result of what is waited for. The time for which the machine does not let processes run is no part of the limit.
+
+    Args:
+        seconds: limit of the time in which the processes run, or wait for something else than a processor.
+        pids: the processes that must run for it.
+        starved_s: seconds of waiting for a processor that are granted at most.
+
+    Raises:
+        TimeoutError: the limit has passed; the waiting was cancelled.
+    """
+    task = asyncio.ensure_future(waiting)
+    try:
+        begun = time.monotonic()
+        starvation = _Starvation(pids)
+        left = seconds
+        while left > 0:
+            if (await asyncio.wait((task,), timeout=min(left, _LOOK_S)))[0]:
+                return await task
+            left = seconds + min(starvation.seconds(), starved_s) - (time.monotonic() - begun)
+        raise TimeoutError
+    finally:
+        task.cancel()
+
+
+class _Starvation:
     """The waiting of processes' main threads for a processor, from the moment at which this is created."""
 
     def __init__(self, pids: Iterable[int]) -> None:
