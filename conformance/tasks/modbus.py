@@ -67,7 +67,7 @@ async def ping(run: Repetition, modbus: Rig) -> None:
 
     Said: success, and that it can be reached.
     Seen: the device answers at least one request during the call.
-    Why: a status from memory still says so when the plant is gone.
+    Why: a status from memory still says so when the plant is gone, and an accepted connection alone when the device hangs.
     """
     reply = await modbus.call("ping")
     run.succeeds(reply, reachable=True)

@@ -17,7 +17,7 @@ from ..protocols.journal import judged
 from ..protocols.registry import protocols
 from ..subject.model import Function, placeholders
 from . import Refusal, tell
-from .doctor import subject_or_reference
+from .doctor import named_or_here
 
 if TYPE_CHECKING:
     from ..protocols.journal import JournalEntry
@@ -63,14 +63,21 @@ def run(args: argparse.Namespace) -> int:
     """Perform the operation and show it; return 0 when the adapter claims success, else 1.
 
     Raises:
-        UsageError: there is no such operation, it has other inputs, or no tool is bound to it.
+        UsageError: there is no such operation, it has other inputs, or no tool is bound to it; or a reference
+            adapter lacks its library.
         Refusal: the adapter cannot be started, or nothing proves that it talks to the mock device, and the operation writes.
     """
     from ..session.loop import LoopThread
+    from ..subject import load_subject, reference_subject
+    from ..subject.selection import missing_library
 
-    subject = subject_or_reference(args.subject)
+    source = named_or_here(args.subject)
+    subject = reference_subject() if source is None else load_subject(source)
     adapter = _adapter(subject, args.operation, args.protocol, args.inputs)
-    inputs = _inputs(args.operation, protocols()[adapter.protocol].operations[args.operation], args.inputs)
+    protocol = protocols()[adapter.protocol]
+    if source is None and (missing := missing_library(protocol)):
+        raise UsageError(f"{protocol.name}: {missing}")
+    inputs = _inputs(args.operation, protocol.operations[args.operation], args.inputs)
     _check_filling(adapter, args.operation, inputs)
     loop = LoopThread()
     try:

@@ -17,10 +17,9 @@ from . import show, tell
 from .init import parse_environment, recognise_protocol
 
 if TYPE_CHECKING:
-    from ..subject import Subject
     from ..subject.model import Adapter
 
-__all__ = ["add_parser", "run", "subject_or_reference"]
+__all__ = ["add_parser", "named_or_here", "run"]
 
 _SUBJECT = Path("otmcp.toml")
 """The subject file, where none is named."""
@@ -80,7 +79,7 @@ def _next(args: argparse.Namespace) -> str:
 
 def _adapters(args: argparse.Namespace) -> Iterator[Adapter]:
     from ..onboarding.drafting import describe_launch
-    from ..subject.selection import select
+    from ..subject.selection import missing_library, select
 
     if args.command:
         if args.subject is not None:
@@ -97,23 +96,16 @@ def _adapters(args: argparse.Namespace) -> Iterator[Adapter]:
             files=parse_environment(args.file, "--file"),
         )
         return
-    # Without a subject file: the adapters that every run has. Further ones may lack their library, which is no illness.
-    yield from select(_named_or_here(args.subject)).subject.adapters.values()
+    source = named_or_here(args.subject)
+    yield from select(source).subject.adapters.values()
+    if source is None:
+        # Those above are the adapters that every run has. Further ones may lack their library, which is no illness.
+        for protocol in protocols().values():
+            if missing := missing_library(protocol):
+                tell(f"{protocol.name}: {missing}")
 
 
-def subject_or_reference(given: Path | None) -> Subject:
-    """Return the subject of a file, of ``otmcp.toml`` here, or else the reference adapters, and say so.
-
-    Raises:
-        UsageError: the file is wrong.
-    """
-    from ..subject import load_subject, reference_subject
-
-    source = _named_or_here(given)
-    return reference_subject() if source is None else load_subject(source)
-
-
-def _named_or_here(given: Path | None) -> Path | None:
+def named_or_here(given: Path | None) -> Path | None:
     """Return the subject file that is named, or the one that is here; None, and say so, where there is neither."""
     if given is None and not _SUBJECT.is_file():
         show(f"no subject file {_SUBJECT} here: these are the reference adapters", sys.stderr)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..core.errors import UsageError
 from ..core.text import counted
+from . import show as note
 from . import tell
 
 if TYPE_CHECKING:
@@ -74,6 +75,7 @@ def run(args: argparse.Namespace) -> int:
         defects = chosen(known.defects, args.names)
     else:
         defects = [one for one in known.defects if args.all or one.sample]
+    defects = _startable(defects)
     show.begin(defects, known, workers)
     matrix = asyncio.run(_judged(known, defects, workers, show))
     if args.json:
@@ -82,6 +84,28 @@ def run(args: argparse.Namespace) -> int:
         for line in _totals(matrix):
             tell(line)
     return matrix.exit_code
+
+
+def _startable(defects: list[Defect]) -> list[Defect]:
+    """Return the defects whose adapters can be started, and say which protocols are left out because a library is missing.
+
+    Raises:
+        UsageError: there is none.
+    """
+    from ..protocols.registry import protocols
+    from ..subject.selection import missing_library
+
+    missing = {
+        key: f"{protocols()[key].name}: {sentence}"
+        for key in dict.fromkeys(one.protocol for one in defects)
+        if (sentence := missing_library(protocols()[key]))
+    }
+    startable = [one for one in defects if one.protocol not in missing]
+    if not startable:
+        raise UsageError("; ".join(missing.values()))
+    for key, sentence in missing.items():
+        note(f"{counted(sum(one.protocol == key for one in defects), 'defect')} left out, {sentence}", sys.stderr)
+    return startable
 
 
 def _number(text: str) -> int:

@@ -21,6 +21,7 @@ from ..core.exhaustion import exhausted
 from ..protocols.journal import JournalEntry
 from ..protocols.registry import protocols
 from ..session.process import subject_environment
+from ..session.starvation import Patience, finish_within
 from .device import Journal, check_kept
 from .endpoint import Endpoint, first_port, occupied
 from .owners import Peer, PeerProcess, Sessions
@@ -28,6 +29,8 @@ from .owners import Peer, PeerProcess, Sessions
 __all__ = ["MockDevice"]
 
 _LAUNCH_TIMEOUT_S = 60.0
+_STARVED_S = 540.0
+"""Seconds for which a mock may wait for a processor beside that: all mocks and adapters of a run start at once."""
 _ANSWER_TIMEOUT_S = 20.0
 _LINE_LIMIT = 64 * 1024 * 1024
 _STDERR_KEPT = 8192
@@ -155,8 +158,10 @@ class MockDevice:
     async def _event(self, expected: str) -> dict[str, Any]:
         assert self._launcher is not None
         assert self._launcher.stdout is not None
+        patience = Patience(_LAUNCH_TIMEOUT_S, starved_s=_STARVED_S)
+        patience.watch((self._launcher.pid,))
         try:
-            line = await asyncio.wait_for(self._launcher.stdout.readline(), _LAUNCH_TIMEOUT_S)
+            line = await finish_within(patience, self._launcher.stdout.readline())
         except TimeoutError:
             raise KitError(f"the {self._name} mock said nothing for {_LAUNCH_TIMEOUT_S:g} s") from None
         if not line and await self._launcher.wait() == _EXHAUSTED:

@@ -18,7 +18,7 @@ from ..protocols.registry import protocols
 from .load import load_subject, reference_subject
 from .model import Subject
 
-__all__ = ["ALL", "Selection", "select"]
+__all__ = ["ALL", "Selection", "missing_library", "select"]
 
 ALL = "all"
 """Stands for every protocol that there is a reference adapter for."""
@@ -59,17 +59,21 @@ def select(source: Path | None, asked: Collection[str] = ()) -> Selection:
         if key not in (ALL, *every.adapters):
             raise UsageError(f"--otmcp-protocols: {describe_unknown('protocol', key, (ALL, *every.adapters))}")
     wanted = {key for key in every.adapters if protocols()[key].always or key in asked or ALL in asked}
-    reasons = {key: reason for key in every.adapters if key in wanted and (reason := _missing(protocols()[key]))}
+    reasons = {
+        key: f"{protocols()[key].name} was not measured: {missing}"
+        for key in every.adapters
+        if key in wanted and (missing := missing_library(protocols()[key]))
+    }
     adapters = {key: adapter for key, adapter in every.adapters.items() if key in wanted and key not in reasons}
     return Selection(subject=replace(every, adapters=adapters), not_measured=reasons)
 
 
-def _missing(protocol: OtProtocol) -> str | None:
-    """Say which packages are missing that an extra of the kit installs; None where nothing is missing."""
+def missing_library(protocol: OtProtocol) -> str | None:
+    """Say which packages the reference adapter lacks that an extra of the kit installs, and how; None where nothing is missing."""
     missing = [name for name in protocol.packages if not _is_installed(name)]
     if protocol.always or not missing:
         return None
-    return f"{protocol.name} was not measured: {', '.join(missing)} is not installed; pip install 'pytest-otmcp[{protocol.key}]'"
+    return f"{', '.join(missing)} is not installed; pip install 'pytest-otmcp[{protocol.key}]'"
 
 
 def _is_installed(distribution: str) -> bool:

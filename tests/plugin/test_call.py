@@ -155,6 +155,15 @@ def test_what_cannot_be_called_is_said_in_a_sentence_and_ends_with_2(
     assert len([line for line in error.splitlines() if line.startswith("otmcp: ")]) == 1
 
 
+def test_a_reference_adapter_without_its_library_ends_with_2_and_the_extra_that_brings_it(
+    here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pytest_otmcp.subject.selection._is_installed", lambda name: name != "python-snap7")
+    code, shown, error = called(capsys, "--protocol=s7", "ping")
+    assert (code, shown) == (2, "")
+    assert error.splitlines()[-1] == "otmcp: S7comm: python-snap7 is not installed; pip install 'pytest-otmcp[s7]'"
+
+
 @pytest.mark.long
 def test_an_adapter_that_does_not_start_is_one_sentence(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (here / "otmcp.toml").write_text(

@@ -46,6 +46,32 @@ def test_a_defect_that_does_not_exist_ends_in_a_sentence(tmp_path: Path) -> None
     assert "no defect and no area 'MU-130'" in sentence(done)
 
 
+def test_defects_whose_library_is_missing_are_left_out_with_the_extra_that_brings_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("pytest_otmcp.subject.selection._is_installed", lambda name: name != "python-snap7")
+    advice = "S7comm: python-snap7 is not installed; pip install 'pytest-otmcp[s7]'"
+    without = next(one.id for one in KNOWN.defects if one.protocol == "s7")
+    assert cli.main(["self-check", without]) == ExitCode.USAGE
+    assert capsys.readouterr().err == f"otmcp: {advice}\n"
+    assert cli.main(["self-check", "MU-02w", without, "-n", "1"]) == ExitCode.CONFORMANT
+    told = capsys.readouterr()
+    assert told.err == f"1 defect left out, {advice}\n"
+    assert "noticed by exactly what must notice them: 1 of 1" in told.out
+
+
+@pytest.mark.long
+def test_doctor_names_the_library_that_a_further_reference_adapter_lacks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("pytest_otmcp.subject.selection._is_installed", lambda name: name != "python-snap7")
+    assert cli.main(["doctor"]) == ExitCode.CONFORMANT
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-2] == "S7comm: python-snap7 is not installed; pip install 'pytest-otmcp[s7]'"
+    assert lines[-1].startswith("all is well")
+
+
 @pytest.mark.long
 def test_a_defect_that_nothing_notices_is_named_and_the_exit_code_is_1(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

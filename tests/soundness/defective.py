@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 import socket
 import sys
 from collections.abc import Callable
@@ -103,6 +104,18 @@ def demo_without_a_device(server: AdapterServer) -> None:
     wrap(server, "read_input_registers", lambda genuine: read)
 
 
+def ping_that_only_connects(server: AdapterServer) -> None:
+    """Take an accepted connection, which is closed at once, for an answer of the device."""
+
+    async def ping(call: Call, arguments: Any) -> dict[str, Any]:
+        _, connection = await asyncio.open_connection(os.environ["MODBUS_HOST"], int(os.environ["MODBUS_PORT"]))
+        connection.close()
+        await connection.wait_closed()
+        return {"reachable": True}
+
+    wrap(server, "ping", lambda genuine: ping)
+
+
 def swapped_parallel_replies(server: AdapterServer) -> None:
     """Swap the answers of two reads of the registers 10 to 13 that are made at the same time."""
 
@@ -156,6 +169,7 @@ DEFECTS: dict[str, tuple[str, Callable[[AdapterServer], None]]] = {
     "wrong-value": ("modbus", wrong_value),
     "wrong-at-first": ("modbus", wrong_at_first),
     "demo-without-a-device": ("modbus", demo_without_a_device),
+    "ping-that-only-connects": ("modbus", ping_that_only_connects),
     "swapped-parallel-replies": ("modbus", swapped_parallel_replies),
     "incomplete-enumeration": ("opcua", incomplete_enumeration),
     "none": ("modbus", lambda server: None),

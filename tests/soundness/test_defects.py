@@ -19,6 +19,11 @@ EXPECTED = {
     "wrong-value": ("M2 X1 X1p FX1 S1 S7", "RD-001", "values should be"),
     "wrong-at-first": ("M2", "RD-001", "warmup: read_input_registers(address=0, count=4): values should be"),
     "demo-without-a-device": ("R-modbus", "REC-002", "it claims success"),
+    "ping-that-only-connects": (
+        "M1",
+        "RD-004",
+        "should have answered at least 1 request(s) during the call(s), it saw none",
+    ),
     "swapped-parallel-replies": ("S1", "RD-001", "values should be"),
     "incomplete-enumeration": ("O4", "OUA-006", "1 missing, for instance"),
 }

@@ -6,16 +6,22 @@ import asyncio
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
-from pytest_otmcp.core.errors import SubjectError
+from pytest_otmcp.core.errors import KitError, SubjectError
+from pytest_otmcp.plant.mock_device import MockDevice
 from pytest_otmcp.session.process import StopReport, SubjectProcess, subject_environment
 from pytest_otmcp.session.session import McpSession, SessionOptions
 
 GRACE_S = 0.3
 START_S = 1.0
+WORK_S = 0.5
+LAUNCH_S = 4 * WORK_S
+"""Seconds: longer than a mock takes that works so long before, shorter than where another program takes the processor."""
 WORKS = """
 import os, sys, time
 os.nice(10)
@@ -104,3 +110,38 @@ def test_time_without_a_processor_is_not_held_against_a_process_that_starts(proc
 def test_a_process_that_is_late_for_another_reason_has_no_more_time() -> None:
     with pytest.raises(SubjectError, match="handshake"):
         asyncio.run(opened(min(os.sched_getaffinity(0)), 0, 60))
+
+
+@pytest.mark.asyncio
+async def test_a_mock_that_the_machine_does_not_let_run_is_no_silent_one(
+    processor: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    python = tmp_path / "python"
+    python.write_text(
+        f"#!{sys.executable}\nimport os, sys, time\nos.nice(10)\nos.sched_setaffinity(0, {{{processor}}})\n"
+        f"while time.process_time() < {WORK_S}:\n    pass\n"
+        f"os.execv({sys.executable!r}, [{sys.executable!r}, *sys.argv[1:]])\n"
+    )
+    python.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(python))
+    monkeypatch.setattr("pytest_otmcp.plant.mock_device._LAUNCH_TIMEOUT_S", LAUNCH_S)
+    device, begun = MockDevice("modbus"), time.monotonic()
+    await device.launch()
+    took = time.monotonic() - begun
+    await device.close()
+    assert took > LAUNCH_S
+
+
+@pytest.mark.asyncio
+async def test_a_mock_that_runs_and_says_nothing_is_a_fault_of_the_kit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    python = tmp_path / "python"
+    python.write_text(f"#!{sys.executable}\nimport sys\nsys.stdin.read()\n")
+    python.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(python))
+    monkeypatch.setattr("pytest_otmcp.plant.mock_device._LAUNCH_TIMEOUT_S", LAUNCH_S)
+    device = MockDevice("modbus")
+    with pytest.raises(KitError, match="said nothing for"):
+        await device.launch()
+    await device.close()
