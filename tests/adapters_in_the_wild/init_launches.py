@@ -209,4 +209,20 @@ LAUNCHES = (
         proven={"read": "read_property", "write": "write_property"},
         left=3,
     ),
+    Launch(
+        example="industriagents-ethernetip-mcp",
+        protocol="ethernetip",
+        command=(".venv/bin/ethernetip-mcp",),
+        env={"ENIP_HOST": "{host}", "ENIP_PORT": "{port}", "ENIP_WRITES_ENABLED": "true"},
+        proven={"ping": "get_plc_info", "read_tag": "read_tags", "read_array": "read_tags", "write_tag": "write_tags"},
+        left=2,
+    ),
+    Launch(
+        example="industriagents-dnp3-mcp",
+        protocol="dnp3",
+        command=(".venv/bin/dnp3-mcp",),
+        env={"DNP3_HOST": "{host}", "DNP3_PORT": "{port}", "DNP3_WRITES_ENABLED": "true"},
+        proven={"read_binary": "read_inputs", "read_analog": "read_inputs", "write_binary": "control_binary_output"},
+        left=3,
+    ),
 )
