@@ -47,6 +47,8 @@ _NOT_THERE = (*_NOT_OFFERED, "illegal_address")
 """Codes where a value of a rare type also has an address that an adapter need not know, or reads more of than there is."""
 _NOT_WRITTEN = ("range_overflow", "invalid_input", "type_mismatch")
 _EXACT = 2**53 - 1
+_ORDINARY = 1.5
+"""A number that every type of floating-point numbers holds exactly."""
 _SPECIAL = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
 _AT = 60
 """First register of the numbers."""
@@ -237,22 +239,21 @@ def _judge_special(run: Repetition, at: Rig, reply: Reply, name: str) -> None:
 
 @TASKS.check("ENC-004", "What is no number, or infinite, is told by its name.", needs="modbus.read_typed")
 async def special_numbers_in_registers(run: Repetition, modbus: Rig) -> None:
-    """Read registers that hold NaN, infinity and minus infinity, of 32 and 64 bits; read a number after them. Write a text "NaN" and a number
-    that is too large to a tag of 32 bits.
+    """Read registers that hold NaN, infinity and minus infinity, of 32 and 64 bits; read a number before and after them. Write a text "NaN" and a
+    number that is too large to a tag of 32 bits.
 
-    Said: success, null, and the name beside it; then the number. Failures with `range_overflow`, `invalid_input` or `type_mismatch`.
+    Said: success, null, and the name beside it; the number. A type that the adapter does not offer fails with `unsupported_operation` or
+        `invalid_input`. The writes fail with `range_overflow`, `invalid_input` or `type_mismatch`.
     Seen: no request that changes the plant.
     Why: a sensor that has failed says NaN; told as 0 it is a plant that is cold.
     """
     for kind in ("float32", "float64"):
+        if not await _reads_ordinary(run, modbus, kind):
+            continue
         for name, value in _SPECIAL.items():
             await _hold(modbus, "read_typed", registers(value, kind))
-            reply = await modbus.call("read_typed", address=_AT, type=kind)
-            if reply.success or reply.error_code not in _NOT_OFFERED:
-                _judge_special(run, modbus, reply, name)
-        await _hold(modbus, "read_typed", registers(1.5, kind))
-        reply = await modbus.call("read_typed", address=_AT, type=kind)
-        exact_or_refused(run, reply, *_NOT_OFFERED, requirement="ENC-004", value=1.5)
+            _judge_special(run, modbus, await modbus.call("read_typed", address=_AT, type=kind), name)
+        await _reads_ordinary(run, modbus, kind)
     if modbus.claims("write_tag"):
         for beyond in ("NaN", "Infinity", 1e39):
             reply = await modbus.call("write_tag", name="otmcp_float", value=beyond)
@@ -260,11 +261,20 @@ async def special_numbers_in_registers(run: Repetition, modbus: Rig) -> None:
             run.witnessed(nothing_arrived(modbus, reply.during(await modbus.journal()), requirement="ENC-004"))
 
 
+async def _reads_ordinary(run: Repetition, modbus: Rig, kind: str) -> bool:
+    """Expect an ordinary number of this type, and return whether the adapter offers the type."""
+    await _hold(modbus, "read_typed", registers(_ORDINARY, kind))
+    reply = await modbus.call("read_typed", address=_AT, type=kind)
+    return exact_or_refused(run, reply, *_NOT_OFFERED, requirement="ENC-004", value=_ORDINARY)
+
+
 @TASKS.check("ENC-004", "What is no number, or infinite, is told by its name.", needs="opcua.read")
 async def special_numbers_in_nodes(run: Repetition, opcua: Rig) -> None:
-    """Read nodes that hold NaN, infinity and minus infinity, of the types Float and Double; then a number. Write texts with these names.
+    """Read a number of the types Float and Double, then nodes of these types that hold NaN, infinity and minus infinity; then a number. Write
+    texts with these names.
 
-    Said: success, null, and the name beside it; then the number. Failures with `range_overflow`, `invalid_input` or `type_mismatch`.
+    Said: success; null, and the name beside it; then a number. A type that the adapter does not offer fails with `unsupported_operation` or
+        `invalid_input`, or `illegal_address`. The writes fail with `range_overflow`, `invalid_input` or `type_mismatch`.
     Seen: the node holds what it held.
     Why: a sensor that has failed says NaN; told as 0 it is a plant that is cold.
     """
@@ -272,6 +282,9 @@ async def special_numbers_in_nodes(run: Repetition, opcua: Rig) -> None:
     if not await knows_node(run, opcua, "ns=2;s=Boolean"):
         return
     for kind in ("Float", "Double"):
+        ordinary = await opcua.call("read", node=f"ns=2;s={kind}")
+        if not exact_or_refused(run, ordinary, *_NOT_THERE, requirement="ENC-004"):
+            continue
         for name in _SPECIAL:
             reply = await opcua.call("read", node=f"ns=2;s={kind}.{name.replace('-', 'Minus')}")
             _judge_special(run, opcua, reply, name)
@@ -319,23 +332,31 @@ def _of_metric(reply: Reply, name: str, wanted: object, found: Mapping[str, Any]
 
 @TASKS.every_protocol("ENC-004", "What is no number, or infinite, is told by its name.", having="special")
 async def special_numbers(run: Repetition, at: Rig) -> None:
-    """Read values that are NaN, infinite and minus infinite, of each type of floating-point numbers; read a number after them. Write texts with
-    these names, and a number that is too large.
+    """Read a number of each type of floating-point numbers, then values of it that are NaN, infinite and minus infinite; read a number after
+    them. Write texts with these names, and a number that is too large.
 
-    Said: success, null, and the name beside it; then the number. Failures with `range_overflow`, `invalid_input` or `type_mismatch`.
+    Said: the number; success, null, and the name beside it; then a number. A type that the adapter does not offer fails with
+        `unsupported_operation` or `invalid_input`, or `illegal_address`. The writes fail with `range_overflow`, `invalid_input` or
+        `type_mismatch`.
     Seen: no request that changes the plant.
     Why: a sensor that has failed says NaN; told as 0 it is a plant that is cold.
     """
     asks = exercise(at)
     assert asks.special is not None
     assert asks.real is not None
-    special = [asked for asked in asks.special() if at.claims(asked.operation)]
-    if not special:
+    ordinary = [asked for asked in asks.special(_ORDINARY) if at.claims(asked.operation)]
+    if not ordinary:
         run.not_applicable("the adapter has no operation that reads such a number")
-    for asked in special:
-        reply = await _asked(at, asked)
-        if reply.success or reply.error_code not in _NOT_THERE:
-            _judge_special(run, at, reply, str(asked.outputs["special"]))
+    # A type that the adapter does not offer is refused in words of its own: that it is the type shows in an ordinary number of it.
+    offered = [
+        asked.inputs
+        for asked in ordinary
+        if exact_or_refused(run, await _asked(at, asked), *_NOT_THERE, requirement="ENC-004", value=_ORDINARY)
+    ]
+    for name, value in _SPECIAL.items():
+        for asked in asks.special(value):
+            if asked.inputs in offered:
+                _judge_special(run, at, await _asked(at, asked), name)
     await a_read_works(run, at)
     number = asks.real(0.5)
     if at.claims(number.operation):
@@ -619,6 +640,9 @@ async def texts_arrive_as_they_are(run: Repetition, at: Rig) -> None:
 
 async def _write_texts(run: Repetition, at: Rig, texts: Texts, every: Sequence[str]) -> None:
     await at.prove()
+    ordinary = await _asked(at, texts.write(_TEXTS[0]))
+    if not exact_or_refused(run, ordinary, *_NOT_THERE, requirement="ENC-006"):
+        return
     for text in every:
         asked = texts.write(text)
         reply = await _asked(at, asked)

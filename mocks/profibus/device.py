@@ -1,7 +1,8 @@
 """The slaves of a PROFIBUS DP segment with journal and fault plan, at the other end of one serial line.
 
 There is one line and no token ring: every telegram of a master is taken at once, and bit times do not matter. A telegram that repeats
-the frame count bit is a repetition: the last answer is sent again, and nothing is executed (IEC 61158-4-3).
+the frame count bit is a repetition, whatever it asks for: the last answer is sent again as it was, and nothing is executed
+(IEC 61158-4-3, EN 50170 volume 2, part 4).
 """
 
 from __future__ import annotations
@@ -32,10 +33,9 @@ _CLEAR, _OPERATE = 0x02, 0x00
 
 @dataclass(slots=True)
 class _Last:
-    """The last request that a slave took from a master, by its source and frame count bit; whether it told nothing new; what was answered."""
+    """The last request that a slave executed; whether it told nothing new; what was answered."""
 
-    source: int
-    count: bool
+    request: Telegram
     cycle: bool
     reply: Reply
 
@@ -146,7 +146,7 @@ class ProfibusDevice(Device):
             slave is not None
             and last is not None
             and request.count_is_valid
-            and (last.source, last.count) == (request.source, request.count)
+            and (last.request.source, last.request.count) == (request.source, request.count)
         )
         cycles = self._repeats_outputs(slave, service, request)
         changes = not repeated and not cycles and _changes(slave, service, request)
@@ -161,24 +161,25 @@ class ProfibusDevice(Device):
             if kind != "cycle" or self._cycled.pop(request.destination, None) is not None:
                 record()
             return
-        if repeated and last is not None:
-            reply = last.reply
-        elif rule is not None and rule.error is not None:
-            reply = Reply(function=rule.error)
-        else:
-            reply = slave.serve(service, request, apply=rule is None or not rule.ack_only)
+        if last is None or not repeated:
+            if rule is not None and rule.error is not None:
+                reply = Reply(function=rule.error)
+            else:
+                reply = slave.serve(service, request, apply=rule is None or not rule.ack_only)
+            last = _Last(request, kind == "cycle", reply)
         self._last.pop(request.destination, None)
         if request.count or request.count_is_valid:
             # With both bits zero it is of no sequence: the next one cannot repeat it.
-            self._last[request.destination] = _Last(request.source, request.count, kind == "cycle", reply)
+            self._last[request.destination] = last
+        reply = last.reply
         self._watch(request.destination, slave, request.source)
         if kind == "cycle" and rule is None and self._cycled.get(request.destination) == reply:
             # A master repeats the outputs some ten times a second. Only what is new in that is worth an entry.
-            self.line.send(_encoded(request, reply))
+            self.line.send(_encoded(last.request, reply))
             return
         if service == "data_exchange":
             self._cycled[request.destination] = reply
-        self._answer(record(), request, reply, service, rule)
+        self._answer(record(), last.request, reply, service, rule)
 
     def _repeats_outputs(self, slave: Slave | None, service: str, request: Telegram) -> bool:
         """Tell whether a Data_Exchange sends what the slave has from this master, or what the master sent it last."""

@@ -43,6 +43,9 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument("--protocol", choices=tuple(protocols()), help="what COMMAND speaks (default: seen in it)")
     parser.add_argument("--env", metavar="NAME=VALUE", action="append", default=[], help="environment of COMMAND")
+    parser.add_argument(
+        "--file", metavar="NAME=CONTENT", action="append", default=[], help="a file below {work}, as for otmcp init"
+    )
     parser.add_argument("--url", help="endpoint of COMMAND, when it serves streamable HTTP")
     parser.add_argument("command", metavar="COMMAND", nargs="*", help="how an adapter is started, after --")
     parser.set_defaults(run=run)
@@ -83,7 +86,15 @@ def _adapters(args: argparse.Namespace) -> Iterator[Adapter]:
             raise UsageError("give either --subject or a COMMAND")
         env = parse_environment(args.env)
         protocol = args.protocol or recognise_protocol([*args.command, *env, *env.values()])
-        yield describe_launch(protocol, args.command, env, url=args.url, deadline_s=15.0, start_timeout_s=30.0)
+        yield describe_launch(
+            protocol,
+            args.command,
+            env,
+            url=args.url,
+            deadline_s=15.0,
+            start_timeout_s=30.0,
+            files=parse_environment(args.file, "--file"),
+        )
         return
     source = named_or_here(args.subject)
     yield from select(source).subject.adapters.values()

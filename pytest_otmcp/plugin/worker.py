@@ -6,7 +6,7 @@ import asyncio
 from contextlib import suppress
 from functools import partial
 from importlib import import_module
-from threading import Thread
+from threading import Event, Lock, Thread
 from typing import TYPE_CHECKING
 from uuid import uuid4
 
@@ -150,12 +150,18 @@ class Run:
         # Plugins that repeat tests may execute the same item twice.
         spool = SampleSpool(folder / f"{task.id}-{uuid4().hex}.jsonl")
         tally, redactor = Tally(task.id, task.suite), self._redactor()
+        writing, told = Lock(), Event()
 
         def keep(sample: Sample) -> None:
-            spool.add(redactor.apply(sample))
-            tally.add(sample)
+            # Whoever ends a run twice does not wait for the trial, which ends on the loop's thread.
+            with writing:
+                if not told.is_set():
+                    spool.add(redactor.apply(sample))
+                    tally.add(sample)
 
         def result(item: ItemBody) -> ItemResult:
+            with writing:
+                told.set()
             measured = redactor.apply(tally.measured(item))
             return {
                 "item": redactor.apply(item),

@@ -19,18 +19,16 @@ __all__ = [
     "LARGEST_FLOAT32",
     "NO_INTEGERS",
     "NO_REALS",
-    "SPECIAL",
     "Asked",
     "Contended",
     "Exercise",
     "Texts",
     "every_change",
+    "number_in_json",
 ]
 
 LARGEST_FLOAT32: float = struct.unpack(">f", bytes.fromhex("7f7fffff"))[0]
 """The largest finite number of 32 bits (IEEE 754)."""
-SPECIAL = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
-"""Values that JSON has no numbers for, by the names that stand for them."""
 NO_INTEGERS = (40.7, "abc", "40", [40], None)
 NO_REALS = ("abc", "7.5", True, [7.5], None)
 """What is no value of a whole number, or of a floating-point number; some would be one after a conversion that nobody asked for."""
@@ -130,7 +128,8 @@ class Exercise:
         contended: makes writes and a read of one target; None where nothing can be read that was written.
         large: makes a read of each of these whole numbers of 64 bits, of a type with a sign or of one without; None where checks of the
             protocol's own have it.
-        special: makes reads of what is no number, or infinite, each with the name as its output ``special``; None as for ``large``.
+        special: makes reads of this number, which may be infinite or no number at all, one for each type of floating-point numbers; None
+            as for ``large``.
         real: makes a write of a floating-point number, which is its input ``value``.
         texts: reads and writes of a text; None as for ``large``.
         bounds: makes writes of values at a bound of their type, each with a value just beyond; None as for ``large``.
@@ -160,7 +159,7 @@ class Exercise:
     bounds: Callable[[], tuple[tuple[Asked, object], ...]] | None = None
     misfits: Callable[[], tuple[tuple[Asked, tuple[object, ...]], ...]] | None = None
     large: Callable[[Sequence[int], bool], tuple[Asked, ...]] | None = None
-    special: Callable[[], tuple[Asked, ...]] | None = None
+    special: Callable[[float], tuple[Asked, ...]] | None = None
     real: Callable[[float], Asked] | None = None
     texts: Texts | None = None
 
@@ -168,3 +167,10 @@ class Exercise:
 def every_change(entries: Entries, asked: Asked) -> list[JournalEntry]:
     """Return every request that may change the plant: what a write asks for, where an adapter sends nothing of its own."""
     return [entry for entry in entries if entry["state_changing"]]
+
+
+def number_in_json(value: float) -> float | str:
+    """Return a number as a mock is told it: what is infinite or no number is its name, such as ``"NaN"``."""
+    if math.isfinite(value):
+        return value
+    return "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"

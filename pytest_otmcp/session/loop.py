@@ -12,7 +12,7 @@ import threading
 from collections.abc import Coroutine
 from concurrent.futures import CancelledError, Future
 from contextvars import Context
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 from ..core.errors import ExhaustedError
 from ..core.exhaustion import exhausted
@@ -24,6 +24,43 @@ T = TypeVar("T")
 _CLEAN_UP_S = 60.0
 """Time for the clean-up after Ctrl-C: an adapter that ignores the end of its stdin and SIGTERM is killed after two grace
 periods. A second Ctrl-C ends the wait."""
+
+
+class _Job(Generic[T]):
+    """Work for the loop, on which ``begin`` and ``cancel`` are called.
+
+    Attributes:
+        result: what the work returns or raises; cancelled when the work is.
+        ended: the work has ended, or will never begin.
+    """
+
+    def __init__(self, work: Coroutine[object, object, T]) -> None:
+        self.result: Future[T] = Future()
+        self.ended = threading.Event()
+        self._work = work
+        self._task: asyncio.Task[T] | None = None
+
+    def begin(self) -> None:
+        # The work runs in a context of its own: the context of a test would tell anyio that this is trio's thread, or hand
+        # a vendor's variables to the sessions of the kit.
+        self._task = asyncio.get_running_loop().create_task(self._work, context=Context())
+        self._task.add_done_callback(self._end)
+
+    def cancel(self) -> None:
+        if self._task is not None:
+            self._task.cancel()
+        else:
+            self._work.close()
+            self.ended.set()
+
+    def _end(self, task: asyncio.Task[T]) -> None:
+        if task.cancelled():
+            self.result.cancel()
+        elif (error := task.exception()) is not None:
+            self.result.set_exception(error)
+        else:
+            self.result.set_result(task.result())
+        self.ended.set()
 
 
 class LoopThread:
@@ -70,27 +107,20 @@ class LoopThread:
         When the waiting thread is interrupted (Ctrl-C), the work is cancelled and gets time to clean up before the
         interrupt goes on, because it may have processes to end.
         """
-        finished = threading.Event()
-        future = self._submit(self._signal_end(work, finished))
+        job = _Job(work)
         try:
-            return future.result()
+            self._loop.call_soon_threadsafe(job.begin)
+            return job.result.result()
         except KeyboardInterrupt:
-            future.cancel()
-            finished.wait(_CLEAN_UP_S)
+            # It may have come before the work was handed over; what is handed over first is done first.
+            self._loop.call_soon_threadsafe(job.cancel)
+            job.ended.wait(_CLEAN_UP_S)
             raise
         except CancelledError:
             raise KeyboardInterrupt from None
 
-    @staticmethod
-    async def _signal_end(work: Coroutine[object, object, T], finished: threading.Event) -> T:
-        try:
-            return await work
-        finally:
-            finished.set()
-
     def _submit(self, work: Coroutine[object, object, T]) -> Future[T]:
-        # The work runs in a context of its own: the context of a test would tell anyio that this is trio's thread, or hand
-        # a vendor's variables to the sessions of the kit.
+        # See :class:`_Job` for the context.
         return Context().run(asyncio.run_coroutine_threadsafe, work, self._loop)
 
     async def wait(self, work: Coroutine[object, object, T]) -> T:

@@ -21,7 +21,7 @@ from ..core.errors import ExhaustedError
 from ..core.exhaustion import exhausted
 from .keeping import Watcher
 from .limits import MAX_FRAME_BYTES
-from .starvation import finish_within
+from .starvation import LOOK_S, Patience
 
 __all__ = ["StopReport", "SubjectProcess", "subject_environment"]
 
@@ -30,8 +30,6 @@ _UNREAD_BYTES = 4 * 1024 * 1024
 every answer to one that it does not read would be kept."""
 
 _SETTLE_S = 3.0
-_STARVED_S = 60.0
-"""Time without a processor, in seconds, that is not held against a process that is to end."""
 
 _STDERR_LINES = 60
 _STDERR_LINE_BYTES = 2000
@@ -204,6 +202,11 @@ class SubjectProcess:
         return process
 
     @property
+    def pids(self) -> tuple[int, int]:
+        """The process that the command has started, and its watcher."""
+        return self._watcher.pid, self._watcher.root
+
+    @property
     def returncode(self) -> int | None:
         """Exit code, or None while the process runs."""
         return self._watcher.returncode
@@ -300,9 +303,10 @@ class SubjectProcess:
 
         On a busy machine seconds pass before a process gets a processor at all, or the watcher, which tells of its end.
         """
-        processes = (self._watcher.pid, self._watcher.root)
-        with suppress(TimeoutError):
-            await finish_within(grace_s, self._watcher.exited.wait(), processes, starved_s=_STARVED_S)
+        patience = Patience(grace_s)
+        patience.watch(self.pids)
+        while (left := patience.left_s()) > 0 and not await _within(min(left, LOOK_S), self._watcher.exited):
+            pass
         return self._watcher.exited.is_set()
 
 

@@ -34,6 +34,7 @@ from .limits import TOO_LARGE, Allowance
 from .output_schema import OutputCheck
 from .pace import Pace
 from .process import StopReport, subject_environment
+from .starvation import LOOK_S, Patience
 from .stdio import StdioTransport
 
 __all__ = ["McpSession", "SessionOptions"]
@@ -115,7 +116,7 @@ class McpSession:
         self.spawned_ns = time.monotonic_ns()
         self._owner = asyncio.create_task(self._hold_client(ready), name="otmcp-session")
         try:
-            await asyncio.wait_for(asyncio.shield(ready), self._options.start_timeout_s)
+            await self._ready_in_time(ready)
         except TimeoutError:
             stderr = self._stderr_excerpt()
             await self._give_up(self._owner, ready)
@@ -135,6 +136,23 @@ class McpSession:
                 raise ExhaustedError(f"no session could be opened with the adapter: {cure}") from error
             raise SubjectError("cannot_start", self._explain_failed_start(error)) from error
         self.ready_ns = time.monotonic_ns()
+
+    async def _ready_in_time(self, ready: asyncio.Future[None]) -> None:
+        """Wait for the end of the handshake; the time in which the machine does not let the adapter run is not the adapter's.
+
+        Raises:
+            TimeoutError: it takes too long.
+        """
+        patience = Patience(self._options.start_timeout_s)
+        watched = False
+        while (left := patience.left_s()) > 0:
+            done, _ = await asyncio.wait({ready}, timeout=min(left, LOOK_S))
+            if done:
+                return ready.result()
+            if not watched and (process := self._transport.process) is not None:
+                patience.watch(process.pids)
+                watched = True
+        raise TimeoutError
 
     async def _give_up(self, owner: asyncio.Task[None], ready: asyncio.Future[None]) -> None:
         # The owner is still busy with the handshake, which took too long; a second wait would not help, so cancel it.

@@ -2,49 +2,21 @@
 
 from __future__ import annotations
 
-import asyncio
 import time
-from collections.abc import Coroutine, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
 
-__all__ = ["finish_within"]
+__all__ = ["LOOK_S", "Patience", "Starvation"]
 
-_LOOK_S = 0.1
+LOOK_S = 0.1
 """Seconds between two looks at a process; what is found out is so exact."""
 
-_T = TypeVar("_T")
+_STARVED_S = 60.0
+"""Time without a processor, in seconds, that is not held against processes."""
 
 
-async def finish_within(
-    seconds: float, waiting: Coroutine[Any, Any, _T], pids: Iterable[int], *, starved_s: float
-) -> _T:
-    """Return the result of what is waited for. The time for which the machine does not let processes run is no part of the limit.
-
-    Args:
-        seconds: limit of the time in which the processes run, or wait for something else than a processor.
-        pids: the processes that must run for it.
-        starved_s: seconds of waiting for a processor that are granted at most.
-
-    Raises:
-        TimeoutError: the limit has passed; the waiting was cancelled.
-    """
-    task = asyncio.ensure_future(waiting)
-    try:
-        begun = time.monotonic()
-        starvation = _Starvation(pids)
-        left = seconds
-        while left > 0:
-            if (await asyncio.wait((task,), timeout=min(left, _LOOK_S)))[0]:
-                return await task
-            left = seconds + min(starvation.seconds(), starved_s) - (time.monotonic() - begun)
-        raise TimeoutError
-    finally:
-        task.cancel()
-
-
-class _Starvation:
+class Starvation:
     """The waiting of processes' main threads for a processor, from the moment at which this is created."""
 
     def __init__(self, pids: Iterable[int]) -> None:
@@ -53,6 +25,27 @@ class _Starvation:
     def seconds(self) -> float:
         """Look again; return for how long, in all, the processes were ready to run and did not run."""
         return sum(thread.waited_s() for thread in self._threads)
+
+
+class Patience:
+    """A time that processes are given, of which what they wait for a processor is not taken, up to a minute.
+
+    Args:
+        seconds: the time, from now on.
+    """
+
+    def __init__(self, seconds: float) -> None:
+        self._until = time.monotonic() + seconds
+        self._starvation: Starvation | None = None
+
+    def watch(self, pids: Iterable[int]) -> None:
+        """From now on these processes are looked at."""
+        self._starvation = Starvation(pids)
+
+    def left_s(self) -> float:
+        """Look again; return what is left, 0 or less when the time is over."""
+        starved = 0.0 if self._starvation is None else min(self._starvation.seconds(), _STARVED_S)
+        return self._until + starved - time.monotonic()
 
 
 @dataclass(slots=True)

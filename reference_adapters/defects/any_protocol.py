@@ -156,8 +156,13 @@ def enabled_by_any_word(server: AdapterServer) -> None:
 # -- memory and outages -------------------------------------------------------------------------------------
 
 
-def answers_from_memory_when_gone(name: str) -> Bend:
-    """Return the defect that a tool that finds its device gone answers what it has last found, as a success."""
+def answers_from_memory_when_gone(name: str, *, silent: bool = False) -> Bend:
+    """Return the defect that a tool that finds its device gone answers what it has last found, as a success.
+
+    Args:
+        silent: there is no connection that could break: a device that is gone does not answer.
+    """
+    gone = (*_GONE, "timeout") if silent else _GONE
     memory: dict[str, Data] = {}
 
     def remembering(genuine: Handler) -> Handler:
@@ -166,7 +171,7 @@ def answers_from_memory_when_gone(name: str) -> Bend:
             try:
                 memory[asked] = await genuine(call, arguments)
             except AdapterError as error:
-                if error.code not in _GONE or asked not in memory:
+                if error.code not in gone or asked not in memory:
                     raise
             return memory[asked]
 

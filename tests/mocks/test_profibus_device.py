@@ -437,6 +437,116 @@ async def test_pyprofibus_parameterises_exchanges_and_is_told_of_a_watchdog(
     assert await device.control.journal(kind="malformed") == []
 
 
+# What the master of profirust 0.6.0 sends at the address 2, with the highest address 3, and the answers to it, as recorded on this line: tokens to
+# itself, FDL status of the addresses between it and itself, a slave in every state. The watchdog is one of 601 s.
+PROFIRUST_STARTS = """
+dc0202
+dc0202
+6805056885826c3c3eed16 680b0b688285083e3c020500ff809cab16
+100002494b16
+dc0202
+68070768ff82443a3e00003d16
+6805056888826c3c3ef016 680b0b688288083e3c020500ff80a5b716
+100102494c16
+dc0202
+680d0d6885825c3d3e88ecff0b809c00007816 e5
+680d0d6888825c3d3e88ecff0b80a500008416 e5
+dc0202
+6807076885827c3e3e11213116 e5
+6807076888827c3e3e17274016 e5
+dc0202
+6805056885825c3c3edd16 680b0b688285083e3c000c0002809cb316
+6805056888825c3c3ee016 680b0b688288083e3c000c000280a5bf16
+dc0202
+6805056805027d00008416 6805056802050802d5e616
+a208027d00000000000000008716 680b0b6802080800000000000000001216
+dc0202
+6805056805025d1234aa16 6805056802050802d5e616
+a208025d01020304050607088b16 680b0b6802080800000000000000001216
+"""
+PROFIRUST_READS = """
+dc0202
+6805056805027d1234ca16 6805056802050800071616
+a208027d0102030405060708ab16 680b0b6802080800000000000000001216
+"""
+PROFIRUST_IS_TOLD = """
+dc0202
+6805056805025d1234aa16 6805056802050a00071816
+a208025d01020304050607088b16 680b0b6802080800000000000000001216
+dc0202
+6805056885827c3c3efd16 680d0d688285083e3c080c0002809c03995716
+a208027d0102030405060708ab16 680b0b6802080800000000000000001216
+dc0202
+6805056805025d1234aa16 6805056802050800071616
+"""
+
+
+async def played(master: Master, recorded: str) -> None:
+    """Send what is recorded, and compare the answers; who is not to answer would do so before the next that is."""
+    for line in recorded.split("\n"):
+        asked, *answers = line.split() or [""]
+        master.send(bytes.fromhex(asked))
+        for answer in answers:
+            assert (asked, (await master.telegram()).hex()) == (asked, answer)
+
+
+async def test_profirust_brings_two_slaves_to_data_exchange_and_fetches_a_diagnosis(
+    device: MockProgram, master: Master
+) -> None:
+    await played(master, PROFIRUST_STARTS)
+    for station, held in ((5, [0x12, 0x34]), (8, [1, 2, 3, 4, 5, 6, 7, 8])):
+        assert await state(device, station) == ("data_exchange", 2)
+        assert await points(device, station, "output") == held
+    await device.control.ask("poke", params={"station": 5, "inputs": "0007"})
+    await played(master, PROFIRUST_READS)
+    await device.control.ask("poke", params={"station": 5, "diagnosis": "0399"})
+    await played(master, PROFIRUST_IS_TOLD)
+    asked = await device.control.journal(direction="in")
+    assert [(entry["kind"], entry["service"], entry["station"]) for entry in asked if entry["kind"] != "token"] == [
+        ("request", "slave_diag", 5),
+        ("request", "fdl_status", 0),
+        ("request", "global_control", 127),
+        ("request", "slave_diag", 8),
+        ("request", "fdl_status", 1),
+        *[("request", service, at) for service in ("set_prm", "chk_cfg", "slave_diag") for at in (5, 8)],
+        ("cycle", "data_exchange", 5),
+        ("cycle", "data_exchange", 8),
+        ("request", "data_exchange", 5),
+        ("request", "data_exchange", 8),
+        # From here on the outputs are repeated: what is told are inputs that are new, and a diagnosis that is announced.
+        ("cycle", "data_exchange", 5),
+        ("cycle", "data_exchange", 5),
+        ("request", "slave_diag", 5),
+        ("cycle", "data_exchange", 5),
+    ]
+    changing = [entry for entry in asked if entry["state_changing"]]
+    assert [(entry["station"], entry["data"]) for entry in changing] == [(5, "1234"), (8, "0102030405060708")]
+    tokens = [entry["telegram"] for entry in asked if entry["kind"] == "token"]
+    assert tokens == ["dc0202"] * (PROFIRUST_STARTS + PROFIRUST_READS + PROFIRUST_IS_TOLD).count("dc0202")
+
+
+async def test_profirust_that_repeats_the_frame_count_bit_for_a_diagnosis_gets_the_lost_answer_as_it_was(
+    device: MockProgram, master: Master
+) -> None:
+    await played(master, PROFIRUST_STARTS)
+    await device.control.ask("fault", rules=[{"station": 8, "times": 2, "action": {"drop": True}}])
+    exchange, diagnosis = "a208027d0102030405060708ab16", "6805056888827c3c3e0016"
+    answer = "680b0b6802080800000000000000001216"
+    # Its two attempts are lost, and it takes the slave for gone. It asks whether it is back without beginning a new sequence: inputs
+    # that came with the access points of a diagnosis would be one, of another device.
+    await played(master, f"{exchange}\n{exchange}\n{diagnosis} {answer}\n{diagnosis} {answer}")
+    sent = await device.control.journal(direction="in", station=8)
+    assert [(entry["kind"], entry["service"], entry.get("repeated", False)) for entry in sent[-4:]] == [
+        ("cycle", "data_exchange", False),
+        ("cycle", "data_exchange", True),
+        ("request", "slave_diag", True),
+        ("request", "slave_diag", True),
+    ]
+    # An FDL status is of no sequence, and ends this one.
+    assert await master.ask(request(8, None, control=0x49)) == "100208000a16"
+    assert "000c000280a5" in await master.ask(bytes.fromhex(diagnosis))
+
+
 # -- the kit's decoder ----------------------------------------------------------------------------------------
 
 

@@ -214,3 +214,43 @@ def test_what_a_test_has_in_its_context_does_not_reach_the_kits_loop() -> None:
         whose.reset(token)
     finally:
         loop.close()
+
+
+FURTHER = """
+def test_s7(otmcp_s7_device, otmcp_session):
+    otmcp_s7_device.poke("DB10", 44, bytes([4, 210]))
+    assert otmcp_session("s7").call("read_typed", db=10, start=44, type="INT").outputs["value"] == 1234
+    (asked,) = otmcp_s7_device.wait_for(kind="request", service="read")
+    assert asked.items[0]["db"] == 10
+
+def test_bacnet(otmcp_bacnet_device, otmcp_session):
+    otmcp_bacnet_device.poke("analog-input,1", 1234.5)
+    asked = {"device": 12345, "type": "analog-input", "instance": 1}
+    assert otmcp_session("bacnet").call("read", **asked).outputs["value"] == 1234.5
+    assert any(entry.reads for entry in otmcp_bacnet_device.journal())
+
+def test_ethernetip(otmcp_ethernetip_device, otmcp_session):
+    otmcp_ethernetip_device.poke("BatchTarget", 1234)
+    assert otmcp_session("ethernetip").call("read_tag", tag="BatchTarget").outputs["value"] == 1234
+    (asked,) = otmcp_ethernetip_device.wait_for(kind="request", service="read")
+    assert asked.items[0]["tag"] == "BatchTarget"
+
+def test_dnp3(otmcp_dnp3_device, otmcp_session):
+    otmcp_dnp3_device.poke("analog_input/1", 1234)
+    reply = otmcp_session("dnp3").call("read_analog", outstation=10, start=1, count=1)
+    assert reply.outputs["values"] == [1234]
+    (asked,) = otmcp_dnp3_device.wait_for(kind="request", function=1)
+    assert asked.objects[0]["group"] == 30
+
+def test_profibus(otmcp_profibus_device, otmcp_session):
+    otmcp_profibus_device.poke(5, bytes([4, 210]))
+    assert otmcp_session("profibus").call("read_inputs", slave=5).outputs["values"] == [4, 210]
+    (asked,) = otmcp_profibus_device.wait_for(kind="request", service="rd_inp")
+    assert asked.station == 5
+"""
+
+
+def test_devices_of_further_protocols_are_poked_and_say_what_they_have_seen(empty_repository: Repository) -> None:
+    empty_repository.write(tests__test_it_py=FURTHER)
+    outcome = empty_repository.pytest()
+    assert "5 passed" in outcome.output, outcome.output

@@ -307,6 +307,14 @@ def test_an_adapter_that_does_not_start_is_no_proposal(otmcp: Otmcp, tmp_path: P
     assert not (tmp_path / "otmcp.toml").exists()
 
 
+def test_the_doctor_writes_the_files_that_a_command_needs(otmcp: Otmcp, tmp_path: Path) -> None:
+    (tmp_path / "old.py").write_text(OLD, encoding="utf-8")
+    address = ("--protocol", "modbus", "--file", "address={host} {port}")
+    done = otmcp("doctor", *address, "--", sys.executable, "old.py", "{work}/address")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "old 1.9.4, MCP 2024-11-05, 1 tool" in done.stdout
+
+
 def test_the_doctor_names_cause_and_remedy(otmcp: Otmcp) -> None:
     done = otmcp("doctor", "--protocol", "modbus", "--", sys.executable, "-c", "import mcp.server.fastmcp")
     assert done.returncode == 1

@@ -1,4 +1,4 @@
-"""A process that the machine does not let run is not held to have ignored the end of its stdin."""
+"""A process that the machine does not let run is not held to have ignored the end of its stdin, or to start too late."""
 
 from __future__ import annotations
 
@@ -12,14 +12,16 @@ from pathlib import Path
 
 import pytest
 
-from pytest_otmcp.core.errors import KitError
+from pytest_otmcp.core.errors import KitError, SubjectError
 from pytest_otmcp.plant.mock_device import MockDevice
 from pytest_otmcp.session.process import StopReport, SubjectProcess, subject_environment
+from pytest_otmcp.session.session import McpSession, SessionOptions
 
 GRACE_S = 0.3
 WORK_S = 0.5
 LAUNCH_S = 4 * WORK_S
 """Seconds: longer than a mock takes that works so long before, shorter than where another program takes the processor."""
+START_S = 1.0
 WORKS = """
 import os, sys, time
 os.nice(10)
@@ -30,6 +32,22 @@ while time.process_time() < float(sys.argv[2]):
     pass
 """
 """Ends after its stdin, and after so many seconds on the processor."""
+
+SERVES = """
+import json, os, sys, time
+os.nice(10)
+os.sched_setaffinity(0, {int(sys.argv[1])})
+while time.process_time() < float(sys.argv[2]):
+    pass
+time.sleep(float(sys.argv[3]))
+about = {"protocolVersion": "2025-06-18", "capabilities": {"tools": {}}, "serverInfo": {"name": "late", "version": "1"}}
+for line in sys.stdin:
+    asked = json.loads(line)
+    if "id" in asked:
+        result = about if asked["method"] == "initialize" else {"tools": []}
+        print(json.dumps({"jsonrpc": "2.0", "id": asked["id"], "result": result}), flush=True)
+"""
+"""Serves no tools, after so many seconds on the processor and so many asleep."""
 
 
 @pytest.fixture
@@ -109,3 +127,21 @@ async def test_a_mock_that_runs_and_says_nothing_is_a_fault_of_the_kit(
     with pytest.raises(KitError, match="said nothing for"):
         await device.launch()
     await device.close()
+
+
+async def opened(*arguments: object) -> float:
+    """Open a session with the server that is late; return the seconds that it took."""
+    command = [sys.executable, "-c", SERVES, *map(str, arguments)]
+    session = McpSession(command, {}, None, SessionOptions(start_timeout_s=START_S, era="legacy"))
+    await session.open()
+    await session.close()
+    return (session.ready_ns - session.spawned_ns) / 1e9
+
+
+def test_time_without_a_processor_is_not_held_against_a_process_that_starts(processor: int) -> None:
+    assert asyncio.run(opened(processor, 0.3, 0)) > START_S
+
+
+def test_a_process_that_is_late_for_another_reason_has_no_more_time() -> None:
+    with pytest.raises(SubjectError, match="handshake"):
+        asyncio.run(opened(min(os.sched_getaffinity(0)), 0, 60))

@@ -138,7 +138,7 @@ def test_reports_say_once_who_was_there() -> None:
     assert "a process of a session that was over (node) still spoke to the device of mqtt" in former
     assert unknown == (
         "somebody who had gone before it could be known who it was, the adapter or another program, connected to the device of mqtt "
-        "2 time(s) in Q1 and sent < PINGREQ; it was left out"
+        "2 times in Q1 and sent < PINGREQ; it was left out"
     )
     lines = [line for line, _ in summary(record, 400)]
     assert f"note: {stranger}" in lines

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Sequence
 from dataclasses import replace
@@ -148,12 +149,10 @@ def _large(values: Sequence[int], signed: bool) -> tuple[Asked, ...]:
     return tuple(_further(kind, value, {"value": value}) for value in values)
 
 
-def _special() -> tuple[Asked, ...]:
-    return tuple(
-        _further(kind, value, {"special": name})
-        for kind in ("analog-input", "large-analog-value")
-        for name, value in (("NaN", "nan"), ("Infinity", "inf"), ("-Infinity", "-inf"))
-    )
+def _special(value: float) -> tuple[Asked, ...]:
+    kinds = ("analog-input", "large-analog-value")
+    held = value if math.isfinite(value) else str(value)
+    return tuple(_further(kind, held, {"value": value}) for kind in kinds)
 
 
 def _real(value: float) -> Asked:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 
-from ..exercise import LARGEST_FLOAT32, NO_INTEGERS, NO_REALS, SPECIAL, Asked, Contended, Exercise, Texts
+from ..exercise import LARGEST_FLOAT32, NO_INTEGERS, NO_REALS, Asked, Contended, Exercise, Texts, number_in_json
 from ..journal import Entries, JournalEntry
 from .entries import DIRECT_OPERATE, OPERATE, as_dnp3, changes, commands
 
@@ -146,11 +146,10 @@ def _asks_for(entry: JournalEntry) -> object:
     return given[0].get("value") if len(given) == 1 else None
 
 
-def _special() -> tuple[Asked, ...]:
+def _special(value: float) -> tuple[Asked, ...]:
     return tuple(
-        _named(name, point, special, special=special)
+        _named(name, point, number_in_json(value))
         for name, point in ((_EXACT, "analog_input/7"), (_SETPOINT, "analog_output/0"))
-        for special in SPECIAL
     )
 
 

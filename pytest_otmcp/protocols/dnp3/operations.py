@@ -13,18 +13,18 @@ _RANGE = ("outstation", "start", "count")
 OPERATIONS: Mapping[str, Operation] = {
     "ping": Operation(meaning="is the outstation reachable", outputs=("reachable",), status=True, tells="reachable"),
     "read_binary": Operation(
-        meaning="read binary inputs, as a list of true and false",
+        meaning="read binary inputs, as a list of true and false; events are those that the outstation told unasked meanwhile",
         inputs=_RANGE,
         outputs=("values",),
         needed=("values",),
-        voluntary_outputs=("flags",),
+        voluntary_outputs=("flags", "events"),
     ),
     "read_analog": Operation(
-        meaning="read analog inputs, as a list of numbers",
+        meaning="read analog inputs, as a list of numbers; events are those that the outstation told unasked meanwhile",
         inputs=_RANGE,
         outputs=("values",),
         needed=("values",),
-        voluntary_outputs=("flags",),
+        voluntary_outputs=("flags", "events"),
     ),
     "write_binary": Operation(
         meaning="latch a binary output on or off",

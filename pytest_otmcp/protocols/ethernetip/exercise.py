@@ -7,7 +7,17 @@ import struct
 from collections.abc import Sequence
 from datetime import UTC, datetime
 
-from ..exercise import LARGEST_FLOAT32, NO_INTEGERS, NO_REALS, SPECIAL, Asked, Contended, Exercise, Texts, every_change
+from ..exercise import (
+    LARGEST_FLOAT32,
+    NO_INTEGERS,
+    NO_REALS,
+    Asked,
+    Contended,
+    Exercise,
+    Texts,
+    every_change,
+    number_in_json,
+)
 from ..journal import JournalEntry
 from .entries import as_ethernetip
 
@@ -161,17 +171,8 @@ def _large_numbers(values: Sequence[int], signed: bool) -> tuple[Asked, ...]:
     return tuple(_reading(_free("LINT" if signed else "ULINT"), value) for value in values)
 
 
-def _special() -> tuple[Asked, ...]:
-    return tuple(
-        Asked(
-            operation="read_tag",
-            inputs={"tag": _free(kind)},
-            outputs={"special": name},
-            pokes=(_poke(_free(kind), name),),
-        )
-        for kind in _REALS
-        for name in SPECIAL
-    )
+def _special(value: float) -> tuple[Asked, ...]:
+    return tuple(_reading(_free(kind), number_in_json(value)) for kind in _REALS)
 
 
 def _real(value: float) -> Asked:

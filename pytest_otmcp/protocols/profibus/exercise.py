@@ -6,7 +6,7 @@ import random
 import struct
 from collections.abc import Sequence
 
-from ..exercise import LARGEST_FLOAT32, NO_INTEGERS, NO_REALS, SPECIAL, Asked, Contended, Exercise
+from ..exercise import LARGEST_FLOAT32, NO_INTEGERS, NO_REALS, Asked, Contended, Exercise
 from ..journal import Entries, JournalEntry
 from .entries import as_profibus, points
 from .oracle import outputs_sent
@@ -92,12 +92,9 @@ def _large_numbers(values: Sequence[int], signed: bool) -> tuple[Asked, ...]:
     return tuple(_alias(name, value.to_bytes(8, "big", signed=signed), {"value": value}) for value in values)
 
 
-def _special() -> tuple[Asked, ...]:
-    return tuple(
-        _alias(alias, struct.pack(form, value), {"special": name})
-        for alias, form in ((_SPEED, ">f"), (_DOUBLE, ">d"))
-        for name, value in SPECIAL.items()
-    )
+def _special(value: float) -> tuple[Asked, ...]:
+    forms = ((_SPEED, ">f"), (_DOUBLE, ">d"))
+    return tuple(_alias(alias, struct.pack(form, value), {"value": value}) for alias, form in forms)
 
 
 def _named(name: str, value: object, offset: int, content: bytes) -> Asked:

@@ -6,7 +6,7 @@ import random
 import struct
 from collections.abc import Iterator, Sequence
 
-from ..exercise import LARGEST_FLOAT32, NO_INTEGERS, NO_REALS, SPECIAL, Asked, Contended, Exercise, Texts, every_change
+from ..exercise import LARGEST_FLOAT32, NO_INTEGERS, NO_REALS, Asked, Contended, Exercise, Texts, every_change
 from ..journal import JournalEntry
 from .entries import as_s7, points
 
@@ -165,12 +165,9 @@ def _large_numbers(values: Sequence[int], signed: bool) -> tuple[Asked, ...]:
     return tuple(_held(kind, value.to_bytes(8, "big", signed=signed), {"value": value}) for value in values)
 
 
-def _special() -> tuple[Asked, ...]:
-    return tuple(
-        _held(kind, struct.pack(form, value), {"special": name})
-        for kind, form in (("REAL", ">f"), ("LREAL", ">d"))
-        for name, value in SPECIAL.items()
-    )
+def _special(value: float) -> tuple[Asked, ...]:
+    forms = (("REAL", ">f"), ("LREAL", ">d"))
+    return tuple(_held(kind, struct.pack(form, value), {"value": value}) for kind, form in forms)
 
 
 def _real(value: float) -> Asked:

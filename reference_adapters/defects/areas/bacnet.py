@@ -6,7 +6,7 @@ from functools import partial
 from typing import Any
 
 from ...core import AdapterServer, Call
-from ..any_protocol import guard_after_sending
+from ..any_protocol import answers_from_memory_when_gone, guard_after_sending
 from ..claims import local_time
 from ..mutant import Data, Mutant, failing, told
 from ..refusals import _end
@@ -174,5 +174,13 @@ MUTANTS: tuple[Mutant, ...] = (
         "MCP-007",
         failing(change=_end),
         "A BACnet answer that cannot be read ends the adapter.",
+    ),
+    _mutant(
+        "MU-35bac",
+        "rec",
+        "REC-002",
+        "REC-002",
+        answers_from_memory_when_gone("read_property", silent=True),
+        "While the device is gone, a read of a property succeeds with what was read before.",
     ),
 )

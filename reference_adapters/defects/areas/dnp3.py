@@ -9,7 +9,7 @@ from importlib import import_module
 from typing import Any
 
 from ...core import AdapterServer
-from ..any_protocol import guard_after_sending
+from ..any_protocol import answers_from_memory_when_gone, guard_after_sending
 from ..claims import local_time
 from ..mutant import Data, Mutant, told
 from .enc import as_zero
@@ -167,5 +167,13 @@ MUTANTS: tuple[Mutant, ...] = (
         "MCP-007",
         _ends_on_a_wrong_checksum,
         "A DNP3 frame with a wrong checksum ends the adapter.",
+    ),
+    _mutant(
+        "MU-35dnp",
+        "rec",
+        "REC-002",
+        "REC-002",
+        answers_from_memory_when_gone("read_analog_inputs"),
+        "While the device is gone, a read of analog inputs succeeds with what was read before.",
     ),
 )

@@ -6,7 +6,7 @@ from functools import partial
 from typing import Any
 
 from ...core import AdapterServer
-from ..any_protocol import guard_after_sending
+from ..any_protocol import answers_from_memory_when_gone, guard_after_sending
 from ..mutant import Data, Mutant, told
 from .enc import as_zero, by_way_of_float
 from .further import cut_off, declared, last_answer, merged, module_of
@@ -127,5 +127,13 @@ MUTANTS: tuple[Mutant, ...] = (
         "ENC-005",
         told(_READ_ALIAS, change=by_way_of_float),
         "A UINT64 of the inputs above 2^53 is rounded.",
+    ),
+    _mutant(
+        "MU-35pb",
+        "rec",
+        "REC-002 REC-003",
+        "REC-002 REC-003",
+        answers_from_memory_when_gone("read_inputs", silent=True),
+        "While the device is gone, a read of the inputs of a slave succeeds with what was read before.",
     ),
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from . import mcp_choices, modbus_choices, mqtt_choices, opcua_choices
+from . import dnp3_choices, mcp_choices, modbus_choices, mqtt_choices, opcua_choices, s7_choices
 from .choice import Choice
 
 __all__ = ["ZOO"]
@@ -16,6 +16,8 @@ ZOO: Mapping[str, Choice] = {
         ("modbus", modbus_choices.CHOICES),
         ("mqtt", mqtt_choices.CHOICES),
         ("opcua", opcua_choices.CHOICES),
+        ("s7", s7_choices.CHOICES),
+        ("dnp3", dnp3_choices.CHOICES),
     )
     for name, choice in declared.items()
 }
