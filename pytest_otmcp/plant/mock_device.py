@@ -21,7 +21,7 @@ from ..core.exhaustion import exhausted
 from ..protocols.journal import JournalEntry
 from ..protocols.registry import protocols
 from ..session.process import subject_environment
-from ..session.starvation import LOOK_S, Patience
+from ..session.starvation import Patience, finish_within
 from .device import Journal, check_kept
 from .endpoint import Endpoint, first_port, occupied
 from .owners import Peer, PeerProcess, Sessions
@@ -29,6 +29,8 @@ from .owners import Peer, PeerProcess, Sessions
 __all__ = ["MockDevice"]
 
 _LAUNCH_TIMEOUT_S = 60.0
+_STARVED_S = 540.0
+"""Seconds for which a mock may wait for a processor beside that: all mocks and adapters of a run start at once."""
 _ANSWER_TIMEOUT_S = 20.0
 _LINE_LIMIT = 64 * 1024 * 1024
 _STDERR_KEPT = 8192
@@ -156,7 +158,12 @@ class MockDevice:
     async def _event(self, expected: str) -> dict[str, Any]:
         assert self._launcher is not None
         assert self._launcher.stdout is not None
-        line = await self._line(self._launcher.stdout, self._launcher.pid)
+        patience = Patience(_LAUNCH_TIMEOUT_S, starved_s=_STARVED_S)
+        patience.watch((self._launcher.pid,))
+        try:
+            line = await finish_within(patience, self._launcher.stdout.readline())
+        except TimeoutError:
+            raise KitError(f"the {self._name} mock said nothing for {_LAUNCH_TIMEOUT_S:g} s") from None
         if not line and await self._launcher.wait() == _EXHAUSTED:
             raise self._exhausted()
         if not line:
@@ -171,19 +178,6 @@ class MockDevice:
         if event.get("event") != expected:
             raise KitError(f"the {self._name} mock said {event} where {expected!r} was expected")
         return event
-
-    async def _line(self, output: asyncio.StreamReader, pid: int) -> bytes:
-        """Return the next line of the launcher. All mocks and adapters of a run start at once, and wait for a processor meanwhile."""
-        reading = asyncio.create_task(output.readline(), name=f"otmcp-launcher-{self._name}")
-        try:
-            patience = Patience(_LAUNCH_TIMEOUT_S)
-            patience.watch((pid,))
-            while (left := patience.left_s()) > 0:
-                if (await asyncio.wait((reading,), timeout=min(left, LOOK_S)))[0]:
-                    return await reading
-        finally:
-            reading.cancel()
-        raise KitError(f"the {self._name} mock said nothing for {_LAUNCH_TIMEOUT_S:g} s in which it could run")
 
     async def _death(self, closed: _ClosedError) -> KitError:
         """Return why a device that was not asked to stop does not answer any more; its launcher says so once."""

@@ -21,7 +21,7 @@ from ..core.errors import ExhaustedError
 from ..core.exhaustion import exhausted
 from .keeping import Watcher
 from .limits import MAX_FRAME_BYTES
-from .starvation import LOOK_S, Patience
+from .starvation import Patience, finish_within
 
 __all__ = ["StopReport", "SubjectProcess", "subject_environment"]
 
@@ -305,8 +305,8 @@ class SubjectProcess:
         """
         patience = Patience(grace_s)
         patience.watch(self.pids)
-        while (left := patience.left_s()) > 0 and not await _within(min(left, LOOK_S), self._watcher.exited):
-            pass
+        with suppress(TimeoutError):
+            await finish_within(patience, self._watcher.exited.wait())
         return self._watcher.exited.is_set()
 
 

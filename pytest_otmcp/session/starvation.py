@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
-from collections.abc import Iterable
+from collections.abc import Coroutine, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, TypeVar
 
-__all__ = ["LOOK_S", "Patience", "Starvation"]
+__all__ = ["LOOK_S", "Patience", "finish_within"]
 
 LOOK_S = 0.1
 """Seconds between two looks at a process; what is found out is so exact."""
@@ -15,8 +17,10 @@ LOOK_S = 0.1
 _STARVED_S = 60.0
 """Time without a processor, in seconds, that is not held against processes."""
 
+_T = TypeVar("_T")
 
-class Starvation:
+
+class _Starvation:
     """The waiting of processes' main threads for a processor, from the moment at which this is created."""
 
     def __init__(self, pids: Iterable[int]) -> None:
@@ -28,24 +32,42 @@ class Starvation:
 
 
 class Patience:
-    """A time that processes are given, of which what they wait for a processor is not taken, up to a minute.
+    """A time that processes are given, of which what they wait for a processor is not taken.
 
     Args:
         seconds: the time, from now on.
+        starved_s: seconds of waiting for a processor that are granted at most.
     """
 
-    def __init__(self, seconds: float) -> None:
+    def __init__(self, seconds: float, *, starved_s: float = _STARVED_S) -> None:
         self._until = time.monotonic() + seconds
-        self._starvation: Starvation | None = None
+        self._starved_s = starved_s
+        self._starvation: _Starvation | None = None
 
     def watch(self, pids: Iterable[int]) -> None:
         """From now on these processes are looked at."""
-        self._starvation = Starvation(pids)
+        self._starvation = _Starvation(pids)
 
     def left_s(self) -> float:
         """Look again; return what is left, 0 or less when the time is over."""
-        starved = 0.0 if self._starvation is None else min(self._starvation.seconds(), _STARVED_S)
+        starved = 0.0 if self._starvation is None else min(self._starvation.seconds(), self._starved_s)
         return self._until + starved - time.monotonic()
+
+
+async def finish_within(patience: Patience, waiting: Coroutine[Any, Any, _T]) -> _T:
+    """Return the result of what is waited for.
+
+    Raises:
+        TimeoutError: the time is over; the waiting was cancelled.
+    """
+    task = asyncio.ensure_future(waiting)
+    try:
+        while (left := patience.left_s()) > 0:
+            if (await asyncio.wait((task,), timeout=min(left, LOOK_S)))[0]:
+                return await task
+        raise TimeoutError
+    finally:
+        task.cancel()
 
 
 @dataclass(slots=True)

@@ -18,10 +18,10 @@ from pytest_otmcp.session.process import StopReport, SubjectProcess, subject_env
 from pytest_otmcp.session.session import McpSession, SessionOptions
 
 GRACE_S = 0.3
+START_S = 1.0
 WORK_S = 0.5
 LAUNCH_S = 4 * WORK_S
 """Seconds: longer than a mock takes that works so long before, shorter than where another program takes the processor."""
-START_S = 1.0
 WORKS = """
 import os, sys, time
 os.nice(10)
@@ -94,6 +94,24 @@ def test_a_process_that_waits_for_something_else_has_no_more_time() -> None:
     assert report.how == "terminated"
 
 
+async def opened(*arguments: object) -> float:
+    """Open a session with the server that is late; return the seconds that it took."""
+    command = [sys.executable, "-c", SERVES, *map(str, arguments)]
+    session = McpSession(command, {}, None, SessionOptions(start_timeout_s=START_S, era="legacy"))
+    await session.open()
+    await session.close()
+    return (session.ready_ns - session.spawned_ns) / 1e9
+
+
+def test_time_without_a_processor_is_not_held_against_a_process_that_starts(processor: int) -> None:
+    assert asyncio.run(opened(processor, 0.3, 0)) > START_S
+
+
+def test_a_process_that_is_late_for_another_reason_has_no_more_time() -> None:
+    with pytest.raises(SubjectError, match="handshake"):
+        asyncio.run(opened(min(os.sched_getaffinity(0)), 0, 60))
+
+
 @pytest.mark.asyncio
 async def test_a_mock_that_the_machine_does_not_let_run_is_no_silent_one(
     processor: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -127,21 +145,3 @@ async def test_a_mock_that_runs_and_says_nothing_is_a_fault_of_the_kit(
     with pytest.raises(KitError, match="said nothing for"):
         await device.launch()
     await device.close()
-
-
-async def opened(*arguments: object) -> float:
-    """Open a session with the server that is late; return the seconds that it took."""
-    command = [sys.executable, "-c", SERVES, *map(str, arguments)]
-    session = McpSession(command, {}, None, SessionOptions(start_timeout_s=START_S, era="legacy"))
-    await session.open()
-    await session.close()
-    return (session.ready_ns - session.spawned_ns) / 1e9
-
-
-def test_time_without_a_processor_is_not_held_against_a_process_that_starts(processor: int) -> None:
-    assert asyncio.run(opened(processor, 0.3, 0)) > START_S
-
-
-def test_a_process_that_is_late_for_another_reason_has_no_more_time() -> None:
-    with pytest.raises(SubjectError, match="handshake"):
-        asyncio.run(opened(min(os.sched_getaffinity(0)), 0, 60))
