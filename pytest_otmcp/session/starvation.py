@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 import time
 from collections.abc import Coroutine, Iterable
 from dataclasses import dataclass, field
@@ -20,19 +21,8 @@ _STARVED_S = 60.0
 _T = TypeVar("_T")
 
 
-class _Starvation:
-    """The waiting of processes' main threads for a processor, from the moment at which this is created."""
-
-    def __init__(self, pids: Iterable[int]) -> None:
-        self._threads = [_Thread(pid) for pid in pids]
-
-    def seconds(self) -> float:
-        """Look again; return for how long, in all, the processes were ready to run and did not run."""
-        return sum(thread.waited_s() for thread in self._threads)
-
-
 class Patience:
-    """A time that processes are given, of which what they wait for a processor is not taken.
+    """A time that processes are given, of which what they, or the thread that waits for them, wait for a processor is not taken.
 
     Args:
         seconds: the time, from now on.
@@ -42,16 +32,16 @@ class Patience:
     def __init__(self, seconds: float, *, starved_s: float = _STARVED_S) -> None:
         self._until = time.monotonic() + seconds
         self._starved_s = starved_s
-        self._starvation: _Starvation | None = None
+        self._threads = [_Thread(threading.get_native_id())]
 
     def watch(self, pids: Iterable[int]) -> None:
-        """From now on these processes are looked at."""
-        self._starvation = _Starvation(pids)
+        """From now on these processes are looked at, too: the main thread of each."""
+        self._threads += map(_Thread, pids)
 
     def left_s(self) -> float:
         """Look again; return what is left, 0 or less when the time is over."""
-        starved = 0.0 if self._starvation is None else min(self._starvation.seconds(), self._starved_s)
-        return self._until + starved - time.monotonic()
+        starved = sum(thread.waited_s() for thread in self._threads)
+        return self._until + min(starved, self._starved_s) - time.monotonic()
 
 
 async def finish_within(patience: Patience, waiting: Coroutine[Any, Any, _T]) -> _T:
@@ -72,9 +62,9 @@ async def finish_within(patience: Patience, waiting: Coroutine[Any, Any, _T]) ->
 
 @dataclass(slots=True)
 class _Thread:
-    """A main thread: Linux, Documentation/scheduler/sched-stats.rst and proc_pid_stat(5)."""
+    """A thread: Linux, Documentation/scheduler/sched-stats.rst and proc_pid_stat(5)."""
 
-    pid: int
+    number: int
     _ran_ns: int = 0
     _began_ns: int | None = None
     _waited_ns: int = 0
@@ -100,4 +90,4 @@ class _Thread:
         return self._waited_ns / 1e9 + now - self._looked
 
     def _read(self, name: str) -> str:
-        return Path(f"/proc/{self.pid}/{name}").read_text(encoding="utf-8", errors="replace")
+        return Path(f"/proc/{self.number}/{name}").read_text(encoding="utf-8", errors="replace")
