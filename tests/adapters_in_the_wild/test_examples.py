@@ -73,7 +73,9 @@ def test_an_adapter_of_the_wild_still_gives_its_row(
         found = results[identifier]
         if found["status"] != item["status"]:
             assert sometimes(item), f"{identifier} is {found['status']}: {words({identifier: found})}"
-        assert faults(found) <= faults(item), words({identifier: found})
+        known = faults(item)
+        # Of an item that was given up the record does not have the end, which one repetition reaches.
+        assert faults(found) <= known or (None, "gave_up") in known, words({identifier: found})
 
 
 def sometimes(item: Mapping[str, Any]) -> bool:
