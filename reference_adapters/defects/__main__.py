@@ -1,4 +1,6 @@
-"""``python -m pytest_otmcp.reference_adapters.defects ID``: the reference adapter with the defect of this id.
+"""``python -m pytest_otmcp.reference_adapters.defects ID [PROTOCOL]``: the reference adapter with the defect of this id.
+
+A defect that is the same change of any adapter can be had at that of another protocol.
 
 With ``--list`` in place of the id it prints the declarations of all defects as JSON. An id has to be given, and the adapter says
 in its introduction and on stderr that it is defective: nobody gets one by accident, or takes it for the reference adapter.
@@ -17,21 +19,24 @@ from ..core import AdapterServer, ConfigError
 from ..core.run import serve
 from .listing import listing
 from .mutant import Mutant
-from .table import MUTANTS
+from .table import MUTANTS, PROTOCOLS
 
 
 def main() -> int:
     """Build the adapter, give it its defect, serve, and return the exit code."""
-    asked = sys.argv[1] if len(sys.argv) == 2 else ""
-    if asked == "--list":
+    if sys.argv[1:] == ["--list"]:
         print(json.dumps(listing()))
         return 0
-    if asked not in MUTANTS:
-        print("usage: python -m pytest_otmcp.reference_adapters.defects {--list | ID, such as MU-13}", file=sys.stderr)
+    asked, *others = sys.argv[1:] or [""]
+    mutant = MUTANTS.get(asked)
+    if mutant is None or (others and not (mutant.anywhere and others in [[one] for one in PROTOCOLS])):
+        print(
+            "usage: python -m pytest_otmcp.reference_adapters.defects {--list | ID, such as MU-13 | MU-47 s7, a defect that any adapter may have}",
+            file=sys.stderr,
+        )
         return 2
-    mutant = MUTANTS[asked]
     try:
-        server: AdapterServer = import_module(f"..{mutant.protocol}", __package__).build()
+        server: AdapterServer = import_module(f"..{(others or [mutant.protocol])[0]}", __package__).build()
     except ConfigError as error:
         print(f"configuration: {error}", file=sys.stderr)
         return 2

@@ -340,6 +340,7 @@ MUTANTS = (
         bend=result(is_error_never_set),
         items="M4 FM1 FM2 S10",
         requirements="MCP-006",
+        anywhere=True,
     ),
     Mutant(
         id="MU-48",
@@ -348,6 +349,7 @@ MUTANTS = (
         bend=result(text_says_otherwise),
         items="M1 M2 M3 M4 X1 X2 X1p X2p FM1 FM2 FX1 S1 S4 S7 S10",
         requirements="MCP-006",
+        anywhere=True,
     ),
     Mutant(
         id="MU-49",
@@ -356,6 +358,7 @@ MUTANTS = (
         bend=banner,
         items="M1 M2 M3 M4 X1 X2 X1p X2p FM1 FM2 FX1 S1 S4 S7 S10",
         requirements="MCP-001",
+        anywhere=True,
     ),
     Mutant(
         id="MU-50",
@@ -364,6 +367,7 @@ MUTANTS = (
         bend=complains,
         items="FM1 S10",
         requirements="MCP-001",
+        anywhere=True,
     ),
     Mutant(
         id="MU-52",
@@ -381,6 +385,7 @@ MUTANTS = (
         bend=endpoint_with_password,
         items="M1 M2 M3 M4 X1 X2 X1p X2p FM1 FM2 FX1 S1 S4 S7 S10",
         requirements="KEY-001",
+        anywhere=True,
     ),
     Mutant(
         id="MU-111",
@@ -414,6 +419,7 @@ MUTANTS = (
         bend=failing(change=_dies),
         items="FM1 S10",
         requirements="MCP-007",
+        anywhere=True,
     ),
     Mutant(
         id="MU-115",
@@ -422,6 +428,7 @@ MUTANTS = (
         bend=result(extra_member),
         items="M1 M2 M3 M4 X1 X2 X1p X2p FM1 FM2 FX1 S1 S4 S7 S10",
         requirements="ENV-001 MCP-006",
+        anywhere=True,
     ),
     Mutant(
         id="MU-115w",
@@ -430,6 +437,7 @@ MUTANTS = (
         bend=result(error_is_a_word),
         items="M4 FM1 FM2 S10",
         requirements="ENV-001",
+        anywhere=True,
     ),
     Mutant(
         id="MU-117",
@@ -438,6 +446,7 @@ MUTANTS = (
         bend=result(named_after_exceptions()),
         items="M4 FM1 FM2 S10",
         requirements="ENV-001 ERR-001",
+        anywhere=True,
     ),
     Mutant(
         id="MU-126",

@@ -50,6 +50,7 @@ class Mutant:
         waits: the suite waits for what never comes, so its deadlines are shortened.
         cold: its own processes are looked at, so it is started as users start it, not forked from one that is warm.
         quick: it is run in every test run; the others are run with the long tests.
+        anywhere: it is the same change of any adapter, and can be had at the adapter of every protocol.
     """
 
     id: str
@@ -63,6 +64,7 @@ class Mutant:
     waits: bool = False
     cold: bool = False
     quick: bool = False
+    anywhere: bool = False
 
     @property
     def catalogue_id(self) -> str:

@@ -20,7 +20,7 @@ from . import (
 )
 from .mutant import Mutant, number
 
-__all__ = ["MUTANTS", "REPRESENTATIVE", "SAMPLE"]
+__all__ = ["MUTANTS", "PROTOCOLS", "REPRESENTATIVE", "SAMPLE"]
 
 _ALL = (
     *modbus.MUTANTS,
@@ -43,6 +43,8 @@ MUTANTS: dict[str, Mutant] = {mutant.id: mutant for mutant in sorted(_ALL, key=l
 """In the order of the catalogue."""
 
 assert len(MUTANTS) == len(_ALL), "an id is there twice"
+
+PROTOCOLS = frozenset(mutant.protocol for mutant in _ALL)
 
 
 _FURTHER = {

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 import sys
+from dataclasses import replace
 
 import pytest
 from pytest_otmcp.reference_adapters.defects.listing import listing
 from pytest_otmcp.reference_adapters.defects.mutant import Mutant, catalogue_id
 from pytest_otmcp.reference_adapters.defects.not_yet import GROUPS, NOT_YET, TOTAL
-from pytest_otmcp.reference_adapters.defects.table import MUTANTS, REPRESENTATIVE
+from pytest_otmcp.reference_adapters.defects.table import MUTANTS, PROTOCOLS, REPRESENTATIVE
 
 from pytest_otmcp.soundness.defect import read
 from pytest_otmcp.soundness.judging import IMPATIENT, tasks_of
@@ -21,6 +22,7 @@ from .section import section
 DEFECTS = {defect.id: defect for defect in read(listing()).defects}
 
 WHOLE_MATRIX = "OTMCP_WHOLE_MATRIX" in os.environ
+VARIANTS = "OTMCP_WHOLE_MATRIX=1 runs every variant of a defect"
 
 
 def marks(mutant: Mutant) -> list[pytest.MarkDecorator]:
@@ -29,7 +31,7 @@ def marks(mutant: Mutant) -> list[pytest.MarkDecorator]:
         return []
     if not mutant.areas or mutant.id in REPRESENTATIVE or WHOLE_MATRIX:
         return [pytest.mark.long]
-    return [pytest.mark.long, pytest.mark.skip("OTMCP_WHOLE_MATRIX=1 runs every variant of a defect")]
+    return [pytest.mark.long, pytest.mark.skip(VARIANTS)]
 
 
 @pytest.mark.parametrize("name", [pytest.param(mutant.id, marks=marks(mutant)) for mutant in MUTANTS.values()])
@@ -42,6 +44,29 @@ def test_a_defect_fails_exactly_its_items_for_exactly_its_requirements(judge: Ju
     assert failing(results) == set(defect.items), words(results)
     assert requirements(results) == set(defect.requirements), words(results)
     assert "KIT_ERROR" not in {result["status"] for result in results.values()}
+
+
+ANYWHERE = [mutant for mutant in MUTANTS.values() if mutant.anywhere]
+AT_OTHERS = [(mutant.id, protocol) for mutant in ANYWHERE for protocol in sorted(PROTOCOLS - {mutant.protocol})]
+"""Defects that any adapter may have, each at every other protocol."""
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("name", "protocol"),
+    [
+        pytest.param(*pair, marks=[] if WHOLE_MATRIX or not number % 3 else [pytest.mark.skip(VARIANTS)])
+        for number, pair in enumerate(AT_OTHERS)
+    ],
+)
+def test_a_defect_that_any_adapter_may_have_is_noticed_at_every_protocol(
+    judge: Judge, name: str, protocol: str
+) -> None:
+    alone = [task for task in tasks_of(replace(DEFECTS[name], protocol=protocol)) if task.adapters == (protocol,)]
+    tasks = " ".join(next(task.id for task in alone if task.suite == suite) for suite in ("normal", "fault"))
+    results = judge(protocol, *DEFECT, name, protocol, tasks=tasks)
+    assert failing(results), "not noticed"
+    assert requirements(results) <= set(DEFECTS[name].requirements), words(results)
 
 
 def test_every_defect_of_the_catalogue_is_noticed_or_listed_with_its_group() -> None:
