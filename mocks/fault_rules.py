@@ -1,9 +1,7 @@
-"""Fault plans: rules that say which fault a device applies to which request. The first rule that fits applies.
+"""What a fault rule is made of: the fields that a protocol's rules have, and how a rule of the control channel is read by them.
 
 A rule arrives as ``{condition: value, …, "skip": k, "times": n, "action": {action: value, …}}``. A protocol describes its
-conditions and actions as tables of fields; reading and counting is the same for all. Where a table has the condition ``skip``, so
-many requests that fit pass the rule first; then it applies ``times`` times (without it: to all that follow). A request that
-passes a rule, or finds it used up, is offered to the next one.
+conditions and actions as tables of fields; reading is the same for all.
 """
 
 from __future__ import annotations
@@ -13,9 +11,9 @@ import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any
 
-__all__ = ["FLAG", "SKIP", "TEXT", "Field", "Plan", "Table", "hexadecimal", "integer", "number", "one_of"]
+__all__ = ["FLAG", "SKIP", "TEXT", "Field", "Table", "hexadecimal", "integer", "number", "one_of"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,40 +110,3 @@ class Table:
             if name not in values:
                 raise ValueError(f"a fault rule needs {name!r}, {self.conditions[name].expected}")
         return values
-
-
-class _Rule(Protocol):
-    @property
-    def times(self) -> int | None: ...
-
-
-R = TypeVar("R", bound=_Rule)
-
-
-class Plan(Generic[R]):
-    """Rules in order, with a count of how often each was applied.
-
-    Attributes:
-        hits: number of applications, by rule.
-    """
-
-    def __init__(self, rules: Sequence[R]) -> None:
-        self._rules = list(rules)
-        self.hits = [0] * len(self._rules)
-        self._skipped = [0] * len(self._rules)
-
-    def __bool__(self) -> bool:
-        return bool(self._rules)
-
-    def first(self, fits: Callable[[R], bool]) -> R | None:
-        """Return the first rule that fits, has let enough requests pass and has not been applied too often yet; count it."""
-        for index, rule in enumerate(self._rules):
-            if (rule.times is not None and self.hits[index] >= rule.times) or not fits(rule):
-                continue
-            # Rules of other packages need not have it.
-            if self._skipped[index] < getattr(rule, "skip", 0):
-                self._skipped[index] += 1
-                continue
-            self.hits[index] += 1
-            return rule
-        return None

@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ..fault_plan import FaultRule, TablePlan
+from ..fault_plan import FaultRule, Plan
 from ..fault_rules import FLAG, SKIP, Field, Table, integer, number
 from ..network import MANNERS
 from .names import ObjectType
@@ -125,7 +125,7 @@ class Rule(FaultRule):
     ack_only: bool = False
 
 
-class FaultPlan(TablePlan[Rule]):
+class FaultPlan(Plan[Rule]):
     """The plan that the rules of the control channel make."""
 
     table, rule = TABLE, Rule

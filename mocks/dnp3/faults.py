@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..fault_plan import TablePlan
+from ..fault_plan import Plan
 from ..fault_rules import FLAG, SKIP, Table, hexadecimal, integer
 from ..framed_connection import ANSWER_FAULTS, AnswerRule
 from .requests import Request
@@ -69,7 +69,7 @@ class Rule(AnswerRule):
     unsolicited: bool = False
 
 
-class FaultPlan(TablePlan[Rule]):
+class FaultPlan(Plan[Rule]):
     """The plan that the rules of the control channel make."""
 
     table, rule = TABLE, Rule

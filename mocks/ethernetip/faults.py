@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from ..fault_plan import TablePlan
+from ..fault_plan import Plan
 from ..fault_rules import FLAG, SKIP, TEXT, Table, hexadecimal, integer, one_of
 from ..framed_connection import ANSWER_FAULTS, AnswerRule
 
@@ -96,7 +96,7 @@ class Rule(AnswerRule):
         return named and self.tag in (None, tag)
 
 
-class FaultPlan(TablePlan[Rule]):
+class FaultPlan(Plan[Rule]):
     """The plan that the rules of the control channel make."""
 
     table, rule = TABLE, Rule

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..fault_plan import TablePlan
+from ..fault_plan import Plan
 from ..fault_rules import FLAG, SKIP, Field, Table, integer
 from ..framed_connection import ANSWER_FAULTS, AnswerRule
 
@@ -94,7 +94,7 @@ class Rule(AnswerRule):
     answer_values: tuple[int, ...] | None = None
 
 
-class FaultPlan(TablePlan[Rule]):
+class FaultPlan(Plan[Rule]):
     """The plan that the rules of the control channel make."""
 
     table, rule = TABLE, Rule

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from ..fault_plan import FaultRule, TablePlan
+from ..fault_plan import FaultRule, Plan
 from ..fault_rules import FLAG, SKIP, TEXT, Table, integer, number, one_of
 from ..network import MANNERS
 from .packets import Packet, Publish, Subscribe, Unsubscribe
@@ -97,7 +97,7 @@ def _topics(packet: Packet) -> tuple[str, ...]:
             return ()
 
 
-class FaultPlan(TablePlan[Rule]):
+class FaultPlan(Plan[Rule]):
     """The plan that the rules of the control channel make."""
 
     table, rule = TABLE, Rule

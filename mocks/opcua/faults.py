@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from asyncua import ua
 
-from ..fault_plan import FaultRule, TablePlan
+from ..fault_plan import FaultRule, Plan
 from ..fault_rules import FLAG, SKIP, TEXT, Field, Table, number
 from ..network import MANNERS
 
@@ -76,7 +76,7 @@ NOTHING = Rule()
 """The rule for a call that no rule matches."""
 
 
-class FaultPlan(TablePlan[Rule]):
+class FaultPlan(Plan[Rule]):
     """The plan that the rules of the control channel make."""
 
     table, rule = TABLE, Rule

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..fault_plan import FaultRule, TablePlan
+from ..fault_plan import FaultRule, Plan
 from ..fault_rules import FLAG, SKIP, Table, hexadecimal, integer, number, one_of
 from ..network import MANNERS
 from .services import SERVICES
@@ -67,7 +67,7 @@ class Rule(FaultRule):
     answer_data: bytes | None = None
 
 
-class FaultPlan(TablePlan[Rule]):
+class FaultPlan(Plan[Rule]):
     """The plan that the rules of the control channel make."""
 
     table, rule = TABLE, Rule

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from ..fault_plan import TablePlan
+from ..fault_plan import Plan
 from ..fault_rules import FLAG, SKIP, Table, hexadecimal, integer, one_of
 from ..framed_connection import ANSWER_FAULTS, AnswerRule
 
@@ -68,7 +68,7 @@ class Rule(AnswerRule):
     length: int = 0
 
 
-class FaultPlan(TablePlan[Rule]):
+class FaultPlan(Plan[Rule]):
     """The plan that the rules of the control channel make."""
 
     table, rule = TABLE, Rule

@@ -24,19 +24,21 @@ from .table import MUTANTS, PROTOCOLS
 
 def main() -> int:
     """Build the adapter, give it its defect, serve, and return the exit code."""
-    if sys.argv[1:] == ["--list"]:
-        print(json.dumps(listing()))
-        return 0
-    asked, *others = sys.argv[1:] or [""]
-    mutant = MUTANTS.get(asked)
-    if mutant is None or (others and not (mutant.anywhere and others in [[one] for one in PROTOCOLS])):
-        print(
-            "usage: python -m pytest_otmcp.reference_adapters.defects {--list | ID, such as MU-13 | MU-47 s7, a defect that any adapter may have}",
-            file=sys.stderr,
-        )
-        return 2
+    match sys.argv[1:]:
+        case ["--list"]:
+            print(json.dumps(listing()))
+            return 0
+        case [asked] if asked in MUTANTS:
+            protocol = MUTANTS[asked].protocol
+        case [asked, protocol] if asked in MUTANTS and MUTANTS[asked].anywhere and protocol in PROTOCOLS:
+            pass
+        case _:
+            known = "ID, such as MU-13 | ID PROTOCOL, such as MU-47 s7, where any adapter may have the defect"
+            print(f"usage: python -m pytest_otmcp.reference_adapters.defects {{--list | {known}}}", file=sys.stderr)
+            return 2
+    mutant = MUTANTS[asked]
     try:
-        server: AdapterServer = import_module(f"..{(others or [mutant.protocol])[0]}", __package__).build()
+        server: AdapterServer = import_module(f"..{protocol}", __package__).build()
     except ConfigError as error:
         print(f"configuration: {error}", file=sys.stderr)
         return 2

@@ -7,7 +7,7 @@ import contextlib
 import socket
 from collections.abc import AsyncIterator, Mapping
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import pytest
 import pytest_asyncio
@@ -172,14 +172,15 @@ async def test_no_more_requests_are_read_from_a_client_that_reads_no_answers(dev
 
     async with client(device) as (reader, writer), asyncio.timeout(PATIENCE_S):
         # asyncio's client reads ahead, unless it is told not to.
-        writer.transport.pause_reading()  # type: ignore[attr-defined]
+        stream = cast(asyncio.Transport, writer.transport)
+        stream.pause_reading()
         sending = asyncio.create_task(send(writer))
         await happened(device, 1, kind="CONNECTED")
         await device.full.wait()
         [link] = device.network.links
         assert not link.is_reading()
         assert len([entry for entry in device.journal.since(0) if entry["kind"] == "request"]) < count
-        writer.transport.resume_reading()  # type: ignore[attr-defined]
+        stream.resume_reading()
         assert await reader.readexactly(len(request) * count) == request * count
         await sending
 

@@ -15,7 +15,8 @@ from typing import Any
 
 from pytest_otmcp.mocks.device import Device
 from pytest_otmcp.mocks.endpoint import Endpoint, OpenEndpoint
-from pytest_otmcp.mocks.fault_rules import Plan, Table, integer
+from pytest_otmcp.mocks.fault_plan import FaultRule, Plan
+from pytest_otmcp.mocks.fault_rules import Table, integer
 
 __all__ = ["ENDPOINTS", "create", "warm"]
 
@@ -36,14 +37,17 @@ def create() -> Latches:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Rule:
+class Rule(FaultRule):
     """The answer that a fault rule gives, as often as it says."""
 
     answer: int
-    times: int | None = None
 
 
-RULES = Table(conditions={}, actions={"answer": integer(0, 255)}, example="{'answer': 7}")
+class FaultPlan(Plan[Rule]):
+    """The plan that the rules of the control channel make."""
+
+    table = Table(conditions={}, actions={"answer": integer(0, 255)}, example="{'answer': 7}")
+    rule = Rule
 
 
 class Latches(Device):
@@ -54,7 +58,7 @@ class Latches(Device):
     def __init__(self) -> None:
         super().__init__()
         self.latches = {"clock": 0, **{endpoint.name: 0 for endpoint in ENDPOINTS}}
-        self.faults: Plan[Rule] = Plan([])
+        self.faults = FaultPlan([])
         self.clients = 0
 
     async def serve(self, endpoints: Mapping[str, OpenEndpoint]) -> None:
@@ -110,13 +114,13 @@ class Latches(Device):
         self.latches[params["latch"]] = params["value"]
 
     def fault(self, rules: list[dict[str, Any]]) -> list[int]:
-        plan = Plan([Rule(**RULES.read(rule)) for rule in rules])
+        plan = FaultPlan(rules)
         hits, self.faults = self.faults.hits, plan
         return hits
 
     async def reset(self) -> None:
         self.latches = dict.fromkeys(self.latches, 0)
-        self.faults = Plan([])
+        self.faults = FaultPlan([])
 
     async def tick(self) -> None:
         self.latches["clock"] += 1

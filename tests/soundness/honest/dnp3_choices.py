@@ -2,38 +2,25 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import TYPE_CHECKING, Any
 
 from pytest_otmcp.reference_adapters.core import AdapterServer, Call
 from pytest_otmcp.reference_adapters.defects.mutant import Handler, wrap
 from pytest_otmcp.reference_adapters.dnp3.conversions import shown
 
-from pytest_otmcp.subject.model import OutputRule
-
 from .choice import choices
 
 if TYPE_CHECKING:
-    from pytest_otmcp.subject import Adapter
+    pass
 
 __all__ = ["CHOICES"]
 
 CHOICES, choice = choices("dnp3")
 
 
-def with_events(adapter: Adapter) -> Adapter:
-    """Return a description by which reads tell events, too."""
-    (read,) = adapter.operations["read_analog"]
-    events = OutputRule(path="data.unsolicited[].{type: point_type, index: index, value: value}")
-    outputs = {**read.outputs, "events": events}
-    operations = {**adapter.operations, "read_analog": (dataclasses.replace(read, outputs=outputs),)}
-    return dataclasses.replace(adapter, operations=operations)
-
-
 @choice(
     "tells an event that came unasked in the answer to the read that it came before, and not once more with the next poll",
     "it is told once, as soon as there is an answer that can tell it",
-    described=with_events,
 )
 def events_beside_a_read(server: AdapterServer) -> None:
     tools = server._tools["read_analog_inputs"].handler.__self__

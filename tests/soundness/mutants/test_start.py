@@ -18,7 +18,10 @@ def test_the_command_of_the_reference_adapters_does_not_know_the_defects() -> No
     assert "{bacnet|dnp3|ethernetip|modbus|mqtt|opcua|profibus|s7}" in done.stderr
 
 
-@pytest.mark.parametrize("arguments", [(), ("MU-13", "MU-14"), ("mu-13",), ("modbus",)])
+@pytest.mark.parametrize(
+    "arguments",
+    [(), ("MU-13", "MU-14"), ("MU-13", "s7"), ("MU-47", "S7"), ("MU-47", "s7", "s7"), ("mu-13",), ("modbus",)],
+)
 def test_a_defective_adapter_has_to_be_asked_for_by_its_id(
     arguments: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
