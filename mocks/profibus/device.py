@@ -56,6 +56,8 @@ class ProfibusDevice(Device):
         self._last: dict[int, _Last] = {}
         self._sent: dict[tuple[int, int], bytes] = {}
         self._cycled: dict[int, Reply] = {}
+        self._driven: set[tuple[int, int, int]] = set()
+        """Number of a client, its address as a master, and a station whose outputs it has set."""
         self._watchdogs: dict[int, asyncio.TimerHandle] = {}
 
     async def serve(self, endpoints: Mapping[str, OpenEndpoint]) -> None:
@@ -119,19 +121,24 @@ class ProfibusDevice(Device):
     def _without_answer(self, request: Telegram, raw: bytes) -> None:
         """Execute a request that nobody answers: a global control."""
         service = service_of(request)
-        addressed = [
-            slave for address, slave in self.plant.slaves.items() if request.destination in (address, BROADCAST)
-        ]
+        addressed = {
+            address: slave
+            for address, slave in self.plant.slaves.items()
+            if request.destination in (address, BROADCAST)
+        }
         command = request.data[0] if len(request.data) == 2 else _OPERATE
-        owns = any(slave.exchanges_with(request.source) for slave in addressed)
-        # A master that clears its own slaves leaves them in order; one that has none, or freezes, wants something of the plant.
-        changes = service == "global_control" and command != _OPERATE and not (owns and command == _CLEAR)
+        # A master that clears slaves which it has driven leaves them in order, whether it knows yet that they were restarted or not;
+        # one that has driven none, or freezes, wants something of the plant.
+        leaves = command == _CLEAR and any(
+            (self._client, request.source, address) in self._driven for address in addressed
+        )
+        changes = service == "global_control" and command != _OPERATE and not leaves
         rule = self.faults.match(service, request.destination, changes=False)
         self._record(
             "request", request=True, state_changing=changes, **describe(request), **_of(rule), telegram=raw.hex()
         )
         if service == "global_control" and (rule is None or not (rule.lose or rule.ack_only)):
-            for slave in addressed:
+            for slave in addressed.values():
                 slave.control(request.source, command)
             self._feed(request.source)
 
@@ -179,6 +186,8 @@ class ProfibusDevice(Device):
             return
         if service == "data_exchange":
             self._cycled[request.destination] = reply
+            if slave.exchanges_with(request.source):
+                self._driven.add((self._client, request.source, request.destination))
         self._answer(record(), last.request, reply, service, rule)
 
     def _repeats_outputs(self, slave: Slave | None, service: str, request: Telegram) -> bool:

@@ -177,6 +177,17 @@ async def test_a_global_control_clears_the_outputs_of_the_masters_own_slaves(
     assert [entry["state_changing"] for entry in told] == [True, False]
 
 
+async def test_a_master_that_clears_a_slave_which_was_restarted_leaves_it_in_order(
+    device: MockProgram, master: Master
+) -> None:
+    await master.exchange(5, "1234", **STATION_5)
+    await device.control.ask("reset")
+    master.send(request(5, 58, "0200", control=0x46))
+    master.send(request(8, 58, "0200", control=0x46))
+    told = await device.control.journal(service="global_control")
+    assert [(entry["station"], entry["state_changing"]) for entry in told] == [(5, False), (8, True)]
+
+
 async def test_a_diagnosis_is_announced_until_the_owner_has_fetched_it(device: MockProgram, master: Master) -> None:
     await master.exchange(5, "1234", **STATION_5)
     await device.control.ask("poke", params={"station": 5, "diagnosis": "0399"})
