@@ -91,11 +91,16 @@ async def arrival(
 
 
 async def sync_point(run: Repetition, mqtt: Rig, filter: str) -> None:
-    """Perform an exchange on the adapter's connection: after it the adapter has read what the broker sent before."""
+    """Perform an exchange on the adapter's connection: after it the adapter has read what the broker sent before.
+
+    A state that is told from a cache, whether declared or not, is no exchange; the adapter then subscribes to the filter.
+    """
     if mqtt.claims("info"):
-        run.succeeds(await mqtt.call("info", role="control"))
-    else:
-        run.succeeds(await mqtt.call("subscribe", role="control", filter=filter, qos=0))
+        state = await mqtt.call("info", role="control")
+        run.succeeds(state)
+        if not (mqtt.claims("subscribe") and oracle.exchange(state.during(await mqtt.journal()))):
+            return
+    run.succeeds(await mqtt.call("subscribe", role="control", filter=filter, qos=0))
 
 
 def receives(run: Repetition, mqtt: Rig, reply: Reply, topic: str, payload: str, *, by_topic: bool = True) -> None:

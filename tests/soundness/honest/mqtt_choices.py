@@ -35,6 +35,7 @@ CHOICES, choice = choices("mqtt")
 OWN_TOPIC = "acme/adapter-7/status"
 RETAINED = ("WR-004", "retained_own")
 MAX_AGE_S = 1.0
+READ_EVERY_S = 0.05
 
 
 def tools_of(server: AdapterServer) -> Tools:
@@ -327,7 +328,8 @@ def declared_as_cached(adapter: Adapter) -> Adapter:
 
 
 @choice(
-    "answers its status from what it learned by a ping at most a second ago, says so, and declares it",
+    "answers its status from what it learned by a ping at most a second ago, says so, and declares it; reads what came "
+    "every 50 ms",
     'requirements REC-002 and RD-004: source = "cache" and max_age_s in the subject file, source and age_ms in meta',
     described=declared_as_cached,
 )
@@ -367,6 +369,24 @@ def status_from_a_declared_cache(server: AdapterServer) -> None:
 
     wrap(server, "get_broker_info", remembered)
     in_background(server, watch)
+    connections.Connection._read = in_batches(connections.Connection._read)
+
+
+def in_batches(read: Callable[[Connection], None]) -> Callable[[Connection], None]:
+    """Return a reader that waits a moment for more."""
+
+    def later(connection: Connection) -> None:
+        connection._loop.remove_reader(connection._descriptor)
+        connection._loop.call_later(READ_EVERY_S, now, connection)
+
+    def now(connection: Connection) -> None:
+        if connection._socket() is None:
+            return
+        read(connection)
+        if connection._socket() is not None:
+            connection._loop.add_reader(connection._descriptor, connection._read)
+
+    return later
 
 
 # -- publishing -------------------------------------------------------------------------------------------------------
