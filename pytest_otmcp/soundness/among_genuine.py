@@ -6,11 +6,14 @@ from dataclasses import replace
 
 from ..plant.devices import Plant
 from ..record.schema import AdapterFacts, Device
-from ..subject import Subject
+from ..subject import Adapter, Subject, Variant
 from ..trial.adapter_under_test import AdapterUnderTest, BenchOptions
 from ..trial.bench import Bench
 
-__all__ = ["AmongGenuine", "with_command"]
+__all__ = ["AmongGenuine", "sooner", "with_command"]
+
+_SECONDS = ("_TIMEOUT_S", "_DEADLINE_S", "_WATCHDOG_S")
+"""How the names of those variables of the reference adapters end that hold for how long they wait, in seconds."""
 
 
 def with_command(subject: Subject, protocol: str, command: tuple[str, ...]) -> Subject:
@@ -19,6 +22,19 @@ def with_command(subject: Subject, protocol: str, command: tuple[str, ...]) -> S
     variants = {name: replace(variant, command=command, cwd=None) for name, variant in genuine.variants.items()}
     adapters = {**subject.adapters, protocol: replace(genuine, variants=variants)}
     return Subject(name="defective", version="0", adapters=adapters, source=subject.source)
+
+
+def sooner(subject: Subject, factor: float) -> Subject:
+    """Return the subject with reference adapters that wait so much shorter for what does not come."""
+
+    def variant(genuine: Variant) -> Variant:
+        waits = {name: f"{float(text) * factor:g}" for name, text in genuine.env.items() if name.endswith(_SECONDS)}
+        return replace(genuine, env={**genuine.env, **waits})
+
+    def adapter(genuine: Adapter) -> Adapter:
+        return replace(genuine, variants={name: variant(one) for name, one in genuine.variants.items()})
+
+    return replace(subject, adapters={protocol: adapter(genuine) for protocol, genuine in subject.adapters.items()})
 
 
 class AmongGenuine(Bench):

@@ -15,7 +15,7 @@ from ..trial.bench import Bench
 from ..trial.live_driver import LiveDriver
 from ..trial.task import Task
 from ..trial.trial import Trial
-from .among_genuine import AmongGenuine, with_command
+from .among_genuine import AmongGenuine, sooner, with_command
 from .defect import DEFECTS, Defect
 from .seen import Seen
 from .warm_start import WarmStart
@@ -24,6 +24,9 @@ __all__ = ["IMPATIENT", "Item", "failing", "judge", "measured", "noted", "tasks_
 
 IMPATIENT = 0.3
 """Time scale for adapters that hang: deadlines of 1.5 s, still long enough for the honest adapters beside them."""
+
+_SOONER = 0.5
+"""Factor on the seconds that the adapters wait: half of those of a certificate, which a machine that stops for two seconds must not use up."""
 
 _PASSED = (Status.PASS, Status.NOT_APPLICABLE)
 _MOST_WORDS = 10
@@ -49,7 +52,7 @@ async def judge(plant: Plant, warm: WarmStart, defect: Defect) -> Seen:
     """
     program = ("-P", "-m", DEFECTS, defect.id)
     command = (sys.executable, *program) if defect.cold else (*warm.python, *program)
-    subject = with_command(warm.subject(reference_subject()), defect.protocol, command)
+    subject = with_command(warm.subject(sooner(reference_subject(), _SOONER)), defect.protocol, command)
     bench = AmongGenuine(subject, plant, defect.protocol, IMPATIENT if defect.waits else 1.0)
     try:
         items = [await measured(bench, task) for task in tasks_of(defect)]

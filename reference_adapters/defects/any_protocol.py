@@ -377,6 +377,7 @@ MUTANTS = (
         items="M2 M4 R-modbus",
         requirements="MCP-009",
         recovers=True,
+        waits=True,
     ),
     Mutant(
         id="MU-99",
@@ -394,6 +395,7 @@ MUTANTS = (
         bend=each(change=rejects_everything),
         items="M1 M2 M3 M4 X1 X2 X1p X2p FM1 FM2 FX1 S1 S4 S7 S10",
         requirements="ERR-002 RD-001 RD-004 REC-001 REC-002 not_proven",
+        waits=True,
     ),
     Mutant(
         id="MU-111q",
@@ -411,6 +413,7 @@ MUTANTS = (
         bend=each(change=rejects_everything),
         items="O1 O2 O3 O4 X1 X2 X1p X2p FO1 FO2 FX1 S3 S6 S9 S12",
         requirements="ERR-003 OUA-006 RD-001 RD-004 REC-001 REC-002 not_proven",
+        waits=True,
     ),
     Mutant(
         id="MU-113",
@@ -456,6 +459,7 @@ MUTANTS = (
         items="S10 R-modbus",
         requirements="REC-001 not_proven",
         recovers=True,
+        waits=True,
     ),
     Mutant(
         id="MU-126q",
@@ -465,6 +469,7 @@ MUTANTS = (
         items="S11 R-mqtt",
         requirements="REC-001 not_proven",
         recovers=True,
+        waits=True,
     ),
     Mutant(
         id="MU-126o",
@@ -474,5 +479,6 @@ MUTANTS = (
         items="S12 R-opcua",
         requirements="REC-001 not_proven",
         recovers=True,
+        waits=True,
     ),
 )

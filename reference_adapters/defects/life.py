@@ -71,6 +71,7 @@ MUTANTS = (
         bend=stays_with_writes_disabled,
         items="M4",
         requirements="MCP-009",
+        waits=True,
     ),
     Mutant(
         id="MU-90",
