@@ -93,12 +93,16 @@ async def arrival(
 async def sync_point(run: Repetition, mqtt: Rig, filter: str) -> None:
     """Perform an exchange on the adapter's connection: after it the adapter has read what the broker sent before.
 
-    A state that is told from a cache, whether declared or not, is no exchange; the adapter then subscribes to the filter.
+    A state that is told from a cache is no exchange, and one that is asked for over another connection none on this one; the adapter then
+    subscribes to the filter.
     """
-    if mqtt.claims("info"):
+    subscribes = mqtt.claims("subscribe")
+    # A cache that is declared is renewed in its own time: an exchange during the call is not the call's.
+    if not subscribes or (mqtt.claims("info") and mqtt.max_age_s("info") is None):
         state = await mqtt.call("info", role="control")
         run.succeeds(state)
-        if not (mqtt.claims("subscribe") and oracle.exchange(state.during(await mqtt.journal()))):
+        journal = await mqtt.journal()
+        if not subscribes or oracle.caught_up(journal, state.during(journal)):
             return
     run.succeeds(await mqtt.call("subscribe", role="control", filter=filter, qos=0))
 

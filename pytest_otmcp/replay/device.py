@@ -43,6 +43,7 @@ class DeviceHistory:
         self._floor_ns = 0
         self._last_ns = 0
         self._opened = (0, 0)
+        self._examined = 0
 
     def enter(self, found: ItemDevice) -> None:
         """Begin an item at this device.
@@ -83,6 +84,7 @@ class DeviceHistory:
         self.cursor.restart()
         self._connections.restart()
         self._opened = (0, 0)
+        self._examined = 0
 
     def has_session(self, session: SessionStart | None, seen_ns: int) -> None:
         """Begin a session that was there at ``seen_ns``, if its number is not that of the session before."""
@@ -105,7 +107,7 @@ class DeviceHistory:
         """Check what a look at the journal showed: the entries from the end of the last slice to before ``until``.
 
         Raises:
-            HistoryError: there is a gap, or the time of an entry does not fit.
+            HistoryError: there is a gap, or the time of an entry does not fit; or as :meth:`_examine`.
         """
         begin = self.cursor.next
         if until < begin:
@@ -130,18 +132,31 @@ class DeviceHistory:
                     f"between {last_ns} and {seen_ns}"
                 )
             last_ns = entry["t_ns"]
+        # Before the steps decide by these entries what they do next.
+        self._examine(entries)
 
     def take(self, entries: Sequence[JournalEntry], until: int, asked_ns: int) -> None:
         """Take a slice: the entries after it must be from after it was asked for.
 
         Raises:
-            HistoryError: an entry contradicts itself, the bytes that it holds, or the entries before it.
+            HistoryError: as :meth:`_examine`.
         """
         self.cursor.take(entries, until)
         self._floor_ns = max(self._floor_ns, asked_ns)
         if entries:
             self._last_ns = entries[-1]["t_ns"]
+        self._examine(entries)
+
+    def _examine(self, entries: Sequence[JournalEntry]) -> None:
+        """Check the entries that no earlier look has shown.
+
+        Raises:
+            HistoryError: an entry contradicts itself, the bytes that it holds, or the entries before it.
+        """
         for entry in entries:
+            if entry["seq"] < self._examined:
+                continue
+            self._examined = entry["seq"] + 1
             of_order = self._connections.contradiction(entry)
             wrong = _against_contract(entry) or self._protocol.contradiction(entry) or of_order
             if wrong is not None:

@@ -72,6 +72,7 @@ class Link:
         self.needed: dict[str, int] = {}
         self.publishing = asyncio.Lock()
         self.generation = 0
+        self._asked_for: list[str] = []
         self._may_write = may_write
         self._unused_filter = f"otmcp/ping/{secrets.token_hex(8)}"
         self._connection: Connection | None = None
@@ -166,12 +167,17 @@ class Link:
             call.trace.update(topic=text, qos=asked)
             return await connection.subscribe({text: asked})
 
-        (granted,) = await self.exchange(call, request)
-        if granted >= _REFUSED:
-            # If there was a subscription with this filter, the broker has kept it (MQTT 3.1.1, section 3.8.4).
-            raise _refused(call, granted, "the broker refuses the subscription")
-        call.trace["granted_qos"] = granted
-        self.subscriptions[text] = Subscription(qos=qos, granted=granted)
+        # Messages may come before the SUBACK (MQTT 3.1.1, section 3.8.4), and in one read with it.
+        self._asked_for.append(text)
+        try:
+            (granted,) = await self.exchange(call, request)
+            if granted >= _REFUSED:
+                # If there was a subscription with this filter, the broker has kept it (MQTT 3.1.1, section 3.8.4).
+                raise _refused(call, granted, "the broker refuses the subscription")
+            call.trace["granted_qos"] = granted
+            self.subscriptions[text] = Subscription(qos=qos, granted=granted)
+        finally:
+            self._asked_for.remove(text)
         return granted
 
     async def unsubscribe(self, call: Call, text: str) -> None:
@@ -298,7 +304,7 @@ class Link:
     # -- receiving ----------------------------------------------------------------------------------------
 
     def _received(self, message: Message) -> None:
-        if any(matches(text, message.topic) for text in self.subscriptions):
+        if any(matches(text, message.topic) for text in (*self.subscriptions, *self._asked_for)):
             self.inbox.add(message)
         self.nodes.received(message)
         asked = message.topic == self.edge_node.topic("NCMD") and is_rebirth_command(message.payload)

@@ -188,6 +188,18 @@ def test_a_subscription_without_an_answer_is_not_listed(adapter: Any, broker: An
     adapter.call("unsubscribe_topic", topic="silent/#")
 
 
+def test_a_message_that_comes_before_the_answer_to_its_subscription_is_kept(adapter: Any, broker: Any) -> None:
+    adapter.call("get_broker_info")
+    mark = broker.mark()
+    broker.fault({"packet": "SUBSCRIBE", "client_id": CLIENT, "times": 1, "action": {"delay_s": 0.5}})
+    call = adapter.start("subscribe_topic", {"topic": "early/#"})
+    broker.wait(mark, kind="SUBSCRIBE", direction="in", client_id=CLIENT)
+    broker("poke", params={"publish": {"topic": "early/a", "payload": "Zmlyc3Q=", "qos": 0}})
+    assert adapter.reply("subscribe_topic", call).data["granted_qos"] == 0
+    assert received(adapter, "early/#") == ["first"]
+    adapter.call("unsubscribe_topic", topic="early/#")
+
+
 # -- connecting --------------------------------------------------------------------------------------------------
 
 

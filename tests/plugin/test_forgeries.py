@@ -593,7 +593,7 @@ FORGERIES: dict[str, tuple[str, Change]] = {
         lambda run: entry(run, "M2", kind="request").update(state_changing=True),
     ),
     "a payload that is no base64": (
-        "Q4 repetition 1: the steps ask for wait of mqtt, the history has journal of mqtt",
+        "of the journal of mqtt has the payload '%%%', which is no base64",
         lambda run: message(run).update(payload="%%%"),
     ),
     "the payload of another message": ("of the journal of mqtt says seq", other_message),

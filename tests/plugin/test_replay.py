@@ -200,7 +200,7 @@ def write_in_the_read_only_session(item: Record) -> None:
 
 CHANGES: dict[Callable[[Record], None], tuple[str, str]] = {
     forget_the_connect: ("Q1", "the journal of mqtt should have the entries"),
-    repeat_a_sequence_number: ("Q4", "Q4 repetition 2: the steps ask for wait of mqtt"),
+    repeat_a_sequence_number: ("Q4", "of the journal of mqtt says seq 4, its payload says 1"),
     shift_a_slice: ("O1", "O1 repetition 1: the journal of opcua has 1 entries beyond its end"),
     deny_a_connection: ("R-modbus", "R-modbus repetition 1: the stored history shows phases"),
     come_back_too_late: ("R-mqtt", "R-mqtt repetition 1: the start of mqtt was at"),
@@ -211,7 +211,7 @@ CHANGES: dict[Callable[[Record], None], tuple[str, str]] = {
     swap_concurrent_replies: ("S1", "S1 repetition 1: the stored history shows 'read_input_registers"),
     write_in_the_read_only_session: (
         "M4",
-        "M4 control: the steps ask for end of modbus, the history has garbled of modbus@ro",
+        "of the journal of modbus@ro says state_changing True, its PDU says False",
     ),
 }
 

@@ -10,7 +10,7 @@ from types import MappingProxyType
 
 from ...core.finding import Finding
 from ..journal import Entries, JournalEntry
-from ..oracle import Witness
+from ..oracle import Witness, requests
 from ..protocol import Declared
 from ..session_oracle import SessionOracle
 from .commands import commands
@@ -26,6 +26,7 @@ __all__ = [
     "Subscriptions",
     "acknowledged",
     "broken_rule",
+    "caught_up",
     "commanded_once",
     "ddata_metric",
     "delivered",
@@ -212,6 +213,20 @@ class Refused(SessionOracle):
         """Return the messages that came nevertheless."""
         faults, self._faults = self._faults, []
         return faults
+
+
+def caught_up(entries: Entries, during: Entries) -> bool:
+    """Tell whether the adapter has read the messages that it was sent: on each connection the broker has answered a request since.
+
+    Args:
+        entries: of the journal.
+        during: those of a call that began when the messages had been sent.
+    """
+    sent = {packet["connection"] for kind in ("PUBLISH", "BURST") for packet in adapter_packets(entries, kind, "out")}
+    ended = {packet["connection"] for packet in adapter_packets(entries, "DISCONNECTED")}
+    asked = {request["seq"]: request["connection"] for request in requests(during)}
+    answered = {asked[entry["answers"]] for entry in during if entry["answers"] in asked}
+    return bool(answered) and sent - ended <= answered
 
 
 def delivered(entries: Entries, *, topic: str, payload: bytes, client_id: str | None = None) -> list[Finding]:

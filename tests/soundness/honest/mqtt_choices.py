@@ -296,29 +296,39 @@ def status_asked_twice(server: AdapterServer) -> None:
 
 
 @choice(
-    "asks for the broker's state over a connection of its own, too", "asking changes nothing; meta.attempts says so"
+    "asks for the broker's state over a connection of its own; reads what came over the other one every 50 ms",
+    "asking changes nothing; MQTT says nothing of when a client reads",
 )
 def status_by_connecting(server: AdapterServer) -> None:
     link, alone = link_of(server), asyncio.Lock()
 
-    async def ask(call: Call) -> None:
-        async with alone:
-            asking = second_link(link)
-            try:
-                await asking.ask(call)
-            finally:
-                await asking.close()
-
     def asked(genuine: Handler) -> Handler:
         async def handler(call: Call, arguments: Any) -> Any:
-            question = background_call(server)
-            await ask(question)
-            call.attempts += question.attempts
-            return await genuine(call, arguments)
+            if not link.connected:
+                return await genuine(call, arguments)
+            async with alone:
+                asking = second_link(link)
+                try:
+                    await asking.ask(call)
+                finally:
+                    await asking.close()
+            return state_of(link)
 
         return handler
 
     wrap(server, "get_broker_info", asked)
+    connections.Connection._read = in_batches(connections.Connection._read)
+
+
+def state_of(link: Link) -> dict[str, Any]:
+    """What ``get_broker_info`` tells of a link that is connected."""
+    return {
+        "connected": True,
+        "endpoint": link.endpoint.uri,
+        "client_id": link.endpoint.client_id,
+        "protocol_version": "3.1.1",
+        "subscriptions": len(link.subscriptions),
+    }
 
 
 def declared_as_cached(adapter: Adapter) -> Adapter:
@@ -353,14 +363,7 @@ def status_from_a_declared_cache(server: AdapterServer) -> None:
             age_s = now() - learned[0]
             if age_s < 0.9 * MAX_AGE_S and link.connected:
                 call.source, call.extra["age_ms"] = "cache", round(1000 * age_s, 3)
-                endpoint = link.endpoint
-                return {
-                    "connected": True,
-                    "endpoint": endpoint.uri,
-                    "client_id": endpoint.client_id,
-                    "protocol_version": "3.1.1",
-                    "subscriptions": len(link.subscriptions),
-                }
+                return state_of(link)
             data = await genuine(call, arguments)
             learned[0] = now()
             return data
@@ -382,7 +385,8 @@ def in_batches(read: Callable[[Connection], None]) -> Callable[[Connection], Non
     def now(connection: Connection) -> None:
         if connection._socket() is None:
             return
-        read(connection)
+        while connection._socket() is not None and connection._poll.poll(0):
+            read(connection)
         if connection._socket() is not None:
             connection._loop.add_reader(connection._descriptor, connection._read)
 
