@@ -7,13 +7,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from .cip import CONNECTION_MANAGER, LARGE_FORWARD_OPEN, UNCONNECTED_SEND
 from .describe import describe
 from .messages import Refusal, Request
 
 __all__ = ["AskedFor", "connected_request", "unconnected_request"]
 
-_UNCONNECTED_SEND, _LARGE_OPEN = 0x52, 0x5B
-_MANAGER = 0x06
 _TRANSPORT_CLASS = 0x0F
 _MESSAGES = (2, 3)
 
@@ -46,7 +45,7 @@ def unconnected_request(message: bytes) -> AskedFor:
     """Return the request without a connection; an Unconnected Send holds it."""
     fields = describe(message)
     item: Mapping[str, Any] = next(iter(fields["items"]), {})
-    if (item.get("code"), item.get("class")) == (_UNCONNECTED_SEND, _MANAGER):
+    if (item.get("code"), item.get("class")) == (UNCONNECTED_SEND, CONNECTION_MANAGER):
         found = _unwrapped(Request.parse(message).data)
         # What holds none is answered as a service that the connection manager does not have.
         if found is not None:
@@ -79,5 +78,5 @@ def _connects_data(message: bytes) -> bool:
         data = Request.parse(message).data
     except Refusal:
         return False
-    place = 38 if message[0] == _LARGE_OPEN else 34
+    place = 38 if message[0] == LARGE_FORWARD_OPEN else 34
     return len(data) > place and data[place] & _TRANSPORT_CLASS not in _MESSAGES

@@ -9,19 +9,18 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass, field
 
+from .cip import FORWARD_OPEN, LARGE_FORWARD_OPEN, UNCONNECTED_SEND
 from .messages import TOO_LITTLE_DATA, Path, Refusal, Reply
 
 __all__ = ["Connection", "Connections", "misrouted"]
 
 _FAILED = 0x01
-_UNCONNECTED_SEND = 0x52
 DUPLICATE, CLASS_NOT_SUPPORTED, NOT_FOUND, BAD_SIZE, NO_MORE = 0x0100, 0x0103, 0x0107, 0x0109, 0x0113
 NO_SUCH_PORT, NO_SUCH_LINK, BAD_SEGMENT = 0x0311, 0x0312, 0x0315
 
 _TRANSPORT_CLASS = 0x0F
 _MESSAGES = 3
-_SMALL, _LARGE = 0x54, 0x5B
-_LARGEST = {_SMALL: 511, _LARGE: 4002}
+_LARGEST = {FORWARD_OPEN: 511, LARGE_FORWARD_OPEN: 4002}
 _BACKPLANE, _SLOT = 1, 0
 _FIRST_ID = 0x20000001
 _ROUTER = (2, 1)
@@ -71,7 +70,7 @@ class Connections:
             code: of the service: 54, or 5B for sizes above 511 bytes.
             limit: so many can be open.
         """
-        wide = code == _LARGE
+        wide = code == LARGE_FORWARD_OPEN
         form = struct.Struct("<BBIIHHIB3xIIIIBB" if wide else "<BBIIHHIB3xIHIHBB")
         if len(data) < form.size or len(data) != form.size + 2 * data[form.size - 1]:
             return Reply(service=code, status=TOO_LITTLE_DATA)
@@ -152,4 +151,4 @@ def misrouted(route: bytes) -> Reply | None:
     if problem is None:
         return None
     # One word of the route is left, the one that leads nowhere.
-    return Reply(service=_UNCONNECTED_SEND, status=_FAILED, extended=(problem,), data=b"\x01\0")
+    return Reply(service=UNCONNECTED_SEND, status=_FAILED, extended=(problem,), data=b"\x01\0")

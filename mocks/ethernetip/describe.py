@@ -5,38 +5,37 @@ from __future__ import annotations
 import struct
 from typing import Any
 
+from . import cip
 from .messages import Refusal, Request, embedded
 from .types import ELEMENTARY, STRING
 
-__all__ = ["MULTIPLE", "describe", "described_reply"]
-
-READ, READ_FRAGMENT, WRITE, WRITE_FRAGMENT, MODIFY = 0x4C, 0x52, 0x4D, 0x53, 0x4E
-MULTIPLE = 0x0A
+__all__ = ["describe", "described_reply"]
 
 _TAG_SERVICES = {
-    READ: "read",
-    READ_FRAGMENT: "read",
-    WRITE: "write",
-    WRITE_FRAGMENT: "write",
-    MODIFY: "modify",
+    cip.READ: "read",
+    cip.READ_FRAGMENT: "read",
+    cip.WRITE: "write",
+    cip.WRITE_FRAGMENT: "write",
+    cip.MODIFY: "modify",
 }
 _SERVICES: dict[tuple[int, int | None], str] = {
     **{(code, None): name for code, name in _TAG_SERVICES.items()},
-    **{(code, 0x6B): name for code, name in _TAG_SERVICES.items()},
-    (0x55, 0x6B): "tag_list",
-    (0x03, 0x6C): "template",
-    (READ, 0x6C): "template",
-    (0x01, 0x01): "identity",
-    (0x0E, 0x01): "identity",
-    (0x01, 0x64): "identity",
-    (0x03, 0x8B): "clock",
-    (0x04, 0x8B): "set_clock",
-    (MULTIPLE, 0x02): "multiple",
-    (0x54, 0x06): "forward_open",
-    (0x5B, 0x06): "forward_open",
-    (0x4E, 0x06): "forward_close",
+    **{(code, cip.SYMBOL): name for code, name in _TAG_SERVICES.items()},
+    (cip.LIST_INSTANCES, cip.SYMBOL): "tag_list",
+    (cip.GET_LIST, cip.TEMPLATE): "template",
+    (cip.READ, cip.TEMPLATE): "template",
+    (cip.GET_ALL, cip.IDENTITY): "identity",
+    (cip.GET_SINGLE, cip.IDENTITY): "identity",
+    (cip.GET_ALL, cip.PROGRAM_NAME): "identity",
+    (cip.GET_LIST, cip.WALL_CLOCK): "clock",
+    (cip.SET_LIST, cip.WALL_CLOCK): "set_clock",
+    (cip.MULTIPLE, cip.MESSAGE_ROUTER): "multiple",
+    (cip.FORWARD_OPEN, cip.CONNECTION_MANAGER): "forward_open",
+    (cip.LARGE_FORWARD_OPEN, cip.CONNECTION_MANAGER): "forward_open",
+    (cip.FORWARD_CLOSE, cip.CONNECTION_MANAGER): "forward_close",
 }
-_CHANGING = {0x02, 0x04, 0x05, 0x06, 0x07, 0x08, 0x09, 0x10, 0x4B, WRITE, MODIFY, WRITE_FRAGMENT}
+# Set_Attributes_All and _List, Reset, Start, Stop, Create, Delete, Set_Attribute_Single, Execute PCCC, and the writes of tags.
+_CHANGING = {0x02, cip.SET_LIST, 0x05, 0x06, 0x07, 0x08, 0x09, 0x10, 0x4B, cip.WRITE, cip.MODIFY, cip.WRITE_FRAGMENT}
 _HANDLE_FOLLOWS = 0x02A0
 _SIZES = {kind.code: kind.size for kind in ELEMENTARY.values()}
 
@@ -47,7 +46,7 @@ def describe(raw: bytes) -> dict[str, Any]:
     items = [item]
     if item["asks"] == "multiple":
         items = [_item(one) for one in embedded(Request.parse(raw).data) or ()]
-    changing = any(one.get("code") in _CHANGING and one.get("class") != 0x06 for one in items)
+    changing = any(one.get("code") in _CHANGING and one.get("class") != cip.CONNECTION_MANAGER for one in items)
     return {"service": item["asks"], "items": items, "state_changing": changing}
 
 
@@ -74,13 +73,13 @@ def _item(raw: bytes) -> dict[str, Any]:
 def _content(request: Request) -> dict[str, Any]:
     """Return what a read or a write of a tag asks for, besides the tag."""
     data = request.data
-    if request.service in (READ, READ_FRAGMENT):
+    if request.service in (cip.READ, cip.READ_FRAGMENT):
         count = struct.unpack_from("<H", data)[0] if len(data) >= 2 else None
-        return {"count": count, "offset": _offset(data, 2) if request.service == READ_FRAGMENT else None}
-    if request.service == MODIFY and len(data) >= 2:
+        return {"count": count, "offset": _offset(data, 2) if request.service == cip.READ_FRAGMENT else None}
+    if request.service == cip.MODIFY and len(data) >= 2:
         (size,) = struct.unpack_from("<H", data)
         return {"or_mask": data[2 : 2 + size].hex(), "and_mask": data[2 + size : 2 + 2 * size].hex()}
-    if request.service in (WRITE, WRITE_FRAGMENT) and len(data) >= 4:
+    if request.service in (cip.WRITE, cip.WRITE_FRAGMENT) and len(data) >= 4:
         return _written(request.service, data)
     return {}
 
@@ -94,7 +93,7 @@ def _written(service: int, data: bytes) -> dict[str, Any]:
         return found
     (found["count"],) = struct.unpack_from("<H", rest)
     rest = rest[2:]
-    if service == WRITE_FRAGMENT:
+    if service == cip.WRITE_FRAGMENT:
         return {**found, "offset": _offset(rest, 0), "data": rest[4:].hex()}
     size = STRING.size if found.get("handle") == STRING.handle else _SIZES.get(found["type"], len(rest))
     whole = found["count"] * size
@@ -114,7 +113,7 @@ def described_reply(raw: bytes) -> dict[str, Any]:
     """Return the members that the journal has of an answer: ``status``, ``extended`` and ``items``."""
     first = _result(raw)
     parts = [raw]
-    if first["code"] == MULTIPLE:
+    if first["code"] == cip.MULTIPLE:
         parts = embedded(bytes.fromhex(first.get("data", ""))) or []
     return {"status": first["status"], "extended": first.get("extended"), "items": [_result(part) for part in parts]}
 

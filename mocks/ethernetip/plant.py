@@ -20,15 +20,14 @@ import time
 from datetime import UTC, datetime
 from typing import Any
 
+from .cip import SYMBOL
 from .messages import BAD_PATH, Path, Refusal
 from .tags import NO_SUCH_PLACE, Place, Tag, located, shown, store, walk
 from .types import ELEMENTARY, RECIPE, STRING, Elementary, Structure
 
-__all__ = ["PROGRAM", "STRUCTURES", "SYMBOL", "Plant"]
+__all__ = ["PROGRAM", "STRUCTURES", "Plant"]
 
 PROGRAM = "MainProgram"
-SYMBOL = 0x6B
-"""Class of symbol objects."""
 STRUCTURES: dict[int, Structure] = {one.template: one for one in (STRING, RECIPE)}
 """Structures by the instance of their template."""
 

@@ -10,11 +10,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+from . import cip
 from .describe import describe
 from .faults import Rule
 from .identity import attribute, every_attribute, program_name
 from .messages import SUCCESS, TOO_LITTLE_DATA, Path, Refusal, Reply, Request, embedded, multiple_reply
-from .plant import STRUCTURES, SYMBOL, Plant
+from .plant import STRUCTURES, Plant
 from .symbols import symbol_list, template_attributes, template_part
 from .tags import PRIVILEGE, Place
 from .types import Elementary
@@ -23,10 +24,20 @@ __all__ = ["Router", "named"]
 
 PARTIAL, UNSUPPORTED, TOO_LARGE, TOO_MUCH_DATA = 0x06, 0x08, 0x11, 0x15
 BAD_VALUE = 0x03
+NO_DESTINATION, BAD_ATTRIBUTE_VALUE, ATTRIBUTE_ERROR, NO_SUCH_ATTRIBUTE = 0x05, 0x09, 0x0A, 0x14
 GENERAL, BEYOND, TOO_MANY, OTHER_TYPE = 0xFF, 0x2104, 0x2105, 0x2107
 
-_MULTIPLE = 0x0A
-_ALL, _LIST, _SET_LIST, _SINGLE = 0x01, 0x03, 0x04, 0x0E
+_CLASSES = frozenset(
+    {
+        cip.IDENTITY,
+        cip.MESSAGE_ROUTER,
+        cip.CONNECTION_MANAGER,
+        cip.PROGRAM_NAME,
+        cip.SYMBOL,
+        cip.TEMPLATE,
+        cip.WALL_CLOCK,
+    }
+)
 _HEAD = 4
 """Bytes of an answer before its data."""
 _CLOCK_US, _DAYLIGHT, _LOCAL_US = 6, 0x0A, 0x0B
@@ -39,7 +50,7 @@ def named(plant: Plant, item: Mapping[str, Any]) -> str | None:
     Names are compared without regard to case, and a symbol instance stands for a name.
     """
     text: str | None = item.get("tag")
-    if item.get("class") == SYMBOL and "instance" in item:
+    if item.get("class") == cip.SYMBOL and "instance" in item:
         tag = next((tag for tag in plant.tags if tag.instance == item["instance"] and tag.program is None), None)
         text = None if tag is None else Path(steps=(tag.label, *item.get("steps", ()))).label()
     if text is None:
@@ -84,7 +95,7 @@ class Router:
             return Reply(service=request.service, status=rule.status, extended=extended)
         try:
             path = request.path
-            if (path.class_id, request.service) == (2, _MULTIPLE):
+            if (path.class_id, request.service) == (cip.MESSAGE_ROUTER, cip.MULTIPLE):
                 return self._multiple(request)
             data, status = self._run(path, request, rule)
         except Refusal as refusal:
@@ -115,7 +126,7 @@ class Router:
             request = Request.parse(raw)
         except Refusal as refusal:
             return Reply(service=raw[0] if raw else 0, status=refusal.status)
-        if request.service == _MULTIPLE:
+        if request.service == cip.MULTIPLE:
             return Reply(service=request.service, status=UNSUPPORTED)
         reply = Router(plant=self.plant, limit=self.limit, rule=self.rule)._one(request, raw)
         if len(reply.encoded()) > left:
@@ -130,40 +141,42 @@ class Router:
         """
         code, data = request.service, request.data
         most = self.limit - _HEAD
-        if code in _TAG_SERVICES and path.class_id in (None, SYMBOL):
+        if code in cip.TAG_SERVICES and path.class_id in (None, cip.SYMBOL):
             return self._access(self.plant.find(path), code, data, rule)
-        if (path.class_id, code) == (SYMBOL, 0x55):
+        if (path.class_id, code) == (cip.SYMBOL, cip.LIST_INSTANCES):
             return symbol_list(self.plant, path, data, most)
-        if path.class_id == 0x6C and path.instance in STRUCTURES and code in (_LIST, 0x4C):
+        if path.class_id == cip.TEMPLATE and path.instance in STRUCTURES and code in (cip.GET_LIST, cip.READ):
             structure = STRUCTURES[path.instance]
-            return template_attributes(structure, data) if code == _LIST else template_part(structure, data, most)
+            if code == cip.READ:
+                return template_part(structure, data, most)
+            return template_attributes(structure, data)
         fixed: dict[tuple[int | None, int | None, int], Callable[[], bytes]] = {
-            (1, 1, _ALL): every_attribute,
-            (1, 1, _SINGLE): lambda: attribute(path.attribute),
-            (0x64, 1, _ALL): program_name,
-            (0x8B, 1, _LIST): lambda: self._clock(data),
-            (0x8B, 1, _SET_LIST): lambda: self._set_clock(data, rule),
+            (cip.IDENTITY, 1, cip.GET_ALL): every_attribute,
+            (cip.IDENTITY, 1, cip.GET_SINGLE): lambda: attribute(path.attribute),
+            (cip.PROGRAM_NAME, 1, cip.GET_ALL): program_name,
+            (cip.WALL_CLOCK, 1, cip.GET_LIST): lambda: self._clock(data),
+            (cip.WALL_CLOCK, 1, cip.SET_LIST): lambda: self._set_clock(data, rule),
         }
         found = fixed.get((path.class_id, path.instance, code))
         if found is None:
             # An object that is not there is a path without destination; one that is there does not have the service.
-            known = path.class_id in (None, 1, 2, 6, 0x64, SYMBOL, 0x6C, 0x8B)
-            raise Refusal(UNSUPPORTED) if known else Refusal(0x05, 0)
+            known = path.class_id is None or path.class_id in _CLASSES
+            raise Refusal(UNSUPPORTED) if known else Refusal(NO_DESTINATION, 0)
         return found(), SUCCESS
 
     # -- tags -------------------------------------------------------------------------------------------------
 
     def _access(self, place: Place, code: int, data: bytes, rule: Rule | None) -> tuple[bytes, int]:
-        if code in (0x4C, 0x52):
+        if code in (cip.READ, cip.READ_FRAGMENT):
             return self._read(place, code, data, rule)
         if place.tag.access != "read_write":
             raise Refusal(PRIVILEGE)
         apply = rule is None or not rule.ack_only
-        (_modify if code == 0x4E else _write)(place, code, data, apply)
+        (_modify if code == cip.MODIFY else _write)(place, code, data, apply)
         return b"", SUCCESS
 
     def _read(self, place: Place, code: int, data: bytes, rule: Rule | None) -> tuple[bytes, int]:
-        wanted = 2 if code == 0x4C else 6
+        wanted = 2 if code == cip.READ else 6
         if len(data) != wanted:
             raise Refusal(TOO_LITTLE_DATA if len(data) < wanted else TOO_MUCH_DATA)
         (count,) = struct.unpack_from("<H", data)
@@ -196,7 +209,7 @@ class Router:
             elif number == _DAYLIGHT:
                 answer += struct.pack("<HHB", number, 0, 0)
             else:
-                answer += struct.pack("<HH", number, 0x14)
+                answer += struct.pack("<HH", number, NO_SUCH_ATTRIBUTE)
         return answer
 
     def _set_clock(self, data: bytes, rule: Rule | None) -> bytes:
@@ -211,7 +224,7 @@ class Router:
                 raise Refusal(TOO_LITTLE_DATA)
             if size is None:
                 # How long an unknown attribute is cannot be told, so nothing behind it can be read.
-                raise Refusal(0x0A)
+                raise Refusal(ATTRIBUTE_ERROR)
             if size == 8:
                 wanted = int.from_bytes(rest[2:10], "little")
             answer += struct.pack("<HH", number, 0)
@@ -222,11 +235,8 @@ class Router:
             try:
                 self.plant.set_clock(wanted)
             except ValueError:
-                raise Refusal(0x09) from None
+                raise Refusal(BAD_ATTRIBUTE_VALUE) from None
         return answer
-
-
-_TAG_SERVICES = frozenset({0x4C, 0x4D, 0x4E, 0x52, 0x53})
 
 
 def _numbers(data: bytes) -> tuple[int, ...]:
@@ -252,7 +262,7 @@ def _write(place: Place, code: int, data: bytes, apply: bool) -> None:
     (count,) = struct.unpack_from("<H", data, len(head))
     _check_count(place, count)
     rest, whole = data[len(head) + 2 :], count * place.kind.size
-    if code == 0x4D:
+    if code == cip.WRITE:
         if len(rest) < whole:
             raise Refusal(TOO_LITTLE_DATA)
         # More than was announced is left alone: pycomm3 sends it, and controllers are reported to take it.
