@@ -94,7 +94,8 @@ async def sync_point(run: Repetition, mqtt: Rig, filter: str) -> None:
     """Perform an exchange on the adapter's connection: after it the adapter has read what the broker sent before.
 
     A state that is told from a cache is no exchange, and one that is asked for over another connection none on this one; the adapter then
-    subscribes to the filter.
+    subscribes to a topic below the filter, on which nothing is published: to subscribe to the filter again would bring retained messages
+    again, replace a subscription that was lost, or empty its buffer.
     """
     subscribes = mqtt.claims("subscribe")
     # A cache that is declared is renewed in its own time: an exchange during the call is not the call's.
@@ -104,7 +105,8 @@ async def sync_point(run: Repetition, mqtt: Rig, filter: str) -> None:
         journal = await mqtt.journal()
         if not subscribes or oracle.caught_up(journal, state.during(journal)):
             return
-    run.succeeds(await mqtt.call("subscribe", role="control", filter=filter, qos=0))
+    unused = f"{filter.removesuffix('/#')}/none"
+    run.succeeds(await mqtt.call("subscribe", role="control", filter=unused, qos=0))
 
 
 def receives(run: Repetition, mqtt: Rig, reply: Reply, topic: str, payload: str, *, by_topic: bool = True) -> None:

@@ -111,6 +111,5 @@ MUTANTS: tuple[Mutant, ...] = (
         items="REC-001.opcua REC-002.opcua REC-005.opcua",
         requirements="REC-001 REC-005",
         areas="rec",
-        waits=True,
     ),
 )

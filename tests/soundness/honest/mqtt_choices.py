@@ -353,8 +353,10 @@ def status_from_a_declared_cache(server: AdapterServer) -> None:
     async def watch() -> None:
         await asyncio.sleep(0.2)
         if link.connected:
+            # What is learned is as old as the question: when the broker answered, nobody but the broker knows.
+            asked = now()
             await link.ask(background_call(server))
-            learned[0] = now()
+            learned[0] = asked
         else:
             learned[0] = -MAX_AGE_S
 
@@ -364,8 +366,9 @@ def status_from_a_declared_cache(server: AdapterServer) -> None:
             if age_s < 0.9 * MAX_AGE_S and link.connected:
                 call.source, call.extra["age_ms"] = "cache", round(1000 * age_s, 3)
                 return state_of(link)
+            asked = now()
             data = await genuine(call, arguments)
-            learned[0] = now()
+            learned[0] = asked
             return data
 
         return handler
