@@ -317,7 +317,7 @@ def status_by_connecting(server: AdapterServer) -> None:
         return handler
 
     wrap(server, "get_broker_info", asked)
-    connections.Connection._read = in_batches(connections.Connection._read)
+    read_in_batches(link)
 
 
 def state_of(link: Link) -> dict[str, Any]:
@@ -375,25 +375,27 @@ def status_from_a_declared_cache(server: AdapterServer) -> None:
 
     wrap(server, "get_broker_info", remembered)
     in_background(server, watch)
-    connections.Connection._read = in_batches(connections.Connection._read)
+    read_in_batches(link)
 
 
-def in_batches(read: Callable[[Connection], None]) -> Callable[[Connection], None]:
-    """Return a reader that waits a moment for more."""
+def read_in_batches(link: Link) -> None:
+    """Let the link's own connection wait a moment for more before it reads."""
+    read = connections.Connection._read
 
     def later(connection: Connection) -> None:
+        if connection is not link._connection:
+            read(connection)
+            return
         connection._loop.remove_reader(connection._descriptor)
         connection._loop.call_later(READ_EVERY_S, now, connection)
 
     def now(connection: Connection) -> None:
-        if connection._socket() is None:
-            return
         while connection._socket() is not None and connection._poll.poll(0):
             read(connection)
         if connection._socket() is not None:
             connection._loop.add_reader(connection._descriptor, connection._read)
 
-    return later
+    connections.Connection._read = later
 
 
 # -- publishing -------------------------------------------------------------------------------------------------------
