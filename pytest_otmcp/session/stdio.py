@@ -91,12 +91,15 @@ class StdioTransport:
             yield from_server, from_client
         finally:
             with anyio.CancelScope(shield=True):
-                await self.stop()
-                for task in tasks:
-                    task.cancel()
-                await asyncio.gather(*tasks, return_exceptions=True)
-                for stream in (to_client, from_server, from_client, to_server):
-                    await stream.aclose()
+                try:
+                    await self.stop()
+                finally:
+                    # The session's task may be cancelled again while the process is ended; anyio's shield does not keep that off.
+                    for task in tasks:
+                        task.cancel()
+                    for stream in (to_client, from_server, from_client, to_server):
+                        stream.close()
+                    await asyncio.gather(*tasks, return_exceptions=True)
 
     async def _watch_end(self, process: SubjectProcess) -> None:
         ends = [asyncio.create_task(event.wait()) for event in (process.stdout_closed, process.exited)]

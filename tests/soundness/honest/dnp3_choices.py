@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pytest_otmcp.reference_adapters.core import AdapterServer, Call
 from pytest_otmcp.reference_adapters.defects.mutant import Handler, wrap
 from pytest_otmcp.reference_adapters.dnp3.conversions import shown
 
 from .choice import choices
-
-if TYPE_CHECKING:
-    pass
 
 __all__ = ["CHOICES"]
 
