@@ -201,6 +201,12 @@ def _row(one: Outcome) -> Iterator[str]:
     if one.is_expected:
         return
     yield _below(f"must be by {_list(defect.items)} for {_list(defect.requirements)}")
+    for sign, names in (
+        ("unexpected", seen.items - set(defect.items) | seen.requirements - set(defect.requirements)),
+        ("missing", set(defect.items) - seen.items | set(defect.requirements) - seen.requirements),
+    ):
+        if names:
+            yield _below(f"{sign}: {_list(names)}")
     for text in (*seen.faults, *seen.words):
         yield _below(text)
 
@@ -208,7 +214,10 @@ def _row(one: Outcome) -> Iterator[str]:
 def _totals(matrix: KillMatrix) -> Iterator[str]:
     known = matrix.declared
     yield ""
-    yield f"defects noticed by exactly what must notice them: {len(matrix.noticed)} of {len(matrix.outcomes)}"
+    yield (
+        f"defects noticed by exactly what must notice them: {len(matrix.noticed)} of {len(matrix.outcomes)}"
+        + (f", {len(matrix.warned)} of them by a warning that fails no item" if matrix.warned else "")
+    )
     yield f"defects of the catalogue: {len(matrix.shown)} of {known.total} noticed in this run; adapters have {len(matrix.covered)}"
     yield f"MUSTs with a check that fails for a defect: {len(matrix.killed)} of {len(matrix.musts)} in this run"
     if matrix.is_whole:

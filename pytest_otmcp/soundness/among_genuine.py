@@ -12,8 +12,12 @@ from ..trial.bench import Bench
 
 __all__ = ["AmongGenuine", "sooner", "with_command"]
 
-_SECONDS = ("_TIMEOUT_S", "_DEADLINE_S", "_WATCHDOG_S")
-"""How the names of those variables of the reference adapters end that hold for how long they wait, in seconds."""
+_WAITS = ("_TIMEOUT_S", "_WATCHDOG_S")
+"""How the names of those variables of the reference adapters end that hold for how long they wait for one answer, in seconds."""
+
+_WHOLE_CALLS = ("_DEADLINE_S",)
+"""The same for what a whole call may take. Other settings decide what a call needs: a scan of a PROFIBUS line waits the slot time at each
+address."""
 
 
 def with_command(subject: Subject, protocol: str, command: tuple[str, ...]) -> Subject:
@@ -24,11 +28,16 @@ def with_command(subject: Subject, protocol: str, command: tuple[str, ...]) -> S
     return Subject(name="defective", version="0", adapters=adapters, source=subject.source)
 
 
-def sooner(subject: Subject, factor: float) -> Subject:
-    """Return the subject with reference adapters that wait so much shorter for what does not come."""
+def sooner(subject: Subject, factor: float, *, whole_calls: bool) -> Subject:
+    """Return the subject with reference adapters that wait so much shorter for what does not come.
+
+    Args:
+        whole_calls: the time that a whole call may take is shortened, too.
+    """
+    shortened = _WAITS + _WHOLE_CALLS if whole_calls else _WAITS
 
     def variant(genuine: Variant) -> Variant:
-        waits = {name: f"{float(text) * factor:g}" for name, text in genuine.env.items() if name.endswith(_SECONDS)}
+        waits = {name: f"{float(text) * factor:g}" for name, text in genuine.env.items() if name.endswith(shortened)}
         return replace(genuine, env={**genuine.env, **waits})
 
     def adapter(genuine: Adapter) -> Adapter:

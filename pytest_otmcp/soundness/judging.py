@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from operator import itemgetter
 from typing import Any
 
 from ..core.verdict import Status
@@ -20,10 +21,10 @@ from .defect import DEFECTS, Defect
 from .seen import Seen
 from .warm_start import WarmStart
 
-__all__ = ["IMPATIENT", "Item", "failing", "judge", "measured", "noted", "tasks_of"]
+__all__ = ["IMPATIENT", "Item", "failing", "judge", "measured", "noted", "tasks_of", "words"]
 
-IMPATIENT = 0.3
-"""Time scale for adapters that hang: deadlines of 1.5 s, still long enough for the honest adapters beside them."""
+IMPATIENT = 0.4
+"""Time scale for adapters that hang: deadlines of 2 s, still long enough for calls that end at the adapter's own deadline of 1.4 s."""
 
 _SOONER = 0.5
 """Factor on the seconds that the adapters wait: half of those of a certificate, which a machine that stops for two seconds must not use up."""
@@ -52,7 +53,8 @@ async def judge(plant: Plant, warm: WarmStart, defect: Defect) -> Seen:
     """
     program = ("-P", "-m", DEFECTS, defect.id)
     command = (sys.executable, *program) if defect.cold else (*warm.python, *program)
-    subject = with_command(warm.subject(sooner(reference_subject(), _SOONER)), defect.protocol, command)
+    genuine = sooner(reference_subject(), _SOONER, whole_calls=defect.waits)
+    subject = with_command(warm.subject(genuine), defect.protocol, command)
     bench = AmongGenuine(subject, plant, defect.protocol, IMPATIENT if defect.waits else 1.0)
     try:
         items = [await measured(bench, task) for task in tasks_of(defect)]
@@ -62,8 +64,19 @@ async def judge(plant: Plant, warm: WarmStart, defect: Defect) -> Seen:
         items=frozenset(failing(items)),
         requirements=frozenset(noted(items)),
         faults=tuple(f"{item['id']}: {item['reason']}" for item in items if item["status"] == Status.KIT_ERROR),
-        words=tuple(f"{name}: {finding['message']}" for name, finding in _findings(items))[:_MOST_WORDS],
+        words=tuple(words(defect, items))[:_MOST_WORDS],
     )
+
+
+def words(defect: Defect, items: Sequence[Item]) -> list[str]:
+    """Return each finding with its item, and why items did not pass without one; what the defect does not declare comes first."""
+    told = [
+        (name in defect.items and _cited(finding) in (*defect.requirements, None), f"{name}: {finding['message']}")
+        for name, finding in _findings(items)
+    ]
+    silent = failing(items) - {name for name, _ in _findings(items)}
+    told += [(item["id"] in defect.items, f"{item['id']}: {item['reason']}") for item in items if item["id"] in silent]
+    return [text for _, text in sorted(told, key=itemgetter(0))]
 
 
 async def measured(bench: Bench, task: Task, repetitions: int = 1) -> dict[str, Any]:
@@ -83,7 +96,11 @@ def noted(items: Iterable[Item]) -> set[str]:
 
     A finding that follows from another one does not count.
     """
-    return {finding["requirement"] or finding["code"] for _, finding in _findings(items) if finding["cause"] is None}
+    return {cited for _, finding in _findings(items) if (cited := _cited(finding))}
+
+
+def _cited(finding: Mapping[str, Any]) -> str | None:
+    return finding["requirement"] or finding["code"] if finding["cause"] is None else None
 
 
 def _findings(items: Iterable[Item]) -> Iterator[tuple[str, Mapping[str, Any]]]:

@@ -32,10 +32,15 @@ class Outcome:
         return self.seen.is_expected(self.defect)
 
     @property
+    def is_warning(self) -> bool:
+        """The defect breaks no MUST: it is as declared, and no item failed."""
+        return self.is_expected and not self.seen.items
+
+    @property
     def word(self) -> str:
         """What became of the defect, in a word or two."""
         if self.is_expected:
-            return "noticed"
+            return "warned" if self.is_warning else "noticed"
         if self.seen.faults:
             return "NOT JUDGED"
         return "OTHERWISE" if self.seen.items or self.seen.requirements else "NOT NOTICED"
@@ -66,6 +71,11 @@ class KillMatrix:
     def noticed(self) -> list[Outcome]:
         """The defects that exactly what must notice them has noticed."""
         return [one for one in self.outcomes if one.is_expected]
+
+    @property
+    def warned(self) -> list[Outcome]:
+        """Those of them that cost a warning and fail no item: they break what the catalogue only recommends."""
+        return [one for one in self.noticed if one.is_warning]
 
     @property
     def unexpected(self) -> list[Outcome]:
@@ -111,6 +121,7 @@ class KillMatrix:
             "totals": {
                 "run": len(self.outcomes),
                 "noticed_as_expected": len(self.noticed),
+                "of_these_warnings_only": len(self.warned),
                 "declared": len(self.declared.defects),
                 "catalogue": self.declared.total,
                 "catalogue_noticed": len(self.shown),

@@ -17,7 +17,7 @@ class Seen:
         items: ids of the items that did not pass.
         requirements: requirements that the findings cite, and codes of findings that cite none.
         faults: why items could not be judged: faults of the kit or of its machine.
-        words: some findings, each with its item.
+        words: some findings, each with its item; those that the defect does not declare come first.
     """
 
     items: frozenset[str]

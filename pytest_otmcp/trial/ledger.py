@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
-from ..core.finding import Finding
+from ..core.finding import Finding, Kind, kind_of
 from ..protocols.journal import JournalEntry
 from ..record.schema import DeviceEntry, Observation, Role
 from ..subject.model import READ_WRITE
@@ -52,6 +53,7 @@ class Ledger:
         time_scale: factor on windows and deadlines.
         item: id of the task.
         origin: text from which random numbers of this execution are made.
+        most_equal: how many findings of one kind are noted; None for all of them.
 
     Attributes:
         calls: in the order of their replies.
@@ -62,7 +64,9 @@ class Ledger:
         refused: why nothing may be written, so that the item ends; None as long as nothing was refused.
     """
 
-    def __init__(self, role: Role, time_scale: float, *, item: str = "", origin: str = "") -> None:
+    def __init__(
+        self, role: Role, time_scale: float, *, item: str = "", origin: str = "", most_equal: int | None = None
+    ) -> None:
         self.role = role
         self.time_scale = time_scale
         self.item = item
@@ -74,6 +78,20 @@ class Ledger:
         self.journal: list[DeviceEntry] = []
         self._group = 0
         self._together = False
+        self._most_equal = most_equal
+        self._kinds: Counter[Kind] = Counter()
+
+    @property
+    def repeats_itself(self) -> bool:
+        """Whether a MUST was not met in the same way as often as is noted: more of the same shows nothing new."""
+        return self._most_equal is not None and max(self._kinds.values(), default=0) >= self._most_equal
+
+    def _note(self, findings: Iterable[Finding]) -> None:
+        for finding in findings:
+            kind = kind_of(finding.code, finding.requirement, finding.message)
+            if self._most_equal is None or self._kinds[kind] < self._most_equal:
+                self.findings.append(finding)
+                self._kinds[kind] += finding.is_must
 
     def add(
         self,
@@ -91,7 +109,7 @@ class Ledger:
         self.calls.append(
             Judged(reply=reply, inputs=inputs, role=role, group=self._group, reachable=reachable, altered=altered)
         )
-        self.findings.extend(reply.faults)
+        self._note(reply.faults)
 
     def add_proof(self, reply: Reply, inputs: Mapping[str, object]) -> None:
         """Note a call that proves where the session leads: nothing is expected of its reply."""
@@ -127,13 +145,13 @@ class Ledger:
         self._replace(reply, ok=met)
         # A missing reply, or one that is no envelope, has been reported as such.
         if not (reply.envelope is None and reply.faults):
-            self.findings.extend(found)
+            self._note(found)
         return met
 
     def reject(self, reply: Reply, finding: Finding) -> None:
         """Note that a reply that was judged before did not meet a further expectation."""
         self._replace(reply, ok=False)
-        self.findings.append(finding)
+        self._note([finding])
 
     def set_aside(self, reply: Reply) -> None:
         """Count a call as made during an outage: nothing is expected of it."""
@@ -178,8 +196,8 @@ class Ledger:
     def witnessed(self, *findings: Iterable[Finding]) -> None:
         """Take over findings of what was observed at the device."""
         for group in findings:
-            self.findings.extend(group)
+            self._note(group)
 
     def finding(self, code: str, message: str, requirement: str | None = None, evidence: str | None = None) -> None:
         """Note a finding of the task itself."""
-        self.findings.append(Finding(code=code, message=message, requirement=requirement, evidence=evidence))
+        self._note([Finding(code=code, message=message, requirement=requirement, evidence=evidence)])

@@ -22,6 +22,12 @@ from .rig import EndedError, Rig
 
 __all__ = ["Repetition"]
 
+_MOST_EQUAL = 5
+"""Equal findings after which a check ends: a read that is wrong 163 times is no worse than one that is wrong five times."""
+
+_BUDGET_S = 90.0
+"""Seconds from the first call of a check to the last one that its long loops still make. An adapter may use up its deadline in each call."""
+
 
 class Repetition:
     """One execution of a task's steps.
@@ -34,6 +40,7 @@ class Repetition:
         time_scale: factor on windows and deadlines.
         rigs: every adapter at its device that the task has.
         soak: of the run.
+        is_check: the task is a check of the requirement suite, which ends once it finds nothing new.
 
     Attributes:
         soak: steps that have a long form take it: thousands of calls, messages or faults instead of some.
@@ -55,13 +62,15 @@ class Repetition:
         time_scale: float,
         rigs: Iterable[Rig],
         soak: bool = False,
+        is_check: bool = False,
     ) -> None:
         self.rep = rep
         self.role = role
         self.time_scale = time_scale
         self.soak = soak
         origin = f"{seed}/{task_id}/{role}/{rep}"
-        self.ledger = Ledger(role, time_scale, item=task_id, origin=origin)
+        most_equal = _MOST_EQUAL if is_check else None
+        self.ledger = Ledger(role, time_scale, item=task_id, origin=origin, most_equal=most_equal)
         # The same seed gives the same nonces, whatever ran before.
         self.rng = random.Random(origin)
         self.phases: Phases | None = None
@@ -119,10 +128,34 @@ class Repetition:
     def witnessed(self, *findings: list[Finding]) -> None:
         """Take over findings of what was observed at the device."""
         self.ledger.witnessed(*findings)
+        self._end_if_repeating()
 
     def finding(self, code: str, message: str, requirement: str | None = None, evidence: str | None = None) -> None:
         """Note a finding of the task itself."""
         self.ledger.finding(code, message, requirement, evidence)
+        self._end_if_repeating()
+
+    def _end_if_repeating(self) -> None:
+        if self.ledger.repeats_itself:
+            raise EndedError
+
+    @property
+    def has_time(self) -> bool:
+        """Whether a long loop of a check may go on: the calls so far have not used up its budget of time.
+
+        Only the times of calls count, so that a stored history says the same. The long form has no budget.
+        """
+        calls = [call.reply.exchange.sent_ns for call in self.ledger.calls]
+        return self.soak or not calls or max(calls) - min(calls) < _BUDGET_S * max(self.time_scale, 1.0) * 1e9
+
+    def cut_short(self, requirement: str, did: str) -> None:
+        """Note that the budget of time was used up before a check had done all that it does.
+
+        Args:
+            did: what it did instead, such as ``14 of 100 reads``.
+        """
+        message = f"{did} were made in the {_BUDGET_S:g} s that this check has: the adapter takes long for each"
+        self.witnessed([Finding(code="cut_short", message=message, requirement=requirement, strength="SHOULD")])
 
     def not_applicable(self, reason: str) -> NoReturn:
         """End the repetition: the subject has nothing that the steps could judge.
@@ -156,10 +189,13 @@ class Repetition:
             shown = " or ".join(map(repr, values))
             message = f"{reply.label}: {output} should be {shown}, the reply says {found!r}"
             self.ledger.reject(reply, Finding(code="wrong_value", message=message, requirement=requirement))
+            self._end_if_repeating()
 
     def judge(self, reply: Reply, findings: list[Finding]) -> bool:
         """Take over what an expectation found about a reply; return whether it was met."""
-        return self.ledger.judge(reply, findings)
+        met = self.ledger.judge(reply, findings)
+        self._end_if_repeating()
+        return met
 
     @property
     def unanswered(self) -> bool:
