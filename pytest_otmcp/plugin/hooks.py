@@ -302,7 +302,7 @@ def pytest_collection_finish(session: pytest.Session) -> None:
             _begin_recording(config, selection, tasks, workers=0)
     progress = config.stash.get(PROGRESS, None)
     if progress is not None:
-        run.progress, run.starting = progress.show_repetition, progress.show_start
+        run.progress, run.starting, run.waiting = progress.show_repetition, progress.show_start, progress.show_waiting
 
 
 def _begin_recording(config: pytest.Config, selection: Selection, tasks: list[Task], *, workers: int) -> None:

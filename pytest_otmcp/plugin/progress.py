@@ -25,8 +25,11 @@ __all__ = ["Progress", "verbose_word"]
 
 # Rough seconds per repetition, to guess the remaining time; nothing better is known of items that have not run.
 _GUESS_S = {"normal": 0.02, "fault": 0.02, "stress": 0.12, "recovery": 1.3, "requirements": 1.0}
+_LATE, _LATE_S = 3, 20.0
+"""An item that takes so many times as long as was guessed, and so many seconds, is said to take longer than expected."""
+
 _REDRAW_S = 0.1
-_MOVING_WIDTH = 70
+_MOVING_WIDTH = 90
 _EDGE = len(" [100%]") + 2
 """Columns to leave free: text nearer to the edge would make pytest print its percentage there and begin another line."""
 
@@ -81,11 +84,18 @@ class Progress:
         rest = self._estimate_rest(task, done, planned)
         self._draw(f"  {task.id:<{self._id_width}} {done}/{planned}   item {self._done + 1} of {self._total}, {rest}")
 
+    def show_waiting(self, task: Task, seconds: float, words: str) -> None:
+        """Show how long an item has been measured by now, and what it waits for."""
+        if self._moving:
+            late = "" if seconds < max(_LATE * self._guess.get(task.id, 0.0), _LATE_S) else ", longer than expected"
+            place = f"item {self._done + 1} of {self._total}"
+            self._draw(f"  {task.id:<{self._id_width}} {seconds:.0f} s{late}, {words}   {place}")
+
     def _draw(self, text: str) -> None:
         if not self._line_open:
             self._write("\n")
-        edge = self._edge()
-        self._overwrite(text[:edge].ljust(min(_MOVING_WIDTH, edge)))
+        width = min(_MOVING_WIDTH, self._edge())
+        self._overwrite(text[:width].ljust(width))
         self._line_open = True
 
     def _edge(self) -> int:

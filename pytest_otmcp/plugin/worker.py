@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 from uuid import uuid4
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Coroutine
+    from typing import Any
 
     from ..plant.devices import Plant
     from ..record.redaction import Redactor
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from ..subject import Subject
     from ..trial.bench import Bench
     from ..trial.task import Task
+    from ..trial.under_way import UnderWay
     from .options import RunSettings
     from .results import ItemResult, WorkerFacts
 
@@ -27,6 +29,8 @@ __all__ = ["SPOOLS", "Run"]
 
 SPOOLS = "run.parts"
 """Folder in the report directory for the samples of items that are not in the record yet."""
+
+_TOLD_EVERY_S = 1.0
 
 
 class Run:
@@ -40,6 +44,7 @@ class Run:
 
     Attributes:
         progress: called with task, number and planned number of a repetition that begins, or None.
+        waiting: called every second of an item with its task, its seconds so far and what it waits for; or None.
         starting: called with the numbers of running devices and adapters, of all devices, and of all adapters, while they
             start; or None.
         unfinished: the item that was interrupted, or None.
@@ -51,6 +56,7 @@ class Run:
         self.tasks = tasks
         self._worker = worker
         self.progress: Callable[[Task, int, int], None] | None = None
+        self.waiting: Callable[[Task, float, str], None] | None = None
         self.starting: Callable[[int, int, int], None] | None = None
         self.unfinished: ItemResult | None = None
         self._facts: WorkerFacts = {"adapters": {}, "devices": {}, "spent": {}}
@@ -175,7 +181,7 @@ class Run:
         driver = LiveDriver(bench, task, seed=self.settings.seed)
         trial = Trial(driver, task, planned, keep=keep, progress=report)
         try:
-            item = loop.run(trial.run())
+            item = loop.run(self._shown(trial.run(), task, bench))
             loop.check()
             return result(item)
         except KeyboardInterrupt:
@@ -184,6 +190,17 @@ class Run:
         except Exception as error:
             # An unexpected exception is a bug of the kit, not of the adapter.
             return result(trial.broken(error))
+
+    async def _shown(self, running: Coroutine[Any, Any, ItemBody], task: Task, bench: Bench) -> ItemBody:
+        """Return what ``running`` returns; meanwhile tell each second what the item waits for."""
+        if self.waiting is None:
+            return await running
+        bench.under_way.begin()
+        telling = asyncio.create_task(_tell_each_second(partial(self.waiting, task), bench.under_way))
+        try:
+            return await running
+        finally:
+            telling.cancel()
 
     def _redactor(self) -> Redactor:
         from ..record.redaction import Redactor
@@ -210,6 +227,12 @@ class Run:
                 self._loop.run(self._plant.close())
             self._loop.close()
         self._loop = self._plant = self._bench = None
+
+
+async def _tell_each_second(waiting: Callable[[float, str], None], under_way: UnderWay) -> None:
+    while True:
+        await asyncio.sleep(_TOLD_EVERY_S)
+        waiting(under_way.seconds, under_way.words())
 
 
 def _import_ahead(module: str) -> None:

@@ -16,6 +16,7 @@ from ..subject.binding_check import check_bindings
 from ..subject.model import READ_WRITE
 from .adapter_under_test import AdapterUnderTest, BenchOptions
 from .time_spent import TimeSpent
+from .under_way import UnderWay
 
 __all__ = ["Bench"]
 
@@ -30,6 +31,7 @@ class Bench:
 
     Attributes:
         allowance: the room for what all its adapters answer in one repetition.
+        under_way: what the item that is being measured is waiting for.
     """
 
     def __init__(self, subject: Subject, options: BenchOptions, plant: Plant) -> None:
@@ -37,6 +39,7 @@ class Bench:
         self.options = options
         self.spent = TimeSpent()
         self.allowance = Allowance()
+        self.under_way = UnderWay()
         self._plant = plant
         self._adapters: dict[str, AdapterUnderTest] = {}
 

@@ -183,7 +183,8 @@ class LiveRig(Rig):
         self._ledger.observed(cast(Observation, observation))
 
     async def _perform(self, operation: str, inputs: Mapping[str, object], altered: Alteration | None = None) -> Reply:
-        return self._observed(await self.under_test.call(operation, inputs, altered=altered))
+        with self._bench.under_way.call(operation):
+            return self._observed(await self.under_test.call(operation, inputs, altered=altered))
 
     async def _check_away(self) -> None:
         await check_free(self.device.endpoints.values())
@@ -207,7 +208,8 @@ class LiveRig(Rig):
                 await meanwhile()
         finally:
             cancel.set()
-            await asyncio.wait({call})
+            with self._bench.under_way.call(operation):
+                await asyncio.wait({call})
         return self._observed(call.result())
 
     def _observed(self, reply: Reply) -> Reply:
@@ -279,7 +281,7 @@ class LiveRig(Rig):
             await self.device.tick(steps)
 
     async def pause(self, seconds: float) -> None:
-        with self._bench.spent.on("quiet windows"):
+        with self._bench.spent.on("quiet windows"), self._bench.under_way.wait("what must not come"):
             await asyncio.sleep(seconds)
 
     async def _reconnecting(self) -> None:
