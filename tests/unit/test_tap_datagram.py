@@ -53,25 +53,30 @@ class Echo(asyncio.DatagramProtocol):
     Attributes:
         received: all datagrams and where they came from.
         answers: whether it answers.
+        own: its socket.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, own: socket.socket) -> None:
         self.received: list[tuple[bytes, Any]] = []
         self.answers = True
-
-    def connection_made(self, transport: asyncio.DatagramTransport) -> None:  # type: ignore[override]
-        self.transport = transport
+        self.own = own
 
     def datagram_received(self, data: bytes, address: Any) -> None:
         self.received.append((data, address))
         if self.answers:
-            self.transport.sendto(data, address)
+            # Before Python 3.13 a transport sends no empty datagram.
+            self.own.sendto(data, address)
+
+
+async def echo() -> tuple[asyncio.DatagramTransport, Echo]:
+    own = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    own.bind(("127.0.0.1", 0))
+    return await asyncio.get_running_loop().create_datagram_endpoint(lambda: Echo(own), sock=own)
 
 
 @asynccontextmanager
 async def tapped(framing: Framing | None = FRAMING) -> AsyncIterator[tuple[DatagramTap, Echo]]:
-    loop = asyncio.get_running_loop()
-    transport, device = await loop.create_datagram_endpoint(Echo, local_addr=("127.0.0.1", 0))
+    transport, device = await echo()
     tap = DatagramTap(*transport.get_extra_info("sockname"), framing=framing)
     await tap.start()
     try:
@@ -128,9 +133,7 @@ def noted(tap: DatagramTap) -> list[tuple[int, str, Any, Any]]:
 async def test_datagrams_of_any_length_pass_whole_in_both_directions() -> None:
     async with tapped(None) as (tap, device):
         with client(tap) as one:
-            # This device uses asyncio, which sends no empty datagram before Python 3.13: no answer is waited for.
-            one.send(b"")
-            for data in (b"x", bytes(1400), bytes(range(256)) * 255):
+            for data in (b"", b"x", bytes(1400), bytes(range(256)) * 255):
                 assert await one.ask(data) == data
         assert [len(data) for data, _ in device.received] == [0, 1, 1400, 65_280]
         assert tap.journal.since(0) == []
@@ -185,7 +188,7 @@ async def test_an_answer_that_comes_after_an_outage_is_not_delivered() -> None:
             device.answers = True
             assert await one.ask(b"\x02\x08") == b"\x02\x08"
             data, address = device.received[0]
-            device.transport.sendto(data, address)
+            device.own.sendto(data, address)
             assert await one.ask(b"\x03\x09") == b"\x03\x09"
         answered: list[Any] = await tap.journal.wait(0, {"kind": "DONE"}, 2, 60.0)
         assert [entry["value"] for entry in answered] == [8, 9]
@@ -320,8 +323,7 @@ async def test_the_kind_of_the_endpoint_chooses_the_tap() -> None:
 
 
 async def test_a_device_of_the_users_own_may_speak_datagrams() -> None:
-    loop = asyncio.get_running_loop()
-    transport, echo = await loop.create_datagram_endpoint(Echo, local_addr=("127.0.0.1", 0))
+    transport, actuator = await echo()
     host, port = transport.get_extra_info("sockname")
     device = TappedDevice("actuator udp://echo", Endpoint(name="actuator", kind="udp", host=host, port=port), FRAMING)
     await device.launch()
@@ -339,7 +341,7 @@ async def test_a_device_of_the_users_own_may_speak_datagrams() -> None:
             await device.start()
             assert await one.ask(b"\x03\x09") == b"\x03\x09"
             assert [entry["seq"] for entry in (await device.journal(0)).entries] == [0, 1]
-        assert [data for data, _ in echo.received] == [b"\x01\x07", b"\x03\x09"]
+        assert [data for data, _ in actuator.received] == [b"\x01\x07", b"\x03\x09"]
         with pytest.raises(KitError, match="the actuator udp://echo cannot be asked what it holds"):
             await device.image()
         with pytest.raises(KitError, match="the actuator udp://echo cannot be changed past the tap"):
