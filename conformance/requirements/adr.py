@@ -38,6 +38,9 @@ __all__ = ["TASKS"]
 TASKS = Checks()
 
 SIZE = 0x10000
+_LIKE_NAMES = (30_000, 30_001, 39_999, 40_000, 40_001, 49_999)
+"""Addresses that name registers 0, 1 and so on where somebody takes them for the numbers of older documents (MODBUS Application Protocol
+V1.1b3, section 4.4: such a model "is the vendor's")."""
 _OUTSIDE = ("invalid_input", "illegal_address", "limit_exceeded", "range_overflow", "type_mismatch")
 _WRONG_KIND = ("type_mismatch", "invalid_input", "range_overflow")
 _UNKNOWN = ("illegal_address", "invalid_input")
@@ -53,8 +56,8 @@ _NOBODY = ("gateway_path_unavailable", "gateway_target_no_response")
     needs="modbus.read_holding modbus.write_holding",
 )
 async def addresses_are_those_that_were_asked_for(run: Repetition, modbus: Rig) -> None:
-    """Write a register and read it, while its neighbours hold other values: register 1, some at random, and the first two and last two
-    that there can be.
+    """Write a register and read it, while its neighbours hold other values: register 1, some at random, the first two and last two that
+    there can be, and those whose numbers look like the documents' names for registers, such as 40001.
 
     Said: the value that was written. Other registers than 1 may be unknown to the adapter: then a failure with `illegal_address` or
         `invalid_input`.
@@ -62,7 +65,7 @@ async def addresses_are_those_that_were_asked_for(run: Repetition, modbus: Rig) 
     Why: an adapter that counts wrongly, in reads and writes alike, agrees with itself and moves the neighbour.
     """
     await modbus.poke(unit=1, cells=SIZE)
-    for address in (1, *run.rng.sample(range(10, 90), 3), 0, SIZE - 2, SIZE - 1):
+    for address in (1, *run.rng.sample(range(10, 90), 3), 0, SIZE - 2, SIZE - 1, *_LIKE_NAMES):
         written, held = run.rng.sample(range(SIZE), 2)
         for neighbour in (address - 1, address + 1):
             if 0 <= neighbour < SIZE:
@@ -385,7 +388,8 @@ async def a_node_holds_its_own_kind(run: Repetition, opcua: Rig) -> None:
 
 @TASKS.check("ADR-008", "A node id is checked, and a namespace's name outlives its index.", needs="opcua.read")
 async def nodes_are_who_they_say(run: Repetition, opcua: Rig) -> None:
-    """Read by texts that are no node ids, and by ids of nodes that there are not. Then write a node by the URI of its namespace, restart the
+    """Read by texts that are no node ids, and by ids of nodes that there are not: in an unknown namespace, by its number and by its URI, and
+    numbers and texts of which the server has the other kind only. Then write a node by the URI of its namespace, restart the
     server with another order of namespaces, in which the node's old index is a namespace that has a node of the same name, and write it again.
 
     Said: `invalid_input`, or `illegal_address` by an adapter that has a list of its nodes; `illegal_address`. The writes succeed; an adapter that takes no URIs says `invalid_input`, and is not asked again.
@@ -403,7 +407,19 @@ async def nodes_are_who_they_say(run: Repetition, opcua: Rig) -> None:
     for unknown in (f"ns=99;s=x{run.rng.getrandbits(32):08x}", f"ns=2;s=x{run.rng.getrandbits(32):08x}"):
         reply = await opcua.call("read", node=unknown)
         run.fails(reply, "illegal_address", requirement="ADR-008", code_requirement="ERR-003")
+    await _other_nodes(run, opcua)
     await _renumbered(run, opcua)
+
+
+async def _other_nodes(run: Repetition, opcua: Rig) -> None:
+    """Read nodes that there are not, each of which is a known node when a part of its id is overlooked; and one that there is."""
+    digits, value = str(run.rng.randrange(10_000, 100_000)), round(run.rng.uniform(1.0, 99.0), 3)
+    await opcua.poke(create=[{"variable": digits, "type": "Double", "value": value}])
+    reply = await opcua.call("read", node=f"ns=2;s={digits}")
+    exact_or_refused(run, reply, *_UNKNOWN, requirement="ADR-008", value=value)
+    for other in (f"ns=2;i={digits}", "s=2256", "nsu=urn:otmcp:unknown;s=Temperature", "nsu=urn:otmcp:unknown;i=2256"):
+        reply = await opcua.call("read", node=other)
+        run.fails(reply, *_UNKNOWN, "unsupported_operation", requirement="ADR-008")
 
 
 _PLANT, _TWIN = "urn:otmcp:plant", "urn:otmcp:twin"

@@ -7,9 +7,11 @@ from typing import Any
 
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.core.strict_json import same_json
+from pytest_otmcp.protocols.exercise import Asked
 from pytest_otmcp.protocols.journal import Entries
 from pytest_otmcp.protocols.modbus import oracle as modbus_oracle
 from pytest_otmcp.protocols.modbus.entries import as_modbus
+from pytest_otmcp.protocols.modbus.entries import points as registers_of
 from pytest_otmcp.protocols.oracle import state_changing
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.trial.check import Checks
@@ -39,6 +41,7 @@ _BUSY = ("rate_limited", "device_busy", "limit_exceeded", "timeout")
 _LATE_S = 0.02
 _FIRST_LATE_S, _SECOND_LATE_S = 0.3, 0.6
 _ROUNDS = 5
+_NEIGHBOURS = 4
 _MOST_OUTSTANDING = 16
 """MODBUS Messaging on TCP/IP Implementation Guide V1.0b, section 4.4.1.2: NumberMaxOfClientTransaction."""
 
@@ -233,10 +236,11 @@ async def a_late_variable_is_not_taken_for_another(run: Repetition, opcua: Rig) 
 )
 async def registers_are_read_beside_writes(run: Repetition, modbus: Rig) -> None:
     """Write a cell by two calls and read it by four, all at the same time, several times; where there are tools for it, a number
-    of 32 bits. Read such a number while both its registers change before every request.
+    of 32 bits. Read such a number while both its registers change before every request. Write four registers by as many calls at the same
+    time, and by every operation that writes.
 
     Said: success for the writes; for each read the old value or one of the new ones, never parts of two.
-    Seen: each write once; the cell holds what was written last.
+    Seen: each write once; the cell holds what was written last; each of the targets its own value.
     Why: half of an old number and half of a new one is a number that the plant never had.
     """
     wide = modbus.claims("write_registers") and modbus.claims("read_typed")
@@ -269,6 +273,11 @@ async def registers_are_read_beside_writes(run: Repetition, modbus: Rig) -> None
             )
     if modbus.claims("read_typed"):
         await _a_moving_number_is_whole(run, modbus)
+    every_write = exercise(modbus).every_write
+    assert every_write is not None
+    for _ in range(_ROUNDS):
+        await _each_to_its_own(run, modbus, _in_a_row(run))
+        await _each_to_its_own(run, modbus, every_write(run.rng))
 
 
 async def _a_moving_number_is_whole(run: Repetition, modbus: Rig) -> None:
@@ -285,6 +294,37 @@ async def _a_moving_number_is_whole(run: Repetition, modbus: Rig) -> None:
     if isinstance(value, int) and value >> 16 != value & 0xFFFF:
         message = f"{reply.label}: both halves of the number change at the same time, the reply has {value >> 16} and {value & 0xFFFF}"
         run.judge(reply, [Finding(code="wrong_value", message=message, requirement="CON-004")])
+
+
+def _in_a_row(run: Repetition) -> list[Asked]:
+    """Return writes of neighbouring registers, each with a value of its own."""
+    values = run.rng.sample(range(1, 0x10000), _NEIGHBOURS)
+    return [
+        Asked(
+            operation="write_holding",
+            inputs={"address": address, "value": value},
+            points=registers_of("holding_registers", address, [value]),
+        )
+        for address, value in enumerate(values, start=40)
+    ]
+
+
+async def _each_to_its_own(run: Repetition, at: Rig, asked: Sequence[Asked]) -> None:
+    """Write different targets by calls at the same time: each of them holds its own value afterwards."""
+    apart: list[Asked] = []
+    for one in asked:
+        if at.claims(one.operation) and all(one.points.keys().isdisjoint(other.points) for other in apart):
+            apart.append(one)
+    for poke in (poke for one in apart for poke in one.pokes):
+        await at.poke(**poke)
+    replies = await run.together(*(at.call(one.operation, **one.inputs) for one in apart))
+    image = await at.image()
+    for reply, one in zip(replies, apart, strict=True):
+        # A device may refuse the second of several commands at the same time, and an adapter may say so.
+        if reply.success is False:
+            run.fails(reply, *_BUSY, requirement="CON-004")
+        elif run.succeeds(reply, requirement="CON-004"):
+            run.witnessed(_kept(witness(at).holds(image, one.points)))
 
 
 def _since(replies: Sequence[Reply], entries: Entries) -> Entries:
@@ -314,11 +354,12 @@ def _kept(findings: Sequence[Finding]) -> list[Finding]:
 
 @TASKS.every_protocol("CON-004", "Reads beside writes give the old or a new value.", writes=True, having="contended")
 async def values_are_read_beside_writes(run: Repetition, at: Rig) -> None:
-    """Write a value by two calls and read it by four, all at the same time, several times.
+    """Write a value by two calls and read it by four, all at the same time, several times. Write different targets at the same time, by
+    every operation that writes.
 
     Said: success for the writes; for each read the old value or one of the new ones. Of a write that the other one has overtaken an
         adapter that reads back may also say `verify_failed`.
-    Seen: each write once; the device holds what was written last.
+    Seen: each write once; the device holds what was written last; each of the targets its own value.
     Why: a lost write, or one that comes twice, shows only under load.
     """
     asks = exercise(at)
@@ -353,6 +394,9 @@ async def values_are_read_beside_writes(run: Repetition, at: Rig) -> None:
         for write, value in zip(one.writes, one.new, strict=True):
             if seen and same_json(value, seen[-1]):
                 run.witnessed(_kept(witness(at).holds(image, write.points)))
+    if asks.every_write is not None:
+        for _ in range(_ROUNDS):
+            await _each_to_its_own(run, at, asks.every_write(run.rng))
 
 
 @TASKS.check("CON-004", "Messages beside each other are sent once each.", needs="mqtt.publish mqtt.subscribe")

@@ -24,6 +24,7 @@ __all__ = ["TASKS"]
 TASKS = Checks()
 
 _PUMP = "control/pump"
+_CAPITALS = "control/Pump/A"
 _LATE_S = 0.2
 """Seconds by which an acknowledgement is late: well above a tick of the coarsest clock, well below every timeout."""
 
@@ -188,8 +189,8 @@ async def _is_not_listed(run: Repetition, mqtt: Rig, refused: str) -> None:
 
 @TASKS.check("MQT-003", "A message arrives with the payload and the flags that were asked for.", needs="mqtt.publish")
 async def a_message_arrives_as_it_was_asked_for(run: Repetition, mqtt: Rig) -> None:
-    """Publish with each quality of service, retained and not; a text of several scripts, a long one, none, and, where the tool takes
-    them, bytes that are no text. Receive one message that is retained, and one that is not.
+    """Publish with each quality of service, retained and not; on a topic with capitals; a text of several scripts, a long one, none, and,
+    where the tool takes them, bytes that are no text. Receive one message that is retained, and one that is not.
 
     Said: success. For the two messages, which of them was retained.
     Seen: each message once, with its payload, its quality of service and its retain flag; none is retained unless that was asked for.
@@ -204,6 +205,8 @@ async def a_message_arrives_as_it_was_asked_for(run: Repetition, mqtt: Rig) -> N
     ):
         payload = text + nonce(run) if text else text
         await _publishes(run, mqtt, payload, payload.encode(), qos=qos)
+    payload = f"capitals-{nonce(run)}"
+    await _publishes(run, mqtt, payload, payload.encode(), topic=_CAPITALS)
     if mqtt.accepts_input("publish", "encoding"):
         binary = bytes(range(256)) + run.rng.randbytes(8)
         await _publishes(run, mqtt, base64.b64encode(binary).decode(), binary, encoding="base64")
@@ -217,12 +220,21 @@ async def a_message_arrives_as_it_was_asked_for(run: Repetition, mqtt: Rig) -> N
 
 
 async def _publishes(
-    run: Repetition, mqtt: Rig, payload: str, expected: bytes, *, qos: int = 1, retain: bool = False, **inputs: Any
+    run: Repetition,
+    mqtt: Rig,
+    payload: str,
+    expected: bytes,
+    *,
+    topic: str = _PUMP,
+    qos: int = 1,
+    retain: bool = False,
+    **inputs: Any,
 ) -> None:
     asked: dict[str, Any] = {"retain": True} if retain else {}
-    reply = await mqtt.call("publish", topic=_PUMP, payload=payload, qos=qos, **asked, **inputs)
-    run.succeeds(reply, topic=_PUMP)
-    await _arrives(run, mqtt, reply, expected, qos=mqtt.expected_if_accepted("publish", "qos", qos), retain=retain)
+    reply = await mqtt.call("publish", topic=topic, payload=payload, qos=qos, **asked, **inputs)
+    run.succeeds(reply, topic=topic)
+    accepted = mqtt.expected_if_accepted("publish", "qos", qos)
+    await _arrives(run, mqtt, reply, expected, qos=accepted, retain=retain, topic=topic)
 
 
 async def _flags_what_was_retained(run: Repetition, mqtt: Rig) -> None:
@@ -257,8 +269,8 @@ def _listed(reply: Reply) -> list[Mapping[str, Any]]:
 
 @TASKS.check("MQT-004", "What a wildcard brought can be read back, and what is lost is counted.", needs="mqtt.receive")
 async def what_a_wildcard_brought_can_be_read(run: Repetition, mqtt: Rig) -> None:
-    """Subscribe to a filter with a wildcard; the kit publishes messages on several topics, one of them with bytes that are no text.
-    Read them by the filter, by another wildcard and by a topic. Where the tool says how many messages it has dropped, publish 5200
+    """Subscribe to a filter with a wildcard; the kit publishes messages on several topics, some of which have capitals: equal ones in a row,
+    and one with bytes that are no text. Read them by the filter, by another wildcard and by a topic. Where the tool says how many messages it has dropped, publish 5200
     at once and read them all.
 
     The session is a new one.
@@ -275,12 +287,14 @@ async def what_a_wildcard_brought_can_be_read(run: Repetition, mqtt: Rig) -> Non
     base = f"otmcp/{nonce(run)}"
     run.succeeds(await mqtt.call("subscribe", filter=f"{base}/#", qos=0))
     for text, parts in (
-        (f"{base}/#", ("a", "b/deep", "c")),
+        (f"{base}/#", ("a", "B/Deep", "c")),
         (f"{base}/+/end", ("d/end", "e/end")),
         (f"{base}/f", ("f",)),
     ):
         topics = [f"{base}/{part}" for part in parts]
         sent = [(topics[index % len(topics)], f"{index}-{nonce(run)}") for index in range(6)]
+        # A second reading may be equal to the first one; so may what another topic says.
+        sent += [sent[-1], (topics[0], sent[-1][1])]
         for topic, payload in sent:
             await publish_from_kit(mqtt, topic, payload.encode())
         await sync_point(run, mqtt, f"{base}/#")

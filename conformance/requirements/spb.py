@@ -270,12 +270,13 @@ def _names(reply: Reply, topic: str) -> bool:
 @TASKS.check("SPB-003", "Births come before data.", needs=_DEVICES)
 async def births_come_before_data(run: Repetition, mqtt: Rig) -> None:
     """In a new session report data of a device that was never announced, as the first thing and again when another device is born.
-    Then cut the connection, and report data of that one.
+    Then cut the connection, and report data of that one. Where the tool is there, declare the device dead, have the node born again by
+    a command, and cut the connection once more.
 
     Said: a refusal with `not_born`, or success after the births; success. After the cut `not_born` as well: then it is announced again.
     Seen: in each connection NBIRTH first, and DBIRTH before the data of its device (tck-id-principles-birth-certificates-order,
-        tck-id-payloads-ddata-order).
-    Why: a host throws away the data of a device that it does not know.
+        tck-id-payloads-ddata-order). The device that was declared dead is not born again with the node.
+    Why: a host throws away the data of a device that it does not know, and takes one that is dead for alive.
     """
     await mqtt.fresh_session()
     await mqtt.prove()
@@ -292,6 +293,28 @@ async def births_come_before_data(run: Repetition, mqtt: Rig) -> None:
         await until_it_works(run, mqtt, "device_birth", device=device, metrics=_temperature())
     await _reports(run, mqtt, device)
     await _buried(run, mqtt, device)
+    if mqtt.claims("device_death"):
+        await _stays_dead(run, mqtt, device)
+
+
+async def _stays_dead(run: Repetition, mqtt: Rig, dead: str) -> None:
+    """Ask the node of a device that was reported dead for a rebirth, and cut its connection: the device is not born again with the node."""
+    living = _new_device(run)
+    birth = await _born(run, mqtt, living)
+    node = edge_node_of(since(birth, await mqtt.journal()), living)
+    if node is None:
+        # No birth on the wire: that has been found.
+        return
+    await mqtt.poke(command={"group": node[0], "edge_node": node[1], "device": None, "metrics": [_REBIRTH]})
+    await until(mqtt, lambda entries: len(_of(living, sparkplug(since(birth, entries), "DBIRTH"))) > 1)
+    await _cut(mqtt)
+    await until_it_works(run, mqtt, "device_birth", device=living, metrics=_temperature())
+    await _reports(run, mqtt, living)
+    entries = since(birth, await mqtt.journal())
+    if again := _of(dead, sparkplug(entries, "DBIRTH", "DDATA")):
+        message = f"{dead} was reported dead, and is there again although no call announced it: {describe(again[0][0])}"
+        run.witnessed([oracle.broken_rule("SPB-003", message, entries)])
+    await _buried(run, mqtt, living)
 
 
 async def _unborn(run: Repetition, mqtt: Rig, device: str) -> None:

@@ -7,7 +7,7 @@ The other packages read descriptions and never name a protocol. A new protocol t
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from ..core.finding import Finding
@@ -18,6 +18,7 @@ from .framing import FrameLength
 from .journal import Entries, JournalEntry
 from .proof import Proof
 from .session_oracle import SessionOracle
+from .stamp import Stamp
 
 __all__ = [
     "GUARD",
@@ -193,6 +194,10 @@ def _any_answer(kind: str, asked: str) -> bool:
     return True
 
 
+def _no_stamps(entries: Entries) -> Iterable[Stamp]:
+    return ()
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OtProtocol:
     """One OT protocol.
@@ -222,6 +227,7 @@ class OtProtocol:
         asking: kinds of entries that a client causes by what it sends; any kind can be one while there are none.
         facts: what a journal entry says of members of ``meta.trace``, by name (``a.b`` for a member of a member): the values
             that the wire has for it; None where nothing is known of traces.
+        stamps: returns the wall-clock times that the adapter has put into entries.
         mock: name of the mock as ``python -m pytest_otmcp.mocks`` takes it: a folder of ``mocks``, or the dotted name of
             a package of the same shape.
         clients: the clients that a mock started by hand is for, in words.
@@ -260,6 +266,7 @@ class OtProtocol:
     contradiction: Callable[[JournalEntry], str | None] = _no_bytes
     is_answer: Callable[[str, str], bool] = _any_answer
     asking: Collection[str] = ()
+    stamps: Callable[[Entries], Iterable[Stamp]] = _no_stamps
     composites: Mapping[str, Composite] = field(default_factory=dict)
     probes: Mapping[str, object] = field(default_factory=dict)
     choices: tuple[Choice, ...] = ()

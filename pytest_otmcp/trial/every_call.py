@@ -51,6 +51,8 @@ class EveryCall:
         """Judge a repetition whose journals are complete; findings go to its ledger."""
         for at in repetition.all:
             _judge_by_journal(at, repetition.ledger)
+            for stamp in protocols()[at.protocol].stamps(judged(repetition.ledger.of(at.protocol, at.variant))):
+                self._start_times.compare(at.name, stamp)
         for call in _asked_for(repetition.ledger):
             self._start_times.look(call)
             owner = repetition.rig(call.reply.adapter)

@@ -13,6 +13,7 @@ from pytest_otmcp.protocols.journal import JournalEntry
 from pytest_otmcp.protocols.mqtt.oracle import Refused
 from pytest_otmcp.protocols.mqtt.sparkplug_oracle import SparkplugSequence
 from pytest_otmcp.protocols.registry import protocols
+from pytest_otmcp.protocols.stamp import Stamp
 from pytest_otmcp.session.exchange import Exchange
 from pytest_otmcp.trial.call_windows import windows
 from pytest_otmcp.trial.connections import connections_left
@@ -185,6 +186,31 @@ def started(stated: str, *, ended_at: str = "2026-11-22T06:00:10.000Z") -> list[
     times = StartTimes("2026-11-22T06:00:00.000Z", 0)
     times.look(call(at=1000, started_at=stated))
     return times.faults(ended_at, 10 * 10**9)
+
+
+def told(ms: int, *, oldest_s: float = 60.0, ended_at: str = "2026-11-22T06:00:10.000Z") -> list[Finding]:
+    """Judge a message that the device received five seconds after six o'clock."""
+    times = StartTimes("2026-11-22T06:00:00.000Z", 0)
+    stamp = Stamp(of="DDATA", ms=ms, seen_ns=5 * 10**9, oldest_s=oldest_s, requirement="SPB-001")
+    times.compare("mqtt", stamp)
+    return times.faults(ended_at, 10 * 10**9)
+
+
+FIVE_PAST = 1_795_327_205_000
+"""2026-11-22T06:00:05Z in milliseconds since 1970."""
+
+
+def test_a_time_on_the_wire_is_compared_with_the_moment_at_which_the_device_received_it() -> None:
+    assert told(FIVE_PAST) == told(FIVE_PAST - 59_000) == told(FIVE_PAST + 59_000) == []
+    assert told(FIVE_PAST - 3_600_000, oldest_s=86_400.0) == []
+    for wrong in (FIVE_PAST // 1000, FIVE_PAST - 61_000, FIVE_PAST + 61_000, 2**64 - 1):
+        [found] = told(wrong)
+        assert (found.code, found.requirement) == ("time_off", "SPB-001")
+        assert "the device received it at 2026-11-22T06:00:05.000Z" in found.message
+
+
+def test_a_clock_that_was_set_during_the_item_accuses_no_time_on_the_wire() -> None:
+    assert told(0, ended_at="2026-11-22T07:00:10.000Z") == []
 
 
 def test_a_call_starts_when_it_is_made() -> None:

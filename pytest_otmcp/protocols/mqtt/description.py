@@ -15,7 +15,7 @@ from .external import EXTERNAL
 from .operations import OPERATIONS
 from .oracle import Publications, Refused, Subscriptions, no_command
 from .proof import PROOF
-from .sparkplug_oracle import SparkplugSequence, kept_or_executed
+from .sparkplug_oracle import SparkplugSequence, kept_or_executed, stamps
 from .trace import facts
 
 __all__ = ["PROTOCOL"]
@@ -54,6 +54,7 @@ PROTOCOL = OtProtocol(
     is_answer=is_answer,
     describe=describe,
     facts=facts,
+    stamps=stamps,
     mock="mqtt",
     clients="an MQTT client, version 3.1.1 or 5",
     simulators={

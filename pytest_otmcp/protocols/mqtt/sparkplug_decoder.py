@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-__all__ = ["DATA_TYPES", "Topic", "decode_message", "decode_payload", "parse_topic"]
+__all__ = ["DATA_TYPES", "Topic", "decode_message", "decode_payload", "parse_topic", "payload_times"]
 
 NAMESPACE = "spBv1.0"
 NODE_TYPES = frozenset({"NBIRTH", "NDEATH", "NDATA", "NCMD"})
@@ -189,6 +189,18 @@ def decode_payload(payload: bytes) -> dict[str, Any]:
         "timestamp": _given(message, "timestamp"),
         "metrics": [_metric(metric) for metric in message.metrics],
     }
+
+
+def payload_times(payload: bytes) -> tuple[int | None, dict[str, int]]:
+    """Return the time of a payload, and those of its metrics by name or ``alias N``, in milliseconds since 1970 (section 6.4.5).
+
+    A metric without a time, or one that is marked as historical, is left out. The bytes are a payload.
+    """
+    message = payload_class()()
+    message.ParseFromString(payload)
+    current = [one for one in message.metrics if one.HasField("timestamp") and not one.is_historical]
+    times = {_given(one, "name") or f"alias {_given(one, 'alias')}": one.timestamp for one in current}
+    return _given(message, "timestamp"), times
 
 
 def _given(message: Any, field: str) -> Any:

@@ -15,16 +15,31 @@ from ...core.finding import Finding
 from ...core.strict_json import same_json
 from ..journal import Entries, JournalEntry
 from ..session_oracle import SessionOracle
+from ..stamp import Stamp
 from .entries import MqttEntry, adapter_packets, as_mqtt, payload_of, shown
-from .sparkplug_decoder import DATA_TYPES, NAMESPACE, Topic, decode_message, decode_payload, parse_topic
+from .sparkplug_decoder import DATA_TYPES, NAMESPACE, Topic, decode_message, decode_payload, parse_topic, payload_times
 
-__all__ = ["SparkplugSequence", "broken_rule", "commanded_once", "ddata_metric", "kept_or_executed", "reported"]
+__all__ = [
+    "SparkplugSequence",
+    "broken_rule",
+    "commanded_once",
+    "ddata_metric",
+    "kept_or_executed",
+    "reported",
+    "stamps",
+]
 
 _BD_SEQ = "bdSeq"
 _REBIRTH = "Node Control/Rebirth"
 _FLOAT, _DOUBLE, _BOOLEAN = (DATA_TYPES.index(name) for name in ("Float", "Double", "Boolean"))
 _MOST_FINDINGS = 5
 _COMMANDS = ("NCMD", "DCMD")
+
+_SENT_S = 60.0
+"""Seconds between the time of a payload and its arrival: "the date and time at which the message was published" (section 6.4.5)."""
+
+_CAPTURED_S = 86_400.0
+"""The same for the time of a metric, which is when its value was captured. A value may be older; what is much older is no time of today."""
 
 # Data type and name of the metrics that a birth declared, by name and by alias.
 Declared = dict[str | int, tuple[str, int | None]]
@@ -262,6 +277,19 @@ def _message(entry: MqttEntry) -> Mapping[str, object] | None:
     if message is None and not entry["topic"].startswith(f"{NAMESPACE}/STATE/"):
         return {"error": "the topic is not spBv1.0/group/type/edge_node[/device]"}
     return message
+
+
+def stamps(entries: Entries) -> Iterator[Stamp]:
+    """Yield the times of the adapter's Sparkplug messages and of their metrics; metrics that are marked as historical have none."""
+    for packet, message in _messages(entries, None):
+        if "error" in message:
+            continue
+        of = f"{message['type']} to {packet['topic']}"
+        whole, metrics = payload_times(payload_of(packet))
+        times = [(of, whole, _SENT_S), *((f"{name} in {of}", ms, _CAPTURED_S) for name, ms in metrics.items())]
+        for what, ms, oldest_s in times:
+            if ms is not None:
+                yield Stamp(of=what, ms=ms, seen_ns=packet["t_ns"], oldest_s=oldest_s, requirement="SPB-001")
 
 
 def _declared(message: Mapping[str, Any]) -> Declared:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from decimal import Decimal
 from typing import Any
 
 from pydantic import field_validator
 
-from ...core import AdapterServer
+from ...core import AdapterError, AdapterServer, Call
 from ...modbus import tools as modbus_tools
 from ...modbus.shapes import Registers, WriteRegister
 from ...mqtt import tools as mqtt_tools
@@ -15,9 +17,10 @@ from ...mqtt.shapes import Publish, Subscribe
 from ...opcua import nodes
 from ...opcua import tools as opcua_tools
 from ...opcua import values as opcua_values
+from ...opcua.nodes import NodeName
 from ...opcua.services import Services
 from ..modbus import fitted, next_register, write_only_remembered
-from ..mutant import Mutant, wrap
+from ..mutant import Data, Handler, Mutant, each, wrap
 from ..refusals import cuts_fractions_off, texts_are_true
 
 __all__ = ["MUTANTS"]
@@ -144,6 +147,59 @@ def remembers_namespaces(server: AdapterServer) -> None:
     Services.node = node
 
 
+def _renamed(first: int, last: int) -> Callable[[Handler], Handler]:
+    """Return the change that addresses of this range count from its first one."""
+
+    def change(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            told = arguments.address
+            address = told - first if first <= told <= last else told
+            data: Data = await genuine(call, arguments.model_copy(update={"address": address}))
+            return {**data, "address": told}
+
+        return handler
+
+    return change
+
+
+def parsing(change: Callable[[NodeName], NodeName]) -> Callable[[AdapterServer], None]:
+    """Return the defect that a node id is taken for another one."""
+
+    def bend(server: AdapterServer) -> None:
+        genuine = opcua_tools.parse_node
+        opcua_tools.parse_node = lambda text, field: change(genuine(text, field))
+
+    return bend
+
+
+def _digits_are_a_number(name: NodeName) -> NodeName:
+    text = name.identifier
+    return replace(name, identifier=int(text)) if isinstance(text, str) and text.isdecimal() else name
+
+
+def _numbers_are_text(name: NodeName) -> NodeName:
+    # Of the standard's own namespace all identifiers are numbers.
+    number = name.identifier
+    return replace(name, identifier=str(number)) if isinstance(number, int) and name.index else name
+
+
+def unknown_namespaces_are(index: int) -> Callable[[AdapterServer], None]:
+    """Return the defect that a namespace URI that the server does not have stands for this namespace."""
+
+    def bend(server: AdapterServer) -> None:
+        genuine = Services.node
+
+        async def node(self: Services, name: Any) -> Any:
+            try:
+                return await genuine(self, name)
+            except AdapterError:
+                return name.at(index)
+
+        Services.node = node
+
+    return bend
+
+
 def any_size(server: AdapterServer) -> None:
     mqtt_tools.MAX_PAYLOAD_BYTES = 2**28
     wrap(server, "publish_message", lambda genuine: genuine, model=LargePublish)
@@ -185,6 +241,60 @@ MUTANTS: tuple[Mutant, ...] = (
         bend=address_modulo_65536,
         items="ADR-002.modbus",
         requirements="ADR-002",
+        areas="adr",
+    ),
+    Mutant(
+        id="MU-01n",
+        protocol="modbus",
+        sentence="Address 40001 is register 0.",
+        bend=each(_READ_HOLDING, _WRITE, change=_renamed(40_001, 49_999)),
+        items="ADR-001.modbus",
+        requirements="ADR-001",
+        areas="adr",
+    ),
+    Mutant(
+        id="MU-01m",
+        protocol="modbus",
+        sentence="Reads of address 30000 begin at register 0.",
+        bend=each(_READ_HOLDING, change=_renamed(30_000, 39_998)),
+        items="ADR-001.modbus",
+        requirements="ADR-001",
+        areas="adr",
+    ),
+    Mutant(
+        id="MU-86u",
+        protocol="opcua",
+        sentence="An unknown namespace is number 2.",
+        bend=unknown_namespaces_are(2),
+        items="ADR-008.opcua",
+        requirements="ADR-008",
+        areas="adr",
+    ),
+    Mutant(
+        id="MU-86v",
+        protocol="opcua",
+        sentence="An unknown namespace is number 0.",
+        bend=unknown_namespaces_are(0),
+        items="ADR-008.opcua",
+        requirements="ADR-008",
+        areas="adr",
+    ),
+    Mutant(
+        id="MU-06i",
+        protocol="opcua",
+        sentence="A text of digits is a number.",
+        bend=parsing(_digits_are_a_number),
+        items="ADR-008.opcua",
+        requirements="ADR-008",
+        areas="adr",
+    ),
+    Mutant(
+        id="MU-06j",
+        protocol="opcua",
+        sentence="A number is a text of digits.",
+        bend=parsing(_numbers_are_text),
+        items="ADR-008.opcua",
+        requirements="ADR-008",
         areas="adr",
     ),
     Mutant(

@@ -15,7 +15,7 @@ from ..mutant import Bend, Data, Handler, Mutant, each, mutants_of
 
 __all__ = ["MUTANTS", "Stream"]
 
-_READ_INPUT, _READ_HOLDING = "read_input_registers", "read_multiple_holding_registers"
+_READ_INPUT, _READ_HOLDING, _WRITE = "read_input_registers", "read_multiple_holding_registers", "write_register"
 _HEADER = 9
 """Bytes before the registers of an answer."""
 
@@ -199,6 +199,49 @@ def _first_granted() -> Bend:
     return bend
 
 
+def exchanged_values(server: AdapterServer) -> None:
+    """Of two writes within 10 ms each sends the value of the other."""
+    waiting: list[tuple[Any, asyncio.Future[int]]] = []
+
+    def exchanging(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            value = arguments.value
+            if waiting:
+                other, given = waiting.pop()
+                given.set_result(value)
+                value = other.value
+            else:
+                mine = arguments, asyncio.get_running_loop().create_future()
+                waiting.append(mine)
+                try:
+                    async with asyncio.timeout(0.01):
+                        value = await mine[1]
+                except TimeoutError:
+                    waiting.remove(mine)
+            data: Data = await genuine(call, arguments.model_copy(update={"value": value}))
+            return {**data, "value": arguments.value}
+
+        return handler
+
+    each(_WRITE, change=exchanging)(server)
+
+
+def last_value_for_all(server: AdapterServer) -> None:
+    """The value to be written is kept in one place for all calls, and sent a moment later."""
+    kept: list[Any] = [None]
+
+    def keeping(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            kept[0] = arguments.value
+            await asyncio.sleep(0.01)
+            data: Data = await genuine(call, arguments.model_copy(update={"value": kept[0]}))
+            return {**data, "value": arguments.value}
+
+        return handler
+
+    each(_WRITE, change=keeping)(server)
+
+
 _mutant = mutants_of("con")
 
 MUTANTS: tuple[Mutant, ...] = (
@@ -240,6 +283,22 @@ MUTANTS: tuple[Mutant, ...] = (
         "Of two writes at the same time only one is sent, and both are told as successes.",
         lost_update,
         "CON-004.opcua",
+        "CON-004",
+    ),
+    _mutant(
+        "MU-37w",
+        "modbus",
+        "Of two writes within 10 ms each sends the value of the other.",
+        exchanged_values,
+        "CON-004.modbus",
+        "CON-004",
+    ),
+    _mutant(
+        "MU-37v",
+        "modbus",
+        "Of several writes at the same time all send the value of the last.",
+        last_value_for_all,
+        "CON-004.modbus",
         "CON-004",
     ),
     _mutant(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from ...core import AdapterError, AdapterServer
@@ -11,7 +12,7 @@ from ...mqtt.connection import Connection, ConnectionLostError, Delivery, Messag
 from ...mqtt.inbox import Inbox
 from ...mqtt.link import Link
 from ..mqtt import equal_topics_only, retained, subscribed_topics_only
-from ..mutant import Mutant, each, told
+from ..mutant import Mutant, each, mutants_of, told
 
 __all__ = ["MUTANTS"]
 
@@ -112,7 +113,80 @@ def stripped(server: AdapterServer) -> None:
     Connection.send = send
 
 
+def receiving(change: Callable[[list[Message], Message], Message | None]) -> Callable[[AdapterServer], None]:
+    """Return the defect that a message is kept as another one, or not at all, by what came before it."""
+
+    def bend(server: AdapterServer) -> None:
+        genuine = Link._received
+        last: list[Message] = []
+
+        def received(link: Link, message: Message) -> None:
+            kept = change(last, message)
+            last[:] = [message]
+            if kept is not None:
+                genuine(link, kept)
+
+        Link._received = received
+
+    return bend
+
+
+def _no_repetition(last: list[Message], message: Message) -> Message | None:
+    return None if last and last[0].payload == message.payload else message
+
+
+def _no_repetition_on_a_topic(last: list[Message], message: Message) -> Message | None:
+    return None if last and (last[0].topic, last[0].payload) == (message.topic, message.payload) else message
+
+
+def _lower_case(last: list[Message], message: Message) -> Message:
+    return replace(message, topic=message.topic.lower())
+
+
+def topics_in_lower_case(server: AdapterServer) -> None:
+    genuine = Connection.send
+
+    def send(connection: Connection, message: Message) -> Delivery:
+        return genuine(connection, replace(message, topic=message.topic.lower()))
+
+    Connection.send = send
+
+
+_mutant = mutants_of("mqt")
+
 MUTANTS: tuple[Mutant, ...] = (
+    _mutant(
+        "MU-67e",
+        "mqtt",
+        "Of messages with equal payloads in a row the first is kept.",
+        receiving(_no_repetition),
+        "MQT-004.mqtt",
+        "MQT-004",
+    ),
+    _mutant(
+        "MU-67f",
+        "mqtt",
+        "Of equal messages in a row on one topic the first is kept.",
+        receiving(_no_repetition_on_a_topic),
+        "MQT-004.mqtt",
+        "MQT-004",
+    ),
+    _mutant(
+        "MU-67l",
+        "mqtt",
+        "Topics of messages are kept in lower case.",
+        receiving(_lower_case),
+        "MQT-004.mqtt",
+        "MQT-004",
+    ),
+    _mutant(
+        "MU-68l",
+        "mqtt",
+        "Messages are published to the topic in lower case.",
+        topics_in_lower_case,
+        "MQT-003.mqtt",
+        "ENV-007 MQT-001",
+    ),
     Mutant(
         id="MU-63",
         protocol="mqtt",

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Annotated, Any
 
 from pydantic import Field
 
 from ...core import AdapterError, AdapterServer, Call
-from ...mqtt import edge_node, nodes, sparkplug_tools
+from ...mqtt import edge_node, nodes, payload, sparkplug_tools
 from ...mqtt import link as mqtt_link
 from ...mqtt.connection import Message
 from ...mqtt.edge_node import EdgeNode
@@ -211,6 +213,45 @@ def gaps_untold(server: AdapterServer) -> None:
     nodes.NodeTracker.listing = lambda tracker: [{**node, "sequence_gap": False} for node in genuine(tracker)]
 
 
+def _telling(change: Callable[[int], int]) -> Callable[[AdapterServer], None]:
+    """Return the defect that the clock of payloads and metrics tells another time in nanoseconds."""
+
+    def bend(server: AdapterServer) -> None:
+        payload.time = SimpleNamespace(time_ns=lambda: change(time.time_ns()))
+
+    return bend
+
+
+def dead_devices_are_reborn(server: AdapterServer) -> None:
+    """The node's next births have every device that was ever born."""
+    genuine, known = EdgeNode.births, dict[str, Any]()
+
+    def births(node: EdgeNode, life: Any = None) -> list[Message]:
+        known.update((life or node.living()).devices)
+        return genuine(node, replace(life or node.living(), devices=dict(known)))
+
+    EdgeNode.births = births
+
+
+def deaths_do_not_outlive_a_connection(server: AdapterServer) -> None:
+    """A device that was reported dead is born again with each new connection."""
+    genuine, known = Link._connect, dict[str, Any]()
+    dying = EdgeNode.numbered
+
+    def numbered(node: EdgeNode, kind: str, device: str | None, metrics: Any) -> Message:
+        if kind == "DDEATH":
+            known[str(device)] = node.living().devices[str(device)]
+        return dying(node, kind, device, metrics)
+
+    async def connect(link: Link, *arguments: Any) -> Any:
+        node = link.edge_node
+        if node.life is not None:
+            node.life = replace(node.life, devices={**known, **node.life.devices})
+        return await genuine(link, *arguments)
+
+    EdgeNode.numbered, Link._connect = numbered, connect
+
+
 def _mutant(identifier: str, sentence: str, bend: Any, items: str, requirements: str, *, quick: bool = False) -> Mutant:
     return Mutant(
         id=f"MU-{identifier}",
@@ -254,6 +295,22 @@ MUTANTS: tuple[Mutant, ...] = (
         unborn_devices_report,
         "SPB-003",
         "SPB-003",
+    ),
+    _mutant("73d", "A device that died is born again with the node.", dead_devices_are_reborn, "SPB-003", "SPB-003"),
+    _mutant(
+        "73r",
+        "A device that died is born again with the next connection.",
+        deaths_do_not_outlive_a_connection,
+        "SPB-003",
+        "SPB-003",
+    ),
+    _mutant("74u", "Times are seconds since 1970.", _telling(lambda ns: ns // 1000), f"{_EVERY} SPB-010", "SPB-001"),
+    _mutant(
+        "74v",
+        "Times are those of a time zone, not of UTC.",
+        _telling(lambda ns: ns + 7_200 * 10**9),
+        f"{_EVERY} SPB-010",
+        "SPB-001",
     ),
     _mutant(
         "74s",

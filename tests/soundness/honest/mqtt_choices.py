@@ -15,6 +15,7 @@ import paho.mqtt.client as paho
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
 from pytest_otmcp.reference_adapters.defects.mutant import Handler, wrap
 from pytest_otmcp.reference_adapters.mqtt import connection as connections
+from pytest_otmcp.reference_adapters.mqtt import edge_node as edge_nodes
 from pytest_otmcp.reference_adapters.mqtt.connection import Connection, ConnectionLostError, Message
 from pytest_otmcp.reference_adapters.mqtt.edge_node import EdgeNode, Life
 from pytest_otmcp.reference_adapters.mqtt.link import Link
@@ -22,6 +23,8 @@ from pytest_otmcp.reference_adapters.mqtt.payload import Metric
 from pytest_otmcp.reference_adapters.mqtt.tools import Tools
 from pytest_otmcp.reference_adapters.mqtt.tools import _payload as payload_of
 from pytest_otmcp.reference_adapters.mqtt.topics import check_name
+
+from pytest_otmcp.protocols.mqtt.sparkplug_decoder import payload_class
 
 from .choice import Bend, backed_off, choices, in_background
 
@@ -499,3 +502,46 @@ def delivers_again_with_dup(server: AdapterServer) -> None:
         return handler
 
     wrap(server, "publish_message", outgoing)
+
+
+# -- the times that an edge node tells --------------------------------------------------------------------------------
+
+
+CAPTURED = "Sparkplug 3.0, section 6.4.5: a metric's time is when its value was captured"
+
+
+def retold(change: Callable[[Any], None]) -> None:
+    """Change each metric of the edge node's payloads before it is published."""
+    genuine = edge_nodes.encode
+
+    def encode(metrics: Any, seq: int | None) -> bytes:
+        payload = payload_class()()
+        payload.ParseFromString(genuine(metrics, seq))
+        for metric in payload.metrics:
+            change(metric)
+        data: bytes = payload.SerializeToString()
+        return data
+
+    edge_nodes.encode = encode
+
+
+@choice("gives each metric the time at which its value was captured, an hour ago", CAPTURED)
+def values_captured_an_hour_ago(server: AdapterServer) -> None:
+    def earlier(metric: Any) -> None:
+        metric.timestamp -= 3_600_000
+
+    retold(earlier)
+
+
+@choice("gives no metric a time of its own", "Sparkplug 3.0, section 6.4.5: the payload has one")
+def metrics_without_a_time(server: AdapterServer) -> None:
+    retold(lambda metric: metric.ClearField("timestamp"))
+
+
+@choice("marks values from its store, more than a year old, as historical", CAPTURED)
+def values_from_a_store(server: AdapterServer) -> None:
+    def stored(metric: Any) -> None:
+        metric.timestamp -= 400 * 86_400_000
+        metric.is_historical = True
+
+    retold(stored)
