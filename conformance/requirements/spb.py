@@ -92,8 +92,8 @@ async def _arrives(
 ) -> None:
     """Expect that a device's message with these metrics reached the broker."""
     await _there(mqtt, reply, device, kind)
-    journal = await mqtt.journal()
-    run.witnessed(oracle.reported(since(reply, journal), kind=kind, device=device, metrics=metrics, births=journal))
+    births, entries = await mqtt.follow(oracle.Births), since(reply, await mqtt.journal())
+    run.witnessed(oracle.reported(entries, kind=kind, device=device, metrics=metrics, births=births))
 
 
 async def _there(mqtt: Rig, reply: Reply, device: str, kind: str) -> None:
