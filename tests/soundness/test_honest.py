@@ -88,8 +88,8 @@ def test_an_honest_adapter_is_accused_of_nothing_in_the_requirement_suite(judge:
     [
         ("mcp/streamable-http", "ADR-009.modbus"),
         ("opcua/localized-texts-as-objects", "RD-001.opcua ENC-006.opcua"),
-        ("mqtt/data-by-alias-alone", "Q4 SPB-001 SPB-004 SPB-008"),
-        ("mqtt/every-payload-as-base64", "Q2 S2 S11 MQT-003 MQT-004 ENC-006.mqtt"),
+        ("mqtt/data-by-alias-alone", "Q4 SPB-001.mqtt SPB-004.mqtt SPB-008.mqtt"),
+        ("mqtt/every-payload-as-base64", "Q2 S2 S11 MQT-003.mqtt MQT-004.mqtt ENC-006.mqtt"),
     ],
 )
 def test_an_honest_adapter_that_a_check_once_accused_is_accused_no_more(judge: Judge, name: str, checks: str) -> None:
