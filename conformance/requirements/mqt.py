@@ -63,7 +63,9 @@ async def a_publication_is_acknowledged(run: Repetition, mqtt: Rig) -> None:
 
 
 def _every_qos(mqtt: Rig) -> tuple[int, ...]:
-    return (1, 2) if mqtt.accepts_input("publish", "qos") else (1,)
+    if not mqtt.accepts_input("publish", "qos"):
+        return (1,)
+    return tuple(qos for qos in (1, 2) if mqtt.excess("publish", topic=_PUMP, payload="", qos=qos) is None)
 
 
 async def _publish(run: Repetition, mqtt: Rig, qos: int) -> tuple[bytes, Reply]:
@@ -204,9 +206,11 @@ async def a_message_arrives_as_it_was_asked_for(run: Repetition, mqtt: Rig) -> N
         (0, ""),
     ):
         payload = text + nonce(run) if text else text
-        await _publishes(run, mqtt, payload, payload.encode(), qos=qos)
+        await _publishes(run, mqtt, *_allowed(mqtt, payload, qos))
     if mqtt.accepts_input("publish", "encoding"):
-        binary = bytes(range(256)) + run.rng.randbytes(8)
+        binary = run.rng.randbytes(8) + bytes(reversed(range(256)))
+        while mqtt.excess("publish", topic=_PUMP, payload=base64.b64encode(binary).decode()) and len(binary) > 1:
+            binary = binary[: len(binary) // 2]
         await _publishes(run, mqtt, base64.b64encode(binary).decode(), binary, encoding="base64")
     if mqtt.accepts_input("publish", "retain"):
         for retain in (True, False):
@@ -217,8 +221,17 @@ async def a_message_arrives_as_it_was_asked_for(run: Repetition, mqtt: Rig) -> N
         await _flags_what_was_retained(run, mqtt)
 
 
+def _allowed(mqtt: Rig, payload: str, qos: int) -> tuple[str, bytes, int]:
+    """Return a payload as text and as bytes, and a quality of service, as far as the schema of the tool allows them."""
+    while mqtt.excess("publish", topic=_PUMP, payload="", qos=qos) is not None and qos:
+        qos -= 1
+    while mqtt.excess("publish", topic=_PUMP, payload=payload, qos=qos) is not None and len(payload) > 1:
+        payload = payload[len(payload) // 2 :]
+    return payload, payload.encode(), qos
+
+
 async def _publishes(
-    run: Repetition, mqtt: Rig, payload: str, expected: bytes, *, qos: int = 1, retain: bool = False, **inputs: Any
+    run: Repetition, mqtt: Rig, payload: str, expected: bytes, qos: int = 1, *, retain: bool = False, **inputs: Any
 ) -> None:
     asked: dict[str, Any] = {"retain": True} if retain else {}
     reply = await mqtt.call("publish", topic=_PUMP, payload=payload, qos=qos, **asked, **inputs)

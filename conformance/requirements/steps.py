@@ -16,6 +16,8 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
+from .within import within
+
 __all__ = [
     "CONNECTION_FAULTS",
     "NOTHING_SENT",
@@ -51,10 +53,10 @@ NOTHING_SENT = ("not_sent", "not_applicable")
 
 
 def exercise(at: Rig) -> Exercise:
-    """Return what checks for every protocol do on this one."""
+    """Return what checks for every protocol do on this one, within the bounds that the adapter's tools state."""
     found = protocols()[at.protocol].exercise
     assert found is not None, f"{at.protocol} has no exercise, so it has no such checks"
-    return found
+    return within(at, found)
 
 
 def faulty(conditions: Iterable[Mapping[str, object]], **action: object) -> list[Mapping[str, object]]:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 
 from ..core.errors import ExhaustedError, KitError, SubjectError
+from ..core.matrix import REQUIREMENTS
 from ..core.verdict import Status
 from ..protocols.journal import Entries
 from ..protocols.protocol import Declared
@@ -139,6 +140,7 @@ class ReplayDriver:
             seed=self._seed,
             time_scale=self._time_scale,
             soak=self._soak,
+            narrowed=self._task.suite == REQUIREMENTS,
             rigs=[ReplayRig(state, past, part["device"]) for state in self._states],
         )
 

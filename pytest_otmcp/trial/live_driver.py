@@ -9,6 +9,7 @@ from dataclasses import replace
 from datetime import UTC, datetime
 
 from ..core.errors import SubjectError
+from ..core.matrix import REQUIREMENTS
 from ..core.text import printable
 from ..core.verdict import Status
 from ..protocols.journal import Entries
@@ -91,6 +92,7 @@ class LiveDriver:
             seed=self._seed,
             time_scale=self._bench.options.time_scale,
             soak=self._bench.options.soak,
+            narrowed=self._task.suite == REQUIREMENTS,
             rigs=[LiveRig(state, self._bench) for state in self._states],
         )
 

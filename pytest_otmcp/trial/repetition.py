@@ -34,6 +34,7 @@ class Repetition:
         time_scale: factor on windows and deadlines.
         rigs: every adapter at its device that the task has.
         soak: of the run.
+        narrowed: a refusal of what a tool's own schema does not allow is no fault: the steps may ask for less than they have in mind.
 
     Attributes:
         soak: steps that have a long form take it: thousands of calls, messages or faults instead of some.
@@ -55,11 +56,13 @@ class Repetition:
         time_scale: float,
         rigs: Iterable[Rig],
         soak: bool = False,
+        narrowed: bool = False,
     ) -> None:
         self.rep = rep
         self.role = role
         self.time_scale = time_scale
         self.soak = soak
+        self._narrowed = narrowed
         origin = f"{seed}/{task_id}/{role}/{rep}"
         self.ledger = Ledger(role, time_scale, item=task_id, origin=origin)
         # The same seed gives the same nonces, whatever ran before.
@@ -136,8 +139,21 @@ class Repetition:
     # -- judging ------------------------------------------------------------------------------------------
 
     def succeeds(self, reply: Reply, *, requirement: str | None = None, **outputs: object) -> bool:
-        """Expect success with these outputs, and return whether it was so; ``requirement`` as for ``expectations``."""
+        """Expect success with these outputs, and return whether it was so; ``requirement`` as for ``expectations``.
+
+        Where the schema of the tool does not allow what was asked for, a refusal before the wire is as good, and nothing is left to judge.
+        """
+        if self._narrowed and reply.excess is not None and reply.success is False:
+            self._refuses_what_its_schema_forbids(reply, reply.excess)
         return self.judge(reply, oracle.succeeded(reply, requirement=requirement, **outputs))
+
+    def _refuses_what_its_schema_forbids(self, reply: Reply, excess: str) -> None:
+        codes = ("limit_exceeded", "invalid_input", "range_overflow", "illegal_value", "illegal_address")
+        if not self.fails(reply, *codes, outcome=("not_sent", "not_applicable"), code_requirement="ERR-002"):
+            return
+        if any(finding.is_must for finding in self.ledger.findings):
+            raise EndedError
+        self.not_applicable(f"the schema of {reply.tool} does not allow what this check asks for: {excess}")
 
     def must_succeed(self, reply: Reply, **outputs: object) -> None:
         """Expect success with these outputs; without it the repetition ends here."""

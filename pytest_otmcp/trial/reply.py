@@ -59,6 +59,7 @@ class Reply:
         outputs: the operation's outputs that the binding knows how to find.
         faults: what is wrong with the reply as such, whatever the task expected of it.
         native: the envelope is the adapter's own.
+        excess: the bound of the tool's own schema that the arguments of a call that failed do not keep; None where they keep all.
     """
 
     adapter: str
@@ -70,6 +71,7 @@ class Reply:
     faults: tuple[Finding, ...] = ()
     native: bool = True
     listed: bool = True
+    excess: str | None = None
 
     @property
     def tool(self) -> str:

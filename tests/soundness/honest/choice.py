@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import copy
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -20,6 +21,7 @@ __all__ = [
     "choices",
     "every_tool",
     "in_background",
+    "narrowed",
     "one_call_at_a_time",
     "twice_where_missing",
 ]
@@ -145,6 +147,28 @@ def backed_off(connect: Callable[..., Awaitable[Any]], seconds: float) -> Callab
             raise
 
     return patiently
+
+
+_SIZED = ("maxItems", "maxLength")
+
+
+def narrowed(server: AdapterServer, tool: str, argument: str, bound: str, most: int) -> None:
+    """Let the schema of a tool say that an argument has this ``maximum``, ``maxItems`` or ``maxLength``, and refuse what is beyond."""
+    listing = server._tools[tool].listing
+    schema = copy.deepcopy(listing.input_schema)
+    schema["properties"][argument][bound] = most
+
+    def bounded(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Any:
+            value = getattr(arguments, argument)
+            if (len(value) if bound in _SIZED else value) > most:
+                message = f"{argument} is beyond its {bound} of {most}"
+                raise AdapterError("limit_exceeded", message, outcome="not_sent", field=f"/{argument}")
+            return await genuine(call, arguments)
+
+        return handler
+
+    wrap(server, tool, bounded, listing=listing.model_copy(update={"input_schema": schema}))
 
 
 def twice_where_missing(genuine: Handler) -> Handler:

@@ -25,7 +25,7 @@ from pytest_otmcp.reference_adapters.mqtt.tools import Tools
 from pytest_otmcp.reference_adapters.mqtt.tools import _payload as payload_of
 from pytest_otmcp.reference_adapters.mqtt.topics import check_name
 
-from .choice import Bend, backed_off, choices, in_background
+from .choice import Bend, backed_off, choices, in_background, narrowed
 
 if TYPE_CHECKING:
     from pytest_otmcp.subject import Adapter
@@ -196,6 +196,15 @@ def data_by_alias_alone(server: AdapterServer) -> None:
 @choice("gives every payload as base64, and says so", "its subject file binds the encodings of messages")
 def every_payload_as_base64(server: AdapterServer) -> None:
     tools_module._harmless_text = lambda data: None
+
+
+@choice(
+    "publishes payloads of at most 200 characters, with QoS 0 or 1",
+    "its schema says so: a smaller maximum is the author's choice",
+)
+def short_payloads(server: AdapterServer) -> None:
+    narrowed(server, "publish_message", "payload", "maxLength", 200)
+    narrowed(server, "publish_message", "qos", "maximum", 1)
 
 
 # -- connections ------------------------------------------------------------------------------------------------------
