@@ -51,6 +51,15 @@ def other_results(change: Callable[[Result], Result]) -> None:
     core_server._result = lambda envelope: change(genuine(envelope))
 
 
+@choice("writes UTC as an offset of zero, not as Z", "RFC 3339, section 4.2: both are UTC")
+def utc_as_an_offset(server: AdapterServer) -> None:
+    def with_offset(envelope: Envelope) -> Envelope:
+        meta = envelope["meta"]
+        return {**envelope, "meta": {**meta, "started_at": meta["started_at"].removesuffix("Z") + "+00:00"}}
+
+    other_envelopes(with_offset)
+
+
 def prose(result: Result) -> dict[str, str]:
     said = "The device did as asked." if result["structuredContent"]["success"] else "That did not work."
     return {"type": "text", "text": said}
