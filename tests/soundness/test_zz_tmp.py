@@ -11,4 +11,4 @@ def test_it(judge):
             print(i, x["status"], x["reason"] or "")
             for fs in (x["findings"], *(s["findings"] for s in x["samples"])):
                 for f in fs: print("   ", f["strength"], f["requirement"], f["code"], f["message"][:400])
-PAIRS = [('mcp/utc-as-an-offset', 'M1 FM1 ENC-007.modbus ENV-001.modbus ENV-006.modbus MCP-005.modbus')]
+PAIRS = [('modbus/deaf-to-cancellation', 'TMO-003.modbus CON-005.modbus'), ('opcua/deaf-to-cancellation', 'TMO-003.opcua')]

@@ -19,6 +19,7 @@ __all__ = [
     "Choice",
     "backed_off",
     "choices",
+    "deaf_to_cancellation",
     "every_tool",
     "in_background",
     "narrowed",
@@ -44,6 +45,7 @@ class Choice:
         rule: why it is legal.
         bend: makes the adapter so.
         warnings: the SHOULD findings that are due: requirement and code.
+        checked_warnings: those that are due in the requirement suite alone.
         described: what the subject file has to say of it, as a change of the adapter's description.
     """
 
@@ -53,6 +55,7 @@ class Choice:
     bend: Bend
     warnings: frozenset[tuple[str, str]]
     described: Callable[[Adapter], Adapter]
+    checked_warnings: frozenset[tuple[str, str]] = frozenset()
 
 
 def choices(protocol: str) -> tuple[dict[str, Choice], Callable[..., Declare]]:
@@ -64,6 +67,7 @@ def choices(protocol: str) -> tuple[dict[str, Choice], Callable[..., Declare]]:
         rule: str,
         *,
         warnings: tuple[tuple[str, str], ...] = (),
+        checked_warnings: tuple[tuple[str, str], ...] = (),
         described: Callable[[Adapter], Adapter] = _as_it_is,
     ) -> Declare:
         def declare(bend: Bend) -> Bend:
@@ -73,6 +77,7 @@ def choices(protocol: str) -> tuple[dict[str, Choice], Callable[..., Declare]]:
                 rule=rule,
                 bend=bend,
                 warnings=frozenset(warnings),
+                checked_warnings=frozenset(checked_warnings),
                 described=described,
             )
             return bend
@@ -126,6 +131,19 @@ def one_call_at_a_time(server: AdapterServer) -> None:
         return handler
 
     every_tool(server, in_turn)
+
+
+def deaf_to_cancellation(server: AdapterServer) -> None:
+    """Let every call wait until the one before it is over, and be carried out to its end, whether or not it has been cancelled."""
+    one_call_at_a_time(server)
+
+    def to_its_end(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Any:
+            return await asyncio.shield(asyncio.ensure_future(genuine(call, arguments)))
+
+        return handler
+
+    every_tool(server, to_its_end)
 
 
 def backed_off(connect: Callable[..., Awaitable[Any]], seconds: float) -> Callable[..., Awaitable[Any]]:

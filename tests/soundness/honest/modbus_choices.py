@@ -13,7 +13,16 @@ from pytest_otmcp.reference_adapters.modbus.link import Link
 from pytest_otmcp.reference_adapters.modbus.shapes import Registers, Unit
 from pytest_otmcp.reference_adapters.modbus.tools import Tools
 
-from .choice import Bend, backed_off, choices, in_background, narrowed, one_call_at_a_time, twice_where_missing
+from .choice import (
+    Bend,
+    backed_off,
+    choices,
+    deaf_to_cancellation,
+    in_background,
+    narrowed,
+    one_call_at_a_time,
+    twice_where_missing,
+)
 
 __all__ = ["CHOICES"]
 
@@ -368,3 +377,10 @@ def ping_by_an_input_register(server: AdapterServer) -> None:
 choice("performs one call after the other", "the order of calls made at the same time is the adapter's own affair")(
     one_call_at_a_time
 )
+
+
+choice(
+    "performs one call after the other, and does not hear of cancellations",
+    "MCP, Cancellation: a receiver may ignore them; a write that waits for its turn should not be carried out any more",
+    checked_warnings=(("TMO-003", "cancelled_write"),),
+)(deaf_to_cancellation)

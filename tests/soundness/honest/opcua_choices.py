@@ -14,7 +14,7 @@ from pytest_otmcp.reference_adapters.defects.mutant import Handler, wrap
 from pytest_otmcp.reference_adapters.opcua.link import Link, Session
 from pytest_otmcp.reference_adapters.opcua.services import Services
 
-from .choice import backed_off, choices, in_background, one_call_at_a_time, twice_where_missing
+from .choice import backed_off, choices, deaf_to_cancellation, in_background, one_call_at_a_time, twice_where_missing
 
 __all__ = ["CHOICES"]
 
@@ -321,3 +321,10 @@ def localized_texts_as_objects(server: AdapterServer) -> None:
     tool = server._tools["read_opcua_node"]
     listing = tool.listing.model_copy(update={"output_schema": None})
     server._tools["read_opcua_node"] = dataclasses.replace(tool, handler=extended(tool.handler), listing=listing)
+
+
+choice(
+    "performs one call after the other, and does not hear of cancellations",
+    "MCP, Cancellation: a receiver may ignore them; a write that waits for its turn should not be carried out any more",
+    checked_warnings=(("TMO-003", "cancelled_write"),),
+)(deaf_to_cancellation)
