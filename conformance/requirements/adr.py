@@ -539,9 +539,11 @@ _CHARACTERS = 10_000_000
 
 @TASKS.every_protocol("ADR-009", "What is too large or too deep is refused, and the session goes on.", writes=True)
 async def what_is_too_large_is_refused(run: Repetition, at: Rig) -> None:
-    """Write a text of ten million characters, a list of a million elements, and one that is nested deeply; after each, a value that fits.
+    """Write a text of ten million characters, a list of a million elements, and one that is nested 100 deep; after each, a value that
+    fits. The same with lists that are nested 200 and 500 deep.
 
     Said: failures with `limit_exceeded`, `invalid_input`, `type_mismatch` or `range_overflow`, and the outcome `not_sent`; success after each.
+        What is nested 200 or 500 deep should be refused so; no answer, or an error of the protocol, is remarkable.
     Seen: no request that changes the plant; after each refusal, one.
     Why: whatever an assistant is made to send, the adapter has to survive it, and the device must not have to.
     """
@@ -550,7 +552,7 @@ async def what_is_too_large_is_refused(run: Repetition, at: Rig) -> None:
     name = next((given[each] for each in ("value", "payload") if each in given), None)
     if name is None:
         run.not_applicable(f"the value of {asked.operation} is not given to the tool as it is")
-    for size in (filler(_CHARACTERS), filler(1_000_000, ELEMENTS), filler(200, DEEP)):
+    for size in (filler(_CHARACTERS), filler(1_000_000, ELEMENTS), filler(_DEEP, DEEP)):
         reply = await at.call_altered(asked.operation, Alteration(given={name: size}), **asked.inputs)
         await refused_before_the_wire(run, at, reply, "limit_exceeded", *_WRONG_KIND, requirement="ADR-009")
         await a_write_works(run, at)

@@ -103,9 +103,9 @@ def since(reply: Reply, entries: Entries) -> Entries:
     return [entry for entry in entries if entry["t_ns"] >= reply.exchange.sent_ns]
 
 
-async def answers_again(run: Repetition, at: Rig, *, requirement: str = "REC-001") -> None:
+async def answers_again(run: Repetition, at: Rig, *, requirement: str = "REC-001") -> Reply:
     """Read until that succeeds, at most for as long as the subject declares: the faults of the device are over. An adapter that does not
-    claim to connect again by itself gets a session of its own first."""
+    claim to connect again by itself gets a session of its own first. Return the last reply."""
     if not (at.claims("recovery") and at.reconnects):
         await at.fresh_session()
     asked = exercise(at).read(run.rng)
@@ -113,6 +113,7 @@ async def answers_again(run: Repetition, at: Rig, *, requirement: str = "REC-001
         await at.poke(**poke)
     replies = await at.call_until_success(asked.operation, window_s=at.recovery_s, from_first_call=True, **asked.inputs)
     run.succeeds(replies[-1], requirement=requirement, **asked.outputs)
+    return replies[-1]
 
 
 async def read(run: Repetition, at: Rig) -> tuple[Asked, Reply]:
