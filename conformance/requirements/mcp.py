@@ -8,7 +8,6 @@ from functools import wraps
 from typing import Any
 
 from pytest_otmcp.core.finding import Finding
-from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.trial.alteration import Alteration
 from pytest_otmcp.trial.check import Checks, Generic
 from pytest_otmcp.trial.repetition import Repetition

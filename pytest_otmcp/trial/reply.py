@@ -94,6 +94,12 @@ class Reply:
         return self.exchange.failure == CANCELLED
 
     @property
+    def unread(self) -> bool:
+        """The answer is an error of MCP instead of a result, or there is none although the session goes on."""
+        codes = {fault.code for fault in self.faults if fault.is_must}
+        return codes != set() and codes <= {"no_reply", "json_rpc_error"}
+
+    @property
     def latency_ms(self) -> float | None:
         """Request written to response line read, in milliseconds; None without a response."""
         return self.exchange.latency_ms

@@ -148,6 +148,19 @@ class Rig(WriteGate):
         """
         return await self._call(operation, inputs, role, altered)
 
+    async def call_beyond(self, operation: str, altered: Alteration, remark: Finding, **inputs: object) -> Reply:
+        """Perform an operation as :meth:`call_altered` does, with arguments that no adapter must be able to read: to be answered by
+        an error of MCP instead of a result, or not at all, is worth the remark and nothing else. The end of the session is a fault.
+        """
+        await self._before(operation)
+        reply = await self._perform(operation, inputs, altered)
+        if reply.unread:
+            reply = replace(reply, faults=(remark,))
+        self._ledger.add(reply, inputs, altered=altered)
+        if not (reply.answered or reply.unread):
+            raise EndedError
+        return reply
+
     async def _call(
         self, operation: str, inputs: Mapping[str, object], role: Role | None, altered: Alteration | None = None
     ) -> Reply:

@@ -88,6 +88,8 @@ def test_an_honest_adapter_is_accused_of_nothing_in_the_requirement_suite(judge:
     [
         ("mcp/streamable-http", "ADR-009.modbus"),
         ("opcua/localized-texts-as-objects", "RD-001.opcua ENC-006.opcua"),
+        ("mcp/no-answer-to-what-is-too-deep", "ADR-009.modbus"),
+        ("mcp/parse-error-for-what-is-too-deep", "ADR-009.modbus"),
         ("mcp/utc-as-an-offset", "M1 FM1 ENV-001.modbus ENC-007.modbus"),
         ("modbus/deaf-to-cancellation", "TMO-003.modbus CON-005.modbus"),
         ("opcua/deaf-to-cancellation", "TMO-003.opcua"),

@@ -11,4 +11,4 @@ def test_it(judge):
             print(i, x["status"], x["reason"] or "")
             for fs in (x["findings"], *(s["findings"] for s in x["samples"])):
                 for f in fs: print("   ", f["strength"], f["requirement"], f["code"], f["message"][:400])
-PAIRS = [('modbus/deaf-to-cancellation', 'TMO-003.modbus CON-005.modbus'), ('opcua/deaf-to-cancellation', 'TMO-003.opcua')]
+PAIRS = [('mcp/no-answer-to-what-is-too-deep', 'ADR-009.modbus'), ('mcp/parse-error-for-what-is-too-deep', 'ADR-009.modbus')]
