@@ -93,6 +93,7 @@ def test_an_honest_adapter_is_accused_of_nothing_in_the_requirement_suite(judge:
         ("mcp/utc-as-an-offset", "M1 FM1 ENV-001.modbus ENC-007.modbus"),
         ("modbus/deaf-to-cancellation", "TMO-003.modbus CON-005.modbus"),
         ("opcua/deaf-to-cancellation", "TMO-003.opcua"),
+        ("opcua/subscription-in-every-session", "O1 S12 REC-006.opcua"),
         ("modbus/blocks-of-32", "WR-001.modbus WR-002.modbus WR-004.modbus WR-008.modbus"),
         ("modbus/blocks-of-2", "WR-001.modbus WR-002.modbus WR-008.modbus WR-009.modbus"),
         ("modbus/reads-of-8", "RD-001.modbus RD-006.modbus RD-007.modbus ENC-003.modbus"),

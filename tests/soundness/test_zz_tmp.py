@@ -11,4 +11,4 @@ def test_it(judge):
             print(i, x["status"], x["reason"] or "")
             for fs in (x["findings"], *(s["findings"] for s in x["samples"])):
                 for f in fs: print("   ", f["strength"], f["requirement"], f["code"], f["message"][:400])
-PAIRS = [('mcp/no-answer-to-what-is-too-deep', 'ADR-009.modbus'), ('mcp/parse-error-for-what-is-too-deep', 'ADR-009.modbus')]
+PAIRS = [('opcua/subscription-in-every-session', 'REC-006.opcua')]

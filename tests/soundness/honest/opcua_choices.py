@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import dataclasses
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from typing import Any
 
@@ -103,6 +104,31 @@ def reads_by_monitored_items(server: AdapterServer) -> None:
         return [found[index] for index in range(len(nodes))]
 
     other_reads(monitored)
+
+
+class Unheard:
+    """Takes the notifications of a subscription, and does nothing with them."""
+
+    def datachange_notification(self, node: Any, value: Any, data: Any) -> None:
+        pass
+
+
+@choice(
+    "has a subscription open in every session",
+    "OPC 10000-4, section 6.7: the server keeps such a session when it has ended the connection; the client cannot close it then",
+)
+def subscription_in_every_session(server: AdapterServer) -> None:
+    link = link_of(server)
+    genuine = link._connect
+
+    async def connect(call: Call) -> Session:
+        session = await genuine(call)
+        with suppress(Exception):
+            subscription = await session.client.create_subscription(500.0, Unheard())
+            await subscription.subscribe_data_change(session.client.get_node("ns=2;s=Temperature"))
+        return session
+
+    link._connect = connect
 
 
 @choice("browses a node before it reads it", "reading changes nothing; meta.attempts says so")
