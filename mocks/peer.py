@@ -48,12 +48,15 @@ class Process:
         name: of its program, as the kernel has it.
         ancestors: numbers of its parent, of the parent's parent, and so on, when it was found.
         token: what the kit has given its session; None for a process that has none in its environment.
+        contained: it is in another namespace of processes than this one. One that is nested in this one is seen with its numbers of
+            here, and so are its parents; one that a service has started, as that of containers does, has no parent that is known.
     """
 
     pid: int
     name: str
     ancestors: tuple[int, ...]
     token: str | None
+    contained: bool = False
 
 
 @dataclass(slots=True)
@@ -77,8 +80,7 @@ _known: OrderedDict[tuple[int, str | None], _Known] = OrderedDict()
 def process_of(transport: asyncio.BaseTransport) -> Process | None:
     """Return the process that has the other end of a TCP connection.
 
-    None when it cannot be known: the other end is closed already, belongs to a process of another user or in a container, or the
-    system is not Linux.
+    None when it cannot be known: the other end is closed already, belongs to a process of another user, or the system is not Linux.
     """
     own, peer = transport.get_extra_info("sockname"), transport.get_extra_info("peername")
     return holder(_inode(socket.IPPROTO_TCP, peer, own))
@@ -188,9 +190,6 @@ def _link(path: str) -> str | None:
 
 def _found(pid: int, place: str) -> Process | None:
     try:
-        if os.stat(f"/proc/{pid}/ns/pid").st_ino != os.stat("/proc/self/ns/pid").st_ino:
-            # In a container: whose child it is cannot be told from here.
-            return None
         process = _process(pid)
     except OSError:
         return None
@@ -201,7 +200,8 @@ def _found(pid: int, place: str) -> Process | None:
 
 
 def _process(pid: int) -> Process:
-    return Process(pid=pid, name=_name(pid), ancestors=tuple(_ancestors(pid)), token=_token(pid))
+    contained = os.stat(f"/proc/{pid}/ns/pid").st_ino != os.stat("/proc/self/ns/pid").st_ino
+    return Process(pid=pid, name=_name(pid), ancestors=tuple(_ancestors(pid)), token=_token(pid), contained=contained)
 
 
 def _stat(pid: int) -> list[str]:

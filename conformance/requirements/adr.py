@@ -29,6 +29,7 @@ from .steps import (
     knows_node,
     nothing_arrived,
     refused_before_the_wire,
+    since,
     witness,
     works_again,
 )
@@ -176,6 +177,9 @@ async def _bound(
     beyond: Any,
     held: tuple[int, list[int]],
 ) -> None:
+    if modbus.excess(operation, **inputs, **{name: inside}) is not None:
+        # The tool's schema has a bound of its own, and no smaller value shows what becomes of one that is cut down.
+        return
     address, words = held
     accepted = await modbus.call(operation, **inputs, **{name: inside})
     run.succeeds(accepted, requirement="ADR-003")
@@ -548,13 +552,18 @@ async def what_is_of_another_kind_is_refused(run: Repetition, at: Rig) -> None:
 
 
 _CHARACTERS = 10_000_000
+_DEEP, _DEEPER = 100, 200
+"""Levels that every adapter can read, and more than the parsers of some official SDKs do: Python's, as of version 2.3, drops a message
+that is nested 198 deep, and never answers it."""
 
 
 @TASKS.every_protocol("ADR-009", "What is too large or too deep is refused, and the session goes on.", writes=True)
 async def what_is_too_large_is_refused(run: Repetition, at: Rig) -> None:
-    """Write a text of ten million characters, a list of a million elements, and one that is nested deeply; after each, a value that fits.
+    """Write a text of ten million characters, a list of a million elements, and one that is nested 100 deep; after each, a value that
+    fits. The same with a list that is nested 200 deep.
 
     Said: failures with `limit_exceeded`, `invalid_input`, `type_mismatch` or `range_overflow`, and the outcome `not_sent`; success after each.
+        What is nested 200 deep should be refused so; an error of MCP instead of a result, or no answer, is remarkable.
     Seen: no request that changes the plant; after each refusal, one.
     Why: whatever an assistant is made to send, the adapter has to survive it, and the device must not have to.
     """
@@ -563,7 +572,16 @@ async def what_is_too_large_is_refused(run: Repetition, at: Rig) -> None:
     name = next((given[each] for each in ("value", "payload") if each in given), None)
     if name is None:
         run.not_applicable(f"the value of {asked.operation} is not given to the tool as it is")
-    for size in (filler(_CHARACTERS), filler(1_000_000, ELEMENTS), filler(200, DEEP)):
+    for size in (filler(_CHARACTERS), filler(1_000_000, ELEMENTS), filler(_DEEP, DEEP)):
         reply = await at.call_altered(asked.operation, Alteration(given={name: size}), **asked.inputs)
         await refused_before_the_wire(run, at, reply, "limit_exceeded", *_WRONG_KIND, requirement="ADR-009")
         await a_write_works(run, at)
+    deeper = Alteration(given={name: filler(_DEEPER, DEEP)})
+    message = f"{asked.operation}: what is nested {_DEEPER} deep should be refused in a result, the adapter gives another answer or none"
+    remark = Finding(code="too_deep_to_read", message=message, requirement="ADR-009", strength="SHOULD")
+    reply = await at.call_beyond(asked.operation, deeper, remark, **asked.inputs)
+    if remark in reply.faults:
+        run.witnessed(nothing_arrived(at, since(reply, await at.journal()), requirement="ADR-009"))
+    else:
+        await refused_before_the_wire(run, at, reply, "limit_exceeded", *_WRONG_KIND, requirement="ADR-009")
+    await a_write_works(run, at)

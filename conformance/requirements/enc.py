@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import binascii
 import math
 import struct
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,6 +14,7 @@ from pytest_otmcp.core.strict_json import same_json
 from pytest_otmcp.protocols.exercise import Asked, Texts
 from pytest_otmcp.protocols.modbus import oracle as modbus_oracle
 from pytest_otmcp.protocols.modbus.tags import TAGS
+from pytest_otmcp.protocols.mqtt.inbox import decoded, listed
 from pytest_otmcp.protocols.opcua import oracle as opcua_oracle
 from pytest_otmcp.trial.check import Checks
 from pytest_otmcp.trial.repetition import Repetition
@@ -522,23 +522,9 @@ async def payloads_arrive_as_they_are(run: Repetition, mqtt: Rig) -> None:
 
 def _received(mqtt: Rig, reply: Reply) -> list[bytes]:
     """Return the payloads of an answer, as bytes; what is base64 is told by its mark, or may be it where there are no marks."""
-    messages, encodings = reply.outputs.get("messages"), reply.outputs.get("encodings")
-    listed = messages if isinstance(messages, list) else []
-    marks = encodings if isinstance(encodings, list) and len(encodings) == len(listed) else [None] * len(listed)
-    marked = mqtt.claims("messages.encodings")
-    found = []
-    for message, mark in zip(listed, marks, strict=True):
-        text = message.get("payload") if isinstance(message, dict) else None
-        if not isinstance(text, str):
-            continue
-        if mark != "base64":
-            found.append(text.encode("utf-8", "surrogatepass"))
-        if mark == "base64" or not marked:
-            try:
-                found.append(base64.b64decode(text, validate=True))
-            except (binascii.Error, ValueError):
-                continue
-    return found
+    messages = listed(reply.outputs)
+    unmarked = () if mqtt.claims("messages.encodings") else [decoded(message.payload) for message in messages]
+    return [content for content in (*(message.content for message in messages), *unmarked) if content is not None]
 
 
 @TASKS.check("ENC-006", "Text arrives as it is, and bytes that are no text are not lost.", needs="opcua.read")

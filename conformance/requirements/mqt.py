@@ -10,6 +10,7 @@ from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.journal import Entries
 from pytest_otmcp.protocols.mqtt import oracle
 from pytest_otmcp.protocols.mqtt.entries import adapter_packets, messages, payload_of
+from pytest_otmcp.protocols.mqtt.inbox import listed
 from pytest_otmcp.trial.check import Checks
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
@@ -63,7 +64,9 @@ async def a_publication_is_acknowledged(run: Repetition, mqtt: Rig) -> None:
 
 
 def _every_qos(mqtt: Rig) -> tuple[int, ...]:
-    return (1, 2) if mqtt.accepts_input("publish", "qos") else (1,)
+    if not mqtt.accepts_input("publish", "qos"):
+        return (1,)
+    return tuple(qos for qos in (1, 2) if mqtt.excess("publish", topic=_PUMP, payload="", qos=qos) is None)
 
 
 async def _publish(run: Repetition, mqtt: Rig, qos: int) -> tuple[bytes, Reply]:
@@ -204,11 +207,13 @@ async def a_message_arrives_as_it_was_asked_for(run: Repetition, mqtt: Rig) -> N
         (0, ""),
     ):
         payload = text + nonce(run) if text else text
-        await _publishes(run, mqtt, payload, payload.encode(), qos=qos)
+        await _publishes(run, mqtt, *_allowed(mqtt, payload, qos))
     payload = f"capitals-{nonce(run)}"
     await _publishes(run, mqtt, payload, payload.encode(), topic=_CAPITALS)
     if mqtt.accepts_input("publish", "encoding"):
-        binary = bytes(range(256)) + run.rng.randbytes(8)
+        binary = run.rng.randbytes(8) + bytes(reversed(range(256)))
+        while mqtt.excess("publish", topic=_PUMP, payload=base64.b64encode(binary).decode()) and len(binary) > 1:
+            binary = binary[: len(binary) // 2]
         await _publishes(run, mqtt, base64.b64encode(binary).decode(), binary, encoding="base64")
     if mqtt.accepts_input("publish", "retain"):
         for retain in (True, False):
@@ -219,14 +224,23 @@ async def a_message_arrives_as_it_was_asked_for(run: Repetition, mqtt: Rig) -> N
         await _flags_what_was_retained(run, mqtt)
 
 
+def _allowed(mqtt: Rig, payload: str, qos: int) -> tuple[str, bytes, int]:
+    """Return a payload as text and as bytes, and a quality of service, as far as the schema of the tool allows them."""
+    while mqtt.excess("publish", topic=_PUMP, payload="", qos=qos) is not None and qos:
+        qos -= 1
+    while mqtt.excess("publish", topic=_PUMP, payload=payload, qos=qos) is not None and len(payload) > 1:
+        payload = payload[len(payload) // 2 :]
+    return payload, payload.encode(), qos
+
+
 async def _publishes(
     run: Repetition,
     mqtt: Rig,
     payload: str,
     expected: bytes,
+    qos: int = 1,
     *,
     topic: str = _PUMP,
-    qos: int = 1,
     retain: bool = False,
     **inputs: Any,
 ) -> None:
@@ -250,18 +264,12 @@ async def _flags_what_was_retained(run: Repetition, mqtt: Rig) -> None:
     if not run.succeeds(reply):
         return
     flags = reply.outputs.get("retained")
-    listed = [message.get("payload") for message in _listed(reply)]
-    told = dict(zip(listed, flags, strict=False)) if isinstance(flags, list) else {}
-    if [told.get(kept), told.get(fresh)] != [True, False]:
-        message = (
-            f"{reply.label}: the first message was retained, the second was not, the reply says {flags!r} of {listed!r}"
-        )
+    messages = listed(reply.outputs)
+    told = dict(zip((one.content for one in messages), flags, strict=False)) if isinstance(flags, list) else {}
+    if [told.get(kept.encode()), told.get(fresh.encode())] != [True, False]:
+        payloads = [one.payload for one in messages]
+        message = f"{reply.label}: the first message was retained, the second was not, the reply says {flags!r} of {payloads!r}"
         run.judge(reply, [Finding(code="wrong_value", message=message, requirement="MQT-003")])
-
-
-def _listed(reply: Reply) -> list[Mapping[str, Any]]:
-    listed = reply.outputs.get("messages")
-    return [message for message in listed if isinstance(message, dict)] if isinstance(listed, list) else []
 
 
 # -- MQT-004 ------------------------------------------------------------------------------------------------
@@ -308,13 +316,17 @@ async def what_a_wildcard_brought_can_be_read(run: Repetition, mqtt: Rig) -> Non
 
 def _read_back(reply: Reply, sent: Sequence[tuple[str, str]]) -> list[Finding]:
     """Expect each of these messages once, on its topic, and those of one topic in their order."""
-    payloads = {payload for _, payload in sent}
-    found = [(message.get("topic"), message.get("payload")) for message in _listed(reply)]
+    expected = [(topic, payload.encode()) for topic, payload in sent]
+    payloads = {payload for _, payload in expected}
+    found = [(message.topic, message.content) for message in listed(reply.outputs)]
     mine = [one for one in found if one[1] in payloads]
     problem = None
-    if sorted(mine, key=repr) != sorted(sent, key=repr):
-        problem = f"of {len(sent)} messages {len(set(mine) & set(sent))} are there as they came, and {len(mine)} in all"
-    elif any([one for one in mine if one[0] == topic] != [one for one in sent if one[0] == topic] for topic, _ in sent):
+    if sorted(mine, key=repr) != sorted(expected, key=repr):
+        there = sum(one in mine for one in expected)
+        problem = f"of {len(sent)} messages {there} are there as they came, and {len(mine)} in all"
+    elif any(
+        [one for one in mine if one[0] == topic] != [one for one in expected if one[0] == topic] for topic, _ in sent
+    ):
         problem = "the messages of a topic are not in the order in which they came"
     if problem is None:
         return []
@@ -329,15 +341,12 @@ async def _bytes_are_kept(run: Repetition, mqtt: Rig, base: str) -> None:
     reply = await mqtt.call("messages", filter=topic)
     if not run.succeeds(reply):
         return
-    found = [message for message in _listed(reply) if message.get("topic") == topic]
-    encodings = reply.outputs.get("encodings")
+    found = [message for message in listed(reply.outputs) if message.topic == topic]
     message = None
     if len(found) != 1:
         message = f"{reply.label}: the message with bytes that are no text should be there once, it is there {len(found)} times"
-    elif encodings == ["base64"] and found[0].get("payload") != base64.b64encode(content).decode():
-        message = (
-            f"{reply.label}: the payload should be {content!r} in base64, the reply says {found[0].get('payload')!r}"
-        )
+    elif found[0].base64 and found[0].content != content:
+        message = f"{reply.label}: the payload should be {content!r} in base64, the reply says {found[0].payload!r}"
     if message is not None:
         run.judge(reply, [Finding(code="wrong_value", message=message, requirement="MQT-004")])
 
@@ -353,14 +362,14 @@ async def _what_is_lost_is_counted(run: Repetition, mqtt: Rig, base: str) -> Non
     # An adapter with several connections may have been sent them more than once, one whose connection ended not all of them.
     sent = min(_BURST, sum(one["count"] for one in bursts))
     await sync_point(run, mqtt, f"{base}/#")
-    read: set[object] = set()
+    read: set[bytes | None] = set()
     counts = [before.outputs.get("dropped")]
     for _ in range(_MOST_READS):
         reply = await mqtt.call("messages", role="control", filter=topic)
         if not run.succeeds(reply):
             return
         counts.append(reply.outputs.get("dropped"))
-        new = {message.get("payload") for message in _listed(reply)} - read
+        new = {message.content for message in listed(reply.outputs)} - read
         read |= new
         if not new:
             break

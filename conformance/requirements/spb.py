@@ -92,8 +92,8 @@ async def _arrives(
 ) -> None:
     """Expect that a device's message with these metrics reached the broker."""
     await _there(mqtt, reply, device, kind)
-    journal = await mqtt.journal()
-    run.witnessed(oracle.reported(since(reply, journal), kind=kind, device=device, metrics=metrics, births=journal))
+    births, entries = await mqtt.follow(oracle.Births), since(reply, await mqtt.journal())
+    run.witnessed(oracle.reported(entries, kind=kind, device=device, metrics=metrics, births=births))
 
 
 async def _there(mqtt: Rig, reply: Reply, device: str, kind: str) -> None:
@@ -151,7 +151,8 @@ async def _reports_types(run: Repetition, mqtt: Rig, device: str, types: Sequenc
     first, second = ([{"name": one[0], "datatype": one[0], "value": one[which]} for one in types] for which in (1, 2))
     birth = await mqtt.call("device_birth", device=device, metrics=first)
     if not birth.success:
-        run.fails(birth, *_UNSUPPORTED, outcome="not_sent", requirement="SPB-001")
+        codes = _UNSUPPORTED if birth.excess is None else (*_UNSUPPORTED, "limit_exceeded")
+        run.fails(birth, *codes, outcome="not_sent", requirement="SPB-001")
         return False
     await _arrives(run, mqtt, birth, "DBIRTH", device, first)
     for metrics in (second, [{**metric, "value": None} for metric in second]):

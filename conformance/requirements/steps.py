@@ -16,6 +16,8 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
+from .within import within
+
 __all__ = [
     "CONNECTION_FAULTS",
     "NOTHING_SENT",
@@ -51,10 +53,10 @@ NOTHING_SENT = ("not_sent", "not_applicable")
 
 
 def exercise(at: Rig) -> Exercise:
-    """Return what checks for every protocol do on this one."""
+    """Return what checks for every protocol do on this one, within the bounds that the adapter's tools state."""
     found = protocols()[at.protocol].exercise
     assert found is not None, f"{at.protocol} has no exercise, so it has no such checks"
-    return found
+    return within(at, found)
 
 
 def faulty(conditions: Iterable[Mapping[str, object]], **action: object) -> list[Mapping[str, object]]:
@@ -101,9 +103,9 @@ def since(reply: Reply, entries: Entries) -> Entries:
     return [entry for entry in entries if entry["t_ns"] >= reply.exchange.sent_ns]
 
 
-async def answers_again(run: Repetition, at: Rig, *, requirement: str = "REC-001") -> None:
+async def answers_again(run: Repetition, at: Rig, *, requirement: str = "REC-001") -> Reply:
     """Read until that succeeds, at most for as long as the subject declares: the faults of the device are over. An adapter that does not
-    claim to connect again by itself gets a session of its own first."""
+    claim to connect again by itself gets a session of its own first. Return the last reply."""
     if not (at.claims("recovery") and at.reconnects):
         await at.fresh_session()
     asked = exercise(at).read(run.rng)
@@ -111,6 +113,7 @@ async def answers_again(run: Repetition, at: Rig, *, requirement: str = "REC-001
         await at.poke(**poke)
     replies = await at.call_until_success(asked.operation, window_s=at.recovery_s, from_first_call=True, **asked.inputs)
     run.succeeds(replies[-1], requirement=requirement, **asked.outputs)
+    return replies[-1]
 
 
 async def read(run: Repetition, at: Rig) -> tuple[Asked, Reply]:

@@ -132,7 +132,7 @@ async def a_cancelled_call_ends(run: Repetition, at: Rig) -> None:
     After each of them read; in the end write.
 
     Said: success for the calls that are not cancelled.
-    Seen: for a call that was cancelled at most one request, and none afterwards.
+    Seen: for a call that was cancelled at most one request; one of a write should not come afterwards.
     Why: who cancels a command believes that it is over; a repetition moves the plant when nobody expects it.
     """
     asks = exercise(at)

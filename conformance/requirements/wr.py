@@ -405,7 +405,7 @@ async def a_block_is_one_request(run: Repetition, modbus: Rig) -> None:
 async def _blocks(
     run: Repetition, modbus: Rig, operation: str, function: int, fitting: Mapping[int, bool], excessive: Sequence[int]
 ) -> None:
-    """Write blocks of each size.
+    """Write blocks of each size; of those for which the device has room and the tool's schema has none, the largest that it allows.
 
     Args:
         function: of the request.
@@ -413,12 +413,16 @@ async def _blocks(
         excessive: sizes that no request may have.
     """
     for count, there in fitting.items():
-        values = _cells(run, function, count)
+        if not there and not _allows(modbus, operation, count):
+            excessive = (count, *excessive)
+            continue
+        most = next((size for size in range(count, 0, -1) if not there or _allows(modbus, operation, size)), count)
+        values = _cells(run, function, most)
         reply = await modbus.call(operation, address=0, values=values)
         seen = state_changing(reply.during(await modbus.journal()))
         if there:
             run.succeeds(reply, requirement="WR-008")
-            run.witnessed(_one_block(reply, seen, function, count))
+            run.witnessed(_one_block(reply, seen, function, most))
             table = "holding_registers" if function == 16 else "coils"
             run.witnessed(modbus_oracle.image_holds(await modbus.image(), table, 0, list(values)))
         else:
@@ -438,6 +442,10 @@ async def _blocks(
         codes = ("limit_exceeded", "invalid_input") if count else ("invalid_input",)
         run.fails(reply, *codes, outcome="not_sent", requirement="WR-008")
         run.witnessed(nothing_arrived(modbus, since(reply, await modbus.journal()), requirement="WR-008"))
+
+
+def _allows(modbus: Rig, operation: str, count: int) -> bool:
+    return modbus.excess(operation, address=0, values=[0] * count) is None
 
 
 def _was_sent(reply: Reply) -> bool:

@@ -24,6 +24,7 @@ from .common import (
     a_delay_shows,
     a_failed_write_is_not_made_up_for,
     a_meaningless_switch_enables_nothing,
+    drawn,
     ends_when_its_stdin_closes,
     fresh,
     outage,
@@ -498,7 +499,12 @@ async def concurrent_read_and_write(run: Repetition, bacnet: Rig) -> None:
     Seen: one write; the object holds the new value.
     Why: a mixture of two values, or a lost write, shows only under load.
     """
-    old, new = (float(number) + 0.5 for number in run.rng.sample(range(2**20), 2))
+    old, new = drawn(
+        bacnet,
+        "write",
+        lambda: [float(number) + 0.5 for number in run.rng.sample(range(2**20), 2)],
+        lambda pair: written(VALVE, pair[1]),
+    )
     await hold(bacnet, VALVE, old, PRIORITY)
     read, reply = await run.together(bacnet.call("read", **at(VALVE)), bacnet.call("write", **written(VALVE, new)))
     run.succeeds(read)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.journal import Entries
@@ -26,6 +26,8 @@ __all__ = [
     "a_delay_shows",
     "a_failed_write_is_not_made_up_for",
     "a_meaningless_switch_enables_nothing",
+    "allowed_first",
+    "drawn",
     "ends_when_its_stdin_closes",
     "fresh",
     "outage",
@@ -34,7 +36,12 @@ __all__ = [
     "survive_a_restart",
 ]
 
+T = TypeVar("T")
+
 RAPID_CALLS = 50
+
+_DRAWS = 5000
+"""Draws to find a value that the schema of a tool allows: of 65536 values a hundred may be allowed."""
 
 NOTICING_S = 1.0
 """Seconds for which a status may still say "connected" after the connection was cut (requirement REC-002: one keep-alive)."""
@@ -57,6 +64,24 @@ Witness = Callable[[Entries], list[Finding]]
 
 Asked = tuple[str, Mapping[str, Any]]
 """An operation and its inputs."""
+
+
+def drawn(at: Rig, operation: str, draw: Callable[[], T], inputs: Callable[[T], Mapping[str, Any]]) -> T:
+    """Return what is drawn at random, drawn anew until the schema of the tool allows the operation with these inputs of it.
+
+    A bound of its own, such as a smaller maximum, is an adapter's choice; what never lies within its bounds is the first draw.
+    """
+    first = one = draw()
+    for _ in range(_DRAWS):
+        if at.excess(operation, **inputs(one)) is None:
+            return one
+        one = draw()
+    return first
+
+
+def allowed_first(at: Rig, operation: str, values: Sequence[T], inputs: Callable[[T], Mapping[str, Any]]) -> T:
+    """Return the first of these values that the schema of the tool allows; the first of all where it allows none."""
+    return next((one for one in values if at.excess(operation, **inputs(one)) is None), values[0])
 
 
 async def survive_a_restart(run: Repetition, rig: Rig, operation: str, **inputs: Any) -> Reply:

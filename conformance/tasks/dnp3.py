@@ -23,6 +23,7 @@ from .common import (
     a_delay_shows,
     a_failed_write_is_not_made_up_for,
     a_meaningless_switch_enables_nothing,
+    drawn,
     ends_when_its_stdin_closes,
     fresh,
     outage,
@@ -576,7 +577,12 @@ async def concurrent_read_and_command(run: Repetition, dnp3: Rig) -> None:
     Seen: one operation, selected before; the output holds the new value.
     Why: a request between a selection and its operation ends the selection, which shows only under load.
     """
-    old, new = (number + 0.5 for number in run.rng.sample(range(2**20), 2))
+    old, new = drawn(
+        dnp3,
+        "write_alias",
+        lambda: [number + 0.5 for number in run.rng.sample(range(2**20), 2)],
+        lambda pair: {"name": SETPOINT, "value": pair[1]},
+    )
     await hold(dnp3, "analog_output", 0, old)
     read, reply = await run.together(
         dnp3.call("read_alias", name=SETPOINT), dnp3.call("write_alias", name=SETPOINT, value=new)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 from functools import partial
+from typing import Any
 
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.ethernetip import oracle
@@ -26,6 +27,8 @@ from .common import (
     a_delay_shows,
     a_failed_write_is_not_made_up_for,
     a_meaningless_switch_enables_nothing,
+    allowed_first,
+    drawn,
     ends_when_its_stdin_closes,
     fresh,
     outage,
@@ -65,6 +68,11 @@ def shows(reply: Reply, held: str) -> list[Finding]:
         return []
     message = f"{reply.label}: the time should be {minute}, the reply says {told!r}"
     return [Finding(code="wrong_value", message=message, requirement="RD-001")]
+
+
+def _valve(value: int) -> dict[str, Any]:
+    """Return the inputs of a write of the valve."""
+    return {"tag": VALVE, "value": value, "type": "DINT"}
 
 
 @TASKS.task(
@@ -388,18 +396,19 @@ async def write_overflow(run: Repetition, ethernetip: Rig) -> None:
 
 @write_overflow.after
 async def the_largest_value_is_accepted(run: Repetition, ethernetip: Rig) -> None:
-    """Write 2147483647, which fits.
+    """Write 2147483647, which fits, or what the tool's own schema allows.
 
     Said: success.
     Seen: one write, and the value in the tag.
     """
     await ethernetip.stays_quiet(QUIET_S, partial(oracle.no_state_changing_request, requirement="ERR-006"))
-    reply = await ethernetip.call("write_tag", tag=VALVE, value=LARGEST_DINT, type="DINT")
-    run.succeeds(reply, value=LARGEST_DINT)
+    fits = allowed_first(ethernetip, "write_tag", (LARGEST_DINT, 100, 1), _valve)
+    reply = await ethernetip.call("write_tag", **_valve(fits))
+    run.succeeds(reply, value=fits)
     image = await ethernetip.image()
     run.witnessed(
-        oracle.exactly_one_write(await ethernetip.journal(), image, VALVE, "DINT", LARGEST_DINT),
-        oracle.holds(image, {VALVE: LARGEST_DINT}),
+        oracle.exactly_one_write(await ethernetip.journal(), image, VALVE, "DINT", fits),
+        oracle.holds(image, {VALVE: fits}),
     )
 
 
@@ -519,7 +528,12 @@ async def concurrent_read_and_write(run: Repetition, ethernetip: Rig) -> None:
     Seen: one write; the tag holds the new value.
     Why: a mixture of two values, or a lost write, shows only under load.
     """
-    old, new = run.rng.sample(DINT_RANGE, 2)
+    old, new = drawn(
+        ethernetip,
+        "write_tag",
+        lambda: run.rng.sample(DINT_RANGE, 2),
+        lambda pair: {"tag": TARGET, "value": pair[1], "type": "DINT"},
+    )
     await ethernetip.poke(tag=TARGET, value=old)
     read, written = await run.together(
         ethernetip.call("read_tag", tag=TARGET),
@@ -592,7 +606,7 @@ async def a_failed_write_is_not_delivered_later(run: Repetition, ethernetip: Rig
     Said: a failure for the write, success for the read.
     Seen: no write: what was reported as failed is not made up for.
     """
-    write = ("write_tag", {"tag": VALVE, "value": run.rng.randrange(1, 2**31), "type": "DINT"})
+    write = ("write_tag", _valve(drawn(ethernetip, "write_tag", lambda: run.rng.randrange(1, 2**31), _valve)))
     read = ("read_array", {"tag": f"{COUNTS}[0]", "count": 4})
     await a_failed_write_is_not_made_up_for(run, ethernetip, oracle.no_state_changing_request, write=write, read=read)
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.journal import Entries
 from pytest_otmcp.protocols.mqtt import oracle
+from pytest_otmcp.protocols.mqtt.inbox import listed
 from pytest_otmcp.trial.expectations import succeeded
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
@@ -127,13 +128,11 @@ def received(reply: Reply, topic: str, payload: str, *, filtered: bool) -> list[
     """
     if findings := succeeded(reply):
         return findings
-    messages = reply.outputs.get("messages")
-    listed = messages if isinstance(messages, list) else []
-    found = [message for message in listed if isinstance(message, dict) and message.get("payload") == payload]
-    asked_for = listed if filtered else found
-    if len(found) == 1 and all(isinstance(message, dict) and message.get("topic") == topic for message in asked_for):
+    messages = listed(reply.outputs)
+    found = [message for message in messages if message.content == payload.encode()]
+    if len(found) == 1 and all(message.topic == topic for message in (messages if filtered else found)):
         return []
-    shown = json.dumps(messages, ensure_ascii=False, default=repr)[:400]
+    shown = json.dumps(reply.outputs.get("messages"), ensure_ascii=False, default=repr)[:400]
     return [
         Finding(
             code="wrong_value",

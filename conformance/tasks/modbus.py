@@ -23,6 +23,8 @@ from .common import (
     a_delay_shows,
     a_failed_write_is_not_made_up_for,
     a_meaningless_switch_enables_nothing,
+    allowed_first,
+    drawn,
     ends_when_its_stdin_closes,
     fresh,
     outage,
@@ -278,16 +280,17 @@ async def write_overflow(run: Repetition, modbus: Rig) -> None:
 
 @write_overflow.after
 async def the_largest_value_is_accepted(run: Repetition, modbus: Rig) -> None:
-    """Write 65535, which fits; then 40.7, which a register cannot hold.
+    """Write 65535, which fits, or what the tool's own schema allows; then 40.7, which a register cannot hold.
 
     Said: success; for 40.7 a failure with `type_mismatch`, `invalid_input` or `range_overflow` and the outcome `not_sent`.
     Seen: one write, and the value in the register.
     """
     await modbus.stays_quiet(QUIET_S, partial(oracle.no_state_changing_request, requirement="ERR-006"))
-    run.succeeds(await modbus.call("write_holding", address=1, value=65535), value=65535)
+    fits = allowed_first(modbus, "write_holding", (65535, 100, 1), lambda value: {"address": 1, "value": value})
+    run.succeeds(await modbus.call("write_holding", address=1, value=fits), value=fits)
     run.witnessed(
-        oracle.exactly_one_write(await modbus.journal(), "holding_registers", address=1, values=[65535]),
-        oracle.image_holds(await modbus.image(), "holding_registers", 1, [65535]),
+        oracle.exactly_one_write(await modbus.journal(), "holding_registers", address=1, values=[fits]),
+        oracle.image_holds(await modbus.image(), "holding_registers", 1, [fits]),
     )
     await a_fraction_is_not_cut_off(run, modbus)
 
@@ -332,7 +335,12 @@ async def concurrent_register_read_and_write(run: Repetition, modbus: Rig) -> No
     Seen: one write; the register holds the new value.
     Why: a mixture of two values, or a lost write, shows only under load.
     """
-    old, new = run.rng.sample(range(0x10000), 2)
+    old, new = drawn(
+        modbus,
+        "write_holding",
+        lambda: run.rng.sample(range(0x10000), 2),
+        lambda pair: {"address": 20, "value": pair[1]},
+    )
     await modbus.poke(unit=1, table="holding_registers", address=20, values=[old])
     read, written = await run.together(
         modbus.call("read_holding", address=20, count=1),
@@ -403,7 +411,10 @@ async def a_failed_register_write_is_not_delivered_later(run: Repetition, modbus
     Said: a failure for the write, success for the read.
     Seen: no write: what was reported as failed is not made up for.
     """
-    write = ("write_holding", {"address": 30, "value": run.rng.randrange(1, 0x10000)})
+    value = drawn(
+        modbus, "write_holding", lambda: run.rng.randrange(1, 0x10000), lambda value: {"address": 30, "value": value}
+    )
+    write = ("write_holding", {"address": 30, "value": value})
     read = ("read_input", {"address": 0, "count": 4})
     await a_failed_write_is_not_made_up_for(run, modbus, oracle.no_state_changing_request, write=write, read=read)
 

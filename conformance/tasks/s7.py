@@ -23,6 +23,7 @@ from .common import (
     a_delay_shows,
     a_failed_write_is_not_made_up_for,
     a_meaningless_switch_enables_nothing,
+    drawn,
     ends_when_its_stdin_closes,
     fresh,
     outage,
@@ -459,7 +460,13 @@ async def concurrent_read_and_write(run: Repetition, s7: Rig) -> None:
     Seen: one write; the data block holds the new value.
     Why: a mixture of two values, or a lost write, shows only under load.
     """
-    old, new = run.rng.sample(range(-(2**31), 2**31), 2)
+    inputs = {"db": CLIENTS, "start": 12, "type": "DINT"}
+    old, new = drawn(
+        s7,
+        "write_db",
+        lambda: run.rng.sample(range(-(2**31), 2**31), 2),
+        lambda pair: {**inputs, "value": pair[1]},
+    )
     await set_bytes(s7, BLOCK, 12, oracle.content("i", old))
     read, written = await run.together(
         s7.call("read_typed", db=CLIENTS, start=12, type="DINT"),
@@ -529,7 +536,9 @@ async def a_failed_write_is_not_delivered_later(run: Repetition, s7: Rig) -> Non
     Said: a failure for the write, success for the read.
     Seen: no write: what was reported as failed is not made up for.
     """
-    write = ("write_db", {"db": CLIENTS, "start": 30, "type": "INT", "value": run.rng.randrange(1, 0x8000)})
+    inputs = {"db": CLIENTS, "start": 30, "type": "INT"}
+    value = drawn(s7, "write_db", lambda: run.rng.randrange(1, 0x8000), lambda value: {**inputs, "value": value})
+    write = ("write_db", {**inputs, "value": value})
     read = ("read_db", {"db": CLIENTS, "start": 0, "size": 8})
     await a_failed_write_is_not_made_up_for(run, s7, oracle.no_state_changing_request, write=write, read=read)
 

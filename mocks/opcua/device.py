@@ -71,7 +71,7 @@ class OpcUaDevice(Device):
             "folders": {name: node.to_string() for name, node in plant.folders.items()},
             "methods": {node.to_string(): {"calls": calls} for node, calls in plant.calls.items()},
             "clients": {
-                "sessions": len(self._state.sessions),
+                "sessions": self._state.kept_by_clients,
                 "withheld_notifications": self._state.withheld,
                 "continuation_points": sum(session.browser.open_points for session in self._state.sessions),
             },

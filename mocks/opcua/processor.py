@@ -88,7 +88,10 @@ class _Processor(UaProcessor):  # type: ignore[misc]
             exchange.asked(())
             await exchange.suffer()
         if service != "BrowseNext":
-            return bool(await super()._process_message(typeid, requesthdr, seqhdr, body))
+            processed = bool(await super()._process_message(typeid, requesthdr, seqhdr, body))
+            if service == "ActivateSession":
+                self._device.cut_off.discard(self.session)
+            return processed
         if self.session is None or not self.session.is_activated():
             raise ServiceError(ua.StatusCodes.BadSessionNotActivated)
         self.session.touch()
@@ -108,6 +111,10 @@ class _Processor(UaProcessor):  # type: ignore[misc]
             )
             return
         rule = exchange.rule
+        if self.session is not None and (
+            rule.manner.half_open or rule.reset or rule.close or _without_channel(response)
+        ):
+            self._device.cut_off.add(self.session)
         if rule.manner.half_open:
             self._transport.die()
         elif rule.reset:
@@ -143,6 +150,12 @@ class _Processor(UaProcessor):  # type: ignore[misc]
         for task in list(self._late):
             task.cancel()
         await super().close()
+
+
+def _without_channel(response: Any) -> bool:
+    """Tell whether an answer says that the device does not know the connection's secure channel."""
+    code = response.ResponseHeader.ServiceResult.value
+    return bool(code == ua.StatusCodes.BadSecureChannelIdInvalid)
 
 
 class PlantProtocol(OPCUAProtocol):  # type: ignore[misc]

@@ -40,6 +40,7 @@ class DeviceState:
         subscriptions: one of :data:`SUBSCRIPTIONS`.
         sessions: the open sessions of clients.
         connections: the open connections.
+        cut_off: sessions whose connection the device has ended, or has said not to know, and that no connection was used for since.
         withheld: number of notifications whose values were not sent when they were due, since :meth:`subscribe`.
     """
 
@@ -51,8 +52,20 @@ class DeviceState:
     limits: Limits = field(default_factory=Limits)
     sessions: set[InternalSession] = field(default_factory=set)
     connections: set[Connection] = field(default_factory=set)
+    cut_off: set[InternalSession] = field(default_factory=set)
     withheld: int = 0
     _held: list[Callable[[], None]] = field(default_factory=list)
+
+    @property
+    def kept_by_clients(self) -> int:
+        """Number of the sessions that clients have open.
+
+        One with subscriptions outlives its connection until it times out (OPC 10000-4, 6.7). Where the device has ended the connection,
+        the client had no means to close the session, so it is none that the client has left behind.
+        """
+        self.cut_off &= self.sessions
+        used = {connection.session for connection in self.connections}
+        return len(self.sessions - (self.cut_off - used))
 
     async def close_abandoned_sessions(self) -> None:
         """Close the sessions that no connection is used for.

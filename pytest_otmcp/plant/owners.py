@@ -31,12 +31,15 @@ class PeerProcess:
         name: of its program.
         ancestors: numbers of its parent, of the parent's parent, and so on.
         token: value of :data:`TOKEN_VARIABLE` in its environment.
+        contained: it is in another namespace of processes than the witness. As a descendant of the adapter's it is the adapter's;
+            without a parent that is known it may be one that a service has started for the adapter.
     """
 
     pid: int
     name: str
     ancestors: tuple[int, ...]
     token: str | None
+    contained: bool = False
 
 
 @dataclass(slots=True, kw_only=True)
@@ -133,6 +136,8 @@ class Sessions:
             return entry
         entry, found = entry.copy(), peer.process
         session = None if found is None else self._session(found, peer.accepted_ns)
+        if found is not None and found.contained and session is None:
+            found = None
         if found is None:
             # What cannot be known counts for the adapter as far as it speaks the protocol.
             entry["origin"] = "client" if peer.spoke is not None and peer.spoke <= entry["seq"] else "unknown"

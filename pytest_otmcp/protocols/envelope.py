@@ -247,7 +247,8 @@ def _meta_faults(meta: Mapping[str, object], measured_ms: float | None, delay_ms
 
 
 def _is_utc(text: str) -> bool:
-    if "T" not in text or not text.endswith("Z"):
+    # RFC 3339, section 4: an offset of zero is UTC as well as its abbreviation.
+    if "T" not in text or not text.endswith(("Z", "+00:00", "-00:00")):
         return False
     try:
         datetime.fromisoformat(text)

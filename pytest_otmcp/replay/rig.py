@@ -238,6 +238,10 @@ class ReplayRig(Rig):
         return None if adapter.bindings.get(operation) is None else adapter.facts["listing"].get(tool)
 
     @property
+    def _placeholders(self) -> Mapping[str, str]:
+        return self._state.history.facts["placeholders"]
+
+    @property
     def device_url(self) -> str:
         return self._state.history.facts["placeholders"].get("url", "")
 

@@ -219,6 +219,13 @@ class AdapterUnderTest:
             return None
         return {"inputSchema": entry.get("inputSchema"), "annotations": entry.get("annotations")}
 
+    def consulted(self, operation: str, tool: str) -> ToolListing | None:
+        """Return what ``tools/list`` says of a tool; the record has it then, whether or not the tool is ever called."""
+        if operation in self.adapter.operations:
+            self.used[operation] = None
+        self._called.add(tool)
+        return self.listing(tool)
+
     def device_facts(self) -> DeviceFacts:
         """Return what ``run.json`` says about the device."""
         return {

@@ -151,7 +151,11 @@ class LiveRig(Rig):
     def listing(self, operation: str, tool: str) -> Mapping[str, object] | None:
         bound = self.under_test.adapter.operations.get(operation)
         # What a function of the user's passes to its tools is its own affair.
-        return None if isinstance(bound, Function) else self.under_test.listing(tool)
+        return None if isinstance(bound, Function) else self.under_test.consulted(operation, tool)
+
+    @property
+    def _placeholders(self) -> Mapping[str, str]:
+        return self.under_test.endpoint
 
     @property
     def device_url(self) -> str:

@@ -40,7 +40,8 @@ class Repetition:
         time_scale: factor on windows and deadlines.
         rigs: every adapter at its device that the task has.
         soak: of the run.
-        is_check: the task is a check of the requirement suite, which ends once it finds nothing new.
+        is_check: the task is a check of the requirement suite: it ends once it finds nothing new, and its steps may have less in mind than a
+            tool's own schema allows, so that a refusal of the rest is no fault.
 
     Attributes:
         soak: steps that have a long form take it: thousands of calls, messages or faults instead of some.
@@ -68,6 +69,7 @@ class Repetition:
         self.role = role
         self.time_scale = time_scale
         self.soak = soak
+        self._is_check = is_check
         origin = f"{seed}/{task_id}/{role}/{rep}"
         most_equal = _MOST_EQUAL if is_check else None
         self.ledger = Ledger(role, time_scale, item=task_id, origin=origin, most_equal=most_equal)
@@ -169,8 +171,21 @@ class Repetition:
     # -- judging ------------------------------------------------------------------------------------------
 
     def succeeds(self, reply: Reply, *, requirement: str | None = None, **outputs: object) -> bool:
-        """Expect success with these outputs, and return whether it was so; ``requirement`` as for ``expectations``."""
+        """Expect success with these outputs, and return whether it was so; ``requirement`` as for ``expectations``.
+
+        Where the schema of the tool does not allow what was asked for, a refusal before the wire is as good, and nothing is left to judge.
+        """
+        if self._is_check and reply.excess is not None and reply.success is False:
+            self._refuses_what_its_schema_forbids(reply, reply.excess)
         return self.judge(reply, oracle.succeeded(reply, requirement=requirement, **outputs))
+
+    def _refuses_what_its_schema_forbids(self, reply: Reply, excess: str) -> None:
+        codes = ("limit_exceeded", "invalid_input", "range_overflow", "illegal_value", "illegal_address")
+        if not self.fails(reply, *codes, outcome=("not_sent", "not_applicable"), code_requirement="ERR-002"):
+            return
+        if any(finding.is_must for finding in self.ledger.findings):
+            raise EndedError
+        self.not_applicable(f"the schema of {reply.tool} does not allow what this check asks for: {excess}")
 
     def must_succeed(self, reply: Reply, **outputs: object) -> None:
         """Expect success with these outputs; without it the repetition ends here."""

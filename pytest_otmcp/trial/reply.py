@@ -59,6 +59,7 @@ class Reply:
         outputs: the operation's outputs that the binding knows how to find.
         faults: what is wrong with the reply as such, whatever the task expected of it.
         native: the envelope is the adapter's own.
+        excess: the bound of the tool's own schema that the arguments of a call that failed do not keep; None where they keep all.
     """
 
     adapter: str
@@ -70,6 +71,7 @@ class Reply:
     faults: tuple[Finding, ...] = ()
     native: bool = True
     listed: bool = True
+    excess: str | None = None
 
     @property
     def tool(self) -> str:
@@ -90,6 +92,12 @@ class Reply:
     def cancelled(self) -> bool:
         """The kit has cancelled the call before there was a response."""
         return self.exchange.failure == CANCELLED
+
+    @property
+    def unread(self) -> bool:
+        """The answer is an error of MCP instead of a result, or there is none although the session goes on."""
+        codes = {fault.code for fault in self.faults if fault.is_must}
+        return codes != set() and codes <= {"no_reply", "json_rpc_error"}
 
     @property
     def latency_ms(self) -> float | None:

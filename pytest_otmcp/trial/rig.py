@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar, cast
 
 from ..core.finding import Finding
@@ -21,6 +21,7 @@ from ..subject.model import READ_WRITE, Binding
 from .alteration import Alteration
 from .cursor import JournalCursor, Oracle
 from .ledger import Entry, Ledger
+from .limits import excess
 from .reply import Reply
 from .write_gate import EndedError, WriteGate
 
@@ -116,6 +117,19 @@ class Rig(WriteGate):
         """Return ``value`` if the tool accepts this optional input, else None: the device may have seen any value."""
         return value if self.accepts_input(operation, name) else None
 
+    def excess(self, operation: str, **inputs: object) -> str | None:
+        """Return in words which bound of the tool's own schema a call with these inputs would not keep; None where it would keep
+        all, or is not performed by one tool call."""
+        cases = self.bindings(operation)
+        binding = next((case for case in cases or () if case.fits(inputs)), None)
+        if binding is None or binding.resource:
+            return None
+        return self._excess(operation, binding.tool, binding.fill(inputs, self._placeholders))
+
+    def _excess(self, operation: str, tool: str, arguments: Mapping[str, object]) -> str | None:
+        listing = self.listing(operation, tool)
+        return None if listing is None else excess(listing.get("inputSchema"), arguments)
+
     # -- what the steps of a task do ----------------------------------------------------------------------
 
     async def call(self, operation: str, *, role: Role | None = None, **inputs: object) -> Reply:
@@ -134,12 +148,27 @@ class Rig(WriteGate):
         """
         return await self._call(operation, inputs, role, altered)
 
+    async def call_beyond(self, operation: str, altered: Alteration, remark: Finding, **inputs: object) -> Reply:
+        """Perform an operation as :meth:`call_altered` does, with arguments that no adapter must be able to read: to be answered by
+        an error of MCP instead of a result, or not at all, is worth the remark and nothing else. The end of the session is a fault.
+        """
+        await self._before(operation)
+        reply = await self._perform(operation, inputs, altered)
+        if reply.unread:
+            reply = replace(reply, faults=(remark,))
+        self._ledger.add(reply, inputs, altered=altered)
+        if not (reply.answered or reply.unread):
+            raise EndedError
+        return reply
+
     async def _call(
         self, operation: str, inputs: Mapping[str, object], role: Role | None, altered: Alteration | None = None
     ) -> Reply:
         writes = await self._before(operation)
         there = self.running
         reply = await self._perform(operation, inputs, altered)
+        if reply.success is False:
+            reply = replace(reply, excess=self._excess(operation, reply.tool, reply.arguments))
         self._ledger.add(reply, inputs, role, reachable=there and self.running, altered=altered)
         if writes:
             self._after(reply)
@@ -296,6 +325,11 @@ class Rig(WriteGate):
     @abstractmethod
     def addresses(self) -> list[tuple[str, int]]:
         """Host and port of each endpoint of the device, the main one first."""
+
+    @property
+    @abstractmethod
+    def _placeholders(self) -> Mapping[str, str]:
+        """The placeholders of the subject file that stand for the device's endpoints, with their values."""
 
     @abstractmethod
     def listing(self, operation: str, tool: str) -> Mapping[str, object] | None:

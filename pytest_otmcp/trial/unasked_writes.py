@@ -2,11 +2,12 @@
 
 A call of an operation that writes accounts for one request that changes the plant, any other call for none. Whatever else the
 device saw of that kind is a finding: of the read that wrote, of the guard that leaked, of the write that was sent again.
+To cancel a call is advice (MCP, Cancellation): a write that is carried out once although the kit has cancelled it is a warning.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from ..core.finding import Finding
 from ..protocols.journal import Entries, JournalEntry
@@ -38,8 +39,13 @@ def unasked_writes(
         if not unsolicited:
             continue
         owner = _accounting(windows[: begun + 1], left)
+        # What comes before the next call may have been on its way when the call was cancelled.
+        cancelled = None if owner is not None else _cancelled(windows[:begun], left)
         if owner is not None:
             left[id(owner)] -= 1
+        elif cancelled is not None:
+            left[id(cancelled)] -= 1
+            yield _carried_out(cancelled, protocol.describe(entry)), None
         elif (found := _finding(windows[: begun + 1], entry, unsolicited[0], protocol, variant)) is not None:
             yield found
 
@@ -67,6 +73,20 @@ def _accounting(windows: Sequence[CallWindow], left: dict[int, int]) -> Judged |
     return next(iter([*last, *late]), None)
 
 
+def _cancelled(windows: Sequence[CallWindow], left: Mapping[int, int]) -> Judged | None:
+    """Return an earlier call that the kit has cancelled, and whose request has not been seen yet."""
+    return next((call for window in windows for call in window.calls if left[id(call)] and call.reply.cancelled), None)
+
+
+def _carried_out(call: Judged, what: str) -> Finding:
+    return Finding(
+        code="cancelled_write",
+        message=f"{call.reply.label}: the kit cancelled the call, and the device saw {what} after that",
+        requirement="TMO-003",
+        strength="SHOULD",
+    )
+
+
 def _finding(
     windows: Sequence[CallWindow], entry: JournalEntry, unsolicited: Finding, protocol: OtProtocol, variant: str
 ) -> tuple[Finding, Judged | None] | None:
@@ -80,8 +100,9 @@ def _finding(
     window = windows[-1] if windows else None
     failed = [call for earlier in windows[:-1] for call in _writing(earlier, protocol) if not call.reply.success]
     if failed and window is not None and not _writing(window, protocol):
-        message = f"{failed[-1].reply.label}: it was reported as failed, and the device saw {what} after that"
-        return Finding(code="unasked_write", message=message, requirement="WR-010"), None
+        became, requirement = _became(failed[-1])
+        message = f"{failed[-1].reply.label}: {became}, and the device saw {what} after that"
+        return Finding(code="unasked_write", message=message, requirement=requirement), None
     if window is None or (entry["t_ns"] > window.end_ns + LATE_NS and not _writing(window, protocol)):
         message = f"while nobody called the adapter the device saw {what}, which changes the plant"
         return Finding(code="unasked_write", message=message, requirement=unsolicited.requirement), None
@@ -100,6 +121,16 @@ def _finding(
         return Finding(code="unasked_write", message=message, requirement="WR-004" if guarded else "ERR-006"), None
     message = f"{call.reply.label}: one write was asked for, the device saw {what} as well"
     return Finding(code="unasked_write", message=message, requirement="WR-003"), None
+
+
+def _became(call: Judged) -> tuple[str, str]:
+    """Return in words what became of a call that was no success, and the requirement that a write after it breaks."""
+    if call.reply.cancelled:
+        # Its one request was seen before this one.
+        return "the kit cancelled the call, which had been carried out", "TMO-003"
+    if not call.reply.answered:
+        return "it was never answered", "TMO-001"
+    return "it was reported as failed", "WR-010"
 
 
 def _writing(window: CallWindow, protocol: OtProtocol) -> list[Judged]:

@@ -333,6 +333,28 @@ async def test_a_value_has_the_times_and_the_status_that_it_is_given(plant: Mock
     assert None not in (found.SourceTimestamp, found.ServerTimestamp)
 
 
+@pytest.mark.parametrize("action", [{"close": True}, {"reset": True}, {"service_fault": "BadSecureChannelIdInvalid"}])
+async def test_a_session_whose_connection_the_device_has_ended_is_none_that_its_client_has_left(
+    plant: MockProgram, connect: Connect, action: dict[str, object]
+) -> None:
+    async def sessions() -> int:
+        return int((await plant.control.image())["clients"]["sessions"])
+
+    left, cut = await connect(), await connect()
+    for one in (left, cut):
+        await one.create_subscription(1000.0, None)
+    await plant.control.fault(action, service="Read", times=1)
+    with pytest.raises((ConnectionError, TimeoutError, ua.UaError)):
+        await asyncio.wait_for(read(cut, "Temperature"), 1.0)
+    cut.disconnect_socket()
+    await plant.control.wait(0, kind="DISCONNECTED")
+    assert await sessions() == 1
+    left.disconnect_socket()
+    await plant.control.wait(0, kind="DISCONNECTED", count=2)
+    # The session that its client has left behind by itself counts.
+    assert await sessions() == 1
+
+
 async def test_sessions_are_closed_and_their_connections_stay(plant: MockProgram, connect: Connect) -> None:
     first, since = await connect(), await plant.control.next()
     await plant.control.poke(sessions="closed")

@@ -200,6 +200,17 @@ ONE_FAULT: list[tuple[Callable[[], dict[str, Any]], list[tuple[str, str | None]]
 ]  # fmt: skip
 
 
+@pytest.mark.parametrize("utc", ["Z", "+00:00", "-00:00"])
+def test_every_spelling_of_utc_is_utc(utc: str) -> None:
+    assert found(result_of(changed(SUCCESS, "meta/started_at", f"2026-11-21T05:45:28.123{utc}"))) == []
+
+
+@pytest.mark.parametrize("other", ["", "+01:00", "-00:30"])
+def test_a_time_that_is_not_said_in_utc_is_found(other: str) -> None:
+    faults = found(result_of(changed(SUCCESS, "meta/started_at", f"2026-11-21T05:45:28.123{other}")))
+    assert ("started_at", "ENC-007") in faults
+
+
 @pytest.mark.parametrize(("result", "expected"), ONE_FAULT)
 def test_a_result_that_breaks_a_rule_has_exactly_its_findings(
     result: Callable[[], dict[str, Any]], expected: list[tuple[str, str | None]]

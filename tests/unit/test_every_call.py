@@ -182,6 +182,38 @@ def test_every_write_at_the_device_was_asked_for(
     assert strays(*(entry(ms, function=6) for ms in times), calls=calls, variant=variant) == found
 
 
+def without_reply(failure: str) -> Judged:
+    made = call("write_holding")
+    silent = replace(made.reply.exchange, response=None, received_ns=None, failure=failure)
+    return replace(made, reply=replace(made.reply, exchange=silent, envelope=None))
+
+
+@pytest.mark.parametrize(
+    ("failure", "times", "found"),
+    [
+        ("cancelled", [], []),
+        ("cancelled", [1.5], []),
+        # It may have been on its way.
+        ("cancelled", [90.0], []),
+        ("cancelled", [205.0], [("cancelled_write", "TMO-003", "SHOULD")]),
+        ("cancelled", [1.5, 205.0], [("unasked_write", "TMO-003", "MUST")]),
+        (
+            "cancelled",
+            [203.0, 205.0],
+            [("cancelled_write", "TMO-003", "SHOULD"), ("unasked_write", "TMO-003", "MUST")],
+        ),
+        ("timeout", [205.0], [("unasked_write", "TMO-001", "MUST")]),
+    ],
+)
+def test_a_write_after_its_cancellation_is_a_warning_and_a_second_one_is_none(
+    failure: str, times: list[float], found: list[tuple[str, str, str]]
+) -> None:
+    calls, entries = [without_reply(failure), call(at=200)], [entry(ms, function=6) for ms in times]
+    seen = unasked_writes(windows(calls, entries), entries, protocol=MODBUS, declared={}, variant="rw")
+    assert [(one.code, one.requirement, one.strength) for one, _ in seen] == found
+    assert not any("reported as failed" in one.message for one, _ in seen)
+
+
 def started(stated: str, *, ended_at: str = "2026-11-22T06:00:10.000Z") -> list[Finding]:
     times = StartTimes("2026-11-22T06:00:00.000Z", 0)
     times.look(call(at=1000, started_at=stated))

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import os
+import shutil
 import signal
 import socket
+import subprocess
 import sys
 import weakref
 from asyncio.subprocess import PIPE, Process
@@ -51,6 +53,23 @@ for line in sys.stdin:
         os.read(end, 1)
     print(os.getpid() if word == "orphan" else word, flush=True)
 """
+
+
+NESTED = ("unshare", "--user", "--map-root-user", "--pid", "--fork")
+"""Starts a program in a namespace of processes of its own, as the one that begins a container does."""
+
+NESTING = f"""
+import os, sys
+os.execvp("unshare", [*{NESTED!r}, sys.executable, "-c", {CLIENT!r}, sys.argv[-1]])
+"""
+
+
+def cannot_nest() -> str | None:
+    """Why this machine lets no program have a namespace of processes of its own; None where it does."""
+    if shutil.which("unshare") is None:
+        return "there is no unshare(1)"
+    tried = subprocess.run([*NESTED, "true"], capture_output=True, text=True, check=False)
+    return tried.stderr.strip() or None if tried.returncode else None
 
 
 @pytest_asyncio.fixture(params=["mock", "tap"])
@@ -126,6 +145,33 @@ async def test_the_process_of_a_session_is_known_by_its_number_its_token_and_its
     assert (connected["origin"], request["origin"]) == ("client", "client")
     assert ("process" in connected, "process" in request) == (True, False)
     assert (connected["process"]["pid"] == adapter.pid) == (known_by != "parents")
+
+
+async def test_a_descendant_in_a_namespace_of_its_own_is_known_by_its_parents(device: Device) -> None:
+    if (reason := cannot_nest()) is not None:
+        pytest.skip(reason)
+    device.sessions.expect()
+    async with client(device, "-c", NESTING) as adapter:
+        device.sessions.begin(new_token(), lambda: adapter.pid)
+        await told(adapter, "connect")
+        await told(adapter, "send", READ)
+        (request,) = await requests(device, 1)
+        (connected,) = await device.wait(0, {"kind": "CONNECTED"}, timeout_s=60.0)
+    assert (connected["origin"], request["origin"]) == ("client", "client")
+    assert connected["process"]["name"].startswith("python")
+
+
+async def test_who_is_in_a_namespace_and_descends_from_nobody_that_is_known_counts_as_unknown(device: Device) -> None:
+    if (reason := cannot_nest()) is not None:
+        pytest.skip(reason)
+    device.sessions.expect()
+    async with client(device, "-c", NESTING) as someone:
+        await told(someone, "connect")
+        await told(someone, "send", READ)
+        (request,) = await requests(device, 1)
+        (connected,) = await device.wait(0, {"kind": "CONNECTED"}, timeout_s=60.0)
+    assert (connected["origin"], request["origin"]) == ("unknown", "client")
+    assert "process" not in connected
 
 
 async def test_a_descendant_that_has_lost_its_parents_is_known_by_the_token(device: Device) -> None:

@@ -334,11 +334,29 @@ def test_a_value_is_right_as_double_and_as_the_nearest_float() -> None:
     assert "its value is 20.100000381469727" in wrong(as_double)
 
 
-def test_an_alias_is_resolved_from_the_birth() -> None:
+def test_an_alias_is_resolved_from_the_birth_before_it_however_long_ago_that_was() -> None:
     aliased = says("DDATA", payload(metric(None, double(13, 20.1), alias=1), seq=2))
-    assert wrong(aliased, births=[dbirth()]) == ""
-    assert wrong(dbirth(), aliased) == ""
-    assert "its metric is None" in wrong(aliased)
+    other = says("DBIRTH", payload(metric("pressure", double(13, 1.0), datatype="Double", alias=1), seq=3))
+    birth, data, later = numbered(dbirth(), aliased, other)
+    assert wrong(data, births=fed(oracle.Births(), [birth, data, later])) == ""
+    assert wrong(birth, data) == wrong(birth, data, later) == ""
+    assert "its metric is None" in wrong(data)
+    assert "its metric is None" in wrong(data, births=fed(oracle.Births(), [data, later]))
+    first, second, last = numbered(dbirth(), other, aliased)
+    assert "its metric is 'pressure'" in wrong(last, births=fed(oracle.Births(), [first, second, last]))
+
+
+def test_metrics_by_alias_are_those_that_were_asked_for() -> None:
+    aliased = says("DDATA", payload(metric(None, double(13, 20.1), alias=1), seq=2))
+    birth, data = numbered(dbirth(), aliased)
+    asked = {"kind": "DDATA", "device": "d", "metrics": [{"name": "temperature", "datatype": "Double", "value": 20.1}]}
+    assert oracle.reported([data], births=fed(oracle.Births(), [birth, data]), **asked) == []
+    (finding,) = oracle.reported([data], births=oracle.Births(), **asked)
+    assert "it has no temperature" in finding.message
+
+
+def test_births_before_a_restart_of_the_broker_are_forgotten() -> None:
+    assert fed(oracle.Births(), [dbirth()]).restarted().declared("d", 99) == {}
 
 
 @pytest.mark.parametrize(

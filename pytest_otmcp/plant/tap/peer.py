@@ -39,11 +39,9 @@ def _process(kind: str, is_peer: Any) -> PeerProcess | None:
 
 
 def _found(process: psutil.Process) -> PeerProcess | None:
-    if os.stat(f"/proc/{process.pid}/ns/pid").st_ino != os.stat("/proc/self/ns/pid").st_ino:
-        # In a container: whose child it is cannot be told from here.
-        return None
+    contained = os.stat(f"/proc/{process.pid}/ns/pid").st_ino != os.stat("/proc/self/ns/pid").st_ino
     ancestors = tuple(parent.pid for parent in process.parents())
     token = None
     with contextlib.suppress(psutil.AccessDenied):
         token = process.environ().get(TOKEN_VARIABLE)
-    return PeerProcess(pid=process.pid, name=process.name(), ancestors=ancestors, token=token)
+    return PeerProcess(pid=process.pid, name=process.name(), ancestors=ancestors, token=token, contained=contained)

@@ -15,7 +15,7 @@ from .external import EXTERNAL
 from .operations import OPERATIONS
 from .oracle import Publications, Refused, Subscriptions, no_command
 from .proof import PROOF
-from .sparkplug_oracle import SparkplugSequence, kept_or_executed, stamps
+from .sparkplug_oracle import Births, SparkplugSequence, kept_or_executed, stamps
 from .trace import facts
 
 __all__ = ["PROTOCOL"]
@@ -70,7 +70,7 @@ PROTOCOL = OtProtocol(
     packages=("paho-mqtt", "protobuf"),
     colour=Colour(light="#009e73", dark="#2fc79a"),
     external=EXTERNAL,
-    session_oracles=(Publications, Refused, Subscriptions, SparkplugSequence, Exchanges),
+    session_oracles=(Publications, Refused, Subscriptions, SparkplugSequence, Births, Exchanges),
     proof=PROOF,
     exercise=EXERCISE,
     always=True,

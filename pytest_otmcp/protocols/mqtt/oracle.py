@@ -17,9 +17,10 @@ from .commands import commands
 from .entries import FirstPackets, MqttEntry, adapter_packets, describe, payload_of, shown
 from .entries import messages as published
 from .sparkplug_decoder import parse_topic
-from .sparkplug_oracle import SparkplugSequence, broken_rule, commanded_once, ddata_metric, reported
+from .sparkplug_oracle import Births, SparkplugSequence, broken_rule, commanded_once, ddata_metric, reported
 
 __all__ = [
+    "Births",
     "Publications",
     "Refused",
     "SparkplugSequence",

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import base64
-import json
 import random
 from collections.abc import Mapping
 
 from ..journal import Entries, JournalEntry
 from ..proof import ENOUGH_BITS, Proof, Question, Way
 from .entries import adapter_packets
+from .inbox import listed
 
 __all__ = ["PROOF"]
 
@@ -42,11 +42,11 @@ def _collect(rng: random.Random) -> Question:
 
 
 def _receive(rng: random.Random) -> Question:
-    nonce = f"nonce-{_nonce(rng)}"
-    payload = base64.b64encode(nonce.encode()).decode()
+    nonce = f"nonce-{_nonce(rng)}".encode()
+    payload = base64.b64encode(nonce).decode()
 
     def bits(outputs: Mapping[str, object], entries: Entries) -> int:
-        return 64 if nonce in json.dumps(outputs.get("messages")) else 0
+        return 64 if any(message.content is not None and nonce in message.content for message in listed(outputs)) else 0
 
     message = {"topic": _TOPIC, "payload": payload, "qos": 0, "retain": False}
     return Question(inputs={"filter": _TOPIC}, pokes=({"publish": message},), bits=bits)

@@ -7,6 +7,7 @@ assertions of the specification; the wording is not the specification's.
 from __future__ import annotations
 
 import struct
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, Literal
@@ -20,6 +21,7 @@ from .entries import MqttEntry, adapter_packets, as_mqtt, payload_of, shown
 from .sparkplug_decoder import DATA_TYPES, NAMESPACE, Topic, decode_message, decode_payload, parse_topic, payload_times
 
 __all__ = [
+    "Births",
     "SparkplugSequence",
     "broken_rule",
     "commanded_once",
@@ -33,6 +35,7 @@ _BD_SEQ = "bdSeq"
 _REBIRTH = "Node Control/Rebirth"
 _FLOAT, _DOUBLE, _BOOLEAN = (DATA_TYPES.index(name) for name in ("Float", "Double", "Boolean"))
 _MOST_FINDINGS = 5
+_BIRTHS_KEPT = 8
 _COMMANDS = ("NCMD", "DCMD")
 
 _SENT_S = 60.0
@@ -45,31 +48,58 @@ _CAPTURED_S = 86_400.0
 Declared = dict[str | int, tuple[str, int | None]]
 
 
+class Births(SessionOracle):
+    """What the births of the adapter's devices declare, over the whole life of a session.
+
+    Data may name a metric by its alias alone (tck-id-payloads-alias-data-cmd-requirement), however long ago the birth was.
+    """
+
+    def __init__(self) -> None:
+        self._declared: dict[str, deque[tuple[int, Declared]]] = {}
+
+    def feed(self, entry: JournalEntry) -> None:
+        """Note a DBIRTH."""
+        for packet, message in _messages([entry], None):
+            if message.get("type") == "DBIRTH":
+                births = self._declared.setdefault(str(message["device"]), deque(maxlen=_BIRTHS_KEPT))
+                births.append((packet["seq"], _declared(message)))
+
+    def declared(self, device: str, before: int) -> Declared:
+        """Return what the device's last birth before this sequence number of the journal declares; nothing without one."""
+        return next((declared for seq, declared in reversed(self._declared.get(device, ())) if seq < before), {})
+
+
+def _device_messages(
+    entries: Entries, kind: str, device: str, births: Births | None, client_id: str | None = None
+) -> list[tuple[Mapping[str, Any], Declared]]:
+    """Return the device's messages of this kind, and what does not decode, each with what the birth before it declares."""
+    found: list[tuple[Mapping[str, Any], Declared]] = []
+    declared: Declared | None = None
+    for packet, message in _messages(entries, client_id):
+        if declared is None:
+            declared = {} if births is None else births.declared(device, packet["seq"])
+        if "error" in message or (message["type"], message["device"]) == (kind, device):
+            found.append((message, declared))
+        if message.get("type") == "DBIRTH" and message["device"] == device:
+            declared = _declared(message)
+    return found
+
+
 def ddata_metric(
     entries: Entries,
     *,
     device: str,
     name: str,
     value: float,
-    births: Entries | None = None,
+    births: Births | None = None,
     client_id: str | None = None,
 ) -> list[Finding]:
     """Expect that the adapter published one DDATA for the device, with this metric alone, as Float or Double.
 
     Args:
-        births: journal in which the device's DBIRTH is found, for metrics that are sent by alias only; default
-            ``entries``.
+        births: those of the session before ``entries``, for metrics that are sent by alias only.
     """
-    declared: Declared = {}
-    for _, message in _messages(births if births is not None else entries, client_id):
-        if message.get("type") == "DBIRTH" and message["device"] == device:
-            declared = _declared(message)
-    found = [
-        message
-        for _, message in _messages(entries, client_id)
-        if "error" in message or (message["type"] == "DDATA" and message["device"] == device)
-    ]
-    problem = _ddata_problem(found, declared, name, value)
+    problem = _ddata_problem(_device_messages(entries, "DDATA", device, births, client_id), name, value)
     if problem is None:
         return []
     return [
@@ -82,14 +112,14 @@ def ddata_metric(
     ]
 
 
-def _ddata_problem(found: list[Mapping[str, Any]], declared: Declared, name: str, value: float) -> str | None:
-    if broken := [message["error"] for message in found if "error" in message]:
+def _ddata_problem(found: Sequence[tuple[Mapping[str, Any], Declared]], name: str, value: float) -> str | None:
+    if broken := [message["error"] for message, _ in found if "error" in message]:
         return f"a payload does not decode: {broken[0]}"
-    metrics = [metric for message in found for metric in message["metrics"]]
+    metrics = [metric for message, _ in found for metric in message["metrics"]]
     if len(found) != 1 or len(metrics) != 1:
         listed = ", ".join(f"{metric['name']}={metric['value']!r}" for metric in metrics)
         return f"it received {len(found)} with {listed or 'no metric'}"
-    metric = metrics[0]
+    metric, declared = metrics[0], found[0][1]
     label, datatype = metric["name"], metric["datatype"]
     if label is None and metric["alias"] in declared:
         label, datatype = declared[metric["alias"]][0], datatype or declared[metric["alias"]][1]
@@ -126,7 +156,7 @@ def reported(
     kind: str,
     device: str,
     metrics: Sequence[Mapping[str, Any]],
-    births: Entries,
+    births: Births,
     requirement: str = "SPB-001",
 ) -> list[Finding]:
     """Expect that the adapter published metrics of a device, each with the type and the value that were asked for.
@@ -134,18 +164,9 @@ def reported(
     Args:
         kind: ``DBIRTH`` or ``DDATA``; births may be repeated, then the last one counts.
         metrics: each with ``name``, ``datatype`` and ``value``; None is null.
-        births: journal in which the device's DBIRTH is found, for metrics that are sent by alias only.
+        births: those of the session before ``entries``, for metrics that are sent by alias only.
     """
-    found = [
-        message
-        for _, message in _messages(entries, None)
-        if "error" in message or (message["type"] == kind and message["device"] == device)
-    ]
-    declared: Declared = {}
-    for _, message in _messages(births, None):
-        if message.get("type") == "DBIRTH" and message["device"] == device:
-            declared = _declared(message)
-    problem = _report_problem(found, kind, metrics, declared)
+    problem = _report_problem(_device_messages(entries, kind, device, births), kind, metrics)
     if problem is None:
         return []
     return [
@@ -159,13 +180,14 @@ def reported(
 
 
 def _report_problem(
-    found: Sequence[Mapping[str, Any]], kind: str, metrics: Sequence[Mapping[str, Any]], declared: Declared
+    found: Sequence[tuple[Mapping[str, Any], Declared]], kind: str, metrics: Sequence[Mapping[str, Any]]
 ) -> str | None:
-    if broken := [message["error"] for message in found if "error" in message]:
+    if broken := [message["error"] for message, _ in found if "error" in message]:
         return f"a payload does not decode: {broken[0]}"
     if not found or (kind == "DDATA" and len(found) > 1):
         return f"it received {len(found)}"
-    sent = {metric["name"] or declared.get(metric["alias"], (None, None))[0]: metric for metric in found[-1]["metrics"]}
+    last, declared = found[-1]
+    sent = {metric["name"] or declared.get(metric["alias"], (None, None))[0]: metric for metric in last["metrics"]}
     for wanted in metrics:
         metric = sent.get(wanted["name"])
         if metric is None:

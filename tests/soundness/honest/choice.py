@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import copy
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -18,8 +19,10 @@ __all__ = [
     "Choice",
     "backed_off",
     "choices",
+    "deaf_to_cancellation",
     "every_tool",
     "in_background",
+    "narrowed",
     "one_call_at_a_time",
     "twice_where_missing",
 ]
@@ -42,6 +45,7 @@ class Choice:
         rule: why it is legal.
         bend: makes the adapter so.
         warnings: the SHOULD findings that are due: requirement and code.
+        checked_warnings: those that are due in the requirement suite alone.
         described: what the subject file has to say of it, as a change of the adapter's description.
     """
 
@@ -51,6 +55,7 @@ class Choice:
     bend: Bend
     warnings: frozenset[tuple[str, str]]
     described: Callable[[Adapter], Adapter]
+    checked_warnings: frozenset[tuple[str, str]] = frozenset()
 
 
 def choices(protocol: str) -> tuple[dict[str, Choice], Callable[..., Declare]]:
@@ -62,6 +67,7 @@ def choices(protocol: str) -> tuple[dict[str, Choice], Callable[..., Declare]]:
         rule: str,
         *,
         warnings: tuple[tuple[str, str], ...] = (),
+        checked_warnings: tuple[tuple[str, str], ...] = (),
         described: Callable[[Adapter], Adapter] = _as_it_is,
     ) -> Declare:
         def declare(bend: Bend) -> Bend:
@@ -71,6 +77,7 @@ def choices(protocol: str) -> tuple[dict[str, Choice], Callable[..., Declare]]:
                 rule=rule,
                 bend=bend,
                 warnings=frozenset(warnings),
+                checked_warnings=frozenset(checked_warnings),
                 described=described,
             )
             return bend
@@ -126,6 +133,19 @@ def one_call_at_a_time(server: AdapterServer) -> None:
     every_tool(server, in_turn)
 
 
+def deaf_to_cancellation(server: AdapterServer) -> None:
+    """Let every call wait until the one before it is over, and be carried out to its end, whether or not it has been cancelled."""
+    one_call_at_a_time(server)
+
+    def to_its_end(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Any:
+            return await asyncio.shield(asyncio.ensure_future(genuine(call, arguments)))
+
+        return handler
+
+    every_tool(server, to_its_end)
+
+
 def backed_off(connect: Callable[..., Awaitable[Any]], seconds: float) -> Callable[..., Awaitable[Any]]:
     """Return a way to connect that is not tried again for some seconds after it has failed."""
     until = 0.0
@@ -145,6 +165,28 @@ def backed_off(connect: Callable[..., Awaitable[Any]], seconds: float) -> Callab
             raise
 
     return patiently
+
+
+_SIZED = ("maxItems", "maxLength")
+
+
+def narrowed(server: AdapterServer, tool: str, argument: str, bound: str, most: int) -> None:
+    """Let the schema of a tool say that an argument has this ``maximum``, ``maxItems`` or ``maxLength``, and refuse what is beyond."""
+    listing = server._tools[tool].listing
+    schema = copy.deepcopy(listing.input_schema)
+    schema["properties"][argument][bound] = most
+
+    def bounded(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Any:
+            value = getattr(arguments, argument)
+            if (len(value) if bound in _SIZED else value) > most:
+                message = f"{argument} is beyond its {bound} of {most}"
+                raise AdapterError("limit_exceeded", message, outcome="not_sent", field=f"/{argument}")
+            return await genuine(call, arguments)
+
+        return handler
+
+    wrap(server, tool, bounded, listing=listing.model_copy(update={"input_schema": schema}))
 
 
 def twice_where_missing(genuine: Handler) -> Handler:

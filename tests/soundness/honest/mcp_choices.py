@@ -8,13 +8,13 @@ import json
 import math
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from datetime import UTC, datetime
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from mcp import MCPError
-from mcp.types import METHOD_NOT_FOUND, Tool
+from mcp.types import METHOD_NOT_FOUND, PARSE_ERROR, Tool
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call, stdio
 from pytest_otmcp.reference_adapters.core import call as core_call
 from pytest_otmcp.reference_adapters.core import server as core_server
@@ -49,6 +49,55 @@ def other_envelopes(change: Callable[[Envelope], Envelope]) -> None:
 def other_results(change: Callable[[Result], Result]) -> None:
     genuine = core_server._result
     core_server._result = lambda envelope: change(genuine(envelope))
+
+
+@choice("writes UTC as an offset of zero, not as Z", "RFC 3339, section 4.2: both are UTC")
+def utc_as_an_offset(server: AdapterServer) -> None:
+    def with_offset(envelope: Envelope) -> Envelope:
+        meta = envelope["meta"]
+        return {**envelope, "meta": {**meta, "started_at": meta["started_at"].removesuffix("Z") + "+00:00"}}
+
+    other_envelopes(with_offset)
+
+
+LEVELS_READ = 150
+
+
+def deeper_than_it_reads(server: AdapterServer, answer: Callable[[], Awaitable[Result]]) -> None:
+    """Let what is nested more than 150 deep be answered in this way, as by a parser that has given up on the message."""
+    genuine = server._answer
+
+    async def answered(tool: Any, arguments: Any) -> Result:
+        value, levels = [arguments], 0
+        while value and levels <= LEVELS_READ:
+            inner = (one.values() if isinstance(one, dict) else one for one in value)
+            value, levels = [one for part in inner for one in part if isinstance(one, dict | list)], levels + 1
+        return await (answer() if value else genuine(tool, arguments))
+
+    server._answer = answered
+
+
+READS_NO_DEEPER = "the parsers of official SDKs give up on what is nested some 200 deep; it should be refused"
+TOO_DEEP = ("ADR-009", "too_deep_to_read")
+
+
+@choice("never answers a message that is nested 150 deep", READS_NO_DEEPER, checked_warnings=(TOO_DEEP,))
+def no_answer_to_what_is_too_deep(server: AdapterServer) -> None:
+    async def never() -> Result:
+        await asyncio.Event().wait()
+        raise AssertionError
+
+    deeper_than_it_reads(server, never)
+
+
+@choice(
+    "answers a message that is nested 150 deep by an error of JSON-RPC", READS_NO_DEEPER, checked_warnings=(TOO_DEEP,)
+)
+def parse_error_for_what_is_too_deep(server: AdapterServer) -> None:
+    async def refuse() -> Result:
+        raise MCPError(PARSE_ERROR, "the message is nested too deeply")
+
+    deeper_than_it_reads(server, refuse)
 
 
 def prose(result: Result) -> dict[str, str]:

@@ -13,7 +13,16 @@ from pytest_otmcp.reference_adapters.modbus.link import Link
 from pytest_otmcp.reference_adapters.modbus.shapes import Registers, Unit
 from pytest_otmcp.reference_adapters.modbus.tools import Tools
 
-from .choice import Bend, backed_off, choices, in_background, one_call_at_a_time, twice_where_missing
+from .choice import (
+    Bend,
+    backed_off,
+    choices,
+    deaf_to_cancellation,
+    in_background,
+    narrowed,
+    one_call_at_a_time,
+    twice_where_missing,
+)
 
 __all__ = ["CHOICES"]
 
@@ -312,6 +321,34 @@ def notices_a_loss_late(server: AdapterServer) -> None:
     wrap(server, "read_input_registers", noticed_late)
 
 
+# -- bounds of its own -------------------------------------------------------------------------------------------------
+
+OWN_BOUND = "its schema says so: a smaller maximum is the author's choice"
+
+
+@choice("writes at most 32 registers or coils at once", OWN_BOUND)
+def blocks_of_32(server: AdapterServer) -> None:
+    narrowed(server, "write_registers", "values", "maxItems", 32)
+    narrowed(server, "write_coils_bulk", "values", "maxItems", 32)
+
+
+@choice("writes at most 2 registers and 4 coils at once", OWN_BOUND)
+def blocks_of_2(server: AdapterServer) -> None:
+    narrowed(server, "write_registers", "values", "maxItems", 2)
+    narrowed(server, "write_coils_bulk", "values", "maxItems", 4)
+
+
+@choice("reads at most 8 registers or bits at once", OWN_BOUND)
+def reads_of_8(server: AdapterServer) -> None:
+    for tool in ("read_input_registers", "read_multiple_holding_registers", "read_coils", "read_discrete_inputs"):
+        narrowed(server, tool, "count", "maximum", 8)
+
+
+@choice("writes values of at most 1000", OWN_BOUND)
+def values_up_to_1000(server: AdapterServer) -> None:
+    narrowed(server, "write_register", "value", "maximum", 1000)
+
+
 # -- status -----------------------------------------------------------------------------------------------------------
 
 
@@ -340,3 +377,10 @@ def ping_by_an_input_register(server: AdapterServer) -> None:
 choice("performs one call after the other", "the order of calls made at the same time is the adapter's own affair")(
     one_call_at_a_time
 )
+
+
+choice(
+    "performs one call after the other, and does not hear of cancellations",
+    "MCP, Cancellation: a receiver may ignore them; a write that waits for its turn should not be carried out any more",
+    checked_warnings=(("TMO-003", "cancelled_write"),),
+)(deaf_to_cancellation)

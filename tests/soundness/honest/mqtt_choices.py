@@ -16,6 +16,8 @@ from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Ca
 from pytest_otmcp.reference_adapters.defects.mutant import Handler, wrap
 from pytest_otmcp.reference_adapters.mqtt import connection as connections
 from pytest_otmcp.reference_adapters.mqtt import edge_node as edge_nodes
+from pytest_otmcp.reference_adapters.mqtt import payload as sparkplug
+from pytest_otmcp.reference_adapters.mqtt import tools as tools_module
 from pytest_otmcp.reference_adapters.mqtt.connection import Connection, ConnectionLostError, Message
 from pytest_otmcp.reference_adapters.mqtt.edge_node import EdgeNode, Life
 from pytest_otmcp.reference_adapters.mqtt.link import Link
@@ -26,7 +28,7 @@ from pytest_otmcp.reference_adapters.mqtt.topics import check_name
 
 from pytest_otmcp.protocols.mqtt.sparkplug_decoder import payload_class
 
-from .choice import Bend, backed_off, choices, in_background
+from .choice import Bend, backed_off, choices, in_background, narrowed
 
 if TYPE_CHECKING:
     from pytest_otmcp.subject import Adapter
@@ -170,6 +172,42 @@ def births_repeated(server: AdapterServer) -> None:
 def born_when_connected(server: AdapterServer) -> None:
     if server.writes_enabled:
         link_of(server).edge_node.life = Life()
+
+
+@choice(
+    "reports its data by the aliases that its births declare, without names and data types",
+    "Sparkplug: where a birth has aliases, data have the alias and no name",
+)
+def data_by_alias_alone(server: AdapterServer) -> None:
+    node = link_of(server).edge_node
+    genuine, aliases = node.numbered, dict[tuple[str | None, str], int]()
+
+    def numbered(kind: str, device: str | None, metrics: Any) -> Message:
+        message = genuine(kind, device, metrics)
+        payload = sparkplug._Payload.FromString(message.payload)
+        for metric in payload.metrics:
+            if metric.name not in ("bdSeq", sparkplug.REBIRTH):
+                metric.alias = aliases.setdefault((device, metric.name), len(aliases) + 1)
+                if kind.endswith("DATA"):
+                    metric.ClearField("name")
+                    metric.ClearField("datatype")
+        return dataclasses.replace(message, payload=payload.SerializeToString())
+
+    node.numbered = numbered
+
+
+@choice("gives every payload as base64, and says so", "its subject file binds the encodings of messages")
+def every_payload_as_base64(server: AdapterServer) -> None:
+    tools_module._harmless_text = lambda data: None
+
+
+@choice(
+    "publishes payloads of at most 200 characters, with QoS 0 or 1",
+    "its schema says so: a smaller maximum is the author's choice",
+)
+def short_payloads(server: AdapterServer) -> None:
+    narrowed(server, "publish_message", "payload", "maxLength", 200)
+    narrowed(server, "publish_message", "qos", "maximum", 1)
 
 
 # -- connections ------------------------------------------------------------------------------------------------------

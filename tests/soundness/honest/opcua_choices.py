@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import dataclasses
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from typing import Any
 
@@ -14,7 +15,7 @@ from pytest_otmcp.reference_adapters.defects.mutant import Handler, wrap
 from pytest_otmcp.reference_adapters.opcua.link import Link, Session
 from pytest_otmcp.reference_adapters.opcua.services import Services
 
-from .choice import backed_off, choices, in_background, one_call_at_a_time, twice_where_missing
+from .choice import backed_off, choices, deaf_to_cancellation, in_background, one_call_at_a_time, twice_where_missing
 
 __all__ = ["CHOICES"]
 
@@ -103,6 +104,31 @@ def reads_by_monitored_items(server: AdapterServer) -> None:
         return [found[index] for index in range(len(nodes))]
 
     other_reads(monitored)
+
+
+class Unheard:
+    """Takes the notifications of a subscription, and does nothing with them."""
+
+    def datachange_notification(self, node: Any, value: Any, data: Any) -> None:
+        pass
+
+
+@choice(
+    "has a subscription open in every session",
+    "OPC 10000-4, section 6.7: the server keeps such a session when it has ended the connection; the client cannot close it then",
+)
+def subscription_in_every_session(server: AdapterServer) -> None:
+    link = link_of(server)
+    genuine = link._connect
+
+    async def connect(call: Call) -> Session:
+        session = await genuine(call)
+        with suppress(Exception):
+            subscription = await session.client.create_subscription(500.0, Unheard())
+            await subscription.subscribe_data_change(session.client.get_node("ns=2;s=Temperature"))
+        return session
+
+    link._connect = connect
 
 
 @choice("browses a node before it reads it", "reading changes nothing; meta.attempts says so")
@@ -321,3 +347,10 @@ def localized_texts_as_objects(server: AdapterServer) -> None:
     tool = server._tools["read_opcua_node"]
     listing = tool.listing.model_copy(update={"output_schema": None})
     server._tools["read_opcua_node"] = dataclasses.replace(tool, handler=extended(tool.handler), listing=listing)
+
+
+choice(
+    "performs one call after the other, and does not hear of cancellations",
+    "MCP, Cancellation: a receiver may ignore them; a write that waits for its turn should not be carried out any more",
+    checked_warnings=(("TMO-003", "cancelled_write"),),
+)(deaf_to_cancellation)

@@ -12,7 +12,7 @@ __all__ = ["section"]
 
 def section() -> str:
     """Return the table of the zoo's declarations."""
-    warned = sum(bool(choice.warnings) for choice in ZOO.values())
+    warned = sum(bool(choice.warnings | choice.checked_warnings) for choice in ZOO.values())
     lines = [
         f"**Honest adapters accused: 0 of {len(ZOO)}.** {warned} of them get a warning.",
         "",
@@ -25,7 +25,9 @@ def section() -> str:
 
 
 def _row(name: str, choice: Choice) -> str:
-    warnings = ", ".join(f"{requirement} `{code}`" for requirement, code in sorted(choice.warnings))
+    warnings = ", ".join(
+        f"{requirement} `{code}`" for requirement, code in sorted(choice.warnings | choice.checked_warnings)
+    )
     return f"| `{name}` | {choice.sentence} | {choice.rule} | {warnings} |"
 
 
