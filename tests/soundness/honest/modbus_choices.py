@@ -13,7 +13,7 @@ from pytest_otmcp.reference_adapters.modbus.link import Link
 from pytest_otmcp.reference_adapters.modbus.shapes import Registers, Unit
 from pytest_otmcp.reference_adapters.modbus.tools import Tools
 
-from .choice import Bend, backed_off, choices, in_background, one_call_at_a_time, twice_where_missing
+from .choice import Bend, backed_off, background_call, choices, in_background, one_call_at_a_time, twice_where_missing
 
 __all__ = ["CHOICES"]
 
@@ -120,10 +120,6 @@ def polling(table: str, address: int, count: int) -> Bend:
         in_background(server, poll)
 
     return bend
-
-
-def background_call(server: AdapterServer) -> Call:
-    return Call(protocol="modbus-tcp", operation="modbus.poll", endpoint=server.endpoint, writes=False)
 
 
 @choice(
