@@ -50,7 +50,7 @@ def accused_of_nothing(judge: Judge, name: str, tasks: str | None) -> None:
     choice = ZOO[name]
     results = judge(choice.protocol, "honest/adapter.py", name, described=choice.described, tasks=tasks)
     assert failing(results) == set(), words(results)
-    assert passing(results) == results.keys()
+    assert passing(results) == results.keys() != set()
     assert set(warnings(results)) == choice.warnings, words(results)
 
 

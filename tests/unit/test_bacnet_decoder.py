@@ -110,6 +110,12 @@ def test_an_error_is_told_by_class_and_code() -> None:
     assert oracle.refused_with([entry(1, "out", WRITE_ACK, answers=0)], 1, 31)
 
 
+def test_an_error_among_the_results_of_a_read_of_several_properties_is_a_refusal() -> None:
+    multiple = entry(1, "out", "810a0018 0100 30010e 0c0000004d 1e 2955 5e 9101911f 5f 1f", answers=0)
+    assert oracle.refused_with([multiple], 1, 31) == []
+    assert oracle.refused_with([multiple], 2, 32)
+
+
 def test_what_was_found_must_be_there() -> None:
     assert oracle.invented([12345], 12345) == []
     assert oracle.invented([], 12345)

@@ -15,10 +15,11 @@ def facts(entry: JournalEntry) -> Mapping[str, Sequence[object]]:
     ``reject_reason`` and ``abort_reason``."""
     message = as_bacnet(entry)
     if message["kind"] == "response":
-        error_class, error_code = message.get("error", [None, None])
+        # A ReadPropertyMultiple is answered by an acknowledgement that has errors among its results.
+        errors = [error for part in (message, *message.get("results", ())) if (error := part.get("error"))]
         return {
-            "error_class": [error_class],
-            "error_code": [error_code],
+            "error_class": [error_class for error_class, _ in errors] or [None],
+            "error_code": [error_code for _, error_code in errors] or [None],
             "reject_reason": [message.get("reject")],
             "abort_reason": [message.get("abort")],
         }
