@@ -12,6 +12,7 @@ from . import (
     modbus_choices,
     mqtt_choices,
     opcua_choices,
+    profibus_choices,
     s7_choices,
 )
 from .choice import Choice
@@ -29,6 +30,7 @@ ZOO: Mapping[str, Choice] = {
         ("dnp3", dnp3_choices.CHOICES),
         ("bacnet", bacnet_choices.CHOICES),
         ("ethernetip", ethernetip_choices.CHOICES),
+        ("profibus", profibus_choices.CHOICES),
     )
     for name, choice in declared.items()
 }
