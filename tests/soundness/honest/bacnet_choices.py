@@ -13,6 +13,7 @@ from bacpypes3.apdu import (
     SubscribeCOVRequest,
     WhoIsRequest,
 )
+from bacpypes3.appservice import ABORTED
 from bacpypes3.basetypes import PropertyReference, ReadAccessSpecification
 from bacpypes3.pdu import Address
 from bacpypes3.primitivedata import ObjectIdentifier
@@ -182,9 +183,7 @@ def polls_the_same_objects(server: AdapterServer) -> None:
     async def poll() -> None:
         await asyncio.sleep(0.02)
         for kind in ("analog-input", "analog-output"):
-            asked = PropertyOf(
-                device_id=DEVICE, object_type=kind, object_instance=1, property_id="present-value", array_index=None
-            )
+            asked = PropertyOf(device_id=DEVICE, object_type=kind, object_instance=1, property_id="present-value")
             await tools._read(background_call(server), DEVICE, asked)
 
     in_background(server, poll)
@@ -284,7 +283,7 @@ def discovers_in_background(server: AdapterServer) -> None:
 
 
 @choice(
-    "sends a request again each second with the invoke id that it had, a write too",
+    "sends a request again each second with the invoke id that it had, a write too, until its call ends",
     "ASHRAE 135, clause 5.4: a client repeats a request whose answer did not come, and the device knows it by its invoke id",
 )
 def repeats_with_its_invoke_id(server: AdapterServer) -> None:
@@ -292,13 +291,20 @@ def repeats_with_its_invoke_id(server: AdapterServer) -> None:
     genuine = link._exchange
 
     def repeating(client: Any) -> None:
-        client.asap.device_object.numberOfApduRetries = 3
+        client.asap.device_object.numberOfApduRetries = 2
         client.asap.device_object.apduTimeout = 1000
 
     async def exchange(
         call: Call, device: int | None, make: Any, patience_s: Sequence[float], *, changes_state: bool
     ) -> Any:
-        return await genuine(call, device, make, [sum(patience_s)], changes_state=changes_state)
+        try:
+            return await genuine(call, device, make, [sum(patience_s)], changes_state=changes_state)
+        finally:
+            # Nothing is repeated for a call that has ended.
+            client, _ = await link._opened()
+            for transaction in list(client.asap.clientTransactions):
+                if transaction.invokeID in call.trace.get("invoke_ids", ()):
+                    transaction.set_state(ABORTED)
 
     link._exchange = exchange
     when_opened(server, repeating)
@@ -366,14 +372,7 @@ def reads_before_writing(server: AdapterServer) -> None:
     genuine = tools._write
 
     async def write(call: Call, asked: Any) -> Any:
-        question = PropertyOf(
-            device_id=asked.device_id,
-            object_type=asked.object_type,
-            object_instance=asked.object_instance,
-            property_id=asked.property_id,
-            array_index=asked.array_index,
-        )
-        await tools._read(call, asked.device_id, question)
+        await tools._read(call, asked.device_id, asked)
         return await genuine(call, asked)
 
     tools._write = write

@@ -12,7 +12,7 @@ from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Ca
 from pytest_otmcp.reference_adapters.defects.mutant import Handler, wrap
 from pytest_otmcp.reference_adapters.dnp3 import tools as dnp3_tools
 from pytest_otmcp.reference_adapters.dnp3.connection import Connection, Response
-from pytest_otmcp.reference_adapters.dnp3.conversions import shown
+from pytest_otmcp.reference_adapters.dnp3.conversions import exactly, shown
 from pytest_otmcp.reference_adapters.dnp3.tools import Tools
 
 from .choice import (
@@ -51,7 +51,7 @@ def events_beside_a_read(server: AdapterServer) -> None:
 
 OUTSTATION = 10
 READS = ("read_analog_inputs", "read_binary_inputs", "read_point_by_alias")
-_READ, _WRITE, _ENABLE_UNSOLICITED, _DISABLE_UNSOLICITED, _DELAY_MEASURE = 1, 2, 20, 21, 23
+_READ, _WRITE, _ENABLE_UNSOLICITED, _DISABLE_UNSOLICITED, _RECORD_CURRENT_TIME = 1, 2, 20, 21, 24
 _CLASS_0, _CLASSES = bytes([60, 1, 6]), bytes([60, 2, 6, 60, 3, 6, 60, 4, 6])
 _INPUTS = ("binary_input", "analog_input")
 
@@ -117,16 +117,16 @@ def disables_unsolicited(server: AdapterServer) -> None:
 
 
 @choice(
-    "measures the delay and sets the outstation's clock with each connection",
+    "sets the outstation's clock with each connection",
     "the clock of an outstation is its master's to set",
 )
 def sets_the_clock(server: AdapterServer) -> None:
     link = tools_of(server)._link
 
     async def synchronized(call: Call) -> None:
-        await link._send(call, OUTSTATION, _DELAY_MEASURE, b"", False)
         now = int(time.time() * 1000).to_bytes(6, "little")
-        await link._send(call, OUTSTATION, _WRITE, bytes([50, 1, 7, 1]) + now, False)
+        await link._send(call, OUTSTATION, _RECORD_CURRENT_TIME, b"", False)
+        await link._send(call, OUTSTATION, _WRITE, bytes([50, 3, 7, 1]) + now, False)
 
     after_connecting(server, synchronized)
 
@@ -245,7 +245,8 @@ def block_reads(server: AdapterServer) -> None:
         if last > sizes.get(kind, 0):
             return await genuine(call, outstation, kind, start, count, **more)
         whole = await genuine(call, outstation, kind, first, last - first, **more)
-        points = [point for point in whole.points if start <= point.index < start + count]
+        held = exactly(whole, kind, range(first, last))
+        points = [point for point in held if start <= point.index < start + count]
         return Response(blocks=whole.blocks, points=points, indications=whole.indications)
 
     tools._ask = ask

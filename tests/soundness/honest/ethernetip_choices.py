@@ -294,7 +294,7 @@ def lists_before_reading(server: AdapterServer) -> None:
         async def handler(call: Call, arguments: Any) -> Any:
             question = background_call(server)
             try:
-                listed = await tools.get_tag_list(question, TagListOf(program=None))
+                listed = await tools.get_tag_list(question, TagListOf())
             finally:
                 call.attempts += question.attempts
                 call._used = question._used
