@@ -228,7 +228,13 @@ class _Client:
         try:
             if rule is not None and rule.error is not None:
                 raise Refusal(*rule.error)
-            answer = execute(plant, service, _clamped(rule, asked), apply=rule is None or not rule.ack_only)
+            answer = execute(
+                plant,
+                service,
+                _clamped(rule, asked),
+                apply=rule is None or not rule.ack_only,
+                named=None if rule is None else rule.answer_instance,
+            )
         except Rejected as error:
             return _reject(reply_id, error.reason)
         except Refusal as refusal:

@@ -100,7 +100,7 @@ class Rule(FaultRule):
         lose: neither execute nor answer.
         garbage: execute, answer with bytes that are no BACnet/IP.
         invoke_id: added to the invoke id of the answer.
-        answer_instance: instance of the object that the answer to a ReadProperty names.
+        answer_instance: instance of the objects that the answer to a read names.
         answer_values: values that a successful ReadProperty answers with.
         clamp: an analog present value that is written is stored not lower and not higher than these two numbers.
         truncate: send only this many bytes of the answer.

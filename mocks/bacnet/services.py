@@ -185,11 +185,12 @@ def _unsigned(tags: Tags, number: int) -> int:
     return int(value_of("unsigned", tags.next().content).value)
 
 
-def execute(plant: Plant, service: int, asked: Asked, *, apply: bool = True) -> Answer:
+def execute(plant: Plant, service: int, asked: Asked, *, apply: bool = True, named: int | None = None) -> Answer:
     """Execute a request.
 
     Args:
         apply: False answers a write as if it had been done, without doing it.
+        named: instance that the answer to a ReadPropertyMultiple names for each object, instead of the one that was asked for.
 
     Raises:
         Refusal: the error to answer with.
@@ -208,7 +209,7 @@ def execute(plant: Plant, service: int, asked: Asked, *, apply: bool = True) -> 
         one = _meant_device(asked.reads[0])
         values = element_of(plant.content(one.kind, one.instance, one.number), one.index)
         return read_answer(one, values)
-    return _multiple_answer(plant, list(map(_meant_device, asked.reads)))
+    return _multiple_answer(plant, list(map(_meant_device, asked.reads)), named)
 
 
 def _meant_device(one: Reference) -> Reference:
@@ -225,7 +226,7 @@ def read_answer(one: Reference, values: Sequence[Value]) -> Answer:
     return Answer(data=data + enclosed(3, b"".join(map(encode, values))), results=[shown])
 
 
-def _multiple_answer(plant: Plant, reads: Sequence[Reference]) -> Answer:
+def _multiple_answer(plant: Plant, reads: Sequence[Reference], named: int | None) -> Answer:
     data, results = b"", []
     at = 0
     while at < len(reads):
@@ -235,11 +236,16 @@ def _multiple_answer(plant: Plant, reads: Sequence[Reference]) -> Answer:
             asked = reads[at]
             at += 1
             for one in _meant(plant, asked):
-                encoded, shown = _result(plant, one)
+                encoded, shown = _result(plant, one, _told(one, named))
                 block += encoded
                 results.append(shown)
-        data += context(0, "object-identifier", [first.kind, first.instance]) + enclosed(1, block)
+        told = _told(first, named)
+        data += context(0, "object-identifier", [told.kind, told.instance]) + enclosed(1, block)
     return Answer(data=data, results=results)
+
+
+def _told(one: Reference, named: int | None) -> Reference:
+    return one if named is None else one.at(named)
 
 
 def _meant(plant: Plant, asked: Reference) -> list[Reference]:
@@ -250,7 +256,7 @@ def _meant(plant: Plant, asked: Reference) -> list[Reference]:
     return [Reference(kind=asked.kind, instance=asked.instance, number=one, index=asked.index) for one in numbers]
 
 
-def _result(plant: Plant, one: Reference) -> tuple[bytes, dict[str, Any]]:
+def _result(plant: Plant, one: Reference, told: Reference) -> tuple[bytes, dict[str, Any]]:
     head = context(2, "enumerated", one.number)
     if one.index is not None:
         head += context(3, "unsigned", one.index)
@@ -258,8 +264,8 @@ def _result(plant: Plant, one: Reference) -> tuple[bytes, dict[str, Any]]:
         values = element_of(plant.content(one.kind, one.instance, one.number), one.index)
     except Refusal as refusal:
         codes = b"".join(encode(Value(kind="enumerated", value=code)) for code in refusal.error)
-        return head + enclosed(5, codes), {**one.shown(), "error": list(refusal.error)}
-    shown = {**one.shown(), "values": [value.shown() for value in values]}
+        return head + enclosed(5, codes), {**told.shown(), "error": list(refusal.error)}
+    shown = {**told.shown(), "values": [value.shown() for value in values]}
     return head + enclosed(4, b"".join(map(encode, values))), shown
 
 

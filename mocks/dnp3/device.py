@@ -31,7 +31,7 @@ from .link import (
 )
 from .objects import IllegalObject, headers
 from .outstation import Answer, Session, execute, unsolicited
-from .plant import Plant
+from .plant import Event, Plant
 from .pokes import CLASSES, poke
 from .requests import BROADCASTS, CONFIRM, DIRECT_OPERATE_NR, READ, Request
 from .tampering import altered, falsified
@@ -40,6 +40,8 @@ __all__ = ["ADDRESS", "Dnp3Device"]
 
 ADDRESS = 10
 """Link address of the outstation."""
+_CONFIRMED_WITHIN_S = 1.0
+"""Seconds for which the confirmation of an unsolicited response is waited for."""
 
 
 def _now_ms() -> int:
@@ -107,6 +109,7 @@ class _Connection(FramedConnection[Dnp3Device]):
         self._reassembly = Reassembly()
         self._segment = 0
         self._master = 1
+        self._told_at = 0.0
         self.session = Session()
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -207,9 +210,15 @@ class _Connection(FramedConnection[Dnp3Device]):
         if repeated and request.function != READ and self.session.last is not None:
             return self.session.last[1]
         now = asyncio.get_running_loop().time()
-        answer = execute(self.device.plant, self.session, request, rule, now, _now_ms())
+        answer = execute(self.device.plant, self.session, request, rule, now, _now_ms(), self._being_told(now))
         self.session.last = request.fragment, answer
         return answer
+
+    def _being_told(self, now: float) -> list[Event]:
+        """Return the events of the last unsolicited response, as long as its confirmation may come: told twice, each would be two."""
+        if now - self._told_at > _CONFIRMED_WITHIN_S:
+            return []
+        return [event for (_, unasked), events in self.session.unconfirmed.items() if unasked for event in events]
 
     def _confirmed(self, request: Request) -> None:
         events = self.session.unconfirmed.pop((request.sequence, request.unsolicited), None)
@@ -225,6 +234,7 @@ class _Connection(FramedConnection[Dnp3Device]):
 
     def tell(self, classes: set[int]) -> None:
         """Send an unsolicited response with the events of these classes, which may be none."""
+        self._told_at = asyncio.get_running_loop().time()
         self._send(unsolicited(self.device.plant, self.session, classes), None)
 
     def _send(self, answer: Answer, asked: int | None, rule: Rule | None = None) -> None:

@@ -99,12 +99,21 @@ class Answer:
         return bytes([control, self.function]) + self.iin.to_bytes(2, "little") + self.objects
 
 
-def execute(plant: Plant, session: Session, request: Request, rule: Rule | None, now: float, time_ms: int) -> Answer:
+def execute(
+    plant: Plant,
+    session: Session,
+    request: Request,
+    rule: Rule | None,
+    now: float,
+    time_ms: int,
+    told: Sequence[Event] = (),
+) -> Answer:
     """Execute a request that is no confirmation, and return its answer.
 
     Args:
         now: monotonic time in seconds.
         time_ms: milliseconds since 1970.
+        told: events that are being told unasked, which no answer tells beside.
     """
     selected, session.selected = session.selected, None
     objects, wrong, events = b"", 0, list[Event]()
@@ -113,7 +122,7 @@ def execute(plant: Plant, session: Session, request: Request, rule: Rule | None,
     elif request.problem is not None:
         wrong = OBJECT_UNKNOWN if request.unknown else PARAMETER_ERROR
     elif request.function == READ:
-        objects, wrong, events = _read(plant, request.headers, time_ms)
+        objects, wrong, events = _read(plant, request.headers, time_ms, told)
     elif request.function == WRITE:
         wrong = _write(plant, request.headers, apply=rule is None or not rule.ack_only, time_ms=time_ms)
     elif request.function == SELECT:
@@ -182,7 +191,9 @@ def _enable(session: Session, request: Request) -> int:
 # -- reading ----------------------------------------------------------------------------------------------------
 
 
-def _read(plant: Plant, asked: Sequence[Header], time_ms: int) -> tuple[bytes, int, list[Event]]:
+def _read(
+    plant: Plant, asked: Sequence[Header], time_ms: int, elsewhere: Sequence[Event]
+) -> tuple[bytes, int, list[Event]]:
     objects, wrong, events = b"", 0, list[Event]()
     for header in asked:
         group, variation = header.group, header.variation
@@ -191,7 +202,8 @@ def _read(plant: Plant, asked: Sequence[Header], time_ms: int) -> tuple[bytes, i
                 wrong |= PARAMETER_ERROR
                 continue
             classes = {_CLASSES[variation]} if group == 60 else {1, 2, 3}
-            told = [event for event in plant.waiting(classes) if all(event is not one for one in events)]
+            before = [*events, *elsewhere]
+            told = [event for event in plant.waiting(classes) if all(event is not one for one in before)]
             if group != 60:
                 told = [event for event in told if event.point.type == _EVENTS[group]]
             told = told[: header.count]

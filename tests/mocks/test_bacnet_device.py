@@ -253,6 +253,16 @@ async def test_a_rule_falsifies_an_answer(
     assert await device.control.ask("fault", rules=[]) == {"hits": [1]}
 
 
+async def test_a_rule_names_another_instance_to_who_reads_several_properties(
+    device: MockProgram, peer: BacnetPeer
+) -> None:
+    multiple = "0005010e 0c00000001 1e 0955 1f"
+    await device.control.ask("fault", rules=[{"times": 1, "action": {"answer_instance": 2}}])
+    told = "30010e 0c0000000{} 1e 2955 4e 4442910000 4f 1f"
+    assert await peer.ask(multiple) == told.format(2).replace(" ", "")
+    assert await peer.ask(multiple) == told.format(1).replace(" ", "")
+
+
 @pytest.mark.parametrize(
     ("action", "held", "answers"),
     [

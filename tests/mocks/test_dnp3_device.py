@@ -683,6 +683,20 @@ async def test_an_unsolicited_response_comes_before_the_answer(device: MockProgr
     assert (await raw.fragment())[9:12].hex() == "030081"
 
 
+async def test_an_event_that_is_told_unasked_is_not_told_by_the_answer_to_a_poll_as_well(
+    device: MockProgram, raw: RawDnp3
+) -> None:
+    await device.control.poke(point="binary_input/3", value=True)
+    await device.control.fault({"unsolicited": True}, times=1)
+    raw.send("01 3c0206")
+    told, answer = await raw.fragment(), await raw.fragment()
+    assert (told[1], told[9:12].hex()) == (130, "030081")
+    assert (answer[1], answer[4:]) == (129, b"")
+    # Without a confirmation it is told again by a later poll.
+    await asyncio.sleep(1.1)
+    assert (await raw.ask("01 3c0206"))[5:7] == "02"
+
+
 async def test_an_answer_is_dropped_delayed_cut_or_replaced(device: MockProgram, raw: RawDnp3) -> None:
     actions: list[dict[str, Any]] = [{"drop": True}, {"delay_s": 0.2}, {"truncate": 9}, {"garbage": True}]
     await device.control.ask("fault", rules=[{"times": 1, "action": action} for action in actions])

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from pytest_otmcp.plant.devices import Plant
+from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.replay.rejudge import rejudge
 from pytest_otmcp.session.loop import LoopThread
 from pytest_otmcp.soundness import judging
@@ -168,7 +169,8 @@ def foreign_subject(name: str, described: tuple[str, str] | None = None) -> Subj
 def _known(tasks: str | None) -> list[Task]:
     """Return the tasks with these ids; without any, those of the benchmark."""
     if tasks is None:
-        return list(tasks_by_id().values())
+        # Without adapters, these would be the tasks of the protocols that every run has.
+        return list(tasks_by_id(protocols()).values())
     return [task for task in all_tasks().values() if task.id in tasks.split()]
 
 

@@ -21,6 +21,9 @@ QUICK = {
     "opcua": "O1 O3 FO1",
     "s7": "K1 K2 K3 ENC-004.s7 ENC-006.s7",
     "dnp3": "D2 D5 D7",
+    "bacnet": "B2 B3 FB1",
+    "ethernetip": "E2 E3 FE1",
+    "profibus": "P2 P3 FP1",
 }
 """Items that most choices show in, by protocol."""
 
@@ -29,7 +32,8 @@ CLOSEST = """
     mqtt/retained-online mqtt/status-from-a-declared-cache
     mqtt/always-qos-1 mqtt/delivers-again-with-dup
     opcua/reads-by-monitored-items opcua/browses-before-reading
-    s7/few-types dnp3/events-beside-a-read
+    s7/few-types dnp3/events-beside-a-read dnp3/integrity-polls
+    bacnet/reads-all-properties ethernetip/symbol-instances profibus/inputs-by-data-exchange
 """.split()
 """Some of those that are closest to what the suite forbids; earlier suites accused each of them."""
 
@@ -50,7 +54,7 @@ def accused_of_nothing(judge: Judge, name: str, tasks: str | None) -> None:
     choice = ZOO[name]
     results = judge(choice.protocol, "honest/adapter.py", name, described=choice.described, tasks=tasks)
     assert failing(results) == set(), words(results)
-    assert passing(results) == results.keys()
+    assert passing(results) == results.keys() != set()
     assert set(warnings(results)) == choice.warnings, words(results)
 
 

@@ -9,6 +9,7 @@ import pytest
 from pytest_otmcp.protocols.bacnet import oracle
 from pytest_otmcp.protocols.bacnet.decoder import BacnetConversation, contradiction
 from pytest_otmcp.protocols.bacnet.entries import changes, describe, title
+from pytest_otmcp.protocols.bacnet.trace import facts
 from pytest_otmcp.protocols.conversation import Direction
 
 READ = "810a0011 0104 0004 010c 0c00000001 1955"
@@ -108,6 +109,22 @@ def test_an_error_is_told_by_class_and_code() -> None:
     [finding] = oracle.refused_with([refused], 2, 37)
     assert (finding.code, "error 2,37, its answers had 1,31" in finding.message) == ("no_refusal", True)
     assert oracle.refused_with([entry(1, "out", WRITE_ACK, answers=0)], 1, 31)
+
+
+def test_an_error_among_the_results_of_a_read_of_several_properties_is_a_refusal() -> None:
+    multiple = entry(1, "out", "810a0018 0100 30010e 0c0000004d 1e 2955 5e 9101911f 5f 1f", answers=0)
+    assert oracle.refused_with([multiple], 1, 31) == []
+    assert oracle.refused_with([multiple], 2, 32)
+    said = facts(multiple)
+    assert (said["error_class"], said["error_code"]) == ([1], [31])
+
+
+def test_an_answer_to_a_request_for_all_properties_tells_which_they_were() -> None:
+    assert facts(entry(0, "in", "810a0013 0104 0004 010e 0c00000001 1e 0908 1f"))["property"] == ["all"]
+    multiple = entry(1, "out", "810a0019 0100 30010e 0c00000001 1e 2955 4e 4442910000 4f 1f", answers=0)
+    said = facts(multiple)
+    assert (said["object"], said["property"]) == (["analog-input,1"], ["present-value"])
+    assert (said["error_class"], said["error_code"]) == ([None], [None])
 
 
 def test_what_was_found_must_be_there() -> None:

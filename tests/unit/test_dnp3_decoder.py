@@ -98,6 +98,21 @@ def test_ranges_indexes_counts_and_class_0_cover_points() -> None:
 
 
 @pytest.mark.parametrize(
+    ("objects", "names"),
+    [
+        ("1e00 00 02 09", True),
+        ("1e02 17 02 02 03", False),
+        ("1e00 06", False),
+        ("3c01 06", False),
+        ("0100 00 02 09", False),
+    ],
+)
+def test_a_read_of_a_class_or_of_all_points_names_none(objects: str, names: bool) -> None:
+    (asked,) = entries(("in", sent(f"c1 01 {objects}")))
+    assert oracle.named([asked], "analog_input", 2, 8) is names
+
+
+@pytest.mark.parametrize(
     ("objects", "points"),
     [
         ("010100 0008 5501", [{"index": index, "value": index % 2 == 0} for index in range(9)]),

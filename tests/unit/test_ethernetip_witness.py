@@ -209,6 +209,7 @@ def test_an_entry_is_described_and_gives_facts() -> None:
     assert describe(journal(WRITE_BY_INSTANCE)[0]) == "write tag class 6B instance 269 type C4 x1=4d000000"
     assert 0x4D in facts(request)["service"]
     assert facts(request)["tag"] == ["Count"]
+    assert "tag" not in facts(journal(WRITE_BY_INSTANCE)[0])
     assert (0xFF in facts(response)["status"], 0x2107 in facts(response)["extended_status"]) == (True, True)
     assert 0x0A in facts(journal(TWO)[0])["service"]
     assert facts({**request, "kind": "register"}) == {}

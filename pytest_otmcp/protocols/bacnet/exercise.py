@@ -191,7 +191,8 @@ EXERCISE = Exercise(
     writing="write",
     write=_write,
     number="value",
-    bounded=("device", "instance", "value", "priority"),
+    # A value is a number, a text, a state or null, as the property has it.
+    bounded=("device", "instance", "priority"),
     done=_done,
     reads=({"service": 12}, {"service": 14}),
     writes=({"service": 15},),

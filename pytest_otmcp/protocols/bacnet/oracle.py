@@ -108,8 +108,10 @@ def exactly_one_write(
 
 
 def refused_with(entries: Entries, error_class: int, error_code: int) -> list[Finding]:
-    """Expect that the device answered with this error."""
-    sent = [error for entry in entries if entry["kind"] == "response" and (error := as_bacnet(entry).get("error"))]
+    """Expect that the device answered with this error: for the request, or for a property of a ReadPropertyMultiple."""
+    answers = [as_bacnet(entry) for entry in entries if entry["kind"] == "response"]
+    # The answer to a ReadPropertyMultiple is an acknowledgement that has the errors among its results (clause 15.7).
+    sent = [error for one in answers for part in (one, *one.get("results", ())) if (error := part.get("error"))]
     if [error_class, error_code] in sent:
         return []
     shown = [f"{one},{code}" for one, code in sent]

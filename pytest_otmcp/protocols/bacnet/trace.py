@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from ..journal import JournalEntry
 from .entries import as_bacnet, label, property_name
@@ -15,10 +16,13 @@ def facts(entry: JournalEntry) -> Mapping[str, Sequence[object]]:
     ``reject_reason`` and ``abort_reason``."""
     message = as_bacnet(entry)
     if message["kind"] == "response":
-        error_class, error_code = message.get("error", [None, None])
+        # A ReadPropertyMultiple is answered by an acknowledgement that has errors among its results.
+        errors = [error for part in (message, *message.get("results", ())) if (error := part.get("error"))]
         return {
-            "error_class": [error_class],
-            "error_code": [error_code],
+            # An answer to a request for all properties names each.
+            **_about(message.get("results", ())),
+            "error_class": [error_class for error_class, _ in errors] or [None],
+            "error_code": [error_code for _, error_code in errors] or [None],
             "reject_reason": [message.get("reject")],
             "abort_reason": [message.get("abort")],
         }
@@ -27,7 +31,13 @@ def facts(entry: JournalEntry) -> Mapping[str, Sequence[object]]:
     about = [*message.get("reads", []), *message.get("writes", [])]
     return {
         "invoke_ids": [message["invoke_id"]],
-        "object": [label(one["object"]) for one in about],
-        "property": [property_name(one["property"]) for one in about],
+        **_about(about),
         "priority": [one["priority"] for one in about if "priority" in one],
+    }
+
+
+def _about(parts: Sequence[Mapping[str, Any]]) -> dict[str, Sequence[object]]:
+    return {
+        "object": [label(one["object"]) for one in parts],
+        "property": [property_name(one["property"]) for one in parts],
     }

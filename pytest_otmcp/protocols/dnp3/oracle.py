@@ -18,6 +18,7 @@ __all__ = [
     "exactly_one_operation",
     "held",
     "holds",
+    "named",
     "no_state_changing_request",
     "nothing_changed_by",
     "only_changed",
@@ -35,7 +36,8 @@ __all__ = [
 _WITNESS = Witness(noun="the outstation", describe=describe)
 LATCH_ON, LATCH_OFF = 0x03, 0x04
 """Control codes."""
-_CLASS = 60
+_CLASS, _ALL = 60, 0x06
+"""Group of the classes, and the qualifier of all points."""
 _PLANT = {"binary": 12, "analog": 41}
 
 some_exchange = _WITNESS.answered
@@ -63,7 +65,7 @@ def _covers(entry: JournalEntry, kind: str, start: int, count: int) -> bool:
             return True
         if header["group"] != GROUPS[kind]:
             continue
-        if header["qualifier"] == 0x06:
+        if header["qualifier"] == _ALL:
             return True
         if "start" in header:
             wanted -= set(range(header["start"], min(header["stop"], start + count) + 1))
@@ -77,6 +79,16 @@ def _covers(entry: JournalEntry, kind: str, start: int, count: int) -> bool:
 def reached(entries: Entries, kind: str, start: int, count: int = 1) -> bool:
     """Tell whether a read of these points reached the outstation."""
     return any(_covers(entry, kind, start, count) for entry in requests(entries, function=1))
+
+
+def named(entries: Entries, kind: str, start: int, count: int = 1) -> bool:
+    """Tell whether a read reached the outstation that names these points by their indexes: a read of a class, or of all points of a kind,
+    names none, and its answer has those that there are."""
+    return any(
+        header["group"] == GROUPS[kind] and header["qualifier"] != _ALL and _covers(entry, kind, start, count)
+        for entry in requests(entries, function=1)
+        for header in objects(entry)
+    )
 
 
 def read_from_device(entries: Entries, kind: str, start: int, count: int = 1) -> list[Finding]:

@@ -8,6 +8,7 @@ from typing import NotRequired, TypedDict, cast
 from ..journal import Entries, Image, JournalEntry
 
 __all__ = [
+    "SYMBOL",
     "TYPES",
     "EthernetIpEntry",
     "Item",
@@ -33,7 +34,7 @@ TYPES = {
     "LREAL": 0xCB,
 }
 """Names of elementary types to their codes (volume 1, appendix C)."""
-_SYMBOL = 0x6B
+SYMBOL = 0x6B
 
 _SERVICES = {
     "list_identity": "list identity",
@@ -126,7 +127,7 @@ def tag_of(item: Item, image: Image) -> str | None:
     A client may name a tag by its symbol's instance, which the controller's image tells, and in whichever case.
     """
     name = item.get("tag")
-    if item.get("class") == _SYMBOL:
+    if item.get("class") == SYMBOL:
         name = image["symbols"].get(str(item.get("instance")))
         for step in item.get("steps", ()) if name else ():
             name = f"{name}[{step}]" if isinstance(step, int) else f"{name}.{step}"

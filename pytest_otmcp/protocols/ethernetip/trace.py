@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from ..journal import JournalEntry
-from .entries import as_ethernetip
+from .entries import SYMBOL, as_ethernetip
 
 __all__ = ["facts"]
 
@@ -26,7 +26,9 @@ def facts(entry: JournalEntry) -> Mapping[str, Sequence[object]]:
     found: dict[str, Sequence[object]] = {
         "service": [*(item.get("code") for item in items), _outer(message["service"])]
     }
-    found["tag"] = [item["tag"] for item in items if "tag" in item]
+    # The instance of a symbol stands for a name that the message does not have.
+    if not any(item.get("class") == SYMBOL for item in items):
+        found["tag"] = [item["tag"] for item in items if "tag" in item]
     if "sequence" in message:
         found["sequences"] = [message["sequence"]]
     return found

@@ -22,7 +22,8 @@ def facts(entry: JournalEntry) -> Mapping[str, Sequence[object]]:
     found: dict[str, Sequence[object]] = {"references": [message["reference"]]}
     if "function" in message:
         found["function"] = [message["function"]]
-    first = next(iter(message.get("items", [])), None)
-    if first is not None:
-        found |= {"area": [first.get("area")], "db": [first.get("db")], "start": [first.get("byte")]}
+    items = message.get("items", [])
+    if items:
+        members = {"area": "area", "db": "db", "start": "byte"}
+        found |= {name: [item.get(member) for item in items] for name, member in members.items()}
     return found

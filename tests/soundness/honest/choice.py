@@ -17,13 +17,16 @@ if TYPE_CHECKING:
 __all__ = [
     "Bend",
     "Choice",
+    "again_after_silence",
     "backed_off",
+    "background_call",
     "choices",
     "deaf_to_cancellation",
     "every_tool",
     "in_background",
     "narrowed",
     "one_call_at_a_time",
+    "one_connection_per_call",
     "twice_where_missing",
 ]
 
@@ -119,6 +122,11 @@ def in_background(server: AdapterServer, work: Callable[[], Awaitable[None]]) ->
     every_tool(server, beginning)
 
 
+def background_call(server: AdapterServer) -> Call:
+    """Return a call that is nobody's, for what the adapter asks by itself or before it writes."""
+    return Call(protocol=server._protocol, operation="background", endpoint=server.endpoint, writes=False)
+
+
 def one_call_at_a_time(server: AdapterServer) -> None:
     """Let every call wait until the one before it is over."""
     alone = asyncio.Lock()
@@ -144,6 +152,40 @@ def deaf_to_cancellation(server: AdapterServer) -> None:
         return handler
 
     every_tool(server, to_its_end)
+
+
+def one_connection_per_call(server: AdapterServer, end: Callable[[], Awaitable[None]]) -> None:
+    """Let every call wait until the one before it is over, and end the connection after each."""
+
+    def alone(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Any:
+            try:
+                return await genuine(call, arguments)
+            finally:
+                await end()
+
+        return handler
+
+    every_tool(server, alone)
+    one_call_at_a_time(server)
+
+
+def again_after_silence(server: AdapterServer, *names: str) -> None:
+    """Let these tools, which read, ask once more when the device did not answer in time."""
+
+    def twice(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Any:
+            try:
+                return await genuine(call, arguments)
+            except AdapterError as error:
+                if error.code != "timeout":
+                    raise
+            return await genuine(call, arguments)
+
+        return handler
+
+    for name in names:
+        wrap(server, name, twice)
 
 
 def backed_off(connect: Callable[..., Awaitable[Any]], seconds: float) -> Callable[..., Awaitable[Any]]:

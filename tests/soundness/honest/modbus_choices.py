@@ -16,6 +16,7 @@ from pytest_otmcp.reference_adapters.modbus.tools import Tools
 from .choice import (
     Bend,
     backed_off,
+    background_call,
     choices,
     deaf_to_cancellation,
     in_background,
@@ -129,10 +130,6 @@ def polling(table: str, address: int, count: int) -> Bend:
         in_background(server, poll)
 
     return bend
-
-
-def background_call(server: AdapterServer) -> Call:
-    return Call(protocol="modbus-tcp", operation="modbus.poll", endpoint=server.endpoint, writes=False)
 
 
 @choice(

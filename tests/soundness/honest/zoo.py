@@ -4,7 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from . import dnp3_choices, mcp_choices, modbus_choices, mqtt_choices, opcua_choices, s7_choices
+from . import (
+    bacnet_choices,
+    dnp3_choices,
+    ethernetip_choices,
+    mcp_choices,
+    modbus_choices,
+    mqtt_choices,
+    opcua_choices,
+    profibus_choices,
+    s7_choices,
+)
 from .choice import Choice
 
 __all__ = ["ZOO"]
@@ -18,6 +28,9 @@ ZOO: Mapping[str, Choice] = {
         ("opcua", opcua_choices.CHOICES),
         ("s7", s7_choices.CHOICES),
         ("dnp3", dnp3_choices.CHOICES),
+        ("bacnet", bacnet_choices.CHOICES),
+        ("ethernetip", ethernetip_choices.CHOICES),
+        ("profibus", profibus_choices.CHOICES),
     )
     for name, choice in declared.items()
 }
