@@ -377,7 +377,7 @@ async def rapid_register_reads(run: Repetition, modbus: Rig) -> None:
     "S10",
     "stress",
     "Endpoint restart between register reads.",
-    needs="modbus.read_input modbus.recovery",
+    needs="modbus.any_read modbus.recovery",
     capability="outages",
     position=10,
     requirements="REC-001 REC-002 RD-004",
@@ -391,9 +391,7 @@ async def modbus_restart(run: Repetition, modbus: Rig) -> None:
     Seen: a read after the device is back.
     Why: an outage of the line must not need a person who restarts the adapter, and old values must not hide it.
     """
-    reply = await survive_a_restart(run, modbus, "read_input", address=0, count=4)
-    if reply.success:
-        run.witnessed(fresh(await modbus.journal(), (reply, SENSOR_BLOCK)))
+    await survive_a_restart(run, modbus, read_input=SENSOR_BLOCK)
 
 
 @modbus_restart.after
@@ -403,16 +401,14 @@ async def a_failed_register_write_is_not_delivered_later(run: Repetition, modbus
     Said: a failure for the write, success for the read.
     Seen: no write: what was reported as failed is not made up for.
     """
-    write = ("write_holding", {"address": 30, "value": run.rng.randrange(1, 0x10000)})
-    read = ("read_input", {"address": 0, "count": 4})
-    await a_failed_write_is_not_made_up_for(run, modbus, oracle.no_state_changing_request, write=write, read=read)
+    await a_failed_write_is_not_made_up_for(run, modbus)
 
 
 @TASKS.task(
     "R-modbus",
     "recovery",
     "Recover from a restart of the Modbus device.",
-    needs="modbus.read_input",
+    needs="modbus.any_read",
     capability="outages",
     requirements="REC-001 REC-002 MCP-009",
     keys="modbus.recovery",
@@ -425,7 +421,7 @@ async def recovery(run: Repetition, modbus: Rig) -> None:
     Seen: the reads of both sessions, and nothing that changes the plant.
     Why: how soon an outage is noticed, and how soon work goes on, decides what the adapter can be used for.
     """
-    await outage(run, modbus, "read_input", oracle.some_exchange, address=0, count=4)
+    await outage(run, modbus)
 
 
 @recovery.after
@@ -434,4 +430,4 @@ async def the_adapter_starts_without_its_device(run: Repetition, modbus: Rig) ->
 
     Said: a failure of the connection first, success then.
     """
-    await start_without_device(run, modbus, "read_input", address=0, count=4)
+    await start_without_device(run, modbus)
