@@ -21,7 +21,7 @@ def _write(rng: random.Random) -> Asked:
 
 
 def _tells(rng: random.Random) -> tuple[Asked, ...]:
-    metrics = [{"name": "temperature", "datatype": "Double", "value": rng.randrange(1, 2**20) + 0.5}]
+    metrics = [{"name": "temperature", "value": rng.randrange(1, 2**20) + 0.5}]
     return (Asked(operation="device_data", inputs={"device": "device-1", "metrics": metrics}),)
 
 
