@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -30,6 +30,8 @@ __all__ = [
     "a_delay_shows",
     "a_failed_write_is_not_made_up_for",
     "a_meaningless_switch_enables_nothing",
+    "each_fails",
+    "each_write",
     "ends_when_its_stdin_closes",
     "fresh",
     "nothing_is_made_up_for",
@@ -61,7 +63,14 @@ TRANSIT_MS = 100.0
 
 Witness = Callable[[Entries], list[Finding]]
 
-ITS_OWN_REFUSALS = ("access_denied", "illegal_address", "invalid_input", "limit_exceeded", "unsupported_operation")
+ITS_OWN_REFUSALS = (
+    "access_denied",
+    "illegal_address",
+    "invalid_input",
+    "limit_exceeded",
+    "not_born",
+    "unsupported_operation",
+)
 """Codes by which an adapter may refuse a write to a target that it does not know, whether its device is there or not."""
 
 
@@ -291,15 +300,33 @@ async def a_failed_write_is_not_made_up_for(run: Repetition, rig: Rig) -> None:
 async def writes_fail(run: Repetition, rig: Rig) -> bool:
     """Stop the device and write once by every operation that writes; return whether the adapter has any, and else leave the device as it
     is."""
-    exercise = protocols()[rig.protocol].exercise
-    writes = [] if exercise is None else [asked for asked in exercise.each_write(run.rng) if _has(rig, asked)]
-    if exercise is None or not writes:
+    writes = each_write(run, rig)
+    if not writes:
         return False
     await rig.prove()
     await rig.stop_device()
+    await each_fails(run, rig, writes)
+    return True
+
+
+def each_write(run: Repetition, rig: Rig) -> list[Asked]:
+    """Return one write by every operation that writes and that the adapter has."""
+    exercise = protocols()[rig.protocol].exercise
+    every = [] if exercise is None else exercise.each_write(run.rng)
+    return [asked for asked in every if rig.can_ask(asked.operation, asked.inputs)]
+
+
+async def each_fails(run: Repetition, rig: Rig, writes: Iterable[Asked], *, code_requirement: str = "REC-002") -> None:
+    """Write while the device is away, in a session that was proven before, and expect that each write fails.
+
+    Args:
+        code_requirement: id of the requirement that another error code breaks.
+    """
+    exercise = protocols()[rig.protocol].exercise
     for asked in writes:
-        # An adapter may not know the targets of the others.
-        refusals = () if asked.operation == exercise.writing else ITS_OWN_REFUSALS
+        # The target of the usual write is one that every task writes to; an adapter may not know those of the others.
+        usual = exercise is not None and asked.operation == exercise.writing
+        refusals = () if usual else ITS_OWN_REFUSALS
         reply = await rig.call(asked.operation, **asked.inputs)
         run.fails(
             reply,
@@ -307,13 +334,8 @@ async def writes_fail(run: Repetition, rig: Rig) -> bool:
             *refusals,
             outcome=UNCERTAIN,
             requirement=protocols()[rig.protocol].operations[asked.operation].requirement,
-            code_requirement="REC-002",
+            code_requirement=code_requirement,
         )
-    return True
-
-
-def _has(rig: Rig, asked: Asked) -> bool:
-    return rig.can_ask(asked.operation, asked.inputs)
 
 
 async def nothing_is_made_up_for(run: Repetition, rig: Rig) -> None:
