@@ -11,6 +11,7 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
+from ..tasks.common import each_fails, each_write
 from ..tasks.messages import publish_from_kit
 from .steps import CONNECTION_FAULTS, a_read_works, answers_again, exercise, faulty, read, vanishing
 
@@ -61,7 +62,8 @@ async def the_same_session_recovers(run: Repetition, at: Rig) -> None:
 
 @TASKS.every_protocol("REC-002", "While the device is away every call fails.", facets="recovery")
 async def calls_fail_during_an_outage(run: Repetition, at: Rig) -> None:
-    """Read, and ask for the status; stop the device and do the same several times; start the device and read.
+    """Read, and ask for the status; stop the device and do the same several times, and write by every operation that writes; start the
+    device and read.
 
     Said: success; failures with `connect_failed`, `connection_lost` or `timeout`, of a status at the latest when it may no longer be a
         remembered one; then success.
@@ -73,6 +75,9 @@ async def calls_fail_during_an_outage(run: Repetition, at: Rig) -> None:
     statuses = [name for name, operation in operations.items() if operation.status and at.claims(name)]
     for status in statuses:
         run.succeeds(await at.call(status))
+    writes = each_write(run, at)
+    if writes:
+        await at.prove()
     await at.stop_device()
     for _ in range(_CALLS[run.soak]):
         asked = exercise(at).read(run.rng)
@@ -82,6 +87,7 @@ async def calls_fail_during_an_outage(run: Repetition, at: Rig) -> None:
         window_s = max(_NOTICING_S, at.max_age_s(status) or 0.0)
         noticed = await at.call_until_failure(status, window_s=window_s)
         run.fails(noticed, *CONNECTION_FAULTS, requirement="REC-002", code_requirement="ERR-005")
+    await each_fails(run, at, writes, code_requirement="ERR-005")
     await at.start_device()
     await answers_again(run, at)
 

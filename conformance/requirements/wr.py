@@ -21,7 +21,7 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
-from ..tasks.common import a_meaningless_switch_enables_nothing
+from ..tasks.common import a_meaningless_switch_enables_nothing, each_fails, each_write
 from .steps import (
     CONNECTION_FAULTS,
     QUIET_S,
@@ -517,24 +517,23 @@ def _other_echoes(other: Mapping[str, int], *, by_value: bool) -> list[Mapping[s
 # -- WR-010, WR-011 -----------------------------------------------------------------------------------------
 
 
-_WATCHED_S = {False: QUIET_S, True: 60.0}
-"""Seconds for which nothing of it must arrive, in the short and in the long form."""
+_WATCHED_S = {False: 2.5, True: 60.0}
+"""Seconds for which nothing of it must arrive, in the short and in the long form: also what a timer of two seconds sends."""
 
 
 @TASKS.every_protocol("WR-010", "What failed is not carried out later.", writes=True, facets="recovery")
 async def what_failed_is_not_made_up_for(run: Repetition, at: Rig) -> None:
-    """Write twice while the device is away: before the adapter has noticed that, and after. Read when it is back.
+    """Write twice while the device is away: before the adapter has noticed that, and after; and once by every other operation that
+    writes. Read when it is back.
 
     Said: failures of the connection for the writes, success for the reads.
-    Seen: neither write, as long as the device is watched, in a soak for a minute.
+    Seen: none of them, at whatever place, as long as the device is watched, in a soak for a minute.
     Why: a valve that opens when the line is back, minutes after the operator was told that it had not, hurts somebody.
     """
-    requirement = protocols()[at.protocol].operations[exercise(at).writing].requirement
+    writes = [exercise(at).write(run.rng), *each_write(run, at)]
     await at.prove()
     await at.stop_device()
-    for _ in range(2):
-        _, reply = await write(run, at)
-        run.fails(reply, *CONNECTION_FAULTS, outcome=_UNCERTAIN, requirement=requirement, code_requirement="ERR-005")
+    await each_fails(run, at, writes, code_requirement="ERR-005")
     await at.start_device()
     # An adapter that answers again has its connection back: a write that it had kept would have been sent by now.
     await answers_again(run, at)

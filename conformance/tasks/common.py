@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import random
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, TypeVar
 
 from pytest_otmcp.core.finding import Finding
+from pytest_otmcp.protocols import oracle as device
+from pytest_otmcp.protocols.exercise import Asked
 from pytest_otmcp.protocols.journal import Entries
+from pytest_otmcp.protocols.proof import Call
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.protocols.session_oracle import Exchanges
 from pytest_otmcp.protocols.unsolicited import nothing_commanded
@@ -28,12 +32,16 @@ __all__ = [
     "a_meaningless_switch_enables_nothing",
     "allowed_first",
     "drawn",
+    "each_fails",
+    "each_write",
     "ends_when_its_stdin_closes",
     "fresh",
+    "nothing_is_made_up_for",
     "outage",
     "start_without_device",
     "status_is_known",
     "survive_a_restart",
+    "writes_fail",
 ]
 
 T = TypeVar("T")
@@ -62,8 +70,15 @@ TRANSIT_MS = 100.0
 
 Witness = Callable[[Entries], list[Finding]]
 
-Asked = tuple[str, Mapping[str, Any]]
-"""An operation and its inputs."""
+ITS_OWN_REFUSALS = (
+    "access_denied",
+    "illegal_address",
+    "invalid_input",
+    "limit_exceeded",
+    "not_born",
+    "unsupported_operation",
+)
+"""Codes by which an adapter may refuse a write to a target that it does not know, whether its device is there or not."""
 
 
 def drawn(at: Rig, operation: str, draw: Callable[[], T], inputs: Callable[[T], Mapping[str, Any]]) -> T:
@@ -84,14 +99,28 @@ def allowed_first(at: Rig, operation: str, values: Sequence[T], inputs: Callable
     return next((one for one in values if at.excess(operation, **inputs(one)) is None), values[0])
 
 
-async def survive_a_restart(run: Repetition, rig: Rig, operation: str, **inputs: Any) -> Reply:
-    """Perform the operation before, during and after an outage of the endpoint, assert all three, and return the last reply.
+def read_of(rig: Rig) -> Call:
+    """Return the call by which an adapter is taken through an outage: the best that it has of those that its device has to answer."""
+    calls = protocols()[rig.protocol].proof.unreachable
+    # Any example of the inputs tells whether there is a tool for them.
+    bound = (call for call in calls if rig.can_ask(call.operation, call.made(random.Random(0))))
+    return next(bound, None) or next(call for call in calls if rig.claims(call.operation))
+
+
+async def survive_a_restart(run: Repetition, rig: Rig, **witnesses: Witness) -> None:
+    """Read before, during and after an outage of the endpoint, with the read that the adapter has, and assert all three.
 
     After the outage it must succeed within the time that the subject declares; how soon it did is a figure of the report.
+
+    Args:
+        witnesses: by operation, what the device must have seen of the last read; of another operation, any exchange.
     """
+    read = read_of(rig)
+    operation, inputs = read.operation, read.made(run.rng)
     warm = await rig.call(operation, **inputs)
     run.succeeds(warm)
     stop_ms = await rig.stop_device()
+    inputs = read.made(run.rng)
     failing = await rig.call_until_failure(operation, window_s=_noticing_s(rig, operation), **inputs)
     told = run.fails(failing, *CONNECTION_FAULTS, requirement="REC-002")
     if told and protocols()[rig.protocol].has_connections:
@@ -102,6 +131,7 @@ async def survive_a_restart(run: Repetition, rig: Rig, operation: str, **inputs:
         refused = await rig.call(operation, role="control", **inputs)
         run.fails(refused, *codes, requirement="REC-002", code_requirement="ERR-005")
     restart_ms = await rig.start_device()
+    inputs = read.made(run.rng)
     attempts = await rig.call_until_success(operation, window_s=rig.recovery_s, **inputs)
     last = attempts[-1]
     run.succeeds(last, requirement="REC-001")
@@ -116,7 +146,17 @@ async def survive_a_restart(run: Repetition, rig: Rig, operation: str, **inputs:
         "fresh_session": None,
         "fresh_session_ok": None,
     }
-    return last
+    if not last.success:
+        return
+    if protocols()[rig.protocol].operations[operation].status:
+        await status_is_known(run, rig, some_exchange(rig), last)
+    else:
+        run.witnessed(fresh(await rig.journal(), (last, witnesses.get(operation, some_exchange(rig)))))
+
+
+def some_exchange(rig: Rig) -> Witness:
+    """Return the check that the device has answered a request."""
+    return device.Witness(noun="the device", describe=protocols()[rig.protocol].describe).answered
 
 
 def _noticing_s(rig: Rig, operation: str) -> float:
@@ -180,13 +220,17 @@ async def a_delay_shows(run: Repetition, rig: Rig, operation: str, **inputs: Any
     await rig.delay(0)
 
 
-async def outage(run: Repetition, rig: Rig, operation: str, witness: Witness, **inputs: Any) -> None:
-    """Measure one trial: warm call, outage, failing call, restart, same session, fresh session.
+async def outage(run: Repetition, rig: Rig, **witnesses: Witness) -> None:
+    """Measure one trial with the read that the adapter has: warm call, outage, failing call, restart, same session, fresh session.
 
     Two ways of recovery are measured and never mixed: the same session, which the assistant already has, and a fresh session
     with a process of its own. The time of the same session counts from the moment at which the endpoint accepts connections,
-    that of the fresh session from the start of its process. Both are judged at the device.
+    that of the fresh session from the start of its process. Both are judged at the device, with ``witnesses`` as in
+    :func:`survive_a_restart`.
     """
+    read = read_of(rig)
+    operation, inputs = read.operation, read.made(run.rng)
+    witness = witnesses.get(operation, some_exchange(rig))
     warm = await rig.call(operation, **inputs)
     run.must_succeed(warm)
     # A command that an earlier item asked for must not arrive now.
@@ -205,6 +249,7 @@ async def outage(run: Repetition, rig: Rig, operation: str, witness: Witness, **
         "fresh_session_ok": False,
     }
     phases = run.phases
+    inputs = read.made(run.rng)
     failing = await rig.call_until_failure(operation, window_s=_noticing_s(rig, operation), **inputs)
     run.fails(failing, *CONNECTION_FAULTS, requirement="REC-002")
     phases["detect"] = failing.latency_ms
@@ -212,6 +257,7 @@ async def outage(run: Repetition, rig: Rig, operation: str, witness: Witness, **
 
     # An adapter that only claims to work in a new session is not tested in the same session.
     if rig.claims("recovery"):
+        inputs = read.made(run.rng)
         attempts = await rig.call_until_success(operation, window_s=rig.recovery_s, **inputs)
         recovered = attempts[-1]
         phases["same_session_attempts"] = len(attempts)
@@ -222,7 +268,7 @@ async def outage(run: Repetition, rig: Rig, operation: str, witness: Witness, **
             phases["same_session_ok"] = True
 
     fresh = await rig.fresh_session()
-    first = await rig.call(operation, **inputs)
+    first = await rig.call(operation, **read.made(run.rng))
     run.succeeds(first)
     run.witnessed(witness(await rig.session_journal()))
     run.witnessed(nothing_commanded(rig.protocol, await rig.journal(), rig.declared))
@@ -247,45 +293,105 @@ async def ends_when_its_stdin_closes(rig: Rig) -> None:
     await rig.fresh_session()
 
 
-async def start_without_device(run: Repetition, rig: Rig, operation: str, **inputs: Any) -> None:
-    """Start the adapter while its device is down: it has to start, to say what is wrong, and to work when the device is there."""
-    # A step that connects cannot succeed now, so there is no session to ask.
-    if not rig.reconnects:
-        return
-    await rig.stop_device()
-    await rig.fresh_session()
-    run.fails(await rig.call(operation, **inputs), *CONNECTION_FAULTS, requirement="REC-002")
-    await rig.start_device()
-    if rig.claims("recovery"):
-        attempts = await rig.call_until_success(operation, window_s=rig.recovery_s, **inputs)
-        run.succeeds(attempts[-1], requirement="REC-001")
+async def start_without_device(run: Repetition, rig: Rig) -> None:
+    """Start the adapter while its device is down: it has to start, to say what is wrong, and to work when the device is there.
 
-
-async def a_failed_write_is_not_made_up_for(
-    run: Repetition, rig: Rig, nothing_changed: Callable[..., list[Finding]], *, write: Asked, read: Asked
-) -> None:
-    """Write while the device is away, and read when it is back: what was reported as failed must not be sent later.
-
-    Args:
-        nothing_changed: the protocol's oracle ``(journal, requirement=…)`` that no request changes the device.
-        write, read: operations with their inputs.
+    An adapter that needs a new session after an outage then writes during one; the others do that where they read in one session.
     """
-    writing, value = write
-    reading, place = read
-    if not rig.claims(writing):
-        return
+    # A step that connects cannot succeed now, so there is no session to ask.
+    if rig.reconnects:
+        read = read_of(rig)
+        await rig.stop_device()
+        await rig.fresh_session()
+        failing = await rig.call(read.operation, **read.made(run.rng))
+        run.fails(failing, *CONNECTION_FAULTS, requirement="REC-002")
+        await rig.start_device()
+        if rig.claims("recovery"):
+            attempts = await rig.call_until_success(read.operation, window_s=rig.recovery_s, **read.made(run.rng))
+            run.succeeds(attempts[-1], requirement="REC-001")
+    if not rig.claims("recovery"):
+        await rig.fresh_session()
+        await a_failed_write_is_not_made_up_for(run, rig)
+
+
+async def a_failed_write_is_not_made_up_for(run: Repetition, rig: Rig) -> None:
+    """Write by every operation that writes while the device is away, and read when it is back: what was reported as failed must not be
+    sent later."""
+    if await writes_fail(run, rig):
+        await rig.start_device()
+        await nothing_is_made_up_for(run, rig)
+
+
+async def writes_fail(run: Repetition, rig: Rig) -> bool:
+    """Stop the device and write once by every operation that writes; return whether the adapter has any, and else leave the device as it
+    is."""
+    writes = each_write(run, rig)
+    if not writes:
+        return False
     await rig.prove()
     await rig.stop_device()
-    reply = await rig.call(writing, **value)
-    run.fails(reply, *CONNECTION_FAULTS, outcome=UNCERTAIN, requirement="WR-001", code_requirement="REC-002")
-    await rig.start_device()
+    await each_fails(run, rig, writes)
+    return True
+
+
+def each_write(run: Repetition, rig: Rig) -> list[Asked]:
+    """Return one write by every operation that writes and that the adapter has, with inputs that the schema of its tool allows."""
+    exercise = protocols()[rig.protocol].exercise
+    if exercise is None:
+        return []
+    every = (asked for asked in exercise.each_write(run.rng) if rig.can_ask(asked.operation, asked.inputs))
+    allowed = (_allowed(rig, asked, partial(exercise.each_write, run.rng)) for asked in every)
+    return [asked for asked in allowed if asked is not None]
+
+
+def _allowed(rig: Rig, asked: Asked, draw: Callable[[], list[Asked]]) -> Asked | None:
+    """Return a write, drawn anew until the schema of its tool allows it; None where it allows none of many."""
+    for _ in range(_DRAWS):
+        if rig.excess(asked.operation, **asked.inputs) is None:
+            return asked
+        asked = next(one for one in draw() if one.operation == asked.operation)
+    return None
+
+
+async def each_fails(run: Repetition, rig: Rig, writes: Iterable[Asked], *, code_requirement: str = "REC-002") -> None:
+    """Write while the device is away, in a session that was proven before, and expect that each write fails.
+
+    Args:
+        code_requirement: id of the requirement that another error code breaks.
+    """
+    exercise = protocols()[rig.protocol].exercise
+    for asked in writes:
+        # The target of the usual write is one that every task writes to; an adapter may not know those of the others.
+        usual = exercise is not None and asked.operation == exercise.writing
+        refusals = () if usual else ITS_OWN_REFUSALS
+        reply = await rig.call(asked.operation, **asked.inputs)
+        run.fails(
+            reply,
+            *CONNECTION_FAULTS,
+            *refusals,
+            outcome=UNCERTAIN,
+            requirement=protocols()[rig.protocol].operations[asked.operation].requirement,
+            code_requirement=code_requirement,
+        )
+
+
+async def nothing_is_made_up_for(run: Repetition, rig: Rig) -> None:
+    """Read, as the device is back after writes have failed, and expect that none of them comes then."""
+    if not rig.claims("recovery"):
+        await rig.fresh_session()
+    read = read_of(rig)
     # An adapter that answers again has its connection back: a write that it had kept for later would have been sent by now.
-    last = (await rig.call_until_success(reading, window_s=rig.recovery_s, **place))[-1]
+    last = (await rig.call_until_success(read.operation, window_s=rig.recovery_s, **read.made(run.rng)))[-1]
     run.succeeds(last, requirement="REC-001")
-    await rig.stays_quiet(QUIET_S, partial(nothing_changed, requirement="WR-010"))
+    await rig.stays_quiet(QUIET_S, partial(_nothing_late, rig))
     # A further answer shows that adapter and device ran during that time.
-    run.succeeds(await rig.call(reading, **place), requirement="REC-001")
-    run.witnessed(nothing_changed(await rig.journal(), requirement="WR-010"))
+    run.succeeds(await rig.call(read.operation, **read.made(run.rng)), requirement="REC-001")
+    run.witnessed(_nothing_late(rig, await rig.journal()))
+
+
+def _nothing_late(rig: Rig, entries: Entries) -> list[Finding]:
+    late = nothing_commanded(rig.protocol, entries, rig.declared)
+    return [replace(finding, requirement="WR-010") for finding in late]
 
 
 def milliseconds(begin_ns: int, end_ns: int | None) -> float | None:

@@ -630,7 +630,7 @@ async def rapid_reads(run: Repetition, dnp3: Rig) -> None:
     "SD4",
     "stress",
     "Endpoint restart between reads of an analog input.",
-    needs="dnp3.read_analog dnp3.recovery",
+    needs="dnp3.any_read dnp3.recovery",
     capability="outages",
     requirements="REC-001 REC-002 RD-004",
     keys="dnp3.recovery",
@@ -643,9 +643,7 @@ async def restart(run: Repetition, dnp3: Rig) -> None:
     Seen: a read after the outstation is back.
     Why: an outage of the line must not need a person who restarts the adapter, and old values must not hide it.
     """
-    reply = await survive_a_restart(run, dnp3, "read_analog", **at(FIRST_ANALOG))
-    if reply.success:
-        run.witnessed(fresh(await dnp3.journal(), (reply, read_of("analog_input", FIRST_ANALOG))))
+    await survive_a_restart(run, dnp3, read_analog=read_of("analog_input", FIRST_ANALOG))
 
 
 @restart.after
@@ -655,15 +653,14 @@ async def a_failed_command_is_not_delivered_later(run: Repetition, dnp3: Rig) ->
     Said: a failure for the command, success for the read.
     Seen: no command: what was reported as failed is not made up for.
     """
-    write, read = ("write_binary", latched(True)), ("read_analog", at(FIRST_ANALOG))
-    await a_failed_write_is_not_made_up_for(run, dnp3, oracle.no_state_changing_request, write=write, read=read)
+    await a_failed_write_is_not_made_up_for(run, dnp3)
 
 
 @TASKS.task(
     "R-dnp3",
     "recovery",
     "Recover from a restart of the DNP3 outstation.",
-    needs="dnp3.read_analog",
+    needs="dnp3.any_read",
     capability="outages",
     requirements="REC-001 REC-002 MCP-009",
     keys="dnp3.recovery",
@@ -676,7 +673,7 @@ async def recovery(run: Repetition, dnp3: Rig) -> None:
     Seen: the reads of both sessions, and nothing that changes the plant.
     Why: how soon an outage is noticed, and how soon work goes on, decides what the adapter can be used for.
     """
-    await outage(run, dnp3, "read_analog", oracle.some_exchange, **at(FIRST_ANALOG))
+    await outage(run, dnp3)
 
 
 @recovery.after
@@ -685,4 +682,4 @@ async def the_adapter_starts_without_its_device(run: Repetition, dnp3: Rig) -> N
 
     Said: a failure of the connection first, success then.
     """
-    await start_without_device(run, dnp3, "read_analog", **at(FIRST_ANALOG))
+    await start_without_device(run, dnp3)

@@ -43,17 +43,35 @@ __all__ = ["TASKS"]
 
 TASKS = Tasks()
 
-READ_HOLDING_REGISTERS = 3
-READ_INPUT_REGISTERS = 4
+READ_COILS, READ_DISCRETE_INPUTS, READ_HOLDING_REGISTERS, READ_INPUT_REGISTERS = 1, 2, 3, 4
 ILLEGAL_DATA_ADDRESS = 2
 
 
-def input_register(address: int, count: int = 1) -> Witness:
-    """Return the check that the device was asked for these input registers."""
-    return partial(oracle.read_from_device, function=READ_INPUT_REGISTERS, address=address, count=count)
+TABLES = {
+    "read_input": ("input_registers", READ_INPUT_REGISTERS),
+    "read_holding": ("holding_registers", READ_HOLDING_REGISTERS),
+    "read_discrete_inputs": ("discrete_inputs", READ_DISCRETE_INPUTS),
+    "read_coils": ("coils", READ_COILS),
+}
+"""The operations that read cells, each with its table and its function, in the order in which one of them is chosen."""
 
 
-SENSOR_BLOCK = input_register(0, 4)
+def cells(operation: str, address: int, count: int = 1) -> Witness:
+    """Return the check that the device was asked for these cells."""
+    return partial(oracle.read_from_device, function=TABLES[operation][1], address=address, count=count)
+
+
+SENSOR_BLOCK = cells("read_input", 0, 4)
+
+
+async def set_cells(run: Repetition, modbus: Rig, count: int, address: int = 0) -> tuple[str, list[int | bool]]:
+    """Set cells at random where the adapter can read some; return the operation that reads them, and the values."""
+    operation = next(name for name in TABLES if modbus.claims(name))
+    table, function = TABLES[operation]
+    bits = function in (READ_COILS, READ_DISCRETE_INPUTS)
+    values = [run.rng.random() < 0.5 if bits else run.rng.randrange(0x10000) for _ in range(count)]
+    await modbus.poke(unit=1, table=table, address=address, values=values)
+    return operation, values
 
 
 @TASKS.task(
@@ -89,26 +107,26 @@ async def a_slow_device_is_reported_as_slow(run: Repetition, modbus: Rig) -> Non
     "M2",
     "normal",
     "Read a four-register sensor block from the Modbus mock.",
-    needs="modbus.read_input",
+    needs="modbus.read_cells",
     capability="reading",
     requirements="RD-001 RD-002 RD-004 MCP-009",
 )
 async def read_sensor_block(run: Repetition, modbus: Rig) -> None:
-    """Read four input registers whose values were set at random just before.
+    """Read four input registers whose values were set at random just before; where the adapter reads none, four holding registers,
+    discrete inputs or coils.
 
     Said: these four values.
     Seen: a read of these registers, and nothing that changes the plant.
     Why: values from memory, from another table or from a neighbour look right until somebody acts on them.
     """
-    values = [run.rng.randrange(0x10000) for _ in range(4)]
-    await modbus.poke(unit=1, table="input_registers", address=0, values=values)
-    reply = await modbus.call("read_input", address=0, count=4)
+    operation, values = await set_cells(run, modbus, 4)
+    reply = await modbus.call(operation, address=0, count=4)
     run.succeeds(reply, values=values)
     journal = await modbus.journal()
     run.witnessed(
-        fresh(journal, (reply, SENSOR_BLOCK)),
+        fresh(journal, (reply, cells(operation, 0, 4))),
         oracle.no_state_changing_request(journal, requirement="MCP-008"),
-        oracle.image_holds(await modbus.image(), "input_registers", 0, values),
+        oracle.image_holds(await modbus.image(), TABLES[operation][0], 0, values),
     )
 
 
@@ -299,24 +317,24 @@ async def the_largest_value_is_accepted(run: Repetition, modbus: Rig) -> None:
     "S1",
     "stress",
     "Four concurrent register reads.",
-    needs="modbus.read_input",
+    needs="modbus.read_cells",
     capability="load",
     position=1,
     requirements="CON-001",
 )
 async def concurrent_register_reads(run: Repetition, modbus: Rig) -> None:
-    """Read four registers by four calls at the same time.
+    """Read four registers, or bits where the adapter reads no registers, by four calls at the same time.
 
     Said: in each answer the value of its own register.
     Seen: for each call a read that covers its register, during the call.
     Why: an answer that belongs to another call is a wrong value that looks right.
     """
-    values = [run.rng.randrange(0x10000) for _ in range(4)]
-    await modbus.poke(unit=1, table="input_registers", address=10, values=values)
-    replies = await run.together(*(modbus.call("read_input", address=10 + i, count=1) for i in range(4)))
+    operation, values = await set_cells(run, modbus, 4, address=10)
+    replies = await run.together(*(modbus.call(operation, address=10 + i, count=1) for i in range(4)))
     for reply, value in zip(replies, values, strict=True):
         run.succeeds(reply, values=[value])
-    run.witnessed(fresh(await modbus.journal(), *zip(replies, map(input_register, range(10, 14)), strict=True)))
+    asked = [(reply, cells(operation, 10 + i)) for i, reply in enumerate(replies)]
+    run.witnessed(fresh(await modbus.journal(), *asked))
 
 
 @TASKS.task(
@@ -359,25 +377,24 @@ async def concurrent_register_read_and_write(run: Repetition, modbus: Rig) -> No
     "S7",
     "stress",
     "Fifty register reads in a row.",
-    needs="modbus.read_input",
+    needs="modbus.read_cells",
     capability="load",
     position=7,
     requirements="CON-006",
 )
 async def rapid_register_reads(run: Repetition, modbus: Rig) -> None:
-    """Read fifty registers, one call after the other.
+    """Read fifty registers, or bits where the adapter reads no registers, one call after the other.
 
     Said: the right value in every answer.
     Seen: for each call a read that covers its register, during the call.
     Why: leaks, caches and connections that are used up show in a long series only.
     """
-    values = [run.rng.randrange(0x10000) for _ in range(RAPID_CALLS)]
-    await modbus.poke(unit=1, table="input_registers", address=0, values=values)
+    operation, values = await set_cells(run, modbus, RAPID_CALLS)
     asked = []
     for address, value in enumerate(values):
-        reply = await modbus.call("read_input", address=address, count=1)
+        reply = await modbus.call(operation, address=address, count=1)
         run.succeeds(reply, values=[value])
-        asked.append((reply, input_register(address)))
+        asked.append((reply, cells(operation, address)))
     run.witnessed(fresh(await modbus.journal(), *asked))
 
 
@@ -385,23 +402,21 @@ async def rapid_register_reads(run: Repetition, modbus: Rig) -> None:
     "S10",
     "stress",
     "Endpoint restart between register reads.",
-    needs="modbus.read_input modbus.recovery",
+    needs="modbus.any_read modbus.recovery",
     capability="outages",
     position=10,
     requirements="REC-001 REC-002 RD-004",
     keys="modbus.recovery",
 )
 async def modbus_restart(run: Repetition, modbus: Rig) -> None:
-    """Read four registers; again after the device was stopped; and again after it was started.
+    """Read four registers, or whatever else the adapter reads; again after the device was stopped; and again after it was started.
 
     Said: success; then a failure with `connect_failed`, `connection_lost` or `timeout`; then success in the same
         session.
     Seen: a read after the device is back.
     Why: an outage of the line must not need a person who restarts the adapter, and old values must not hide it.
     """
-    reply = await survive_a_restart(run, modbus, "read_input", address=0, count=4)
-    if reply.success:
-        run.witnessed(fresh(await modbus.journal(), (reply, SENSOR_BLOCK)))
+    await survive_a_restart(run, modbus, read_input=SENSOR_BLOCK)
 
 
 @modbus_restart.after
@@ -411,19 +426,14 @@ async def a_failed_register_write_is_not_delivered_later(run: Repetition, modbus
     Said: a failure for the write, success for the read.
     Seen: no write: what was reported as failed is not made up for.
     """
-    value = drawn(
-        modbus, "write_holding", lambda: run.rng.randrange(1, 0x10000), lambda value: {"address": 30, "value": value}
-    )
-    write = ("write_holding", {"address": 30, "value": value})
-    read = ("read_input", {"address": 0, "count": 4})
-    await a_failed_write_is_not_made_up_for(run, modbus, oracle.no_state_changing_request, write=write, read=read)
+    await a_failed_write_is_not_made_up_for(run, modbus)
 
 
 @TASKS.task(
     "R-modbus",
     "recovery",
     "Recover from a restart of the Modbus device.",
-    needs="modbus.read_input",
+    needs="modbus.any_read",
     capability="outages",
     requirements="REC-001 REC-002 MCP-009",
     keys="modbus.recovery",
@@ -436,7 +446,7 @@ async def recovery(run: Repetition, modbus: Rig) -> None:
     Seen: the reads of both sessions, and nothing that changes the plant.
     Why: how soon an outage is noticed, and how soon work goes on, decides what the adapter can be used for.
     """
-    await outage(run, modbus, "read_input", oracle.some_exchange, address=0, count=4)
+    await outage(run, modbus)
 
 
 @recovery.after
@@ -445,4 +455,4 @@ async def the_adapter_starts_without_its_device(run: Repetition, modbus: Rig) ->
 
     Said: a failure of the connection first, success then.
     """
-    await start_without_device(run, modbus, "read_input", address=0, count=4)
+    await start_without_device(run, modbus)

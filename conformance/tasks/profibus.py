@@ -520,7 +520,7 @@ async def rapid_reads(run: Repetition, profibus: Rig) -> None:
     "SP4",
     "stress",
     "Restart of the slaves between reads of inputs.",
-    needs="profibus.read_inputs profibus.recovery",
+    needs="profibus.any_read profibus.recovery",
     capability="outages",
     requirements="REC-001 REC-002 RD-004",
     keys="profibus.recovery",
@@ -532,9 +532,7 @@ async def restart(run: Repetition, profibus: Rig) -> None:
     Seen: a read after the slaves are back.
     Why: an outage of the line must not need a person who restarts the adapter, and old values must not hide it.
     """
-    reply = await survive_a_restart(run, profibus, "read_inputs", slave=VALVES)
-    if reply.success:
-        run.witnessed(fresh(await profibus.journal(), (reply, inputs_of(VALVES))))
+    await survive_a_restart(run, profibus, read_inputs=inputs_of(VALVES))
 
 
 @restart.after
@@ -544,16 +542,14 @@ async def a_failed_write_is_not_delivered_later(run: Repetition, profibus: Rig) 
     Said: a failure for the write, success for the read.
     Seen: no other outputs: what was reported as failed is not made up for.
     """
-    write = ("write_outputs", {"slave": VALVES, "data": outputs(run)})
-    read = ("read_inputs", {"slave": VALVES})
-    await a_failed_write_is_not_made_up_for(run, profibus, oracle.no_state_changing_request, write=write, read=read)
+    await a_failed_write_is_not_made_up_for(run, profibus)
 
 
 @TASKS.task(
     "R-profibus",
     "recovery",
     "Recover from a restart of the PROFIBUS slaves.",
-    needs="profibus.read_inputs",
+    needs="profibus.any_read",
     capability="outages",
     requirements="REC-001 REC-002 MCP-009",
     keys="profibus.recovery",
@@ -566,7 +562,7 @@ async def recovery(run: Repetition, profibus: Rig) -> None:
     Seen: the reads of both sessions, and nothing that changes the plant.
     Why: how soon an outage is noticed, and how soon work goes on, decides what the adapter can be used for.
     """
-    await outage(run, profibus, "read_inputs", oracle.some_exchange, slave=VALVES)
+    await outage(run, profibus)
 
 
 @recovery.after
@@ -575,4 +571,4 @@ async def the_adapter_starts_without_its_slaves(run: Repetition, profibus: Rig) 
 
     Said: a failure of the connection first, success then.
     """
-    await start_without_device(run, profibus, "read_inputs", slave=VALVES)
+    await start_without_device(run, profibus)

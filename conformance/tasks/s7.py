@@ -511,7 +511,7 @@ async def rapid_reads(run: Repetition, s7: Rig) -> None:
     "SK4",
     "stress",
     "Endpoint restart between reads of a data block.",
-    needs="s7.read_db s7.recovery",
+    needs="s7.any_read s7.recovery",
     capability="outages",
     requirements="REC-001 REC-002 RD-004",
     keys="s7.recovery",
@@ -524,9 +524,7 @@ async def restart(run: Repetition, s7: Rig) -> None:
     Seen: a read after the controller is back.
     Why: an outage of the line must not need a person who restarts the adapter, and old values must not hide it.
     """
-    reply = await survive_a_restart(run, s7, "read_db", db=CLIENTS, start=0, size=8)
-    if reply.success:
-        run.witnessed(fresh(await s7.journal(), (reply, bytes_of(CLIENTS, 0, 8))))
+    await survive_a_restart(run, s7, read_db=bytes_of(CLIENTS, 0, 8))
 
 
 @restart.after
@@ -536,18 +534,14 @@ async def a_failed_write_is_not_delivered_later(run: Repetition, s7: Rig) -> Non
     Said: a failure for the write, success for the read.
     Seen: no write: what was reported as failed is not made up for.
     """
-    inputs = {"db": CLIENTS, "start": 30, "type": "INT"}
-    value = drawn(s7, "write_db", lambda: run.rng.randrange(1, 0x8000), lambda value: {**inputs, "value": value})
-    write = ("write_db", {**inputs, "value": value})
-    read = ("read_db", {"db": CLIENTS, "start": 0, "size": 8})
-    await a_failed_write_is_not_made_up_for(run, s7, oracle.no_state_changing_request, write=write, read=read)
+    await a_failed_write_is_not_made_up_for(run, s7)
 
 
 @TASKS.task(
     "R-s7",
     "recovery",
     "Recover from a restart of the S7 controller.",
-    needs="s7.read_db",
+    needs="s7.any_read",
     capability="outages",
     requirements="REC-001 REC-002 MCP-009",
     keys="s7.recovery",
@@ -560,7 +554,7 @@ async def recovery(run: Repetition, s7: Rig) -> None:
     Seen: the reads of both sessions, and nothing that changes the plant.
     Why: how soon an outage is noticed, and how soon work goes on, decides what the adapter can be used for.
     """
-    await outage(run, s7, "read_db", oracle.some_exchange, db=CLIENTS, start=0, size=8)
+    await outage(run, s7)
 
 
 @recovery.after
@@ -569,4 +563,4 @@ async def the_adapter_starts_without_its_controller(run: Repetition, s7: Rig) ->
 
     Said: a failure of the connection first, success then.
     """
-    await start_without_device(run, s7, "read_db", db=CLIENTS, start=0, size=8)
+    await start_without_device(run, s7)

@@ -32,9 +32,9 @@ async def look_without_device(experimenter: Experimenter, proposals: Mapping[str
     """
     known = protocols()[experimenter.adapter.adapter.protocol]
     proven = [
-        (known.operations[operation], proposals[operation], inputs)
-        for operation, inputs in known.proof.unreachable
-        if operation in proposals and proposals[operation].proven
+        (known.operations[call.operation], proposals[call.operation], call.made(experimenter.random))
+        for call in known.proof.unreachable
+        if call.operation in proposals and proposals[call.operation].proven
     ]
     others = [tried for tried in proven if not tried[0].status]
     for operation, proposal, inputs in [*(tried for tried in proven if tried[0].status), *others[:1]]:

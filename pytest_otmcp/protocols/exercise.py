@@ -125,6 +125,8 @@ class Exercise:
             none.
         every_write: makes writes by every operation that writes; each changes what the device held before, by one request, and says all
             points that it changes. None where there are none.
+        tells: makes a call by every further operation that writes, although the device does not hold what is written; None where there
+            are none.
         contended: makes writes and a read of one target; None where nothing can be read that was written.
         large: makes a read of each of these whole numbers of 64 bits, of a type with a sign or of one without; None where checks of the
             protocol's own have it.
@@ -154,6 +156,7 @@ class Exercise:
     distinct: Callable[[random.Random, int], tuple[Asked, ...]] | None = None
     every_read: Callable[[random.Random], tuple[Asked, ...]] | None = None
     every_write: Callable[[random.Random], tuple[Asked, ...]] | None = None
+    tells: Callable[[random.Random], tuple[Asked, ...]] | None = None
     contended: Callable[[random.Random], Contended] | None = None
     asks_for: Callable[[JournalEntry], object] | None = None
     bounds: Callable[[], tuple[tuple[Asked, object], ...]] | None = None
@@ -162,6 +165,14 @@ class Exercise:
     special: Callable[[float], tuple[Asked, ...]] | None = None
     real: Callable[[float], Asked] | None = None
     texts: Texts | None = None
+
+    def each_write(self, rng: random.Random) -> list[Asked]:
+        """Return one write by each operation that writes, that of ``write`` first."""
+        found = {self.writing: self.write(rng)}
+        for makes in (self.every_write, self.tells):
+            for asked in makes(rng) if makes else ():
+                found.setdefault(asked.operation, asked)
+        return list(found.values())
 
 
 def every_change(entries: Entries, asked: Asked) -> list[JournalEntry]:

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 from .journal import Entries, Image, JournalEntry
 
-__all__ = ["ENOUGH_BITS", "Proof", "Question", "Way", "exchanged"]
+__all__ = ["ENOUGH_BITS", "Call", "Proof", "Question", "Way", "exchanged"]
 
 ENOUGH_BITS = 32
 """Random bits after which nobody is taken for the mock by chance."""
@@ -55,6 +56,26 @@ class Way:
     waiting: bool | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class Call:
+    """An operation that writes nothing and cannot succeed while the device is away.
+
+    Attributes:
+        operation: its name.
+        inputs: of the operation.
+        new: names an input, and makes its value from a random number: it is another one in every call, so that an answer from memory is
+            none to it. None where every call has the same inputs.
+    """
+
+    operation: str
+    inputs: Mapping[str, Any] = field(default_factory=dict)
+    new: tuple[str, Callable[[random.Random], object]] | None = None
+
+    def made(self, rng: random.Random) -> Mapping[str, Any]:
+        """Return the inputs of the next call."""
+        return self.inputs if self.new is None else {**self.inputs, self.new[0]: self.new[1](rng)}
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Proof:
     """How a protocol proves where an adapter's session leads. Without any way nothing is ever written.
@@ -64,14 +85,15 @@ class Proof:
         arrival: a journal entry with which a client arrives at the mock; what counts for an adapter without any of the ways.
             None where nothing does.
         restore: what has to be poked so that the mock holds again what it held when the image was taken.
-        unreachable: operations that cannot succeed while the device is away, each with inputs. Nothing is written during an
-            outage unless one of them has just failed twice: an adapter that still gets answers gets them from elsewhere.
+        unreachable: every operation that cannot succeed while the device is away, the best first: those that give values, and last the
+            status. An adapter is taken through an outage with the first that it has, and nothing is written during the outage unless
+            that one has just failed twice: an adapter that still gets answers gets them from elsewhere.
     """
 
     ways: tuple[Way, ...] = ()
     arrival: Callable[[JournalEntry], bool] | None = None
     restore: Callable[[Image], tuple[Poke, ...]] = lambda image: ()
-    unreachable: tuple[tuple[str, Mapping[str, object]], ...] = ()
+    unreachable: tuple[Call, ...] = ()
 
 
 def exchanged(outputs: Mapping[str, object], entries: Entries) -> int:

@@ -21,6 +21,7 @@ from .session_oracle import SessionOracle
 from .stamp import Stamp
 
 __all__ = [
+    "ANY_READ",
     "GUARD",
     "RECOVERY",
     "Choice",
@@ -39,6 +40,9 @@ GUARD = "guard"
 
 RECOVERY = "recovery"
 """Facet: after an outage of the endpoint the same session works again."""
+
+ANY_READ = "any_read"
+"""Facet that tasks need: one of the operations that the device itself has to answer, whichever the subject has."""
 
 
 Declared = Mapping[str, Sequence[str]]
@@ -107,10 +111,16 @@ class Composite:
     Attributes:
         facets: the facets that it stands for.
         if_waiting: operation to the facets that it stands for instead when a call that waits performs that operation.
+        one_of: it stands for the first of these that the subject claims, and where it claims none of them for the first.
     """
 
-    facets: tuple[str, ...]
+    facets: tuple[str, ...] = ()
     if_waiting: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    one_of: tuple[str, ...] = ()
+
+
+def _nothing(facet: str) -> bool:
+    return False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -310,17 +320,30 @@ class OtProtocol:
             return False
         return operation.voluntary or part in (*operation.voluntary_inputs, *operation.voluntary_outputs)
 
-    def required_facets(self, facet: str, waiting: Collection[str]) -> tuple[str, ...]:
+    def required_facets(
+        self, facet: str, waiting: Collection[str], has: Callable[[str], bool] = _nothing
+    ) -> tuple[str, ...]:
         """Resolve a facet that a task needs into the facets that a subject claims or not.
 
         Args:
             facet: without its protocol.
             waiting: operations that the adapter performs by a call that waits for the messages that it returns.
+            has: tells whether the subject claims a facet.
         """
+        if alternatives := self.alternatives(facet, waiting):
+            return (next(filter(has, alternatives), alternatives[0]),)
         composite = self.composites.get(facet)
         if composite is None:
             return (facet,)
         return next((found for name, found in composite.if_waiting.items() if name in waiting), composite.facets)
+
+    def alternatives(self, facet: str, waiting: Collection[str]) -> tuple[str, ...]:
+        """Return the facets of which a task needs any one, the best first; none where ``facet`` leaves no choice."""
+        if facet != ANY_READ:
+            return self.composites[facet].one_of if facet in self.composites else ()
+        # A call that does not wait for messages returns what came before, so the device need not be there.
+        names = dict.fromkeys(way.operation for way in self.proof.unreachable)
+        return tuple(name for name in names if self.operations[name].waits is None or name in waiting)
 
     def seen(self, entries: Sequence[JournalEntry], most: int = 8) -> str:
         """Describe journal entries for a finding's evidence."""

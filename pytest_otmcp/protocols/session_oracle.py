@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import deque
+from collections.abc import Mapping
 
 from ..core.finding import Finding
 from .journal import JournalEntry
@@ -24,6 +25,17 @@ class SessionOracle(ABC):
     def restarted(self) -> SessionOracle:
         """Return the oracle that goes on after the device was started again; by default one that knows nothing."""
         return type(self)()
+
+    def renewed(self) -> SessionOracle:
+        """Return the oracle of the adapter's next session; by default one that knows nothing."""
+        return type(self)()
+
+    def failed(self, inputs: Mapping[str, object]) -> None:  # noqa: B027 - most oracles have nothing to note
+        """Take into account that a write was reported as failed while the device was away.
+
+        Args:
+            inputs: of the operation.
+        """
 
     def take_faults(self) -> list[Finding]:
         """Return what is wrong whatever the tasks ask for, each fault once."""

@@ -1,20 +1,22 @@
 """The capabilities that an adapter has earned, for each protocol, and the items that decided them. Pure.
 
-A capability is earned when every item behind it passed, and no finding of any item is about one of its requirements. A capability with a missing item is undecided, not earned: a
-narrowed run can only earn less. The items say which capabilities they are about, checks by the row that they judge; the suite says which
-items there should be.
+A capability is earned when every item behind it passed, and no finding of any item is about one of its requirements. A capability with a
+missing item is undecided, not earned: a narrowed run can only earn less. Writing is earned by an adapter alone that was taken through an
+outage: there its writes have failed, and said so. The items say which capabilities they are about, checks by the row that they judge; the
+suite says which items there should be. What a subject claims is said by its adapters' facts, never by what happened to apply.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import Any
 
 from ..core.capability import Capability
 from ..core.matrix import BENCHMARK, REQUIREMENTS
 from ..core.verdict import Status
-from ..protocols.protocol import GUARD
+from ..protocols.protocol import GUARD, Operation
 from ..protocols.registry import protocols
 from ..record.warnings import failing, findings_of
 from ..suite.catalogue import all_tasks, tasks_by_id
@@ -33,6 +35,7 @@ class Grade(StrEnum):
     NOT_EARNED = "not earned"
     UNDECIDED = "undecided"
     NOT_CLAIMED = "not claimed"
+    NOT_ASKED = "not asked"
     NOT_TESTED = "not tested"
 
 
@@ -56,6 +59,7 @@ class Earned:
     """One capability of one protocol.
 
     Attributes:
+        grade: ``not claimed`` where the subject has nothing of the kind; ``not asked`` where it has, and no item applies that tests it.
         because: ids of the items that decided it: those that failed or are missing, or else all that passed.
         without: ids of items behind it that need a facet which the subject does not claim.
     """
@@ -87,6 +91,11 @@ _HEADINGS: Mapping[str, Heading] = {
 }
 _FURTHER = Heading(name="Further requirements", meaning="the other items of the suite passed")
 
+_READING, _WRITING = {False}, {True}
+_ANY = _READING | _WRITING
+_OPERATIONS = {Capability.READING: _READING, Capability.WRITING: _WRITING, Capability.WRITE_PROTECTION: _WRITING}
+"""Whether a capability is about operations that write; the others are about every operation."""
+
 _Ids = dict[str, list[str]]
 """Family to ids of items, in the order of the suite."""
 
@@ -100,21 +109,28 @@ def earned(run: Run) -> list[tuple[Heading, dict[str, Earned]]]:
     lost = _lost(run)
     items = {item["id"]: item for item in run["items"]}
     rows = [
-        (heading, wanted[name], lost[name], _not_claimed(run, heading.facet)) for name, heading in _HEADINGS.items()
+        (heading, wanted[name], lost[name], _not_claimed(run, heading.facet), _claiming(run, name))
+        for name, heading in _HEADINGS.items()
     ]
     if further:
-        rows.append((_FURTHER, further, {}, set()))
+        rows.append((_FURTHER, further, {}, set(), set(families(run))))
+    away = wanted[Capability.OUTAGES]
     return [
         (
             heading,
             {
                 family: Earned(grade=Grade.NOT_CLAIMED)
                 if family in unclaimed
-                else _grade(ids.get(family, ()), items, losing.get(family, ()))
+                else _also_away(
+                    heading,
+                    _grade(ids.get(family, ()), items, losing.get(family, ()), family in claiming),
+                    away.get(family, ()),
+                    items,
+                )
                 for family in families(run)
             },
         )
-        for heading, ids, losing, unclaimed in rows
+        for heading, ids, losing, unclaimed, claiming in rows
     ]
 
 
@@ -174,21 +190,58 @@ def _not_claimed(run: Run, facet: str | None) -> set[str]:
     }
 
 
-def _grade(wanted: Sequence[str], items: Mapping[str, Item], losing: Sequence[str]) -> Earned:
+def _claiming(run: Run, capability: str) -> set[str]:
+    """Return the families whose adapter has an operation that a capability is about."""
+    kinds = _OPERATIONS.get(Capability(capability), _ANY)
+    return {
+        protocol.name
+        for key, facts in adapters(run).items()
+        if (protocol := protocols().get(key)) is not None
+        and any(
+            operation.writes in kinds and _has(facts, name, operation)
+            for name, operation in protocol.operations.items()
+        )
+    }
+
+
+def _has(facts: Mapping[str, Any], name: str, operation: Operation) -> bool:
+    if name in facts.get("unclaimed", {}):
+        return False
+    return not operation.voluntary or name in facts.get("offered", ())
+
+
+def _also_away(heading: Heading, found: Earned, outages: Sequence[str], items: Mapping[str, Item]) -> Earned:
+    """Return the grade of a capability, which for writing has to be shown while the device is away as well.
+
+    Args:
+        outages: ids of the items that take the adapter through an outage.
+    """
+    if heading is not _HEADINGS[Capability.WRITING] or found.grade is not Grade.EARNED or not outages:
+        return found
+    statuses = {name: items[name]["status"] if name in items else None for name in outages}
+    if any(status in (Status.PASS, Status.FAIL) for status in statuses.values()):
+        return found
+    open_ = tuple(name for name, status in statuses.items() if status != Status.NOT_APPLICABLE)
+    return replace(
+        found, grade=Grade.UNDECIDED if open_ else Grade.NOT_ASKED, because=open_, without=(*found.without, *outages)
+    )
+
+
+def _grade(wanted: Sequence[str], items: Mapping[str, Item], losing: Sequence[str], claimed: bool) -> Earned:
     statuses = {name: items[name]["status"] if name in items else None for name in wanted}
 
     def select(*found: Status | None) -> tuple[str, ...]:
         return tuple(name for name, status in statuses.items() if status in found)
 
     unclaimed = select(Status.NOT_APPLICABLE)
-    if not wanted:
-        return Earned(grade=Grade.NOT_TESTED)
     if failed := select(Status.FAIL, Status.NOT_TESTABLE):
         return Earned(grade=Grade.NOT_EARNED, because=tuple(dict.fromkeys((*failed, *losing))), without=unclaimed)
-    if losing and len(unclaimed) < len(wanted):
+    if losing and (claimed or len(unclaimed) < len(wanted)):
         return Earned(grade=Grade.NOT_EARNED, because=tuple(losing), without=unclaimed)
+    if not wanted:
+        return Earned(grade=Grade.NOT_TESTED)
     if undecided := select(Status.KIT_ERROR, Status.INTERRUPTED, None):
         return Earned(grade=Grade.UNDECIDED, because=undecided, without=unclaimed)
     if passed := select(Status.PASS):
         return Earned(grade=Grade.EARNED, because=passed, without=unclaimed)
-    return Earned(grade=Grade.NOT_CLAIMED, without=unclaimed)
+    return Earned(grade=Grade.NOT_ASKED if claimed else Grade.NOT_CLAIMED, without=unclaimed)

@@ -36,6 +36,7 @@ _SIGNS = {
     "NOT_APPLICABLE": "⚪",
     "earned": "✅",
     "not claimed": "⚪",
+    "not asked": "⚪",
     "not tested": "⚪",
     "undecided": "⚪",
 }

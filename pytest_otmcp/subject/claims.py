@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 from ..protocols.registry import protocols
 from ..record.schema import AdapterFacts
@@ -78,5 +79,9 @@ class Claims:
         for need in needs:
             protocol, _, name = need.partition(".")
             waiting = self._adapters[protocol].waiting if protocol in self._adapters else ()
-            found += [f"{protocol}.{real}" for real in protocols()[protocol].required_facets(name, waiting)]
+            real = protocols()[protocol].required_facets(name, waiting, partial(self._has, protocol))
+            found += [f"{protocol}.{facet}" for facet in real]
         return list(dict.fromkeys(found))
+
+    def _has(self, protocol: str, facet: str) -> bool:
+        return self.has(f"{protocol}.{facet}")

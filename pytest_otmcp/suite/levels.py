@@ -3,9 +3,10 @@
 The rules of this file:
 
 1. A level needs every MUST that the catalogue has for it and the levels below, in the profiles of every adapter and of the
-   protocol. A row is met when its item of the requirement suite passed and no finding of any item is about it.
+   protocol. A row is met when its item of the requirement suite passed and no finding of any item is about it. It is violated when a
+   finding of any item is about it.
 2. A row whose item does not apply, because the subject does not claim what the row is about, is not asked for. A row without
-   an item, or whose item did not end, is not met.
+   an item, or whose item did not end, or failed for what another row is about, is not shown: it denies the level as well.
 3. A level is about something: at least one of the rows that begin with it and belong to the protocol's own profiles is met.
 4. An adapter that may write has to show that its writes can be disabled, also where it does not claim that.
 5. A failure that is about no row of the catalogue denies every level, and so does one of an item on this protocol alone that is about a
@@ -41,9 +42,8 @@ _GUARD = "WR-004"
 
 
 class _State(StrEnum):
-    """What a run shows about a row, the worst first."""
+    """What the item of a row shows about it, the worst first."""
 
-    VIOLATED = "violated"
     OPEN = "open"
     MET = "met"
     UNCLAIMED = "unclaimed"
@@ -51,8 +51,9 @@ class _State(StrEnum):
 
 _STATES = {
     Status.PASS: _State.MET,
-    Status.FAIL: _State.VIOLATED,
-    Status.NOT_TESTABLE: _State.VIOLATED,
+    # Which rules are broken is what the findings say.
+    Status.FAIL: _State.OPEN,
+    Status.NOT_TESTABLE: _State.OPEN,
     Status.NOT_APPLICABLE: _State.UNCLAIMED,
     Status.KIT_ERROR: _State.OPEN,
     Status.INTERRUPTED: _State.OPEN,
@@ -68,9 +69,10 @@ class Standing:
         level: the level that is earned; None for none.
         wanted: the next level.
         attainable: whether that level can be earned with this catalogue.
-        failed: rows that it needs and that are not met, each with the items that show it.
+        failed: rows that it needs and that findings are about, each with the items that have them.
         unattributed: items with a failure that is about no row of the catalogue, or about none of the protocol's own.
         not_run: rows that it needs and that no item has decided.
+        hidden: those of them whose item failed for another cause.
         unclaimed: rows that it would need of a subject that claims what they are about.
         not_yet: rows that it will need once they are judged.
         shown: whether a row of the protocol's own profiles that begins with that level is met.
@@ -83,6 +85,7 @@ class Standing:
     failed: Mapping[str, tuple[str, ...]]
     unattributed: tuple[str, ...]
     not_run: tuple[str, ...]
+    hidden: tuple[str, ...]
     unclaimed: tuple[str, ...]
     not_yet: tuple[str, ...]
     shown: bool
@@ -131,6 +134,7 @@ class _Evidence:
         self._protocol = protocol
         self._states: dict[str, _State] = {}
         self._blamed: dict[str, list[str]] = {}
+        self._hidden: set[str] = set()
         self._unattributed: list[str] = []
         self._rows = {row.id for row in catalogue.needs(Level.GOLD, protocol)}
         for item in items:
@@ -139,13 +143,14 @@ class _Evidence:
 
     def _look_at(self, item: Item) -> None:
         row, state = item["id"].partition(".")[0], _STATES[Status(item["status"])]
+        failed = item["status"] in (Status.FAIL, Status.NOT_TESTABLE)
         cited = {finding["requirement"] for finding in failing(findings_of(item))}
         decides = item["suite"] == REQUIREMENTS and row in self._catalogue.rows
         if decides:
             ranks = list(_State)
             self._states[row] = min(state, self._states.get(row, _State.UNCLAIMED), key=ranks.index)
-            if state is _State.VIOLATED:
-                self._blame(row, item["id"])
+            if failed:
+                self._hidden.add(row)
         if item["status"] == Status.KIT_ERROR:
             # Nothing that was seen in it says anything about the adapter.
             return
@@ -156,7 +161,7 @@ class _Evidence:
                 self._blame(str(name), item["id"])
             elif item["id"] not in self._unattributed:
                 self._unattributed.append(item["id"])
-        if state is _State.VIOLATED and not cited and not decides:
+        if failed and not cited and not decides:
             self._unattributed.append(item["id"])
 
     def _blame(self, row: str, item: str) -> None:
@@ -181,6 +186,7 @@ class _Evidence:
             failed=failed,
             unattributed=tuple(sorted(self._unattributed)),
             not_run=tuple(not_run),
+            hidden=tuple(name for name in not_run if name in self._hidden),
             unclaimed=tuple(unclaimed),
             not_yet=tuple(row.id for row in needed if row.not_yet is not None and row.id not in failed),
             shown=wanted is Level.GOLD
@@ -222,7 +228,7 @@ def said(found: Standing) -> str:
     lacking = [
         f"{counted(len(names), noun)} {what} ({_some(names)})"
         for names, noun, what in (
-            (tuple(found.failed), "row", "not met"),
+            (tuple(found.failed), "row", "violated"),
             (found.unattributed, "item", "failed without a finding about a row"),
             (found.not_run, "row", "not shown"),
         )
@@ -241,13 +247,15 @@ def _some(names: Sequence[str]) -> str:
 def shown(found: Standing, catalogue: Catalogue) -> list[str]:
     """Say what is missing for the next level in sentences, the rows by id with the items that show it."""
     wanted = found.wanted.capitalize()
-    told = [f"{row} is not met, as {', '.join(items)} shows." for row, items in found.failed.items()]
+    told = [f"{row} is violated, as {', '.join(items)} shows." for row, items in found.failed.items()]
     if found.unattributed:
         told.append(
             f"{', '.join(found.unattributed)} failed for a cause that is no row of the catalogue for this protocol."
         )
-    if found.not_run:
-        told.append(f"No item has shown {', '.join(found.not_run)}.")
+    if found.hidden:
+        told.append(f"Not shown, because the item about it failed for another cause: {', '.join(found.hidden)}.")
+    if unseen := [name for name in found.not_run if name not in found.hidden]:
+        told.append(f"No item has shown {', '.join(unseen)}.")
     if found.attainable and not found.shown:
         told.append(f"Nothing that {wanted} is about has been shown to work.")
     if found.unclaimed:

@@ -5,7 +5,7 @@ A bench and the judging of a stored run again use the same object: both look at 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import TypeVar
 
 from ..core.finding import Finding
@@ -91,7 +91,9 @@ class JournalCursor:
         self._began = seq
         self.connected = True
         self._keep_faults()
-        self._oracles = {kind: kind() for kind in self._kinds}
+        self._oracles = {
+            kind: self._oracles[kind].renewed() if kind in self._oracles else kind() for kind in self._kinds
+        }
         self.withdraw_proof()
 
     def close_session(self) -> None:
@@ -131,6 +133,11 @@ class JournalCursor:
         """Take a slice: the next one begins where this one ends."""
         self.feed(entries, until)
         self.next = until
+
+    def note_failed(self, inputs: Mapping[str, object]) -> None:
+        """Tell the session's oracles of a write that was reported as failed while the device was away."""
+        for oracle in self._oracles.values():
+            oracle.failed(inputs)
 
     def take_faults(self) -> list[Finding]:
         """Return what the session's oracles have found by themselves since they were last asked."""

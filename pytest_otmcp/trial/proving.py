@@ -150,13 +150,14 @@ async def why_reachable(at: Provable, *, time_scale: float) -> str | None:
     Returns:
         None when nothing is reached; else why nothing may be written, a sentence.
     """
-    ways = protocols()[at.protocol].proof.unreachable
-    asked = next((way for way in ways if at.can_ask(*way)), None)
+    rng = random.Random(at.protocol)
+    calls = protocols()[at.protocol].proof.unreachable
+    asked = next((call for call in calls if at.can_ask(call.operation, call.made(rng))), None)
     if asked is None:
         return "no operation shows whether the adapter reaches another device during an outage; nothing was written"
     failures, begun_ns = 0, 0
     while failures < _FAILURES_IN_A_ROW:
-        reply = await at.ask(*asked)
+        reply = await at.ask(asked.operation, asked.made(rng))
         begun_ns = begun_ns or reply.exchange.sent_ns
         failures = failures + 1 if _is_cut_off(reply) else 0
         if not failures:

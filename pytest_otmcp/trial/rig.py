@@ -172,6 +172,8 @@ class Rig(WriteGate):
         self._ledger.add(reply, inputs, role, reachable=there and self.running, altered=altered)
         if writes:
             self._after(reply)
+            if not there and not reply.success:
+                self._cursor.note_failed(inputs)
         if not reply.answered:
             raise EndedError
         return reply

@@ -180,6 +180,30 @@ def answers_from_memory_when_gone(name: str, *, silent: bool = False) -> Bend:
     return each(name, change=remembering)
 
 
+def succeeds_when_gone(name: str, **said: object) -> Bend:
+    """Return the defect that a tool that writes and finds its device gone says what it says of a write that was done.
+
+    Args:
+        said: of a write, by a tool whose answer has more members than its arguments.
+    """
+    known: Data = dict(said)
+
+    def claiming(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            given = arguments.model_dump(mode="json", exclude_none=True)
+            try:
+                known.update(await genuine(call, arguments))
+            except AdapterError as error:
+                if error.code not in (*_GONE, "timeout"):
+                    raise
+                return {**known, **{name: value for name, value in given.items() if name in known or not known}}
+            return dict(known)
+
+        return handler
+
+    return each(name, change=claiming)
+
+
 def answers_twice_from_one_exchange(name: str) -> Bend:
     """Return the defect that every other call with the same arguments is answered from memory, as if from the device.
 
@@ -224,7 +248,43 @@ def never_reconnects() -> Bend:
     return each(change=once)
 
 
+def _written_without_device(
+    letters: str, protocol: str, what: str, tool: str, items: str, requirements: str, **said: object
+) -> Mutant:
+    return Mutant(
+        id=f"MU-14{letters}",
+        protocol=protocol,
+        sentence=f"While the device is gone, {what} is told as written.",
+        bend=succeeds_when_gone(tool, **said),
+        items=items,
+        requirements=requirements,
+        quick=protocol == "modbus",
+    )
+
+
 MUTANTS = (
+    _written_without_device("g", "modbus", "a register", "write_register", "S10", "WR-001"),
+    _written_without_device("gc", "modbus", "a coil", "write_coil", "S10", "WR-001"),
+    _written_without_device("gq", "mqtt", "a message", "publish_message", "S11", "MQT-001"),
+    _written_without_device(
+        "gs",
+        "mqtt",
+        "a metric of a Sparkplug device",
+        "publish_device_data",
+        "S11",
+        "SPB-001",
+        edge_node_id="otmcp-adapter",
+        device_id="device-1",
+        metric_count=1,
+        seq=1,
+    ),
+    _written_without_device("go", "opcua", "a node", "write_opcua_node", "S12", "OUA-001"),
+    _written_without_device("gm", "opcua", "a list of nodes", "write_multiple_opcua_nodes", "S12", "OUA-001"),
+    _written_without_device("gk", "s7", "a value of a data block", "write_db", "SK4", "WR-001"),
+    _written_without_device("gb", "bacnet", "a property", "write_property", "SB4", "WR-001"),
+    _written_without_device("ge", "ethernetip", "a tag", "write_tag", "SE4", "WR-001"),
+    _written_without_device("gd", "dnp3", "a binary output", "write_binary_output", "SD4", "WR-001"),
+    _written_without_device("gp", "profibus", "all output bytes of a slave", "write_outputs", "SP4", "WR-001"),
     Mutant(
         id="MU-20",
         protocol="modbus",

@@ -25,9 +25,9 @@ HONEST = {
     ),
     "mqtt-handle": ("Q1 Q2 Q3 FQ1 FQ2 S2 S5 S8 S11 R-mqtt", {**NO_SPARKPLUG, **OTHERS_ALONE}),
     "mqtt-collect": (
-        "Q2 S2",
+        "Q2 S2 S11 R-mqtt",
         {
-            **dict.fromkeys(("Q1", "S5", "S8", "S11", "R-mqtt"), "mqtt.info is not claimed: has no tool for it"),
+            **dict.fromkeys(("Q1", "S5", "S8"), "mqtt.info is not claimed: has no tool for it"),
             **dict.fromkeys(("Q3", "FQ1"), "mqtt.publish is not claimed: has no writes"),
             "Q4": "mqtt.device_birth is not claimed: has no writes",
             "FQ2": "mqtt.subscribe is not claimed: receives by a call that waits",

@@ -85,11 +85,24 @@ def test_of_a_run_without_the_requirement_suite_nothing_is_said() -> None:
 
 
 @pytest.mark.parametrize("status", ["FAIL", "NOT_TESTABLE"])
-def test_a_row_whose_item_failed_is_named_with_the_item(status: str) -> None:
+def test_a_row_is_violated_only_by_a_finding_about_it(status: str) -> None:
+    own = blamed(check("WR-003", status=status), "WR-003")
+    found = stands({**all_passed(), "WR-003": own}.values())
+    assert (found.level, found.failed, found.hidden) == (Level.BRONZE, {"WR-003": ("WR-003.modbus",)}, ())
+    assert said(found) == "Modbus: Bronze; for Silver: 1 row violated (WR-003)"
+    assert "WR-003 is violated, as WR-003.modbus shows." in shown(found, catalogue())
+    other = blamed(check("MCP-001", status=status), "WR-003")
+    found = stands({**all_passed(), "MCP-001": other}.values())
+    assert (found.level, found.failed, found.not_run) == (None, {}, ("MCP-001",))
+    assert said(found) == "Modbus: no level; for Bronze: 1 row not shown (MCP-001)"
+    assert shown(found, catalogue())[0] == "Not shown, because the item about it failed for another cause: MCP-001."
+    assert standing(catalogue(), cast(list[Item], [other]), "modbus").hidden == ("MCP-001",)
+
+
+@pytest.mark.parametrize("status", ["FAIL", "NOT_TESTABLE"])
+def test_a_row_whose_item_failed_without_a_finding_is_not_shown(status: str) -> None:
     found = stands({**all_passed(), "WR-003": check("WR-003", status=status)}.values())
-    assert (found.level, found.failed) == (Level.BRONZE, {"WR-003": ("WR-003.modbus",)})
-    assert said(found) == "Modbus: Bronze; for Silver: 1 row not met (WR-003)"
-    assert "WR-003 is not met, as WR-003.modbus shows." in shown(found, catalogue())
+    assert (found.level, found.failed, found.hidden) == (Level.BRONZE, {}, ("WR-003",))
 
 
 @pytest.mark.parametrize("status", ["KIT_ERROR", "INTERRUPTED", None])

@@ -117,12 +117,16 @@ def modbus(identifier: str, status: str = "PASS", suite: str = "normal") -> dict
         ("KIT_ERROR", "FAIL", Earned(grade=Grade.NOT_EARNED, because=("M2",))),
         ("KIT_ERROR", "PASS", Earned(grade=Grade.UNDECIDED, because=("M1",))),
         ("PASS", "INTERRUPTED", Earned(grade=Grade.UNDECIDED, because=("M2",))),
-        ("NOT_APPLICABLE", "NOT_APPLICABLE", Earned(grade=Grade.NOT_CLAIMED, without=("M1", "M2"))),
+        ("NOT_APPLICABLE", "NOT_APPLICABLE", Earned(grade=Grade.NOT_ASKED, without=("M1", "M2"))),
         ("PASS", "NOT_APPLICABLE", Earned(grade=Grade.EARNED, because=("M1",), without=("M2",))),
     ],
 )
 def test_a_capability_is_earned_when_every_item_behind_it_passed(first: str, second: str, expected: Earned) -> None:
     assert grades(modbus("M1", first), modbus("M2", second))["Reading"]["Modbus"] == expected
+
+
+AWAY = modbus("S10", suite="stress")
+"""What takes the adapter through an outage."""
 
 
 def refused(identifier: str, requirement: str, status: str = "FAIL", strength: str = "MUST") -> dict[str, Any]:
@@ -131,7 +135,7 @@ def refused(identifier: str, requirement: str, status: str = "FAIL", strength: s
 
 
 def test_a_finding_takes_away_what_its_requirement_is_about_whichever_item_it_is_in() -> None:
-    behind = [modbus("M3"), item("S4", "stress", "Modbus", "x", [1.0])]
+    behind = [modbus("M3"), item("S4", "stress", "Modbus", "x", [1.0]), AWAY]
     assert grades(*behind)["Writing"]["Modbus"] == Earned(grade=Grade.EARNED, because=("M3",))
     truncated = grades(*behind, refused("FM2", "ADR-003"))
     assert truncated["Writing"]["Modbus"] == Earned(grade=Grade.NOT_EARNED, because=("FM2",))
@@ -142,16 +146,34 @@ def test_a_finding_takes_away_what_its_requirement_is_about_whichever_item_it_is
 
 def test_a_recommendation_a_fault_of_the_kit_and_a_rule_about_answers_take_nothing_away() -> None:
     kept = Earned(grade=Grade.EARNED, because=("M3",))
-    assert grades(modbus("M3"), refused("FM2", "ADR-003", "PASS", "SHOULD"))["Writing"]["Modbus"] == kept
-    assert grades(modbus("M3"), refused("FM2", "ADR-003", strength="SHOULD"))["Writing"]["Modbus"] == kept
-    assert grades(modbus("M3"), refused("FM2", "ADR-003", "KIT_ERROR"))["Writing"]["Modbus"] == kept
-    assert grades(modbus("M3"), refused("FM2", "ENV-001"))["Writing"]["Modbus"] == kept
-    assert grades(modbus("M3"), refused("FM2", "ACME 7"))["Writing"]["Modbus"] == kept
+    for other in (
+        refused("FM2", "ADR-003", "PASS", "SHOULD"),
+        refused("FM2", "ADR-003", strength="SHOULD"),
+        refused("FM2", "ADR-003", "KIT_ERROR"),
+        refused("FM2", "ENV-001"),
+        refused("FM2", "ACME 7"),
+    ):
+        assert grades(modbus("M3"), AWAY, other)["Writing"]["Modbus"] == kept
 
 
-def test_what_is_not_claimed_cannot_be_lost() -> None:
-    unclaimed = grades(modbus("M3", "NOT_APPLICABLE"), refused("FM2", "WR-001"))
-    assert unclaimed["Writing"]["Modbus"] == Earned(grade=Grade.NOT_CLAIMED, without=("M3",))
+def test_what_is_claimed_is_lost_by_a_finding_though_no_item_about_it_applies_and_what_is_not_claimed_is_not() -> None:
+    record = run([modbus("M3", "NOT_APPLICABLE"), refused("FM2", "WR-001")])
+    by_name = {capability.name: by_family for capability, by_family in earned(record)}
+    assert by_name["Writing"]["Modbus"] == Earned(grade=Grade.NOT_EARNED, because=("FM2",), without=("M3",))
+    record["subject"]["adapters"]["modbus"] = adapter(1, unclaimed={"write_holding": "only reads"})
+    by_name = {capability.name: by_family for capability, by_family in earned(record)}
+    assert by_name["Writing"]["Modbus"] == Earned(grade=Grade.NOT_CLAIMED, without=("M3",))
+
+
+def test_writing_is_not_earned_without_an_outage() -> None:
+    def writing(*away: dict[str, Any]) -> Earned:
+        return grades(modbus("M3"), *away)["Writing"]["Modbus"]
+
+    missing = ("S10", "R-modbus")
+    assert writing() == Earned(grade=Grade.UNDECIDED, because=missing, without=missing)
+    without = [modbus(name, "NOT_APPLICABLE") for name in missing]
+    assert writing(*without) == Earned(grade=Grade.NOT_ASKED, without=missing)
+    assert writing(without[0], modbus("R-modbus", suite="recovery")) == Earned(grade=Grade.EARNED, because=("M3",))
 
 
 def test_a_capability_whose_item_did_not_run_is_not_earned() -> None:

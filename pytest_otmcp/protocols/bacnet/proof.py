@@ -6,7 +6,7 @@ import random
 from collections.abc import Callable, Mapping
 
 from ..journal import Entries, Image
-from ..proof import Proof, Question, Way, exchanged
+from ..proof import Call, Proof, Question, Way, exchanged
 
 __all__ = ["PROOF"]
 
@@ -44,5 +44,10 @@ PROOF = Proof(
         Way(operation="ping", ask=lambda rng: Question(inputs={}, bits=exchanged), weak=True),
     ),
     restore=_restore,
-    unreachable=(("read", _INPUT), ("read_alias", {"name": _ALIAS}), ("ping", {})),
+    unreachable=(
+        Call("read", _INPUT),
+        Call("read_alias", {"name": _ALIAS}),
+        Call("list_objects", {"device": _DEVICE}),
+        Call("ping"),
+    ),
 )

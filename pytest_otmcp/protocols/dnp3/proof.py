@@ -6,7 +6,7 @@ import random
 from collections.abc import Callable, Mapping
 
 from ..journal import Entries, Image
-from ..proof import Proof, Question, Way, exchanged
+from ..proof import Call, Proof, Question, Way, exchanged
 
 __all__ = ["PROOF"]
 
@@ -56,9 +56,10 @@ PROOF = Proof(
     ),
     restore=_restore,
     unreachable=(
-        ("read_analog", _ANALOG),
-        ("read_alias", {"name": _ALIAS}),
-        ("read_binary", _BINARY),
-        ("ping", {}),
+        Call("read_analog", _ANALOG),
+        Call("read_alias", {"name": _ALIAS}),
+        Call("read_binary", _BINARY),
+        Call("poll", {"outstation": _OUTSTATION, "event_class": 0}),
+        Call("ping"),
     ),
 )

@@ -6,7 +6,7 @@ import random
 from collections.abc import Mapping
 
 from ..journal import Entries, Image
-from ..proof import Proof, Question, Way, exchanged
+from ..proof import Call, Proof, Question, Way, exchanged
 
 __all__ = ["PROOF"]
 
@@ -14,6 +14,7 @@ _TAG = "BatchTarget"
 _ARRAY = "Counts"
 _ELEMENTS = 4
 _ASKED = {"tag": _TAG}
+_ALIAS = "otmcp_level"
 
 
 def _number(rng: random.Random) -> Question:
@@ -47,5 +48,12 @@ PROOF = Proof(
         Way(operation="ping", ask=lambda rng: Question(inputs={}, bits=exchanged), weak=True),
     ),
     restore=_restore,
-    unreachable=(("read_tag", _ASKED), ("read_array", {"tag": _ARRAY, "count": 2}), ("ping", {})),
+    unreachable=(
+        Call("read_tag", _ASKED),
+        Call("read_array", {"tag": f"{_ARRAY}[0]", "count": _ELEMENTS}),
+        Call("read_tags", {"tags": [_TAG]}),
+        Call("read_alias", {"name": _ALIAS}),
+        Call("read_clock"),
+        Call("ping"),
+    ),
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from ..protocol import Colour, Framing, OtProtocol
+from ..protocol import Colour, Composite, Framing, OtProtocol
 from ..session_oracle import Exchanges, StateChanges
 from .decoder import ModbusConversation, contradiction, mbap_length
 from .entries import carried_out, describe, title
@@ -22,6 +22,9 @@ PROTOCOL = OtProtocol(
     package=__package__,
     scheme="modbus+tcp",
     operations=OPERATIONS,
+    composites={
+        "read_cells": Composite(one_of=("read_input", "read_holding", "read_discrete_inputs", "read_coils")),
+    },
     probes={"missing_address": 9999},
     framing=Framing(frame_length=mbap_length, conversation=ModbusConversation),
     unsolicited=lambda entries, declared: no_state_changing_request(entries),

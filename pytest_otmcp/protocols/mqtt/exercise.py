@@ -20,6 +20,11 @@ def _write(rng: random.Random) -> Asked:
     return Asked(operation="publish", inputs=inputs)
 
 
+def _tells(rng: random.Random) -> tuple[Asked, ...]:
+    metrics = [{"name": "temperature", "value": rng.randrange(1, 2**20) + 0.5}]
+    return (Asked(operation="device_data", inputs={"device": "device-1", "metrics": metrics}),)
+
+
 def _published(entries: Entries, asked: Asked) -> list[JournalEntry]:
     wanted = str(asked.inputs["payload"]).encode()
     # What is delivered again, and marked so, is the same message.
@@ -43,5 +48,6 @@ EXERCISE = Exercise(
     silent=tuple({"packet": packet, "action": {"no_answer": True}} for packet in ("SUBSCRIBE", "PUBLISH")),
     reset=tuple({"packet": packet, "action": {"reset": True}} for packet in ("SUBSCRIBE", "PUBLISH")),
     refused=({"packet": "SUBSCRIBE", "action": {"reason_code": 0x80}},),
+    tells=_tells,
     outside={"qos": (-1, 257, 2**31, 1.5, "0x1")},
 )

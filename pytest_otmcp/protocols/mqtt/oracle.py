@@ -6,6 +6,7 @@ base64. The packets of the simulator's clients and of the kit are left out every
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from types import MappingProxyType
 
 from ...core.finding import Finding
@@ -206,8 +207,17 @@ class Refused(SessionOracle):
             self._faults += never_published([entry], payload)
             self._payloads.discard(payload)
 
+    def failed(self, inputs: Mapping[str, object]) -> None:
+        """Expect that the payload of a failed publication never comes."""
+        if isinstance(payload := inputs.get("payload"), str):
+            self.never(payload.encode())
+
     def restarted(self) -> Refused:
         """Return itself: what was refused stays refused."""
+        return self
+
+    def renewed(self) -> Refused:
+        """Return itself: an adapter may keep a message for the process that comes after it."""
         return self
 
     def take_faults(self) -> list[Finding]:

@@ -7,7 +7,7 @@ import random
 from collections.abc import Mapping
 
 from ..journal import Entries, JournalEntry
-from ..proof import ENOUGH_BITS, Proof, Question, Way
+from ..proof import ENOUGH_BITS, Call, Proof, Question, Way
 from .entries import adapter_packets
 from .inbox import listed
 
@@ -23,8 +23,12 @@ def _nonce(rng: random.Random) -> str:
     return f"{rng.getrandbits(64):016x}"
 
 
+def _new_topic(rng: random.Random) -> str:
+    return f"otmcp/proof/{_nonce(rng)}"
+
+
 def _subscription(rng: random.Random, **inputs: object) -> Question:
-    topic = f"otmcp/proof/{_nonce(rng)}"
+    topic = _new_topic(rng)
 
     def bits(outputs: Mapping[str, object], entries: Entries) -> int:
         asked = adapter_packets(entries, "SUBSCRIBE", "in")
@@ -68,5 +72,9 @@ PROOF = Proof(
         Way(operation="info", ask=lambda rng: Question(inputs={}, bits=_inspected), weak=True),
     ),
     arrival=_is_connect,
-    unreachable=(("info", {}), ("subscribe", {"filter": "otmcp/proof/outage", "qos": 0})),
+    unreachable=(
+        Call("info"),
+        Call("subscribe", {"qos": 0}, new=("filter", _new_topic)),
+        Call("messages", {"seconds": _WAITING_S}, new=("filter", _new_topic)),
+    ),
 )

@@ -7,7 +7,7 @@ import random
 from collections.abc import Callable, Mapping
 
 from ..journal import Entries, Image
-from ..proof import Proof, Question, Way, exchanged
+from ..proof import Call, Proof, Question, Way, exchanged
 
 __all__ = ["PROOF"]
 
@@ -69,8 +69,9 @@ PROOF = Proof(
     ),
     restore=_restore,
     unreachable=(
-        ("read", {"node": _NODES[0]}),
-        ("read_many", {"nodes": list(_NODES)}),
-        ("browse", {"node": _OBJECTS}),
+        Call("read", {"node": _NODES[0]}),
+        Call("read_many", {"nodes": list(_NODES)}),
+        Call("browse", {"node": _OBJECTS}),
+        Call("variables"),
     ),
 )

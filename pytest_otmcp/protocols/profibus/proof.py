@@ -6,7 +6,7 @@ import random
 from collections.abc import Mapping
 
 from ..journal import Entries, Image
-from ..proof import Proof, Question, Way, exchanged
+from ..proof import Call, Proof, Question, Way, exchanged
 
 __all__ = ["PROOF"]
 
@@ -56,5 +56,10 @@ PROOF = Proof(
         Way(operation="ping", ask=lambda rng: Question(inputs={}, bits=exchanged), weak=True),
     ),
     restore=_restore,
-    unreachable=(("read_inputs", _READ), ("read_alias", {"name": _ALIAS}), ("ping", {})),
+    unreachable=(
+        Call("read_inputs", _READ),
+        Call("read_alias", {"name": _ALIAS}),
+        Call("read_diagnosis", _READ),
+        Call("ping"),
+    ),
 )

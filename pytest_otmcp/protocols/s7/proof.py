@@ -6,7 +6,7 @@ import random
 from collections.abc import Callable, Mapping
 
 from ..journal import Entries, Image
-from ..proof import Proof, Question, Way, exchanged
+from ..proof import Call, Proof, Question, Way, exchanged
 
 __all__ = ["PROOF"]
 
@@ -42,8 +42,6 @@ def _restore(image: Image) -> tuple[Mapping[str, object], ...]:
     return ({"area": f"DB{_BLOCK}", "byte": _FIRST, "data": content[_FIRST : _FIRST + _SIZE].hex()},)
 
 
-_ASKED = {"db": _BLOCK, "start": 0, "type": "INT"}
-
 PROOF = Proof(
     ways=(
         Way(operation="read_db", ask=_bytes),
@@ -52,5 +50,10 @@ PROOF = Proof(
         Way(operation="ping", ask=lambda rng: Question(inputs={}, bits=exchanged), weak=True),
     ),
     restore=_restore,
-    unreachable=(("read_typed", _ASKED), ("read_db", {"db": _BLOCK, "start": 0, "size": 2}), ("ping", {})),
+    unreachable=(
+        Call("read_db", {"db": _BLOCK, "start": 0, "size": 8}),
+        Call("read_typed", {"db": _BLOCK, "start": 0, "type": "INT"}),
+        Call("read_cpu_state"),
+        Call("ping"),
+    ),
 )

@@ -10,7 +10,7 @@ from dataclasses import replace
 from otmcp_toy.wire import ToyConversation, line_length
 from pytest_otmcp.protocols.journal import Entries, Image, JournalEntry
 from pytest_otmcp.protocols.oracle import Witness
-from pytest_otmcp.protocols.proof import Proof, Question, Way
+from pytest_otmcp.protocols.proof import Call, Proof, Question, Way
 from pytest_otmcp.protocols.protocol import Colour, Framing, Operation, OtProtocol
 from pytest_otmcp.protocols.session_oracle import StateChanges
 
@@ -62,7 +62,9 @@ TOY = OtProtocol(
     recognise=re.compile(r"\btoy\b"),
     colour=Colour(light="#888888", dark="#aaaaaa"),
     session_oracles=(StateChanges,),
-    proof=Proof(ways=(Way(operation="read", ask=ask),), restore=restore, unreachable=(("read", {"address": PROVING}),)),
+    proof=Proof(
+        ways=(Way(operation="read", ask=ask),), restore=restore, unreachable=(Call("read", {"address": PROVING}),)
+    ),
 )
 
 TOY_UDP = replace(
