@@ -90,11 +90,15 @@ class Texts:
 
     Attributes:
         encoding: the characters that the device can hold, as a codec of Python.
+        longest: how many characters of one byte each a text may have that is asked for.
+        limited: a longer one has no room at the device.
         read: makes a read of a text that is set at the mock before.
         write: makes a write of a text, with the points that hold it.
     """
 
     encoding: str
+    longest: int
+    limited: bool = True
     read: Callable[[str], Asked]
     write: Callable[[str], Asked]
 
@@ -128,9 +132,9 @@ class Exercise:
         contended: makes writes and a read of one target; None where nothing can be read that was written.
         large: makes a read of each of these whole numbers of 64 bits, of a type with a sign or of one without; None where checks of the
             protocol's own have it.
-        special: makes reads of this number, which may be infinite or no number at all, one for each type of floating-point numbers; None
-            as for ``large``.
-        real: makes a write of a floating-point number, which is its input ``value``.
+        floats: make a read of a number, which may be infinite or no number at all: of the type ``float32``, and of ``float64``; empty where
+            checks of the protocol's own have it.
+        real: makes a write of a floating-point number of 32 bits, which is its input ``value``; its points may be left out.
         texts: reads and writes of a text; None as for ``large``.
         bounds: makes writes of values at a bound of their type, each with a value just beyond; None as for ``large``.
         misfits: makes writes, each with values of other kinds than the target's; None as for ``large``.
@@ -159,7 +163,7 @@ class Exercise:
     bounds: Callable[[], tuple[tuple[Asked, object], ...]] | None = None
     misfits: Callable[[], tuple[tuple[Asked, tuple[object, ...]], ...]] | None = None
     large: Callable[[Sequence[int], bool], tuple[Asked, ...]] | None = None
-    special: Callable[[float], tuple[Asked, ...]] | None = None
+    floats: Mapping[str, Callable[[float], Asked]] = field(default_factory=dict)
     real: Callable[[float], Asked] | None = None
     texts: Texts | None = None
 

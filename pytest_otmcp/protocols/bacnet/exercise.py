@@ -6,6 +6,7 @@ import math
 import random
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 from ..exercise import LARGEST_FLOAT32, Asked, Contended, Exercise, Texts
 from ..journal import Entries, JournalEntry
@@ -149,10 +150,8 @@ def _large(values: Sequence[int], signed: bool) -> tuple[Asked, ...]:
     return tuple(_further(kind, value, {"value": value}) for value in values)
 
 
-def _special(value: float) -> tuple[Asked, ...]:
-    kinds = ("analog-input", "large-analog-value")
-    held = value if math.isfinite(value) else str(value)
-    return tuple(_further(kind, held, {"value": value}) for kind in kinds)
+def _float(kind: str, value: float) -> Asked:
+    return _further(kind, value if math.isfinite(value) else str(value), {"value": value})
 
 
 def _real(value: float) -> Asked:
@@ -214,7 +213,7 @@ EXERCISE = Exercise(
     bounds=_bounds,
     misfits=_misfits,
     large=_large,
-    special=_special,
+    floats={"float32": partial(_float, "analog-input"), "float64": partial(_float, "large-analog-value")},
     real=_real,
-    texts=Texts(encoding="utf-8", read=_read_text, write=_write_text),
+    texts=Texts(encoding="utf-8", longest=200, limited=False, read=_read_text, write=_write_text),
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from functools import partial
 
 from ..exercise import LARGEST_FLOAT32, NO_INTEGERS, NO_REALS, Asked, Contended, Exercise, Texts, number_in_json
 from ..journal import Entries, JournalEntry
@@ -14,6 +15,8 @@ _OUTSTATION, _INPUT, _OUTPUT = 10, 1, 2
 _WRITE = 2
 _LATCHES, _EVENTLESS = range(5), range(1, 6)
 """Outputs that are latches; analog inputs that hold whole numbers and make no events."""
+_LONGEST_TEXT = 255
+"""Bytes of an octet string, whose variation is its length."""
 _LEVEL, _EXACT, _PUMP = "otmcp_level", "otmcp_exact", "otmcp_pump"
 _SETPOINT, _BATCH, _TEXT = "otmcp_setpoint", "otmcp_batch", "otmcp_text"
 """Names that a launch of an adapter with names of its own has: the analog input 1, the analog input 7 (a double), the binary output 2,
@@ -146,11 +149,8 @@ def _asks_for(entry: JournalEntry) -> object:
     return given[0].get("value") if len(given) == 1 else None
 
 
-def _special(value: float) -> tuple[Asked, ...]:
-    return tuple(
-        _named(name, point, number_in_json(value))
-        for name, point in ((_EXACT, "analog_input/7"), (_SETPOINT, "analog_output/0"))
-    )
+def _float(name: str, point: str, value: float) -> Asked:
+    return _named(name, point, number_in_json(value))
 
 
 def _real(value: float) -> Asked:
@@ -216,7 +216,10 @@ EXERCISE = Exercise(
     asks_for=_asks_for,
     bounds=_bounds,
     misfits=_misfits,
-    special=_special,
+    floats={
+        "float32": partial(_float, _SETPOINT, "analog_output/0"),
+        "float64": partial(_float, _EXACT, "analog_input/7"),
+    },
     real=_real,
-    texts=Texts(encoding="utf-8", read=_read_text, write=_write_text),
+    texts=Texts(encoding="utf-8", longest=_LONGEST_TEXT, read=_read_text, write=_write_text),
 )

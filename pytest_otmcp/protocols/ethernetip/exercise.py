@@ -6,6 +6,7 @@ import random
 import struct
 from collections.abc import Sequence
 from datetime import UTC, datetime
+from functools import partial
 
 from ..exercise import (
     LARGEST_FLOAT32,
@@ -26,6 +27,8 @@ __all__ = ["EXERCISE"]
 _READ, _WRITTEN, _CONTENDED, _BIT_TAG = "FanSpeed", "HeaterPower", "BatchTarget", "Flags"
 _ARRAY = "Counts"
 _FREE_TEXT = "FreeString"
+_LONGEST_TEXT = 82
+"""Characters of a STRING."""
 _SIGNED = {"SINT": 8, "INT": 16, "DINT": 32, "LINT": 64}
 _UNSIGNED = {"USINT": 8, "UINT": 16, "UDINT": 32, "ULINT": 64}
 """Types of whole numbers to their bits."""
@@ -171,12 +174,12 @@ def _large_numbers(values: Sequence[int], signed: bool) -> tuple[Asked, ...]:
     return tuple(_reading(_free("LINT" if signed else "ULINT"), value) for value in values)
 
 
-def _special(value: float) -> tuple[Asked, ...]:
-    return tuple(_reading(_free(kind), number_in_json(value)) for kind in _REALS)
+def _float(kind: str, value: float) -> Asked:
+    return _reading(_free(kind), number_in_json(value))
 
 
 def _real(value: float) -> Asked:
-    return Asked(operation="write_tag", inputs={"tag": _free("REAL"), "value": value, "type": "REAL"})
+    return _writing(_free("REAL"), value, "REAL")
 
 
 def _bounds() -> tuple[tuple[Asked, object], ...]:
@@ -243,7 +246,7 @@ EXERCISE = Exercise(
     bounds=_bounds,
     misfits=_misfits,
     large=_large_numbers,
-    special=_special,
+    floats={"float32": partial(_float, "REAL"), "float64": partial(_float, "LREAL")},
     real=_real,
-    texts=Texts(encoding="latin-1", read=_read_text, write=_write_text),
+    texts=Texts(encoding="latin-1", longest=_LONGEST_TEXT, read=_read_text, write=_write_text),
 )

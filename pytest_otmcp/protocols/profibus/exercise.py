@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import struct
 from collections.abc import Sequence
+from functools import partial
 
 from ..exercise import LARGEST_FLOAT32, NO_INTEGERS, NO_REALS, Asked, Contended, Exercise
 from ..journal import Entries, JournalEntry
@@ -92,9 +93,8 @@ def _large_numbers(values: Sequence[int], signed: bool) -> tuple[Asked, ...]:
     return tuple(_alias(name, value.to_bytes(8, "big", signed=signed), {"value": value}) for value in values)
 
 
-def _special(value: float) -> tuple[Asked, ...]:
-    forms = ((_SPEED, ">f"), (_DOUBLE, ">d"))
-    return tuple(_alias(alias, struct.pack(form, value), {"value": value}) for alias, form in forms)
+def _float(alias: str, form: str, value: float) -> Asked:
+    return _alias(alias, struct.pack(form, value), {"value": value})
 
 
 def _named(name: str, value: object, offset: int, content: bytes) -> Asked:
@@ -189,6 +189,6 @@ EXERCISE = Exercise(
     bounds=_bounds,
     misfits=_misfits,
     large=_large_numbers,
-    special=_special,
+    floats={"float32": partial(_float, _SPEED, ">f"), "float64": partial(_float, _DOUBLE, ">d")},
     real=_real,
 )

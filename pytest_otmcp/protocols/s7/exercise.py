@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import struct
 from collections.abc import Iterator, Sequence
+from functools import partial
 
 from ..exercise import LARGEST_FLOAT32, NO_INTEGERS, NO_REALS, Asked, Contended, Exercise, Texts, every_change
 from ..journal import JournalEntry
@@ -165,13 +166,12 @@ def _large_numbers(values: Sequence[int], signed: bool) -> tuple[Asked, ...]:
     return tuple(_held(kind, value.to_bytes(8, "big", signed=signed), {"value": value}) for value in values)
 
 
-def _special(value: float) -> tuple[Asked, ...]:
-    forms = (("REAL", ">f"), ("LREAL", ">d"))
-    return tuple(_held(kind, struct.pack(form, value), {"value": value}) for kind, form in forms)
+def _float(kind: str, form: str, value: float) -> Asked:
+    return _held(kind, struct.pack(form, value), {"value": value})
 
 
 def _real(value: float) -> Asked:
-    return Asked(operation="write_db", inputs={"db": _BLOCK, "start": _FREE, "type": "REAL", "value": value})
+    return _write_typed("REAL", ">f", value)
 
 
 _WHOLE = {"SINT": ">b", "USINT": ">B", "INT": ">h", "UINT": ">H", "DINT": ">i", "UDINT": ">I"}
@@ -259,7 +259,7 @@ EXERCISE = Exercise(
     bounds=_bounds,
     misfits=_misfits,
     large=_large_numbers,
-    special=_special,
+    floats={"float32": partial(_float, "REAL", ">f"), "float64": partial(_float, "LREAL", ">d")},
     real=_real,
-    texts=Texts(encoding="latin-1", read=_read_text, write=_write_text),
+    texts=Texts(encoding="latin-1", longest=_DECLARED, read=_read_text, write=_write_text),
 )
