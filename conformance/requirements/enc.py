@@ -33,6 +33,7 @@ from .steps import (
     exact_or_refused,
     exercise,
     knows_node,
+    most_characters,
     nothing_arrived,
     read,
     witness,
@@ -649,7 +650,7 @@ _UMLAUTS = "Gr\u00f6\u00dfe "
 @TASKS.every_protocol("ENC-006", "Text arrives as it is.", having="texts")
 async def texts_arrive_as_they_are(run: Repetition, at: Rig) -> None:
     """Read texts of many writings, texts with invisible characters, and one as long as the device has room for, as far as the device can hold
-    them; write texts, also some that it cannot hold, and one that is too long by a character.
+    them, and as the tool's schema allows; write texts, also some that it cannot hold, and one that is too long by a character.
 
     Said: each text. Of one with invisible characters, and where a byte is a character of one of several sets, at least the others. For what
         the device cannot hold failures with `type_mismatch`, `invalid_input` or `range_overflow`, for what is too long also with
@@ -689,6 +690,9 @@ async def _write_texts(run: Repetition, at: Rig, texts: Texts, every: Sequence[s
         reply = await _asked(at, asked)
         if not _can_hold(texts.encoding, text):
             run.fails(reply, *_NOT_WRITTEN, outcome=NOTHING_SENT, requirement="ENC-006")
+            run.witnessed(nothing_arrived(at, reply.during(await at.journal()), requirement="ENC-006"))
+        elif len(text) > most_characters(at, asked, "value"):
+            run.fails(reply, "limit_exceeded", *_NOT_WRITTEN, outcome=NOTHING_SENT, requirement="ENC-006")
             run.witnessed(nothing_arrived(at, reply.during(await at.journal()), requirement="ENC-006"))
         elif text.isascii() or texts.encoding == "utf-8":
             run.succeeds(reply, requirement="ENC-006")

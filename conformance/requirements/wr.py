@@ -29,6 +29,7 @@ from .steps import (
     a_write_works,
     answers_again,
     citing,
+    exact_or_refused,
     exercise,
     faulty,
     nothing_arrived,
@@ -107,13 +108,16 @@ async def an_opcua_write_has_its_effect(run: Repetition, opcua: Rig) -> None:
     having="write_refused",
 )
 async def a_write_has_its_effect(run: Repetition, at: Rig) -> None:
-    """Write by every operation that writes; then write once while the device refuses it.
+    """Write by every operation that writes, and with every further argument that says what is to be done, such as a control code and its
+    times; then write once while the device refuses it.
 
-    Said: success; for the last a failure with the code of this refusal.
-    Seen: the device holds what was written; what was refused is not in it.
+    Said: success; for an argument that the adapter does not offer a failure with `unsupported_operation` or `invalid_input`; for the last a
+        failure with the code of this refusal.
+    Seen: one request with what was asked for; the device holds what was written; what was refused is not in it.
     Why: an assistant that reads "written" goes on as if the valve had moved.
     """
     await _have_their_effect(run, at)
+    await _say_what_is_asked_for(run, at)
     refused_by = exercise(at).write_refused
     assert refused_by is not None
     action, code = refused_by
@@ -131,6 +135,45 @@ async def _have_their_effect(run: Repetition, at: Rig) -> None:
         run.succeeds(reply, requirement="WR-001")
         if reply.success:
             run.witnessed(witness(at).holds(await at.image(), asked.points))
+
+
+async def _say_what_is_asked_for(run: Repetition, at: Rig) -> None:
+    commands = exercise(at).commands
+    known = protocols()[at.protocol].operations
+    for asked in () if commands is None else commands(run.rng):
+        operation = known[asked.operation]
+        further = asked.inputs.keys() & {*operation.voluntary_inputs}
+        if not at.claims(asked.operation) or not all(at.accepts_input(asked.operation, name) for name in further):
+            continue
+        before = await at.image()
+        reply = await at.call(asked.operation, **asked.inputs)
+        done = protocols()[at.protocol].changes(reply.during(await at.journal()))
+        written = exact_or_refused(run, reply, "unsupported_operation", "invalid_input", requirement="WR-001")
+        # A device that refuses may have been asked for something else.
+        if written or done:
+            run.witnessed(_sent_as_asked(at, reply, asked, done))
+        if written:
+            run.witnessed(witness(at).holds(await at.image(), asked.points))
+        else:
+            run.witnessed(witness(at).only_changed(before, await at.image(), {}, otherwise="WR-001"))
+
+
+def _sent_as_asked(at: Rig, reply: Reply, asked: Asked, done: Sequence[JournalEntry]) -> list[Finding]:
+    """Expect one request that writes, and that it says what was asked for."""
+    says = exercise(at).says
+    assert says is not None
+    said = [told for entry in done if (told := says(entry)) is not None]
+    if len(said) == len(done) == 1 and all(said[0].get(name) == wanted for name, wanted in asked.sent.items()):
+        return []
+    shown = [{name: told.get(name) for name in asked.sent} for told in said]
+    return [
+        Finding(
+            code="not_written_once",
+            message=f"{reply.label}: the device should have seen one request with {dict(asked.sent)}, it saw {shown or 'none'}",
+            requirement="WR-001",
+            evidence=protocols()[at.protocol].seen(done),
+        )
+    ]
 
 
 @TASKS.check("WR-002", "A write changes its target and nothing else.", needs="modbus.write_holding")

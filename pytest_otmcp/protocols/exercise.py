@@ -50,6 +50,7 @@ class Asked:
         outputs: what a successful answer has to say.
         pokes: what is set at the mock before the call.
         points: what the device's image holds after a write, by point; empty where the device has no such image.
+        sent: what the request that writes says beside the value, such as a control code, by the names of ``says``.
         condition: of a fault plan, which the requests of this call meet, and those of calls for something else do not.
     """
 
@@ -58,6 +59,7 @@ class Asked:
     outputs: Mapping[str, Any] = field(default_factory=dict)
     pokes: tuple[Poke, ...] = ()
     points: Mapping[str, object] = field(default_factory=dict)
+    sent: Mapping[str, object] = field(default_factory=dict)
     condition: Rule = field(default_factory=dict)
 
 
@@ -138,6 +140,8 @@ class Exercise:
         texts: reads and writes of a text; None as for ``large``.
         bounds: makes writes of values at a bound of their type, each with a value just beyond; None as for ``large``.
         misfits: makes writes, each with values of other kinds than the target's; None as for ``large``.
+        commands: makes writes that say more than a value; an adapter may refuse what it does not offer. None where there are none.
+        says: returns what a request of ``commands`` says, by name; None for another request.
         asks_for: returns what a request that writes asks for, as the values of ``contended`` are; None for another request.
     """
 
@@ -159,6 +163,8 @@ class Exercise:
     every_read: Callable[[random.Random], tuple[Asked, ...]] | None = None
     every_write: Callable[[random.Random], tuple[Asked, ...]] | None = None
     contended: Callable[[random.Random], Contended] | None = None
+    commands: Callable[[random.Random], tuple[Asked, ...]] | None = None
+    says: Callable[[JournalEntry], Mapping[str, Any] | None] | None = None
     asks_for: Callable[[JournalEntry], object] | None = None
     bounds: Callable[[], tuple[tuple[Asked, object], ...]] | None = None
     misfits: Callable[[], tuple[tuple[Asked, tuple[object, ...]], ...]] | None = None

@@ -17,6 +17,7 @@ from ..mutant import Bend, Data, Handler, Mutant, each, on, wrap
 
 __all__ = [
     "altered",
+    "beginning",
     "cut_off",
     "declared",
     "last_answer",
@@ -146,6 +147,10 @@ def lower_half(value: Any, kind: str) -> Any:
 def truth(value: Any, kind: str) -> Any:
     """Return True for a BOOL that is any text but the empty one."""
     return bool(value) if kind == "BOOL" else value
+
+
+def beginning(data: Data) -> Data:
+    return {**data, "value": data["value"][:20]} if isinstance(data["value"], str) else data
 
 
 def stripped(data: Data) -> Data:

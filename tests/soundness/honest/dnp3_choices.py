@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from pytest_otmcp.reference_adapters.core import AdapterServer, Call
+from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call
 from pytest_otmcp.reference_adapters.defects.mutant import Handler, wrap
 from pytest_otmcp.reference_adapters.dnp3.conversions import shown
 
@@ -13,6 +13,22 @@ from .choice import choices
 __all__ = ["CHOICES"]
 
 CHOICES, choice = choices("dnp3")
+
+
+@choice(
+    "has no pulses: latches, trips and closes alone, and refuses the other codes by itself",
+    "which controls an adapter offers is its author's choice",
+)
+def no_pulses(server: AdapterServer) -> None:
+    def without(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Any:
+            if arguments.control.startswith("pulse"):
+                raise AdapterError("unsupported_operation", "outputs are not pulsed", field="/code", outcome="not_sent")
+            return await genuine(call, arguments)
+
+        return handler
+
+    wrap(server, "write_binary_output", without)
 
 
 @choice(
