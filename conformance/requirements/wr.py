@@ -286,17 +286,38 @@ def _at_most_once(at: Rig, reply: Reply, found: Sequence[JournalEntry], requirem
     writes=True,
     guard=True,
     having="every_write",
+    beside="control_guard",
     apart="opcua",
 )
-async def the_guard_covers_every_write(run: Repetition, at: Rig, guarded: Rig) -> None:
-    """Write by every operation that writes, with writes disabled; then the same with writes enabled.
+async def the_guard_covers_every_write(
+    run: Repetition, at: Rig, guarded: Rig, uncontrolled: Rig | None = None
+) -> None:
+    """Write by every operation that writes, with writes disabled; then the same with writes enabled. Where the subject has a switch of its
+    own for control of the device itself: write with writes enabled and control disabled, and try by every operation to control it.
 
-    Said: refusals with `writes_disabled` and the outcome `not_sent`; then success.
-    Seen: over the whole life of the session with writes disabled no request that changes the plant; then one for each write.
+    Said: refusals with `writes_disabled` and the outcome `not_sent`; then success. Of control that is disabled refusals with
+        `writes_disabled` or `access_denied`.
+    Seen: over the whole life of the session with writes disabled no request that changes the plant; then one for each write. With control
+        disabled the write alone.
     Why: the write switch is what keeps an assistant's mistake out of the plant, and it has to keep all of them out.
     """
     await _refused_then_written(run, at, guarded)
     await _session_wrote_nothing(run, guarded)
+    if uncontrolled is not None:
+        await _writes_without_control(run, uncontrolled)
+
+
+async def _writes_without_control(run: Repetition, uncontrolled: Rig) -> None:
+    await a_write_works(run, uncontrolled, requirement="WR-004")
+    operations = protocols()[uncontrolled.protocol].operations
+    for asked in _every_write(run, uncontrolled):
+        if operations[asked.operation].controls:
+            await _prepare(uncontrolled, asked)
+            reply = await uncontrolled.call(asked.operation, **asked.inputs)
+            run.fails(reply, "writes_disabled", "access_denied", outcome="not_sent", requirement="WR-004")
+            entries = since(reply, await uncontrolled.journal())
+            run.witnessed(nothing_arrived(uncontrolled, entries, requirement="WR-004"))
+    await a_write_works(run, uncontrolled, requirement="WR-004")
 
 
 async def _refused_then_written(run: Repetition, at: Rig, guarded: Rig) -> None:
