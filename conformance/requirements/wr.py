@@ -289,9 +289,7 @@ def _at_most_once(at: Rig, reply: Reply, found: Sequence[JournalEntry], requirem
     beside="control_guard",
     apart="opcua",
 )
-async def the_guard_covers_every_write(
-    run: Repetition, at: Rig, guarded: Rig, uncontrolled: Rig | None = None
-) -> None:
+async def the_guard_covers_every_write(run: Repetition, at: Rig, guarded: Rig, uncontrolled: Rig | None = None) -> None:
     """Write by every operation that writes, with writes disabled; then the same with writes enabled. Where the subject has a switch of its
     own for control of the device itself: write with writes enabled and control disabled, and try by every operation to control it.
 
@@ -308,7 +306,7 @@ async def the_guard_covers_every_write(
 
 
 async def _writes_without_control(run: Repetition, uncontrolled: Rig) -> None:
-    await a_write_works(run, uncontrolled, requirement="WR-004")
+    await a_write_works(run, uncontrolled)
     operations = protocols()[uncontrolled.protocol].operations
     for asked in _every_write(run, uncontrolled):
         if operations[asked.operation].controls:
@@ -317,7 +315,7 @@ async def _writes_without_control(run: Repetition, uncontrolled: Rig) -> None:
             run.fails(reply, "writes_disabled", "access_denied", outcome="not_sent", requirement="WR-004")
             entries = since(reply, await uncontrolled.journal())
             run.witnessed(nothing_arrived(uncontrolled, entries, requirement="WR-004"))
-    await a_write_works(run, uncontrolled, requirement="WR-004")
+    await a_write_works(run, uncontrolled)
 
 
 async def _refused_then_written(run: Repetition, at: Rig, guarded: Rig) -> None:

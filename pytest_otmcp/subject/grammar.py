@@ -69,7 +69,9 @@ _BOUNDED = Named(
                 "Targets that it was told to allow; '10..19' in a name stands for these numbers, '*' for any characters but '/'.",
                 default=[],
             ),
-            "limits": Key(MapOf(_LIMIT), "Target to the limits that it was told, in the device's own terms.", default={}),
+            "limits": Key(
+                MapOf(_LIMIT), "Target to the limits that it was told, in the device's own terms.", default={}
+            ),
         },
         rules=(
             Rule(

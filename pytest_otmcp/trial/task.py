@@ -26,7 +26,6 @@ the variant with writes disabled, which is None where the subject claims no such
 """
 
 
-
 @dataclass(slots=True, kw_only=True)
 class Task:
     """One item of the suite.

@@ -14,7 +14,18 @@ from ..claims import local_time
 from ..mutant import Data, Mutant, failing, told
 from ..refusals import _end
 from .enc import as_zero, by_way_of_float
-from .further import altered, declared, last_answer, lower_half, merged, module_of, reencoded, stripped, truth
+from .further import (
+    altered,
+    controls_always,
+    declared,
+    last_answer,
+    lower_half,
+    merged,
+    module_of,
+    reencoded,
+    stripped,
+    truth,
+)
 
 __all__ = ["MUTANTS"]
 
@@ -139,6 +150,14 @@ MUTANTS: tuple[Mutant, ...] = (
         "Of two writes of one tag at the same time only one is sent, and both are told as successes.",
     ),
     _mutant("MU-56ei", "enc", "ENC-004", "ENC-004", told(_READ, change=as_zero), "A tag that is NaN is 0."),
+    _mutant(
+        "MU-20eic",
+        "wr",
+        "WR-004",
+        "WR-004",
+        controls_always("set_plc_time"),
+        "The controller's clock is set wherever writes are enabled, whatever the switch for control says.",
+    ),
     _mutant(
         "MU-57ei",
         "enc",

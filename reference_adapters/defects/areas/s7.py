@@ -13,6 +13,7 @@ from ..refusals import _end
 from .enc import as_zero, by_way_of_float
 from .further import (
     beginning,
+    controls_always,
     cut_off,
     declared,
     last_answer,
@@ -125,6 +126,14 @@ MUTANTS: tuple[Mutant, ...] = (
         "Of two S7 writes at the same time only one is sent, and both are told as successes.",
     ),
     _mutant("MU-56k", "enc", "ENC-004", "ENC-004", told(_READ, change=as_zero), "A REAL that is NaN is 0."),
+    _mutant(
+        "MU-20kc",
+        "wr",
+        "WR-004",
+        "WR-004",
+        controls_always("set_cpu_state"),
+        "The CPU is started and stopped wherever writes are enabled, whatever the switch for control says.",
+    ),
     _mutant(
         "MU-57k",
         "enc",

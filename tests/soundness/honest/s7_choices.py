@@ -91,6 +91,15 @@ def short_texts(server: AdapterServer) -> None:
 
 
 @choice(
+    "has no tool that starts and stops the CPU unless control is enabled",
+    "a tool that is not there cannot be used",
+)
+def control_tools_hidden(server: AdapterServer) -> None:
+    if not server._tools["set_cpu_state"].handler.__self__._control_enabled:  # type: ignore[attr-defined]
+        del server._tools["set_cpu_state"]
+
+
+@choice(
     "reads types of up to 32 bits, and texts, which it does not write; refuses others in words without a code",
     "which types an adapter offers is its author's choice, and an answer need not have a code",
     described=without_codes,
