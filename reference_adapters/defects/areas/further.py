@@ -158,7 +158,7 @@ def controls_always(tool: str) -> Bend:
     """Return the defect that a tool's switch of its own is not looked at: writes that are enabled are enough."""
 
     def bend(server: AdapterServer) -> None:
-        server._tools[tool].handler.__self__._control_enabled = True  # type: ignore[attr-defined]
+        server._tools[tool].handler.__self__._control_enabled = True
 
     return bend
 
