@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from typing import Any, cast
 
 from pytest_otmcp.core.finding import Finding
-from pytest_otmcp.protocols.exercise import Asked
+from pytest_otmcp.protocols.bounds import Limit
+from pytest_otmcp.protocols.exercise import Asked, Limited
 from pytest_otmcp.protocols.journal import Entries, JournalEntry
 from pytest_otmcp.protocols.modbus import oracle as modbus_oracle
 from pytest_otmcp.protocols.modbus.entries import as_modbus, describe, points
@@ -16,6 +20,7 @@ from pytest_otmcp.protocols.opcua import oracle as opcua_oracle
 from pytest_otmcp.protocols.oracle import state_changing
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.protocols.session_oracle import StateChanges
+from pytest_otmcp.trial.alteration import Alteration
 from pytest_otmcp.trial.check import Checks
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
@@ -24,6 +29,7 @@ from pytest_otmcp.trial.rig import Rig
 from ..tasks.common import a_meaningless_switch_enables_nothing
 from .steps import (
     CONNECTION_FAULTS,
+    NOTHING_SENT,
     QUIET_S,
     a_read_works,
     a_write_works,
@@ -38,6 +44,7 @@ from .steps import (
     since,
     witness,
     write,
+    written_once,
 )
 
 __all__ = ["TASKS"]
@@ -139,11 +146,8 @@ async def _have_their_effect(run: Repetition, at: Rig) -> None:
 
 async def _say_what_is_asked_for(run: Repetition, at: Rig) -> None:
     commands = exercise(at).commands
-    known = protocols()[at.protocol].operations
     for asked in () if commands is None else commands(run.rng):
-        operation = known[asked.operation]
-        further = asked.inputs.keys() & {*operation.voluntary_inputs}
-        if not at.claims(asked.operation) or not all(at.accepts_input(asked.operation, name) for name in further):
+        if not _can_be_asked(at, asked):
             continue
         before = await at.image()
         reply = await at.call(asked.operation, **asked.inputs)
@@ -445,6 +449,190 @@ async def a_meaningless_switch(run: Repetition, at: Rig, guarded: Rig) -> None:
     await a_write_works(run, at)
     await guarded.close_session()
     await a_meaningless_switch_enables_nothing(run, guarded, asked.operation, **asked.inputs)
+
+
+# -- WR-006, WR-007 -----------------------------------------------------------------------------------------
+
+
+_FORBIDDEN = ("access_denied", "not_writable", "illegal_address", "invalid_input")
+"""Codes for a target that is not on the list; an adapter may know no other targets, or say so in its schema."""
+_BEYOND = ("range_overflow", "access_denied", "invalid_input", "illegal_value", "limit_exceeded")
+_NO_NUMBER = (*_BEYOND, "type_mismatch")
+_TOO_SOON = ("rate_limited", "access_denied")
+_MARGIN_S = 0.1
+"""Seconds beyond the time between two writes: two clocks count it."""
+
+
+def _can_be_asked(at: Rig, asked: Asked) -> bool:
+    """Tell whether the subject has bound the operation of a call, with all the inputs that it may lack."""
+    further = asked.inputs.keys() & {*protocols()[at.protocol].operations[asked.operation].voluntary_inputs}
+    return at.claims(asked.operation) and all(at.accepts_input(asked.operation, name) for name in further)
+
+
+@TASKS.every_protocol(
+    "WR-006", "What is not on the list is not written.", writes=True, launch="bounds", having="fenced"
+)
+async def only_what_is_on_the_list_is_written(run: Repetition, at: Rig, bounded: Rig) -> None:
+    """Through an adapter that was told which targets may be written: write what is on the list; what is just outside, in a range across an end,
+    in a batch with one that is allowed, and by another name; once with further arguments such as `force`.
+
+    Said: success for what is on the list; else failures with `access_denied`, or that there is no such target, and the outcome `not_sent`.
+    Seen: what is on the list; of everything else nothing, not even a part.
+    Why: a list that looks at the first register alone lets an assistant write whatever lies behind it.
+    """
+    asks, bounds = exercise(at), bounded.bounds
+    if not bounds.allowed:
+        run.not_applicable("the subject file does not say which targets the adapter was told to allow")
+    assert asks.fenced is not None
+    every = [asked for asked in asks.fenced(run.rng) if _can_be_asked(bounded, asked)]
+    inside = [asked for asked in every if all(map(bounds.allows, asked.points))]
+    outside = [asked for asked in every if asked not in inside]
+    # What has limits as well is asked for by WR-007.
+    limited = {point for target in bounds.limits for point in _points_of(bounded, target)}
+    inside = [asked for asked in inside if limited.isdisjoint(asked.points)]
+    if not (inside and outside):
+        run.not_applicable("the list has none, or all, of the targets that the kit can write")
+    await a_read_works(run, bounded)
+    for asked in outside:
+        await _refused(run, bounded, bounded.call, asked, *_FORBIDDEN, requirement="WR-006")
+    asked = outside[0]
+    if bounded.arguments_of(asked.operation, **asked.inputs) is not None:
+        forced = partial(bounded.call_altered, altered=Alteration(given={"force": True, "override": True}))
+        await _refused(run, bounded, forced, asked, *_FORBIDDEN, requirement="WR-006")
+    for asked in inside:
+        reply = await bounded.call(asked.operation, **asked.inputs)
+        if run.succeeds(reply, requirement="WR-006"):
+            run.witnessed(await _is_written(bounded, reply, asked, "WR-006"))
+
+
+def _points_of(at: Rig, target: str) -> Iterable[str]:
+    known = exercise(at).limited.get(target)
+    return () if known is None else known.ways[0](1).points
+
+
+async def _is_written(at: Rig, reply: Reply, asked: Asked, requirement: str) -> list[Finding]:
+    image: Any = await at.image()
+    if asked.points.keys() <= image["points"].keys():
+        return citing(requirement, witness(at).holds(image, asked.points))
+    return written_once(at, asked, reply.during(await at.journal()), requirement=requirement)
+
+
+async def _refused(
+    run: Repetition,
+    at: Rig,
+    call: Callable[..., Awaitable[Reply]],
+    asked: Asked,
+    *codes: str,
+    requirement: str,
+    until_ns: float = math.inf,
+) -> None:
+    """Expect that a write is refused before anything is sent, and that its targets are as they were.
+
+    Args:
+        until_ns: monotonic; a write that was answered later may be a success.
+    """
+    before: Any = await at.image()
+    reply = await call(asked.operation, **asked.inputs)
+    if reply.success and (reply.exchange.received_ns or math.inf) >= until_ns:
+        return
+    run.fails(reply, *codes, outcome=NOTHING_SENT, requirement=requirement)
+    run.witnessed(nothing_arrived(at, since(reply, await at.journal()), requirement=requirement))
+    held = {point: before["points"][point] for point in asked.points if point in before["points"]}
+    run.witnessed(citing(requirement, witness(at).holds(await at.image(), held)))
+
+
+@TASKS.every_protocol(
+    "WR-007", "What is beyond a limit is not written.", writes=True, launch="bounds", having="limited"
+)
+async def what_is_beyond_a_limit_is_not_written(run: Repetition, at: Rig, bounded: Rig) -> None:
+    """Through an adapter that was told limits of values: write the lowest and the highest, a number just beyond each, and what is no number, by every
+    operation and every name, scaled ones too; the largest step and a larger one; and again before it is time.
+
+    Said: success for what is within; else failures with `range_overflow`, or `rate_limited` for what comes too soon, and the outcome
+        `not_sent`.
+    Seen: what is within; nothing of everything else.
+    Why: a limit that is compared before the value is scaled is ten times the limit that somebody has set.
+    """
+    limits = bounded.bounds.limits
+    if not limits:
+        run.not_applicable("the subject file does not say which limits the adapter was told")
+    known = exercise(at).limited
+    judged = {
+        target: [way for way in known[target].ways if _can_be_asked(bounded, way(1))]
+        for target in limits
+        if target in known
+    }
+    if not any(judged.values()):
+        run.not_applicable("the limits are of targets that the kit cannot write")
+    await a_read_works(run, bounded)
+    for target, ways in judged.items():
+        if ways:
+            await _keeps(_Limiting(run, bounded, limits[target], known[target]), ways)
+
+
+class _Limiting:
+    """Writes of one target that has limits.
+
+    Args:
+        limit: what the adapter was told.
+        known: what the kit can write there.
+    """
+
+    def __init__(self, run: Repetition, at: Rig, limit: Limit, known: Limited) -> None:
+        self.limit, self.known = limit, known
+        self._run, self._at = run, at
+
+    async def written(self, asked: Asked) -> Reply:
+        """Expect that a number within the limits is written, when it is time for it."""
+        await self._in_time()
+        reply = await self._at.call(asked.operation, **asked.inputs)
+        if self._run.succeeds(reply, requirement="WR-007"):
+            self._run.witnessed(await _is_written(self._at, reply, asked, "WR-007"))
+        return reply
+
+    async def refused(self, asked: Asked, *codes: str) -> None:
+        """Expect that a write is refused, when it is time for one."""
+        await self._in_time()
+        await _refused(self._run, self._at, self._at.call, asked, *codes, requirement="WR-007")
+
+    async def refused_after(self, first: Reply, asked: Asked, every_s: float) -> None:
+        """Expect that a write is refused which comes too soon after another one, as far as both were quick enough to be too close."""
+        call, until_ns = self._at.call, first.exchange.sent_ns + every_s * 1e9
+        await _refused(self._run, self._at, call, asked, *_TOO_SOON, requirement="WR-007", until_ns=until_ns)
+
+    async def _in_time(self) -> None:
+        if self.limit.every_s is not None:
+            await self._at.watch(self.limit.every_s + _MARGIN_S)
+
+
+async def _keeps(at: _Limiting, ways: Sequence[Callable[[float], Asked]]) -> None:
+    limit, unit = at.limit, at.known.unit
+    last = next((bound for bound in (limit.lowest, limit.highest) if bound is not None), 0.0)
+    for way in ways:
+        if limit.step is None:
+            for bound, beyond in ((limit.lowest, -unit), (limit.highest, unit)):
+                if bound is not None:
+                    await at.written(way(_whole(bound)))
+                    await at.refused(way(_whole(bound + beyond)), *_BEYOND)
+                    last = bound
+        else:
+            await at.written(way(_whole(last)))
+            await at.refused(way(_whole(last + limit.step + unit)), *_BEYOND)
+            last += limit.step
+            await at.written(way(_whole(last)))
+        within = way(_whole(last))
+        for text in ("NaN", "Infinity") if at.known.given_as in within.inputs else ():
+            asked = replace(within, inputs={**within.inputs, at.known.given_as: text})
+            await at.refused(asked, *_NO_NUMBER)
+        if limit.every_s is not None:
+            # A number that a device holds already is not always sent.
+            inner = last + unit if limit.highest is None and limit.step is None else last - unit
+            await at.refused_after(await at.written(way(_whole(inner))), within, limit.every_s)
+
+
+def _whole(value: float) -> float:
+    """Return a whole number as one, as tools for whole numbers want it."""
+    return int(value) if value == int(value) else value
 
 
 # -- WR-008, WR-009 -----------------------------------------------------------------------------------------

@@ -22,6 +22,7 @@ __all__ = [
     "Asked",
     "Contended",
     "Exercise",
+    "Limited",
     "Texts",
     "every_change",
     "number_in_json",
@@ -106,6 +107,21 @@ class Texts:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Limited:
+    """A number that limits are asked for.
+
+    Attributes:
+        ways: make a write of the number, in the device's own terms, each by another operation, name or form.
+        unit: what makes a number another one in all of these.
+        given_as: the input that is the number, for what is no number.
+    """
+
+    ways: tuple[Callable[[float], Asked], ...]
+    unit: float
+    given_as: str = "value"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Exercise:
     """What checks for every protocol do on this one.
 
@@ -132,6 +148,9 @@ class Exercise:
         every_write: makes writes by every operation that writes; each changes what the device held before, by one request, and says all
             points that it changes. None where there are none.
         contended: makes writes and a read of one target; None where nothing can be read that was written.
+        fenced: makes writes beside one another, by every operation that writes, some across the ends of what a list of targets can allow; the
+            points of each are all its targets. None where there are none.
+        limited: numbers whose limits can be asked for, by the name of the target.
         large: makes a read of each of these whole numbers of 64 bits, of a type with a sign or of one without; None where checks of the
             protocol's own have it.
         floats: make a read of a number, which may be infinite or no number at all: of the type ``float32``, and of ``float64``; empty where
@@ -168,6 +187,8 @@ class Exercise:
     asks_for: Callable[[JournalEntry], object] | None = None
     bounds: Callable[[], tuple[tuple[Asked, object], ...]] | None = None
     misfits: Callable[[], tuple[tuple[Asked, tuple[object, ...]], ...]] | None = None
+    fenced: Callable[[random.Random], tuple[Asked, ...]] | None = None
+    limited: Mapping[str, Limited] = field(default_factory=dict)
     large: Callable[[Sequence[int], bool], tuple[Asked, ...]] | None = None
     floats: Mapping[str, Callable[[float], Asked]] = field(default_factory=dict)
     real: Callable[[float], Asked] | None = None

@@ -7,7 +7,17 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
-from ..exercise import LARGEST_FLOAT32, NO_INTEGERS, NO_REALS, Asked, Contended, Exercise, Texts, number_in_json
+from ..exercise import (
+    LARGEST_FLOAT32,
+    NO_INTEGERS,
+    NO_REALS,
+    Asked,
+    Contended,
+    Exercise,
+    Limited,
+    Texts,
+    number_in_json,
+)
 from ..journal import Entries, JournalEntry
 from .entries import DIRECT_OPERATE, OPERATE, as_dnp3, changes, commands
 from .oracle import LATCH_OFF, LATCH_ON
@@ -238,6 +248,24 @@ def _write_text(text: str) -> Asked:
     )
 
 
+def _fenced(rng: random.Random) -> tuple[Asked, ...]:
+    # The binary output 2 is what a list can allow.
+    def named(name: str, point: str, value: object) -> Asked:
+        return Asked(operation="write_alias", inputs={"name": name, "value": value}, points={point: value})
+
+    return (
+        *(_latch(index, rng.random() < 0.5) for index in (_OUTPUT, 1, 3)),
+        named("otmcp_limited", "analog_output/2", rng.randrange(1, 100) + 0.5),
+        named(_TEXT, "octet_string/0", f"text-{rng.getrandbits(32):08x}"),
+    )
+
+
+def _setting(name: str, index: int, value: float) -> Asked:
+    return Asked(
+        operation="write_alias", inputs={"name": name, "value": value}, points={f"analog_output/{index}": value}
+    )
+
+
 EXERCISE = Exercise(
     reading="read_analog",
     read=_read,
@@ -264,6 +292,11 @@ EXERCISE = Exercise(
     every_read=_every_read,
     every_write=_every_write,
     contended=_contended,
+    fenced=_fenced,
+    limited={
+        "analog_output/3": Limited(ways=(partial(_setting, _BATCH, 3),), unit=1),
+        "analog_output/0": Limited(ways=(partial(_setting, _SETPOINT, 0),), unit=0.5),
+    },
     commands=_commands,
     says=_says,
     asks_for=_asks_for,

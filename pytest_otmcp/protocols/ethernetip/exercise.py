@@ -15,6 +15,7 @@ from ..exercise import (
     Asked,
     Contended,
     Exercise,
+    Limited,
     Texts,
     every_change,
     number_in_json,
@@ -217,6 +218,54 @@ def _write_text(text: str) -> Asked:
     )
 
 
+def _fenced(rng: random.Random) -> tuple[Asked, ...]:
+    # HeaterPower and the elements 20 to 22 are what a list can allow.
+    def numbers(count: int) -> list[int]:
+        return [rng.randrange(1, 0x8000) for _ in range(count)]
+
+    def elements(first: int, count: int) -> Asked:
+        values = numbers(count)
+        return Asked(
+            operation="write_array",
+            inputs={"tag": f"{_ARRAY}[{first}]", "values": values},
+            points={f"{_ARRAY}[{first + index}]": value for index, value in enumerate(values)},
+        )
+
+    def batch(*tags: str) -> Asked:
+        values = dict(zip(tags, numbers(len(tags)), strict=True))
+        items = [{"tag_name": tag, "value": value} for tag, value in values.items()]
+        return Asked(operation="write_tags", inputs={"items": items}, points=values)
+
+    one, other, another, valve = numbers(4)
+    return (
+        _writing(_WRITTEN, one, "DINT"),
+        elements(20, 3),
+        elements(19, 2),
+        elements(22, 2),
+        _writing(f"{_ARRAY}[19]", other, "INT"),
+        _writing(f"{_ARRAY}[23]", another, "INT"),
+        batch(_WRITTEN, f"{_ARRAY}[21]"),
+        batch(_WRITTEN, _free("DINT")),
+        batch(_free("DINT"), _WRITTEN),
+        Asked(operation="write_alias", inputs={"name": _ALIASES[1], "value": valve}, points={"ValvePosition": valve}),
+        _writing(_free("BOOL"), True, "BOOL"),
+        Asked(
+            operation="set_clock",
+            inputs={"time": "2031-05-17T08:30:00+00:00"},
+            points={"Clock": "2031-05-17T08:30:00+00:00"},
+        ),
+    )
+
+
+def _in_a_batch(tag: str, value: float) -> Asked:
+    items = [{"tag_name": tag, "value": value}]
+    return Asked(operation="write_tags", inputs={"items": items}, points={tag: value})
+
+
+def _number(tag: str, value: float) -> Asked:
+    return _writing(tag, value, "DINT")
+
+
 EXERCISE = Exercise(
     reading="read_tag",
     read=_read,
@@ -242,6 +291,11 @@ EXERCISE = Exercise(
     every_read=_every_read,
     every_write=_every_write,
     contended=_contended,
+    fenced=_fenced,
+    limited={
+        tag: Limited(ways=(partial(_number, tag), partial(_in_a_batch, tag)), unit=1)
+        for tag in (_CONTENDED, "FanSpeed")
+    },
     asks_for=_asks_for,
     bounds=_bounds,
     misfits=_misfits,

@@ -7,7 +7,7 @@ import struct
 from collections.abc import Sequence
 from functools import partial
 
-from ..exercise import LARGEST_FLOAT32, NO_INTEGERS, NO_REALS, Asked, Contended, Exercise
+from ..exercise import LARGEST_FLOAT32, NO_INTEGERS, NO_REALS, Asked, Contended, Exercise, Limited
 from ..journal import Entries, JournalEntry
 from .entries import as_profibus, points
 from .oracle import outputs_sent
@@ -163,6 +163,19 @@ def _asks_for(entry: JournalEntry) -> object:
     return int(setpoint)
 
 
+def _fenced(rng: random.Random) -> tuple[Asked, ...]:
+    # The outputs of the small slave are what a list can allow.
+    return (
+        _outputs(_SMALL, _bytes(rng, 2)),
+        _outputs(_LARGE, _bytes(rng, _WIDTH)),
+        _real(rng.randrange(1, 2**20) + 0.5),
+    )
+
+
+def _setting(value: float) -> Asked:
+    return _named(_SETPOINT, value, 0, struct.pack(">h", value))
+
+
 EXERCISE = Exercise(
     reading="read_inputs",
     read=_read,
@@ -185,6 +198,8 @@ EXERCISE = Exercise(
     every_read=_every_read,
     every_write=_every_write,
     contended=_contended,
+    fenced=_fenced,
+    limited={"8.output.0": Limited(ways=(_setting,), unit=1)},
     asks_for=_asks_for,
     bounds=_bounds,
     misfits=_misfits,
