@@ -582,6 +582,12 @@ class _Limiting:
         self.limit, self.known = limit, known
         self._run, self._at = run, at
 
+    async def held(self, way: Callable[[float], Asked]) -> float:
+        """Return the number that the device holds, where it is one of its points; else 0."""
+        image: Any = await self._at.image()
+        held = [image["points"].get(point) for point in way(1).points]
+        return held[0] if len(held) == 1 and type(held[0]) in (int, float) else 0
+
     async def written(self, asked: Asked) -> Reply:
         """Expect that a number within the limits is written, when it is time for it."""
         await self._in_time()
@@ -607,7 +613,7 @@ class _Limiting:
 
 async def _keeps(at: _Limiting, ways: Sequence[Callable[[float], Asked]]) -> None:
     limit, unit = at.limit, at.known.unit
-    last = next((bound for bound in (limit.lowest, limit.highest) if bound is not None), 0.0)
+    last = await at.held(ways[0])
     for way in ways:
         if limit.step is None:
             for bound, beyond in ((limit.lowest, -unit), (limit.highest, unit)):
@@ -620,14 +626,14 @@ async def _keeps(at: _Limiting, ways: Sequence[Callable[[float], Asked]]) -> Non
             await at.refused(way(_whole(last + limit.step + unit)), *_BEYOND)
             last += limit.step
             await at.written(way(_whole(last)))
-        within = way(_whole(last))
-        for text in ("NaN", "Infinity") if at.known.given_as in within.inputs else ():
-            asked = replace(within, inputs={**within.inputs, at.known.given_as: text})
-            await at.refused(asked, *_NO_NUMBER)
-        if limit.every_s is not None:
-            # A number that a device holds already is not always sent.
-            inner = last + unit if limit.highest is None and limit.step is None else last - unit
-            await at.refused_after(await at.written(way(_whole(inner))), within, limit.every_s)
+    within = ways[0](_whole(last))
+    for text in ("NaN", "Infinity") if at.known.given_as in within.inputs else ():
+        asked = replace(within, inputs={**within.inputs, at.known.given_as: text})
+        await at.refused(asked, *_NO_NUMBER)
+    if limit.every_s is not None:
+        # A number that a device holds already is not always sent.
+        inner = last + unit if limit.highest is None and limit.step is None else last - unit
+        await at.refused_after(await at.written(ways[0](_whole(inner))), within, limit.every_s)
 
 
 def _whole(value: float) -> float:
