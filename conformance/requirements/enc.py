@@ -33,6 +33,7 @@ from .steps import (
     exact_or_refused,
     exercise,
     knows_node,
+    most_characters,
     nothing_arrived,
     read,
     witness,
@@ -220,6 +221,38 @@ async def floats_in_nodes_keep_their_bits(run: Repetition, opcua: Rig) -> None:
                         run.judge(written, [finding])
 
 
+@TASKS.every_protocol("ENC-003", "Floating-point numbers keep their bits.", having="floats")
+async def floats_keep_their_bits(run: Repetition, at: Rig) -> None:
+    """Read numbers of 32 and 64 bits whose bits are random, the smallest and the largest, and -0; write some of 32 bits.
+
+    Said: numbers that have the same bits when they are put into the type again. 0 for -0 is a warning. A type that the adapter does not
+        offer fails with `unsupported_operation` or `invalid_input`, or `illegal_address`.
+    Seen: the device holds the number that was written.
+    Why: a rounded value hides a drift, and never reaches a limit that it stands at.
+    """
+    asks = exercise(at)
+    readers = {kind: read_of for kind, read_of in asks.floats.items() if at.claims(read_of(_ORDINARY).operation)}
+    if not readers:
+        run.not_applicable("the adapter has no operation that reads such a number")
+    await a_read_works(run, at)
+    for kind, read_of in readers.items():
+        ordinary = await _asked(at, read_of(_ORDINARY))
+        if exact_or_refused(run, ordinary, *_NOT_THERE, requirement="ENC-003", value=_ORDINARY):
+            for value in _patterns(run, kind):
+                reply = await _asked(at, read_of(value))
+                if run.succeeds(reply, requirement="ENC-003"):
+                    _judge_bits(run, reply, value, kind)
+    assert asks.real is not None
+    if not at.claims(asks.real(_ORDINARY).operation):
+        return
+    await a_write_works(run, at)
+    for value in (_ORDINARY, *list(_patterns(run, "float32"))[1:6]):
+        written = await _asked(at, asks.real(value))
+        if not exact_or_refused(run, written, *_NOT_THERE * (value == _ORDINARY), requirement="ENC-003"):
+            return
+        run.witnessed(citing("ENC-003", witness(at).holds(await at.image(), asks.real(value).points)))
+
+
 # -- ENC-004 ----------------------------------------------------------------------------------------------------------
 
 
@@ -330,7 +363,7 @@ def _of_metric(reply: Reply, name: str, wanted: object, found: Mapping[str, Any]
     return Finding(code="wrong_value", message=message, requirement=requirement)
 
 
-@TASKS.every_protocol("ENC-004", "What is no number, or infinite, is told by its name.", having="special")
+@TASKS.every_protocol("ENC-004", "What is no number, or infinite, is told by its name.", having="floats")
 async def special_numbers(run: Repetition, at: Rig) -> None:
     """Read a number of each type of floating-point numbers, then values of it that are NaN, infinite and minus infinite; read a number after
     them. Write texts with these names, and a number that is too large.
@@ -342,9 +375,8 @@ async def special_numbers(run: Repetition, at: Rig) -> None:
     Why: a sensor that has failed says NaN; told as 0 it is a plant that is cold.
     """
     asks = exercise(at)
-    assert asks.special is not None
     assert asks.real is not None
-    ordinary = [asked for asked in asks.special(_ORDINARY) if at.claims(asked.operation)]
+    ordinary = [asked for asked in _floats(at, _ORDINARY) if at.claims(asked.operation)]
     if not ordinary:
         run.not_applicable("the adapter has no operation that reads such a number")
     # A type that the adapter does not offer is refused in words of its own: that it is the type shows in an ordinary number of it.
@@ -354,7 +386,7 @@ async def special_numbers(run: Repetition, at: Rig) -> None:
         if exact_or_refused(run, await _asked(at, asked), *_NOT_THERE, requirement="ENC-004", value=_ORDINARY)
     ]
     for name, value in _SPECIAL.items():
-        for asked in asks.special(value):
+        for asked in _floats(at, value):
             if asked.inputs in offered:
                 _judge_special(run, at, await _asked(at, asked), name)
     await a_read_works(run, at)
@@ -365,6 +397,11 @@ async def special_numbers(run: Repetition, at: Rig) -> None:
             reply = await at.call(number.operation, **{**number.inputs, "value": beyond})
             run.fails(reply, *_NOT_WRITTEN, outcome=NOTHING_SENT, requirement="ENC-004")
             run.witnessed(nothing_arrived(at, reply.during(await at.journal()), requirement="ENC-004"))
+
+
+def _floats(at: Rig, value: float) -> list[Asked]:
+    """Return reads of a number, one for each type."""
+    return [read_of(value) for read_of in exercise(at).floats.values()]
 
 
 async def _asked(at: Rig, asked: Asked) -> Reply:
@@ -479,6 +516,9 @@ _TEXTS = ("text", "odd", "\u05e9\u05dc\u05d5\u05dd", "e\u0301", "\U0001f600\U000
 _INVISIBLE = ("a\0b", "a\u202eb\u202c")
 """Texts with a zero byte, and with a change of direction."""
 
+_LONG = 1000
+"""Characters of a text where the type has no greatest length; a description of a recipe has as many."""
+
 _BYTES = (b"\xff", b"\x00\x01\xfe\xff", b"\xc3(", b"\xed\xa0\x80", b"")
 
 
@@ -529,7 +569,7 @@ def _received(mqtt: Rig, reply: Reply) -> list[bytes]:
 
 @TASKS.check("ENC-006", "Text arrives as it is, and bytes that are no text are not lost.", needs="opcua.read")
 async def texts_of_nodes_arrive_as_they_are(run: Repetition, opcua: Rig) -> None:
-    """Read nodes that hold texts of many writings, texts with invisible characters, and bytes; write a text and bytes.
+    """Read nodes that hold texts of many writings, texts with invisible characters, a long text, and bytes; write texts.
 
     Said: each text; the bytes as base64. Of a text with invisible characters at least the others.
     Seen: the node holds the text that was written, character by character.
@@ -540,7 +580,7 @@ async def texts_of_nodes_arrive_as_they_are(run: Repetition, opcua: Rig) -> None
         return
     nonce = f"{run.rng.getrandbits(32):08x}"
     for kind in ("String", "LocalizedText"):
-        for text in (*_TEXTS, *_INVISIBLE):
+        for text in (*_TEXTS, *_INVISIBLE, _of_length(_LONG)):
             value = text + nonce
             await opcua.poke(node=kind, value=value)
             reply = await opcua.call("read", node=f"ns=2;s={kind}")
@@ -554,7 +594,7 @@ async def texts_of_nodes_arrive_as_they_are(run: Repetition, opcua: Rig) -> None
         await opcua.poke(node="ByteString", value=encoded)
         run.succeeds(await opcua.call("read", node="ns=2;s=ByteString"), requirement="ENC-006", value=encoded)
     if opcua.claims("write"):
-        for text in _TEXTS:
+        for text in (*_TEXTS, _of_length(_LONG)):
             written = await opcua.call("write", node="ns=2;s=String", value=text + nonce)
             if run.succeeds(written, requirement="ENC-006"):
                 run.witnessed(_holds_text(await opcua.image(), text + nonce))
@@ -595,13 +635,15 @@ _UMLAUTS = "Gr\u00f6\u00dfe "
 
 @TASKS.every_protocol("ENC-006", "Text arrives as it is.", having="texts")
 async def texts_arrive_as_they_are(run: Repetition, at: Rig) -> None:
-    """Read texts of many writings, and texts with invisible characters, as far as the device can hold them; write texts, also some that it
-    cannot hold.
+    """Read texts of many writings, texts with invisible characters, and one as long as the device has room for, as far as the device can hold
+    them, and as the tool's schema allows; write texts, also some that it cannot hold, and one that is too long by a character.
 
     Said: each text. Of one with invisible characters, and where a byte is a character of one of several sets, at least the others. For what
-        the device cannot hold failures with `type_mismatch`, `invalid_input` or `range_overflow`.
-    Seen: the device holds the text that was written, character by character; nothing for what it cannot hold.
-    Why: a text that cannot be read must not end the reading of everything else, and one with question marks in it is another text.
+        the device cannot hold failures with `type_mismatch`, `invalid_input` or `range_overflow`, for what is too long also with
+        `limit_exceeded`.
+    Seen: the device holds the text that was written, character by character; what it held before, where it cannot hold the text.
+    Why: a text that cannot be read must not end the reading of everything else; one with question marks in it is another text, and so is one
+        without its end.
     """
     texts = exercise(at).texts
     assert texts is not None
@@ -609,7 +651,7 @@ async def texts_arrive_as_they_are(run: Repetition, at: Rig) -> None:
         run.not_applicable("the adapter has no operation that reads a text")
     await a_read_works(run, at)
     nonce = f"{run.rng.getrandbits(32):08x}"
-    every = [text + nonce for text in (*_TEXTS, *_INVISIBLE, _UMLAUTS)]
+    every = [text + nonce for text in (*_TEXTS, *_INVISIBLE, _UMLAUTS, _of_length(texts.longest - len(nonce)))]
     holds = [text for text in every if _can_hold(texts.encoding, text)]
     for text in holds:
         asked = texts.read(text)
@@ -635,9 +677,26 @@ async def _write_texts(run: Repetition, at: Rig, texts: Texts, every: Sequence[s
         if not _can_hold(texts.encoding, text):
             run.fails(reply, *_NOT_WRITTEN, outcome=NOTHING_SENT, requirement="ENC-006")
             run.witnessed(nothing_arrived(at, reply.during(await at.journal()), requirement="ENC-006"))
+        elif len(text) > most_characters(at, asked, "value"):
+            run.fails(reply, "limit_exceeded", *_NOT_WRITTEN, outcome=NOTHING_SENT, requirement="ENC-006")
+            run.witnessed(nothing_arrived(at, reply.during(await at.journal()), requirement="ENC-006"))
         elif text.isascii() or texts.encoding == "utf-8":
             run.succeeds(reply, requirement="ENC-006")
             run.witnessed(citing("ENC-006", witness(at).holds(await at.image(), asked.points)))
+    if texts.limited:
+        asked = texts.write(_of_length(texts.longest + 1))
+        for poke in asked.pokes:
+            await at.poke(**poke)
+        before = await at.image()
+        reply = await at.call(asked.operation, **asked.inputs)
+        codes = (*_NOT_WRITTEN, "limit_exceeded", "illegal_value", "unsupported_operation")
+        run.fails(reply, *codes, outcome=(*NOTHING_SENT, "rejected"), requirement="ENC-006", code_requirement="ERR-002")
+        run.witnessed(citing("ENC-006", witness(at).only_changed(before, await at.image(), {})))
+
+
+def _of_length(length: int) -> str:
+    """Return a text in which no part stands for another: words with their numbers."""
+    return "".join(f"word {number} " for number in range(length))[:length]
 
 
 def _can_hold(encoding: str, text: str) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -30,6 +31,7 @@ __all__ = [
     "exercise",
     "faulty",
     "knows_node",
+    "most_characters",
     "nothing_arrived",
     "read",
     "refused_before_the_wire",
@@ -202,6 +204,22 @@ async def knows_node(run: Repetition, opcua: Rig, node: str) -> bool:
         return True
     run.fails(reply, "illegal_address", "invalid_input", "access_denied", outcome=NOTHING_SENT)
     return False
+
+
+def most_characters(at: Rig, asked: Asked, name: str) -> float:
+    """Return how many characters an input of a call may have by the schema of the tool that is called."""
+    argument = (at.arguments_of(asked.operation, **asked.inputs) or {}).get(name)
+    tool = at.tool_of(asked.operation, **asked.inputs)
+    listing = None if tool is None else at.listing(asked.operation, tool)
+    schema = None if listing is None else listing.get("inputSchema")
+    properties = schema.get("properties") if isinstance(schema, Mapping) else None
+    stated = properties.get(argument) if isinstance(properties, Mapping) else None
+    if not isinstance(stated, Mapping):
+        return math.inf
+    others = stated.get("anyOf")
+    forms = [stated, *(others if isinstance(others, list) else ())]
+    most = [form.get("maxLength") for form in forms if isinstance(form, Mapping)]
+    return min((one for one in most if isinstance(one, int)), default=math.inf)
 
 
 async def works_again(run: Repetition, at: Rig, operation: str, **inputs: Any) -> None:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from typing import Any, cast
 
 from pytest_otmcp.core.finding import Finding
-from pytest_otmcp.protocols.exercise import Asked
+from pytest_otmcp.protocols.bounds import Limit
+from pytest_otmcp.protocols.exercise import Asked, Limited
 from pytest_otmcp.protocols.journal import Entries, JournalEntry
 from pytest_otmcp.protocols.modbus import oracle as modbus_oracle
 from pytest_otmcp.protocols.modbus.entries import as_modbus, describe, points
@@ -16,6 +20,7 @@ from pytest_otmcp.protocols.opcua import oracle as opcua_oracle
 from pytest_otmcp.protocols.oracle import state_changing
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.protocols.session_oracle import StateChanges
+from pytest_otmcp.trial.alteration import Alteration
 from pytest_otmcp.trial.check import Checks
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
@@ -24,11 +29,13 @@ from pytest_otmcp.trial.rig import Rig
 from ..tasks.common import a_meaningless_switch_enables_nothing, each_fails, each_write
 from .steps import (
     CONNECTION_FAULTS,
+    NOTHING_SENT,
     QUIET_S,
     a_read_works,
     a_write_works,
     answers_again,
     citing,
+    exact_or_refused,
     exercise,
     faulty,
     nothing_arrived,
@@ -37,6 +44,7 @@ from .steps import (
     since,
     witness,
     write,
+    written_once,
 )
 
 __all__ = ["TASKS"]
@@ -107,13 +115,16 @@ async def an_opcua_write_has_its_effect(run: Repetition, opcua: Rig) -> None:
     having="write_refused",
 )
 async def a_write_has_its_effect(run: Repetition, at: Rig) -> None:
-    """Write by every operation that writes; then write once while the device refuses it.
+    """Write by every operation that writes, and with every further argument that says what is to be done, such as a control code and its
+    times; then write once while the device refuses it.
 
-    Said: success; for the last a failure with the code of this refusal.
-    Seen: the device holds what was written; what was refused is not in it.
+    Said: success; for an argument that the adapter does not offer a failure with `unsupported_operation` or `invalid_input`; for the last a
+        failure with the code of this refusal.
+    Seen: one request with what was asked for; the device holds what was written; what was refused is not in it.
     Why: an assistant that reads "written" goes on as if the valve had moved.
     """
     await _have_their_effect(run, at)
+    await _say_what_is_asked_for(run, at)
     refused_by = exercise(at).write_refused
     assert refused_by is not None
     action, code = refused_by
@@ -131,6 +142,42 @@ async def _have_their_effect(run: Repetition, at: Rig) -> None:
         run.succeeds(reply, requirement="WR-001")
         if reply.success:
             run.witnessed(witness(at).holds(await at.image(), asked.points))
+
+
+async def _say_what_is_asked_for(run: Repetition, at: Rig) -> None:
+    commands = exercise(at).commands
+    for asked in () if commands is None else commands(run.rng):
+        if not _can_be_asked(at, asked):
+            continue
+        before = await at.image()
+        reply = await at.call(asked.operation, **asked.inputs)
+        done = protocols()[at.protocol].changes(reply.during(await at.journal()))
+        written = exact_or_refused(run, reply, "unsupported_operation", "invalid_input", requirement="WR-001")
+        # A device that refuses may have been asked for something else.
+        if written or done:
+            run.witnessed(_sent_as_asked(at, reply, asked, done))
+        if written:
+            run.witnessed(witness(at).holds(await at.image(), asked.points))
+        else:
+            run.witnessed(witness(at).only_changed(before, await at.image(), {}, otherwise="WR-001"))
+
+
+def _sent_as_asked(at: Rig, reply: Reply, asked: Asked, done: Sequence[JournalEntry]) -> list[Finding]:
+    """Expect one request that writes, and that it says what was asked for."""
+    says = exercise(at).says
+    assert says is not None
+    said = [told for entry in done if (told := says(entry)) is not None]
+    if len(said) == len(done) == 1 and all(said[0].get(name) == wanted for name, wanted in asked.sent.items()):
+        return []
+    shown = [{name: told.get(name) for name in asked.sent} for told in said]
+    return [
+        Finding(
+            code="not_written_once",
+            message=f"{reply.label}: the device should have seen one request with {dict(asked.sent)}, it saw {shown or 'none'}",
+            requirement="WR-001",
+            evidence=protocols()[at.protocol].seen(done),
+        )
+    ]
 
 
 @TASKS.check("WR-002", "A write changes its target and nothing else.", needs="modbus.write_holding")
@@ -243,17 +290,36 @@ def _at_most_once(at: Rig, reply: Reply, found: Sequence[JournalEntry], requirem
     writes=True,
     guard=True,
     having="every_write",
+    beside="control_guard",
     apart="opcua",
 )
-async def the_guard_covers_every_write(run: Repetition, at: Rig, guarded: Rig) -> None:
-    """Write by every operation that writes, with writes disabled; then the same with writes enabled.
+async def the_guard_covers_every_write(run: Repetition, at: Rig, guarded: Rig, uncontrolled: Rig | None = None) -> None:
+    """Write by every operation that writes, with writes disabled; then the same with writes enabled. Where the subject has a switch of its
+    own for control of the device itself: write with writes enabled and control disabled, and try by every operation to control it.
 
-    Said: refusals with `writes_disabled` and the outcome `not_sent`; then success.
-    Seen: over the whole life of the session with writes disabled no request that changes the plant; then one for each write.
+    Said: refusals with `writes_disabled` and the outcome `not_sent`; then success. Of control that is disabled refusals with
+        `writes_disabled` or `access_denied`.
+    Seen: over the whole life of the session with writes disabled no request that changes the plant; then one for each write. With control
+        disabled the write alone.
     Why: the write switch is what keeps an assistant's mistake out of the plant, and it has to keep all of them out.
     """
     await _refused_then_written(run, at, guarded)
     await _session_wrote_nothing(run, guarded)
+    if uncontrolled is not None:
+        await _writes_without_control(run, uncontrolled)
+
+
+async def _writes_without_control(run: Repetition, uncontrolled: Rig) -> None:
+    await a_write_works(run, uncontrolled)
+    operations = protocols()[uncontrolled.protocol].operations
+    for asked in _every_write(run, uncontrolled):
+        if operations[asked.operation].controls:
+            await _prepare(uncontrolled, asked)
+            reply = await uncontrolled.call(asked.operation, **asked.inputs)
+            run.fails(reply, "writes_disabled", "access_denied", outcome="not_sent", requirement="WR-004")
+            entries = since(reply, await uncontrolled.journal())
+            run.witnessed(nothing_arrived(uncontrolled, entries, requirement="WR-004"))
+    await a_write_works(run, uncontrolled)
 
 
 async def _refused_then_written(run: Repetition, at: Rig, guarded: Rig) -> None:
@@ -383,6 +449,196 @@ async def a_meaningless_switch(run: Repetition, at: Rig, guarded: Rig) -> None:
     await a_write_works(run, at)
     await guarded.close_session()
     await a_meaningless_switch_enables_nothing(run, guarded, asked.operation, **asked.inputs)
+
+
+# -- WR-006, WR-007 -----------------------------------------------------------------------------------------
+
+
+_FORBIDDEN = ("access_denied", "not_writable", "illegal_address", "invalid_input")
+"""Codes for a target that is not on the list; an adapter may know no other targets, or say so in its schema."""
+_BEYOND = ("range_overflow", "access_denied", "invalid_input", "illegal_value", "limit_exceeded")
+_NO_NUMBER = (*_BEYOND, "type_mismatch")
+_TOO_SOON = ("rate_limited", "access_denied")
+_MARGIN_S = 0.1
+"""Seconds beyond the time between two writes: two clocks count it."""
+
+
+def _can_be_asked(at: Rig, asked: Asked) -> bool:
+    """Tell whether the subject has bound the operation of a call, with all the inputs that it may lack."""
+    further = asked.inputs.keys() & {*protocols()[at.protocol].operations[asked.operation].voluntary_inputs}
+    return at.claims(asked.operation) and all(at.accepts_input(asked.operation, name) for name in further)
+
+
+@TASKS.every_protocol(
+    "WR-006", "What is not on the list is not written.", writes=True, launch="bounds", having="fenced"
+)
+async def only_what_is_on_the_list_is_written(run: Repetition, at: Rig, bounded: Rig) -> None:
+    """Through an adapter that was told which targets may be written: write what is on the list; what is just outside, in a range across an end,
+    in a batch with one that is allowed, and by another name; once with further arguments such as `force`.
+
+    Said: success for what is on the list; else failures with `access_denied`, or that there is no such target, and the outcome `not_sent`.
+    Seen: what is on the list; of everything else nothing, not even a part.
+    Why: a list that looks at the first register alone lets an assistant write whatever lies behind it.
+    """
+    asks, bounds = exercise(at), bounded.bounds
+    if not bounds.allowed:
+        run.not_applicable("the subject file does not say which targets the adapter was told to allow")
+    assert asks.fenced is not None
+    every = [asked for asked in asks.fenced(run.rng) if _can_be_asked(bounded, asked)]
+    inside = [asked for asked in every if all(map(bounds.allows, asked.points))]
+    outside = [asked for asked in every if asked not in inside]
+    # What has limits as well is asked for by WR-007.
+    limited = {point for target in bounds.limits for point in _points_of(bounded, target)}
+    inside = [asked for asked in inside if limited.isdisjoint(asked.points)]
+    if not (inside and outside):
+        run.not_applicable("the list has none, or all, of the targets that the kit can write")
+    await a_read_works(run, bounded)
+    for asked in outside:
+        await _refused(run, bounded, bounded.call, asked, *_FORBIDDEN, requirement="WR-006")
+    asked = outside[0]
+    if bounded.arguments_of(asked.operation, **asked.inputs) is not None:
+        forced = partial(bounded.call_altered, altered=Alteration(given={"force": True, "override": True}))
+        await _refused(run, bounded, forced, asked, *_FORBIDDEN, requirement="WR-006")
+    for asked in inside:
+        reply = await bounded.call(asked.operation, **asked.inputs)
+        if run.succeeds(reply, requirement="WR-006"):
+            run.witnessed(await _is_written(bounded, reply, asked, "WR-006"))
+
+
+def _points_of(at: Rig, target: str) -> Iterable[str]:
+    known = exercise(at).limited.get(target)
+    return () if known is None else known.ways[0](1).points
+
+
+async def _is_written(at: Rig, reply: Reply, asked: Asked, requirement: str) -> list[Finding]:
+    image: Any = await at.image()
+    if asked.points.keys() <= image["points"].keys():
+        return citing(requirement, witness(at).holds(image, asked.points))
+    return written_once(at, asked, reply.during(await at.journal()), requirement=requirement)
+
+
+async def _refused(
+    run: Repetition,
+    at: Rig,
+    call: Callable[..., Awaitable[Reply]],
+    asked: Asked,
+    *codes: str,
+    requirement: str,
+    until_ns: float = math.inf,
+) -> None:
+    """Expect that a write is refused before anything is sent, and that its targets are as they were.
+
+    Args:
+        until_ns: monotonic; a write that was answered later may be a success.
+    """
+    before: Any = await at.image()
+    reply = await call(asked.operation, **asked.inputs)
+    if reply.success and (reply.exchange.received_ns or math.inf) >= until_ns:
+        return
+    run.fails(reply, *codes, outcome=NOTHING_SENT, requirement=requirement)
+    run.witnessed(nothing_arrived(at, since(reply, await at.journal()), requirement=requirement))
+    held = {point: before["points"][point] for point in asked.points if point in before["points"]}
+    run.witnessed(citing(requirement, witness(at).holds(await at.image(), held)))
+
+
+@TASKS.every_protocol(
+    "WR-007", "What is beyond a limit is not written.", writes=True, launch="bounds", having="limited"
+)
+async def what_is_beyond_a_limit_is_not_written(run: Repetition, at: Rig, bounded: Rig) -> None:
+    """Through an adapter that was told limits of values: write the lowest and the highest, a number just beyond each, and what is no number, by every
+    operation and every name, scaled ones too; the largest step and a larger one; and again before it is time.
+
+    Said: success for what is within; else failures with `range_overflow`, or `rate_limited` for what comes too soon, and the outcome
+        `not_sent`.
+    Seen: what is within; nothing of everything else.
+    Why: a limit that is compared before the value is scaled is ten times the limit that somebody has set.
+    """
+    limits = bounded.bounds.limits
+    if not limits:
+        run.not_applicable("the subject file does not say which limits the adapter was told")
+    known = exercise(at).limited
+    judged = {
+        target: [way for way in known[target].ways if _can_be_asked(bounded, way(1))]
+        for target in limits
+        if target in known
+    }
+    if not any(judged.values()):
+        run.not_applicable("the limits are of targets that the kit cannot write")
+    await a_read_works(run, bounded)
+    for target, ways in judged.items():
+        if ways:
+            await _keeps(_Limiting(run, bounded, limits[target], known[target]), ways)
+
+
+class _Limiting:
+    """Writes of one target that has limits.
+
+    Args:
+        limit: what the adapter was told.
+        known: what the kit can write there.
+    """
+
+    def __init__(self, run: Repetition, at: Rig, limit: Limit, known: Limited) -> None:
+        self.limit, self.known = limit, known
+        self._run, self._at = run, at
+
+    async def held(self, way: Callable[[float], Asked]) -> float:
+        """Return the number that the device holds, where it is one of its points; else 0."""
+        image: Any = await self._at.image()
+        held = [image["points"].get(point) for point in way(1).points]
+        return held[0] if len(held) == 1 and type(held[0]) in (int, float) else 0
+
+    async def written(self, asked: Asked) -> Reply:
+        """Expect that a number within the limits is written, when it is time for it."""
+        await self._in_time()
+        reply = await self._at.call(asked.operation, **asked.inputs)
+        if self._run.succeeds(reply, requirement="WR-007"):
+            self._run.witnessed(await _is_written(self._at, reply, asked, "WR-007"))
+        return reply
+
+    async def refused(self, asked: Asked, *codes: str) -> None:
+        """Expect that a write is refused, when it is time for one."""
+        await self._in_time()
+        await _refused(self._run, self._at, self._at.call, asked, *codes, requirement="WR-007")
+
+    async def refused_after(self, first: Reply, asked: Asked, every_s: float) -> None:
+        """Expect that a write is refused which comes too soon after another one, as far as both were quick enough to be too close."""
+        call, until_ns = self._at.call, first.exchange.sent_ns + every_s * 1e9
+        await _refused(self._run, self._at, call, asked, *_TOO_SOON, requirement="WR-007", until_ns=until_ns)
+
+    async def _in_time(self) -> None:
+        if self.limit.every_s is not None:
+            await self._at.watch(self.limit.every_s + _MARGIN_S)
+
+
+async def _keeps(at: _Limiting, ways: Sequence[Callable[[float], Asked]]) -> None:
+    limit, unit = at.limit, at.known.unit
+    last = await at.held(ways[0])
+    for way in ways:
+        if limit.step is None:
+            for bound, beyond in ((limit.lowest, -unit), (limit.highest, unit)):
+                if bound is not None:
+                    await at.written(way(_whole(bound)))
+                    await at.refused(way(_whole(bound + beyond)), *_BEYOND)
+                    last = bound
+        else:
+            await at.written(way(_whole(last)))
+            await at.refused(way(_whole(last + limit.step + unit)), *_BEYOND)
+            last += limit.step
+            await at.written(way(_whole(last)))
+    within = ways[0](_whole(last))
+    for text in ("NaN", "Infinity") if at.known.given_as in within.inputs else ():
+        asked = replace(within, inputs={**within.inputs, at.known.given_as: text})
+        await at.refused(asked, *_NO_NUMBER)
+    if limit.every_s is not None:
+        # A number that a device holds already is not always sent.
+        inner = last + unit if limit.highest is None and limit.step is None else last - unit
+        await at.refused_after(await at.written(ways[0](_whole(inner))), within, limit.every_s)
+
+
+def _whole(value: float) -> float:
+    """Return a whole number as one, as tools for whole numbers want it."""
+    return int(value) if value == int(value) else value
 
 
 # -- WR-008, WR-009 -----------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ __all__ = ["operate", "select"]
 
 SUCCESS, FORMAT_ERROR, NOT_SUPPORTED, LOCALLY, TOO_MANY, OUT_OF_RANGE = 0, 3, 4, 7, 8, 12
 """Status of a point (clause 11.9.2, table of control status codes)."""
-_PULSE_ON, _LATCH_ON, _LATCH_OFF, _CLOSE, _TRIP = 0x01, 0x03, 0x04, 0x41, 0x81
+_PULSE_ON, _PULSE_OFF, _LATCH_ON, _LATCH_OFF, _CLOSE, _TRIP = 0x01, 0x02, 0x03, 0x04, 0x41, 0x81
 """Control codes: operation type, and trip and close with the pulse that they are given as."""
 _MOST = 8
 """Points that a request may operate."""
@@ -82,7 +82,7 @@ def _status(plant: Plant, header: Header, point: dict[str, Any]) -> int:
     if plant.local or (binary and index == LOCAL):
         return LOCALLY
     if binary:
-        codes = {PULSED: (_PULSE_ON,), TRIP_CLOSE: (_CLOSE, _TRIP)}.get(index, (_LATCH_ON, _LATCH_OFF))
+        codes = {PULSED: (_PULSE_ON, _PULSE_OFF), TRIP_CLOSE: (_CLOSE, _TRIP)}.get(index, (_LATCH_ON, _LATCH_OFF))
         return SUCCESS if point["code"] in codes else NOT_SUPPORTED
     value = point["value"]
     if target.kind == "int32":

@@ -192,5 +192,4 @@ def _without_facets(item: Item) -> bool:
 
 def exercised(task: Task, claims: Claims) -> list[str]:
     """Return the facets that a task exercises: those that it needs, and those of its guards that the subject claims."""
-    guards = [f"{protocol}.{GUARD}" for protocol in task.guards]
-    return [*claims.required(task.needs), *(facet for facet in guards if claims.has(facet))]
+    return [*claims.required(task.needs), *(facet for facet in task.guards if claims.has(facet))]

@@ -22,6 +22,7 @@ __all__ = [
     "Asked",
     "Contended",
     "Exercise",
+    "Limited",
     "Texts",
     "every_change",
     "number_in_json",
@@ -50,6 +51,7 @@ class Asked:
         outputs: what a successful answer has to say.
         pokes: what is set at the mock before the call.
         points: what the device's image holds after a write, by point; empty where the device has no such image.
+        sent: what the request that writes says beside the value, such as a control code, by the names of ``says``.
         condition: of a fault plan, which the requests of this call meet, and those of calls for something else do not.
     """
 
@@ -58,6 +60,7 @@ class Asked:
     outputs: Mapping[str, Any] = field(default_factory=dict)
     pokes: tuple[Poke, ...] = ()
     points: Mapping[str, object] = field(default_factory=dict)
+    sent: Mapping[str, object] = field(default_factory=dict)
     condition: Rule = field(default_factory=dict)
 
 
@@ -90,13 +93,32 @@ class Texts:
 
     Attributes:
         encoding: the characters that the device can hold, as a codec of Python.
+        longest: how many characters of one byte each a text may have that is asked for.
+        limited: a longer one has no room at the device.
         read: makes a read of a text that is set at the mock before.
         write: makes a write of a text, with the points that hold it.
     """
 
     encoding: str
+    longest: int
+    limited: bool = True
     read: Callable[[str], Asked]
     write: Callable[[str], Asked]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Limited:
+    """A number that limits are asked for.
+
+    Attributes:
+        ways: make a write of the number, in the device's own terms, each by another operation, name or form.
+        unit: what makes a number another one in all of these.
+        given_as: the input that is the number, for what is no number.
+    """
+
+    ways: tuple[Callable[[float], Asked], ...]
+    unit: float
+    given_as: str = "value"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -128,14 +150,19 @@ class Exercise:
         tells: makes a call by every further operation that writes, although the device does not hold what is written; None where there
             are none.
         contended: makes writes and a read of one target; None where nothing can be read that was written.
+        fenced: makes writes beside one another, by every operation that writes, some across the ends of what a list of targets can allow; the
+            points of each are all its targets. None where there are none.
+        limited: numbers whose limits can be asked for, by the name of the target.
         large: makes a read of each of these whole numbers of 64 bits, of a type with a sign or of one without; None where checks of the
             protocol's own have it.
-        special: makes reads of this number, which may be infinite or no number at all, one for each type of floating-point numbers; None
-            as for ``large``.
-        real: makes a write of a floating-point number, which is its input ``value``.
+        floats: make a read of a number, which may be infinite or no number at all: of the type ``float32``, and of ``float64``; empty where
+            checks of the protocol's own have it.
+        real: makes a write of a floating-point number of 32 bits, which is its input ``value``; its points may be left out.
         texts: reads and writes of a text; None as for ``large``.
         bounds: makes writes of values at a bound of their type, each with a value just beyond; None as for ``large``.
         misfits: makes writes, each with values of other kinds than the target's; None as for ``large``.
+        commands: makes writes that say more than a value; an adapter may refuse what it does not offer. None where there are none.
+        says: returns what a request of ``commands`` says, by name; None for another request.
         asks_for: returns what a request that writes asks for, as the values of ``contended`` are; None for another request.
     """
 
@@ -158,11 +185,15 @@ class Exercise:
     every_write: Callable[[random.Random], tuple[Asked, ...]] | None = None
     tells: Callable[[random.Random], tuple[Asked, ...]] | None = None
     contended: Callable[[random.Random], Contended] | None = None
+    commands: Callable[[random.Random], tuple[Asked, ...]] | None = None
+    says: Callable[[JournalEntry], Mapping[str, Any] | None] | None = None
     asks_for: Callable[[JournalEntry], object] | None = None
     bounds: Callable[[], tuple[tuple[Asked, object], ...]] | None = None
     misfits: Callable[[], tuple[tuple[Asked, tuple[object, ...]], ...]] | None = None
+    fenced: Callable[[random.Random], tuple[Asked, ...]] | None = None
+    limited: Mapping[str, Limited] = field(default_factory=dict)
     large: Callable[[Sequence[int], bool], tuple[Asked, ...]] | None = None
-    special: Callable[[float], tuple[Asked, ...]] | None = None
+    floats: Mapping[str, Callable[[float], Asked]] = field(default_factory=dict)
     real: Callable[[float], Asked] | None = None
     texts: Texts | None = None
 

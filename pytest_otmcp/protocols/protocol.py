@@ -22,7 +22,10 @@ from .stamp import Stamp
 
 __all__ = [
     "ANY_READ",
+    "BOUNDS",
+    "CONTROL_GUARD",
     "GUARD",
+    "LAUNCHES",
     "RECOVERY",
     "Choice",
     "Colour",
@@ -37,6 +40,15 @@ __all__ = [
 
 GUARD = "guard"
 """Facet: the adapter can be launched in a way in which it refuses every write (the variant ``ro``)."""
+
+CONTROL_GUARD = "control_guard"
+"""Facet: the adapter can be launched in a way in which it writes, and refuses what controls the device itself (``no_control``)."""
+
+BOUNDS = "bounds"
+"""Facet: the adapter can be launched with a list of targets that may be written, or with limits of their values (``bounded``)."""
+
+LAUNCHES: Mapping[str, str] = {GUARD: "ro", CONTROL_GUARD: "no_control", BOUNDS: "bounded"}
+"""Facets that are launches of their own, to the variant of the adapter that has the facet."""
 
 RECOVERY = "recovery"
 """Facet: after an outage of the endpoint the same session works again."""
@@ -62,6 +74,7 @@ class Operation:
         outputs: names that the kit judges in a successful answer, when the binding says where they are.
         needed: the outputs without which nothing could be judged.
         writes: the operation changes the state of the plant.
+        controls: what it changes is the device itself, its mode or its clock; adapters have a switch of its own for that.
         optional: inputs that a tool may lack; each is a facet of its own, such as ``subscribe.qos``.
         status: it asks whether the device is reachable, which an adapter may know from a moment ago.
         waits: the input that limits how many seconds a call may wait for the messages that it returns; None where no call
@@ -80,6 +93,7 @@ class Operation:
     outputs: tuple[str, ...] = ()
     needed: tuple[str, ...] = ()
     writes: bool = False
+    controls: bool = False
     optional: tuple[str, ...] = ()
     status: bool = False
     waits: str | None = None
@@ -302,9 +316,15 @@ class OtProtocol:
         return self.framing is None or self.framing.frame_length is not None
 
     @property
+    def controls(self) -> bool:
+        """Whether there are operations that control the device itself."""
+        return any(operation.controls for operation in self.operations.values())
+
+    @property
     def facets(self) -> tuple[str, ...]:
         """Facets that an adapter for this protocol may claim or not."""
-        names = [GUARD, RECOVERY]
+        names = [GUARD, RECOVERY, BOUNDS]
+        names += [CONTROL_GUARD] if self.controls else []
         for name, operation in self.operations.items():
             names += [name, *(f"{name}.{optional}" for optional in operation.optional)]
             names += (
@@ -313,7 +333,9 @@ class OtProtocol:
         return tuple(names)
 
     def is_voluntary(self, facet: str) -> bool:
-        """Tell whether only a binding claims this facet: nothing is said of a subject that does not have one."""
+        """Tell whether only a binding, or a launch, claims this facet: nothing is said of a subject that does not have one."""
+        if facet in (BOUNDS, CONTROL_GUARD):
+            return True
         name, _, part = facet.partition(".")
         operation = self.operations.get(name)
         if operation is None:

@@ -188,6 +188,23 @@ class CallLimit(TypedDict):
     per_s: Deadline
 
 
+class LimitTold(TypedDict):
+    """Limits of the number that a target holds, in the device's own terms: of itself, of its change by one write, and the seconds that have
+    to lie between two writes."""
+
+    lowest: NotRequired[float]
+    highest: NotRequired[float]
+    step: NotRequired[float]
+    every_s: NotRequired[Deadline]
+
+
+class BoundsTold(TypedDict):
+    """What the variant ``bounded`` of an adapter was told: patterns of targets that may be written, and limits by target."""
+
+    allowed: list[str]
+    limits: dict[str, LimitTold]
+
+
 class AdapterFacts(TypedDict):
     """One adapter under test: what its subject file says, and how its server introduced itself.
 
@@ -195,7 +212,8 @@ class AdapterFacts(TypedDict):
     ``recovery_s``: the time within which work goes on after an outage. ``call_limit``: the most calls that the adapter takes.
     ``lists``: the lists of the protocol's own keys.
     ``cached``: operations whose answers may come from a cache, and how old they may be, in seconds.
-    ``lacks``: optional inputs that no tool takes. ``offered``: voluntary facets that bindings claim; absent where there are none.
+    ``lacks``: optional inputs that no tool takes. ``offered``: voluntary facets that bindings and launches claim; absent where there are none.
+    ``bounds``: what it was told to allow, where the subject file says so.
     ``probes``: what is asked for where something must be refused.
     ``bindings``: every operation that was used; None for one that a Python function performs. ``unmet``: requirements of the
     envelope that its own answers do not meet. ``listing``: every tool that was called by a binding. ``unjudged``: outputs that the
@@ -216,6 +234,7 @@ class AdapterFacts(TypedDict):
     blocking: list[str]
     lacks: list[str]
     offered: NotRequired[list[str]]
+    bounds: NotRequired[BoundsTold]
     probes: dict[str, Any]
     bindings: dict[str, list[StoredBinding] | None]
     unjudged: list[str]
@@ -282,6 +301,10 @@ class Endpoint(TypedDict):
     path: str
 
 
+VariantName = Literal["rw", "ro", "no_control", "bounded"]
+"""With writes enabled; disabled; enabled without control of the device itself; enabled within bounds."""
+
+
 class Device(TypedDict):
     """One device of the run: which adapter variant had it, in which process of pytest, and where it listened.
 
@@ -290,7 +313,7 @@ class Device(TypedDict):
     """
 
     protocol: str
-    variant: Literal["rw", "ro"]
+    variant: VariantName
     worker: str
     endpoints: list[Endpoint]
     placeholders: dict[str, str]

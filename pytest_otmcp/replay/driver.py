@@ -12,7 +12,7 @@ from ..protocols.journal import Entries
 from ..protocols.protocol import Declared
 from ..record.reader import StoredItem
 from ..record.schema import Around, Role, Sample
-from ..subject.model import READ_ONLY, READ_WRITE
+from ..subject.model import READ_WRITE
 from ..trial.adapter_under_test import NoBindingError
 from ..trial.driver import ItemHistory, SessionFacts
 from ..trial.repetition import Repetition
@@ -230,7 +230,7 @@ class ReplayDriver:
 
     def _close(self, *, renewed: bool) -> None:
         for state in self._states:
-            if (renewed and not state.history.cursor.hopeless) or state.variant == READ_ONLY:
+            if (renewed and not state.history.cursor.hopeless) or state.variant != READ_WRITE:
                 state.history.cursor.close_session()
 
     def leave(self, *, judged: bool) -> None:

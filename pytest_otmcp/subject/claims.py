@@ -6,6 +6,7 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 
+from ..protocols.protocol import LAUNCHES
 from ..protocols.registry import protocols
 from ..record.schema import AdapterFacts
 from .model import Adapter
@@ -59,6 +60,8 @@ class Claims:
         operation, _, part = name.partition(".")
         reason = adapter.unclaimed.get(name, adapter.unclaimed.get(operation))
         if reason is None and protocols()[protocol].is_voluntary(name) and name not in adapter.offered:
+            if operation in LAUNCHES:
+                return f"the subject file has no launch {LAUNCHES[operation]!r}"
             return f"no binding of {operation!r} has {part!r}" if part else "no tool is bound to it"
         return reason
 

@@ -40,15 +40,46 @@ OLDEST_STATUS_S = 5.0
 """Requirement REC-002: a status may be as old as one keep-alive; no longer one is accepted."""
 _ARGV = Named("argv", strings("the argument vector", filled=True))
 _TABLE = MapOf(ANYTHING)
-_VARIANT = Named(
-    "variant",
+_LAUNCH = {
+    "command": Key(_ARGV, "The argument vector, instead of the adapter's."),
+    "args": Key(strings("further arguments"), "Further arguments.", default=[]),
+    "env": Key(MapOf(STRING), "Further environment.", default={}),
+    "files": Key(MapOf(STRING), "Further files.", default={}),
+}
+_VARIANT = Named("variant", Table(_LAUNCH))
+_LIMIT = Named(
+    "limit",
     Table(
         {
-            "command": Key(_ARGV, "The argument vector, instead of the adapter's."),
-            "args": Key(strings("further arguments"), "Further arguments.", default=[]),
-            "env": Key(MapOf(STRING), "Further environment.", default={}),
-            "files": Key(MapOf(STRING), "Further files.", default={}),
-        }
+            "lowest": Key(NUMBER, "The lowest number that may be written."),
+            "highest": Key(NUMBER, "The highest number that may be written."),
+            "step": Key(NUMBER, "The most by which one write may change the number."),
+            "every_s": Key(SECONDS, "Seconds that have to lie between two writes."),
+        },
+        rules=(Rule(holds=bool, objection="expected a limit, found none", described={"minProperties": 1}),),
+    ),
+)
+_BOUNDED = Named(
+    "bounded",
+    Table(
+        {
+            **_LAUNCH,
+            "allowed": Key(
+                strings("names of targets"),
+                "Targets that it was told to allow; '10..19' in a name stands for these numbers, '*' for any characters but '/'.",
+                default=[],
+            ),
+            "limits": Key(
+                MapOf(_LIMIT), "Target to the limits that it was told, in the device's own terms.", default={}
+            ),
+        },
+        rules=(
+            Rule(
+                holds=lambda table: bool(table.get("allowed") or table.get("limits")),
+                objection="expected 'allowed' or 'limits', which say what the adapter was told",
+                described={"anyOf": [{"required": ["allowed"]}, {"required": ["limits"]}]},
+            ),
+        ),
     ),
 )
 _CALL_LIMIT = Named(
@@ -175,6 +206,20 @@ def adapter_table(protocol: OtProtocol) -> Table:
             "deadline_s": Key(SECONDS, "Time within which every call must have answered.", default=5.0),
             "rw": Key(_VARIANT, "What the launch with writes enabled has in addition.", default={}),
             "ro": Key(_VARIANT, "What the launch with writes disabled has in addition.", default={}),
+            "bounded": Key(
+                _BOUNDED,
+                "What the launch with a list of targets that may be written, or with limits, has beyond that with writes enabled.",
+            ),
+            **(
+                {
+                    "no_control": Key(
+                        _VARIANT,
+                        "What the launch without control of the device itself has beyond that with writes enabled.",
+                    )
+                }
+                if protocol.controls
+                else {}
+            ),
             "unclaimed": Key(
                 Named(f"adapter.{protocol.key}.unclaimed", unclaimed),
                 "Facet to the reason why the adapter does not have it.",

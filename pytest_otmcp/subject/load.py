@@ -20,7 +20,8 @@ from urllib.parse import urlsplit
 
 from .. import __version__
 from ..core.errors import UsageError
-from ..protocols.protocol import RECOVERY
+from ..protocols.bounds import Bounds
+from ..protocols.protocol import LAUNCHES, RECOVERY
 from ..protocols.registry import protocols
 from .addressing import check_addresses
 from .bindings import read_answering, read_bindings
@@ -28,7 +29,8 @@ from .functions import load_functions, named_functions
 from .grammar import subject_file
 from .kinds import Refusal
 from .model import (
-    READ_ONLY,
+    BOUNDED,
+    NO_CONTROL,
     READ_WRITE,
     Adapter,
     Answering,
@@ -115,7 +117,7 @@ def _adapter(protocol: str, table: Mapping[str, Any], path: Path, *, run: bool) 
     return Adapter(
         protocol=protocol,
         directory=path.parent.resolve(),
-        variants={name: _variant(table, name, key, path.parent, run=run) for name in (READ_WRITE, READ_ONLY)},
+        variants={name: _variant(table, name, key, path.parent, run=run) for name in _launches(table)},
         operations=operations,
         answering=answering,
         unclaimed=_unclaimed(protocol, table),
@@ -131,13 +133,14 @@ def _adapter(protocol: str, table: Mapping[str, Any], path: Path, *, run: bool) 
         era=table.get("era"),
         deadline_s=float(table["deadline_s"]),
         start_timeout_s=float(table["start_timeout_s"]),
+        bounds=Bounds.of_record(table[BOUNDED]) if BOUNDED in table else None,
     )
 
 
 def _check_placeholders(
     table: Mapping[str, Any], key: str, operations: Mapping[str, tuple[Binding, ...] | Function]
 ) -> None:
-    for variant in ("", *(f".{name}" for name in (READ_WRITE, READ_ONLY))):
+    for variant in ("", *(f".{name}" for name in _launches(table))):
         within = table if not variant else table[variant[1:]]
         for name in ("command", "args", "env"):
             check_placeholders(within.get(name), f"{key}{variant}.{name}")
@@ -159,8 +162,21 @@ def _unclaimed(protocol: str, table: Mapping[str, Any]) -> dict[str, str]:
     return unclaimed
 
 
+def _launches(table: Mapping[str, Any]) -> list[str]:
+    """Return the names of the variants that a table describes."""
+    return [READ_WRITE, *(name for name in LAUNCHES.values() if name in table)]
+
+
 def _variant(adapter: Mapping[str, Any], name: str, adapter_key: str, directory: Path, *, run: bool) -> Variant:
     table, key = adapter[name], f"{adapter_key}.{name}"
+    if name in (NO_CONTROL, BOUNDED):
+        enabled = adapter[READ_WRITE]
+        table = {
+            "command": table.get("command", enabled.get("command", adapter.get("command", ()))),
+            "args": [*enabled["args"], *table["args"]],
+            "env": enabled["env"] | table["env"],
+            "files": enabled["files"] | table["files"],
+        }
     command = (*table.get("command", adapter.get("command", ())), *table["args"])
     env, files = adapter["env"] | table["env"], adapter["files"] | table["files"]
     for file in files:

@@ -10,13 +10,16 @@ import re
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
-from ..protocols.protocol import GUARD, RECOVERY
+from ..protocols.bounds import Bounds
+from ..protocols.protocol import BOUNDS, CONTROL_GUARD, GUARD, LAUNCHES, RECOVERY
 from ..protocols.registry import protocols
-from ..record.schema import AdapterFacts
+from ..record.schema import AdapterFacts, BoundsTold
 
 __all__ = [
+    "BOUNDED",
+    "NO_CONTROL",
     "READ_ONLY",
     "READ_WRITE",
     "Adapter",
@@ -37,8 +40,11 @@ __all__ = [
 ]
 
 READ_WRITE = "rw"
-READ_ONLY = "ro"
-"""The variants of an adapter: with writes enabled, and with writes disabled."""
+READ_ONLY = LAUNCHES[GUARD]
+NO_CONTROL = LAUNCHES[CONTROL_GUARD]
+BOUNDED = LAUNCHES[BOUNDS]
+"""The variants of an adapter: with writes enabled; with writes disabled; with writes enabled, without control of the device itself; and with
+writes enabled within bounds. A subject need not have the last two."""
 
 _PLACEHOLDER = re.compile(r"\{(?:env:(?P<env>\w+)|(?P<name>\w+)(?::(?P<int>int))?)\}")
 
@@ -324,7 +330,8 @@ class Adapter:
     Attributes:
         protocol: its key.
         directory: of the subject file.
-        variants: ``rw`` (writes enabled) and ``ro`` (writes disabled).
+        variants: ``rw`` (writes enabled) and ``ro`` (writes disabled), and those of ``no_control`` and ``bounded`` that the file has.
+        bounds: what the variant ``bounded`` was told; None where there is none.
         operations: abstract operation name to the bindings that perform it, in the order in which they are tried, or to a
             function.
         answering: how answers are read where a binding does not say otherwise.
@@ -361,11 +368,12 @@ class Adapter:
     era: str | None
     deadline_s: float
     start_timeout_s: float
+    bounds: Bounds | None = None
 
     def why_not_testable(self, facet: str) -> str | None:
         """Return what is missing for a claimed facet to be exercised; None when nothing is."""
         operation, _, optional = facet.partition(".")
-        if operation in (GUARD, RECOVERY):
+        if operation in (*LAUNCHES, RECOVERY):
             return None
         bound = self.operations.get(operation)
         if bound is None:
@@ -416,13 +424,15 @@ class Adapter:
 
     @property
     def offered(self) -> tuple[str, ...]:
-        """The voluntary facets that bindings claim."""
+        """The voluntary facets that bindings and launches claim."""
         known = protocols()[self.protocol]
         return tuple(
             facet for facet in known.facets if known.is_voluntary(facet) and self._has_place(*facet.partition(".")[::2])
         )
 
     def _has_place(self, operation: str, part: str) -> bool:
+        if operation in LAUNCHES:
+            return LAUNCHES[operation] in self.variants
         bound = self.operations.get(operation)
         if bound is None:
             return False
@@ -459,6 +469,8 @@ class Adapter:
         }
         if self.offered:
             facts["offered"] = list(self.offered)
+        if self.bounds is not None:
+            facts["bounds"] = cast(BoundsTold, self.bounds.as_record())
         return facts
 
     def missing_inputs(self) -> set[str]:

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, TypedDict, cast
+from typing import TypedDict, cast
 
 from .. import __version__
 from ..core.errors import KitError, SubjectError, UsageError
@@ -24,7 +24,7 @@ from ..plant.endpoint import Endpoint, first_port
 from ..plant.owners import TOKEN_VARIABLE, new_token
 from ..protocols.envelope import check_result
 from ..protocols.registry import protocols
-from ..record.schema import AdapterFacts, StoredBinding, ToolListing
+from ..record.schema import AdapterFacts, StoredBinding, ToolListing, VariantName
 from ..record.schema import Device as DeviceFacts
 from ..session.exchange import Exchange, joined
 from ..session.limits import Allowance
@@ -230,7 +230,7 @@ class AdapterUnderTest:
         """Return what ``run.json`` says about the device."""
         return {
             "protocol": self.adapter.protocol,
-            "variant": cast(Literal["rw", "ro"], self.variant),
+            "variant": cast(VariantName, self.variant),
             "worker": self._options.worker,
             "endpoints": [
                 {

@@ -6,10 +6,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from ..core.verdict import Status
-from ..protocols.protocol import GUARD
+from ..protocols.protocol import LAUNCHES
 from ..protocols.registry import protocols
 from ..subject.claims import Claims
-from ..subject.model import READ_ONLY, Adapter
+from ..subject.model import Adapter
 from .rig import adapter_name
 from .task import Task
 
@@ -43,5 +43,5 @@ def applicability(task: Task, adapters: Mapping[str, Adapter]) -> tuple[Status, 
 def participants(task: Task, adapters: Mapping[str, Adapter]) -> list[str]:
     """Return the adapter variants of a task that applies: ``protocol``, or ``protocol@ro`` for the read-only variant."""
     claims = Claims.of_subject(adapters)
-    guarded = [adapter_name(name, READ_ONLY) for name in task.guards if claims.has(f"{name}.{GUARD}")]
-    return [*task.adapters, *guarded]
+    beside = [facet.partition(".") for facet in task.guards if claims.has(facet)]
+    return [*task.adapters, *(adapter_name(protocol, LAUNCHES[name]) for protocol, _, name in beside)]

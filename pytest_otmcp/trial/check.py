@@ -8,14 +8,13 @@ Modules of the requirement suite declare checks with :class:`Checks`. A check th
 from __future__ import annotations
 
 import inspect
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from functools import wraps
 from typing import Any
 
 from ..core.matrix import REQUIREMENTS
-from ..protocols.protocol import GUARD
+from ..protocols.protocol import GUARD, LAUNCHES
 from ..protocols.registry import protocols
-from ..subject.model import READ_ONLY
 from .task import Steps, Task, Tasks
 
 __all__ = ["Checks", "Generic"]
@@ -55,6 +54,8 @@ class Checks(Tasks):
         reads: bool = True,
         writes: bool = False,
         guard: bool = False,
+        launch: str = "",
+        beside: str = "",
         facets: str = "",
         having: str = "",
         apart: str = "",
@@ -65,6 +66,9 @@ class Checks(Tasks):
             row, title: as of :meth:`check`.
             reads, writes: the steps use the operation that the protocol's exercise reads, or writes, with.
             guard: the steps also get the read-only variant.
+            launch: a facet that is a launch of its own, whose variant the steps get as well.
+            beside: another such facet, whose variant they get where the subject claims it, else None; on a protocol without this facet they
+                are called without it.
             facets: further facets, without their protocol, separated by blanks.
             having: member of the exercise that the steps use, and that not every protocol has.
             apart: keys of protocols that have a check of this row of their own, separated by blanks.
@@ -75,17 +79,22 @@ class Checks(Tasks):
                 exercise = protocol.exercise
                 if exercise is None or key in apart.split() or (having and not getattr(exercise, having)):
                     continue
-                wanted = [exercise.reading] * reads + [exercise.writing] * writes + [GUARD] * guard + facets.split()
+                if launch and launch not in protocol.facets:
+                    continue
+                launches = [*[GUARD] * guard, *[launch] * bool(launch)]
+                wanted = [*[exercise.reading] * reads, *[exercise.writing] * writes, *launches, *facets.split()]
                 needs = " ".join(f"{key}.{facet}" for facet in wanted)
-                self.check(row, title, needs=needs)(_on(key, steps, guard=guard))
+                optional = [beside] if beside in protocol.facets else []
+                guards = " ".join(f"{key}.{facet}" for facet in optional)
+                self.check(row, title, needs=needs, guards=guards)(_on(key, steps, [*launches, *optional]))
             return steps
 
         return declare
 
 
-def _on(protocol: str, steps: Generic, *, guard: bool) -> Steps:
+def _on(protocol: str, steps: Generic, launches: Sequence[str]) -> Steps:
     """Return the steps with parameters that are named like the adapters of a protocol."""
-    names = ["run", protocol, *([f"{protocol}_{READ_ONLY}"] if guard else [])]
+    names = ["run", protocol, *(f"{protocol}_{LAUNCHES[facet]}" for facet in launches)]
 
     @wraps(steps)
     async def steps_on_protocol(run: Any, **rigs: Any) -> None:

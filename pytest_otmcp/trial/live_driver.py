@@ -16,7 +16,7 @@ from ..protocols.journal import Entries
 from ..protocols.protocol import Declared
 from ..record.schema import Role, SessionRemark
 from ..session.process import StopReport
-from ..subject.model import READ_ONLY
+from ..subject.model import READ_ONLY, READ_WRITE
 from .adapter_under_test import NoBindingError
 from .applicability import applicability, participants
 from .bench import Bench
@@ -123,7 +123,7 @@ class LiveDriver:
                 at.add_last_words()
 
     async def inspect(self) -> list[SessionFacts]:
-        """End the sessions of read-only variants, and ask all sessions of the item for stray output."""
+        """End the sessions of variants with devices of their own, and ask all sessions of the item for stray output."""
         await self.close(renew=False)
         found = await self._inspect(ending=False)
         for state in self._states:
@@ -189,10 +189,10 @@ class LiveDriver:
                 await state.under_test.open()
 
     async def close(self, *, renew: bool) -> None:
-        """End the sessions that the next items shall not have; the device of the read-only variant is this item's alone."""
+        """End the sessions that the next items shall not have; the devices of other variants than that with writes enabled are this item's alone."""
         with self.spent("adapter starts"):
             for state in self._states:
-                if (renew and not state.under_test.cursor.hopeless) or state.under_test.variant == READ_ONLY:
+                if (renew and not state.under_test.cursor.hopeless) or state.under_test.variant != READ_WRITE:
                     await state.under_test.close()
 
     def timing_ms(self) -> Mapping[str, float]:

@@ -13,6 +13,7 @@ from ..core.errors import KitError
 from ..core.finding import Finding
 from ..plant.device import Journal
 from ..plant.endpoint import check_free
+from ..protocols.bounds import Bounds
 from ..protocols.journal import ADAPTER
 from ..protocols.protocol import Declared
 from ..record.images import Images, keep_image
@@ -132,6 +133,10 @@ class LiveRig(Rig):
     @property
     def declared(self) -> Declared:
         return self.under_test.adapter.lists
+
+    @property
+    def bounds(self) -> Bounds:
+        return self.under_test.adapter.bounds or Bounds()
 
     def probe(self, name: str) -> Any:
         return self.under_test.adapter.probes[name]

@@ -14,7 +14,7 @@ from typing import Any, NoReturn
 from ..core.finding import Finding
 from ..core.strict_json import same_json
 from ..record.schema import Phases, Role
-from ..subject.model import READ_ONLY, READ_WRITE
+from ..subject.model import READ_WRITE
 from . import expectations as oracle
 from .ledger import Judged, Ledger
 from .reply import Reply
@@ -85,13 +85,13 @@ class Repetition:
 
     # -- who there is -------------------------------------------------------------------------------------
 
-    def rig(self, protocol: str, *, guarded: bool = False) -> Rig | None:
+    def rig(self, protocol: str, variant: str = READ_WRITE) -> Rig | None:
         """Return the adapter of ``protocol`` at its device; None where the subject claims no such variant.
 
         Args:
-            guarded: return the variant with writes disabled, which has a device of its own.
+            variant: each but the one with writes enabled has a device of its own.
         """
-        return self._at.get((protocol, READ_ONLY if guarded else READ_WRITE))
+        return self._at.get((protocol, variant))
 
     @property
     def all(self) -> Iterable[Rig]:

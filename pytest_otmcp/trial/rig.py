@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeVar, cast
 
 from ..core.finding import Finding
+from ..protocols.bounds import Bounds
 from ..protocols.journal import ADAPTER, judged
 from ..protocols.protocol import Declared
 from ..protocols.registry import protocols
@@ -92,6 +93,11 @@ class Rig(WriteGate):
     @abstractmethod
     def declared(self) -> Declared:
         """The lists of the protocol's own keys in the subject file."""
+
+    @property
+    @abstractmethod
+    def bounds(self) -> Bounds:
+        """The targets and limits that the variant ``bounded`` was told, as the subject declares."""
 
     @abstractmethod
     def probe(self, name: str) -> Any:

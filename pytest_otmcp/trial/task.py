@@ -6,14 +6,14 @@ Modules of the suite declare tasks with :meth:`Tasks.task`; nothing here runs th
 from __future__ import annotations
 
 import inspect
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import dataclass
 
 from ..core.capability import Capability
 from ..core.matrix import CROSS_PROTOCOL, SUITES, WARMED_UP
-from ..protocols.protocol import GUARD
+from ..protocols.protocol import GUARD, LAUNCHES
 from ..protocols.registry import protocols
-from ..subject.model import READ_ONLY
+from ..subject.model import READ_WRITE
 from .repetition import Repetition
 
 __all__ = ["Steps", "Task", "Tasks", "execute"]
@@ -24,8 +24,6 @@ Steps = Callable[..., Awaitable[None]]
 A parameter has the name of the adapter that it stands for: ``modbus`` for the variant with writes enabled, ``modbus_ro`` for
 the variant with writes disabled, which is None where the subject claims no such variant.
 """
-
-_READ_ONLY_SUFFIX = f"_{READ_ONLY}"
 
 
 @dataclass(slots=True, kw_only=True)
@@ -39,7 +37,7 @@ class Task:
         capabilities: the capabilities that the item is about.
         adapters: the adapters it needs: ``protocol``, or ``protocol@ro`` for the variant with writes disabled.
         needs: facets that the subject must claim, such as ``modbus.write_holding`` or ``modbus.guard``.
-        guards: protocols whose read-only variant takes part when the subject claims that there is one.
+        guards: facets that are launches, such as ``modbus.guard``, whose variants take part when the subject claims them.
         requirements: ids of the requirement catalogue that it exercises.
         steps: the steps of one repetition.
         keys: keys of the subject file that may be why it fails, with their protocol, such as ``modbus.probes.missing_address``.
@@ -80,8 +78,7 @@ class Task:
         writing = {
             key for key, _, name in facets if name in (known := protocols()[key].operations) and known[name].writes
         }
-        guarded = {key for key, _, name in facets if name == GUARD} | {*self.guards}
-        return writing | {f"{key}@{READ_ONLY}" for key in guarded}
+        return writing | {*_launched(self.needs), *_launched(self.guards)}
 
     @property
     def warm_up(self) -> bool:
@@ -101,12 +98,16 @@ class Task:
         return steps
 
     def _check(self, steps: Steps) -> None:
-        known = {name.replace("@", "_") for name in self.adapters} | {
-            f"{name}{_READ_ONLY_SUFFIX}" for name in self.guards
-        }
+        known = {name.replace("@", "_") for name in (*self.adapters, *_launched(self.guards))}
         for name in _rig_names(steps):
             if name not in known:
                 raise ValueError(f"{self.id}: the steps {steps.__name__} name {name!r}, the task has {sorted(known)}")
+
+
+def _launched(facets: Iterable[str]) -> list[str]:
+    """Return the names of the adapters that facets are launches of, such as ``modbus@ro``."""
+    parts = (facet.partition(".") for facet in facets)
+    return [f"{protocol}@{LAUNCHES[name]}" for protocol, _, name in parts if name in LAUNCHES]
 
 
 def _rig_names(steps: Steps) -> list[str]:
@@ -114,15 +115,20 @@ def _rig_names(steps: Steps) -> list[str]:
     return rigs
 
 
+def _adapter_of(name: str) -> tuple[str, str]:
+    """Return protocol and variant of the adapter that a parameter names: ``modbus``, or ``modbus_ro`` for another variant."""
+    for variant in LAUNCHES.values():
+        if name.endswith(f"_{variant}"):
+            return name.removesuffix(f"_{variant}"), variant
+    return name, READ_WRITE
+
+
 async def execute(task: Task, steps: Steps, run: Repetition) -> None:
     """Run steps with the rigs that their parameters name.
 
     Adapters through which the task writes have to be proven to talk to their mock devices first.
     """
-    rigs = {
-        name: run.rig(name.removesuffix(_READ_ONLY_SUFFIX), guarded=name.endswith(_READ_ONLY_SUFFIX))
-        for name in _rig_names(steps)
-    }
+    rigs = {name: run.rig(*_adapter_of(name)) for name in _rig_names(steps)}
     for rig in rigs.values():
         if rig is not None and rig.name in task.writing:
             await rig.prove_first()
@@ -152,7 +158,7 @@ class Tasks(list[Task]):
             needs: facets, each with its protocol, separated by blanks. With a ``guard`` the task also has the read-only
                 variant of that adapter, as ``protocol@ro``.
             capability: the capability that the steps are about, or None; ``guards`` add write protection to one.
-            guards: see :class:`Task`, separated by blanks.
+            guards: see :class:`Task`, separated by blanks; a protocol alone stands for its read-only variant.
             requirements: catalogue ids, separated by blanks.
 
         Raises:
@@ -164,7 +170,6 @@ class Tasks(list[Task]):
         def declare(steps: Steps) -> Task:
             facets = tuple(needs.split())
             named = dict.fromkeys(facet.partition(".")[0] for facet in facets)
-            guarded = [f"{facet.partition('.')[0]}@{READ_ONLY}" for facet in facets if facet.endswith(f".{GUARD}")]
             about = dict.fromkeys(
                 []
                 if capability is None
@@ -175,9 +180,9 @@ class Tasks(list[Task]):
                 suite=suite,
                 title=title,
                 capabilities=tuple(about),
-                adapters=(*named, *guarded),
+                adapters=(*named, *_launched(facets)),
                 needs=facets,
-                guards=tuple(guards.split()),
+                guards=tuple(name if "." in name else f"{name}.{GUARD}" for name in guards.split()),
                 requirements=tuple(requirements.split()),
                 steps=steps,
                 keys=tuple(keys.split()),

@@ -168,6 +168,9 @@ class Tools:
         value = encoded(identifier[0], number, asked.array_index, asked.value)
         priority = self._priority if asked.priority is None else asked.priority
 
+        target = f"{asked.device_id}/{asked.object_type},{asked.object_instance}/{asked.property_id}"
+        call.changes((target, asked.value))
+
         def request(address: Address) -> WritePropertyRequest:
             made = WritePropertyRequest(
                 objectIdentifier=identifier,

@@ -52,7 +52,8 @@ An adapter is a sub-package with two modules to begin with. ``tools`` holds a cl
 A method's name, docstring and annotations become the tool's name, description and schemas; ``tools/list`` has the tools in
 the order of their definition. The value that a method returns becomes ``data``. An :class:`AdapterError` that it raises
 becomes ``error``; any other exception becomes an ``internal_error``, with its traceback on stderr. A tool that changes the
-plant says ``writes=True``. Every call has the same steps: the arguments are checked, then the write guard, then the
+plant says ``writes=True``, and by :meth:`Call.changes` what it is about to change, so that ``OT_WRITE_ALLOW`` (a JSON list of targets) and
+``OT_WRITE_LIMITS`` (target to ``lowest``, ``highest``, ``step`` and ``every_s``) can forbid it, see ``bounds``. Every call has the same steps: the arguments are checked, then the write guard, then the
 method runs under the deadline.
 
 The method reports to the :class:`Call` what only it can know: the connection it uses, each request that it sends, the

@@ -7,6 +7,7 @@ import time
 from datetime import UTC, datetime
 from typing import Any
 
+from .bounds import Bounds
 from .errors import AdapterError
 
 __all__ = ["Call", "Connection"]
@@ -30,6 +31,7 @@ class Call:
 
     A tool, or the link below it, reports in this order::
 
+        call.changes(("1/holding_registers/5", 40))
         call.connection(generation=link.generation, fresh=just_connected)
         call.trace.update(unit=1, function=3)
         call.sending()  # immediately before the bytes go to the transport
@@ -48,7 +50,14 @@ class Call:
     """
 
     def __init__(
-        self, *, protocol: str, operation: str, endpoint: str, writes: bool, shared: Connection | None = None
+        self,
+        *,
+        protocol: str,
+        operation: str,
+        endpoint: str,
+        writes: bool,
+        shared: Connection | None = None,
+        bounds: Bounds | None = None,
     ) -> None:
         self.protocol = protocol
         self.writes = writes
@@ -59,6 +68,8 @@ class Call:
         self.extra: dict[str, Any] = {}
         self._operation = operation
         self._endpoint = endpoint
+        self._bounds = bounds
+        self._said = False
         self._shared = Connection() if shared is None else shared
         self._used: dict[str, Any] | None = None
         self._started_at = datetime.now(UTC)
@@ -78,12 +89,28 @@ class Call:
         if generation == self._shared.generation:
             self._shared.state = "disconnected"
 
+    def changes(self, *targets: tuple[str, object]) -> None:
+        """Say what the call is about to change, before anything of it is sent.
+
+        Args:
+            targets: name of each target, with the number that it gets in the device's own terms, or None where it is no number.
+
+        Raises:
+            AdapterError: a target may not be written, or its value is beyond a limit.
+        """
+        if self._bounds is not None:
+            self._bounds.check(targets)
+        self._said = True
+
     def sending(self, *, changes_state: bool = True) -> None:
         """Note that a request is about to be handed to the transport.
 
         Args:
             changes_state: False for a question of a writing tool, for instance for the type of its target.
         """
+        if self.writes and changes_state and self._bounds is not None and not self._said:
+            message = "this tool does not say what it changes, so it may not write while there are bounds"
+            raise AdapterError("access_denied", message, outcome="not_sent")
         self.attempts += 1
         self.sent = self.sent or (self.writes and changes_state)
 

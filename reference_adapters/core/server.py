@@ -27,8 +27,10 @@ from mcp.types import (
 from mcp.types.version import MODERN_PROTOCOL_VERSIONS
 
 from .arguments import parse_arguments
+from .bounds import Bounds
 from .call import Call, Connection
 from .errors import AdapterError
+from .settings import Environment
 from .tools import AdapterTool, tools_of
 
 __all__ = ["AdapterServer"]
@@ -77,6 +79,7 @@ class AdapterServer:
         self._switch = switch
         self._deadline_s = deadline_s
         self._close = close
+        self._bounds = Bounds.of(Environment())
         self._tools: dict[str, AdapterTool] = {}
         self._connection = Connection()
         self._at_work = 0
@@ -152,6 +155,7 @@ class AdapterServer:
             endpoint=self.endpoint,
             writes=tool.writes,
             shared=self._connection,
+            bounds=self._bounds,
         )
         try:
             return _result(call.success(await self._perform(tool, call, arguments)))

@@ -24,11 +24,11 @@ __all__ = [
     "octets_written",
 ]
 
-ControlName = Literal["latch_on", "latch_off", "pulse_on", "trip", "close"]
+ControlName = Literal["latch_on", "latch_off", "pulse_on", "pulse_off", "trip", "close"]
 AnalogType = Literal["int16", "int32", "float32", "float64"]
 
 # Trip-close code and operation type (IEEE 1815, annex A.8.1).
-_CODES = {"latch_on": 0x03, "latch_off": 0x04, "pulse_on": 0x01, "close": 0x41, "trip": 0x81}
+_CODES = {"latch_on": 0x03, "latch_off": 0x04, "pulse_on": 0x01, "pulse_off": 0x02, "close": 0x41, "trip": 0x81}
 ON_CODES = ("latch_on", "pulse_on", "close")
 """Control codes that switch something on; the others switch it off."""
 _ANALOG = {"int32": (1, "<i"), "int16": (2, "<h"), "float32": (3, "<f"), "float64": (4, "<d")}

@@ -26,7 +26,7 @@ AnyValue = Annotated[
     bool | int | float | str,
     Field(description="true or false for a binary output, a number for an analog output, a text for an octet string"),
 ]
-_PULSES = ("pulse_on", "trip", "close")
+_PULSES = ("pulse_on", "pulse_off", "trip", "close")
 
 
 # -- arguments ----------------------------------------------------------------------------------------------
@@ -67,7 +67,9 @@ class WriteBinaryOutput(Arguments):
 
     outstation_address: OutstationAddress
     index: Index
-    value: Annotated[bool, Field(description="true: on (latch_on, pulse_on, close); false: off (latch_off, trip)")]
+    value: Annotated[
+        bool, Field(description="true: on (latch_on, pulse_on, close); false: off (latch_off, pulse_off, trip)")
+    ]
     mode: Annotated[
         Literal["select_before_operate", "direct_operate"],
         Field(description="direct_operate needs a setting of the adapter"),

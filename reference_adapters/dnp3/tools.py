@@ -169,6 +169,7 @@ class Tools:
             )
             raise AdapterError("writes_disabled", message, field="/mode", outcome="not_sent")
         code, index = arguments.control, arguments.index
+        call.changes((f"{arguments.outstation_address}/binary_output/{index}", None))
         objects = binary_command(index, code, arguments.count, arguments.on_time_ms, arguments.off_time_ms)
         status = await self._operate(call, arguments.outstation_address, objects, direct=direct)
         state = None
@@ -199,13 +200,16 @@ class Tools:
         if not alias.writable:
             raise AdapterError("not_writable", "the alias map does not allow writing this alias", outcome="not_sent")
         status = None
+        place = f"{alias.outstation_address}/{alias.point_type}/{alias.index}"
         if alias.point_type == "octet_string":
             objects = octets_written(alias.index, value)
+            call.changes((place, None))
             await self._link.command(
                 call, alias.outstation_address, [(FunctionCode.WRITE, objects)], lambda response: None
             )
         else:
             objects = command_for(alias, value)
+            call.changes((place, value))
             status = status_name(await self._operate(call, alias.outstation_address, objects))
         found = await self._verified(
             call,

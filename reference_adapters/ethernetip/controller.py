@@ -98,6 +98,7 @@ class Controller:
         wanted = datetime.fromisoformat(arguments.time)
         # A time without a zone is UTC, as the clock is; pylogix sets the time of the machine that it runs on.
         wanted = wanted.replace(tzinfo=UTC) if wanted.tzinfo is None else wanted.astimezone(UTC)
+        call.changes(("Clock", None))
         value = struct.pack("<Q", (wanted - _EPOCH) // timedelta(microseconds=1))
         request = self._link.builder._cip_message(_SET_ATTRIBUTE_LIST, _WALL_CLOCK, 1, [_SET_TIME], [value])
         await self._attribute(call, request, _SET_TIME)

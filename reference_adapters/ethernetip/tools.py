@@ -53,6 +53,16 @@ class _Target:
         return re.sub(r"\[[^]]*\]", "[]", self.name.lower())
 
 
+def _elements(name: str, values: Sequence[Plain]) -> list[tuple[str, Plain]]:
+    """Return the elements of an array that a block from this one on covers, each with its value."""
+    base, _, index = name.removesuffix("]").rpartition("[")
+    if "," in index:
+        # The block goes on in the next row, whose length only the controller knows.
+        return [(f"{name}[{len(values)}]", values[0])]
+    first = int(index) if base else 0
+    return [(f"{base or name}[{first + place}]", value) for place, value in enumerate(values)]
+
+
 def _target(name: str) -> _Target:
     base, _, last = name.rpartition(".")
     return _Target(base, int(last)) if base and last.isdecimal() else _Target(name, None)
@@ -150,6 +160,7 @@ class Tools(Controller):
         target = self._array(arguments.tag_name)
         kind = await self._type(call, target)
         contents = [encode(value, kind.name, f"/values/{index}") for index, value in enumerate(arguments.values)]
+        call.changes(*_elements(target.name, arguments.values))
         await self._confirmed(call, write_service(self._path(target), kind.wire, contents), target)
         return {
             "tag_name": arguments.tag_name,
@@ -176,6 +187,7 @@ class Tools(Controller):
             )
             services.append(service)
             written.append(confirmed)
+        call.changes(*((one.tag_name, one.value) for one in wanted))
         if len(services) == 1:
             await self._confirmed(call, services[0], targets[0])
             return {"tags": written}
@@ -203,6 +215,7 @@ class Tools(Controller):
     async def _write(self, call: Call, name: str, value: Plain, wanted: DataType | None = None) -> TagWritten:
         target = _target(name)
         service, written = await self._service(call, name, target, value, wanted)
+        call.changes((name, value))
         await self._confirmed(call, service, target)
         return written
 

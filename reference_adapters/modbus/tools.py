@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 
 from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.pdu import ModbusPDU
@@ -158,6 +158,7 @@ class Tools:
     async def write_register(self, call: Call, arguments: WriteRegister) -> RegisterValue:
         """Write one holding register (function 06)."""
         address, value = arguments.address, arguments.value
+        self._changes(call, arguments, "holding_registers", address, [value])
         await self._exchange(
             call, arguments, lambda client, unit: client.write_register(address, value, device_id=unit)
         )
@@ -173,6 +174,7 @@ class Tools:
     async def write_coil(self, call: Call, arguments: WriteCoil) -> CoilState:
         """Switch one coil (function 05)."""
         address, value = arguments.address, arguments.value
+        self._changes(call, arguments, "coils", address, [value])
         await self._exchange(call, arguments, lambda client, unit: client.write_coil(address, value, device_id=unit))
         return {"address": address, "value": value}
 
@@ -180,6 +182,7 @@ class Tools:
     async def write_coils_bulk(self, call: Call, arguments: WriteCoils) -> BitStates:
         """Switch up to 1968 coils in one request (function 15)."""
         address, values = arguments.address, arguments.values
+        self._changes(call, arguments, "coils", address, values)
         await self._exchange(call, arguments, lambda client, unit: client.write_coils(address, values, device_id=unit))
         return {"address": address, "count": len(values), "values": values}
 
@@ -188,6 +191,8 @@ class Tools:
         """Change single bits of a holding register atomically in the device (function 22):
         new value = (old AND and_mask) OR (or_mask AND NOT and_mask)."""
         address, and_mask, or_mask = arguments.address, arguments.and_mask, arguments.or_mask
+        # The value that it makes is known to the device alone.
+        self._changes(call, arguments, "holding_registers", address, [None])
         await self._exchange(
             call,
             arguments,
@@ -234,7 +239,12 @@ class Tools:
             ),
         )
 
+    def _changes(self, call: Call, arguments: Unit, table: str, address: int, values: Sequence[object]) -> None:
+        unit = self._default_unit if arguments.unit_id is None else arguments.unit_id
+        call.changes(*((f"{unit}/{table}/{address + index}", value) for index, value in enumerate(values)))
+
     async def _write_block(self, call: Call, arguments: Unit, address: int, values: list[int]) -> None:
+        self._changes(call, arguments, "holding_registers", address, values)
         await self._exchange(
             call, arguments, lambda client, unit: client.write_registers(address, values, device_id=unit)
         )

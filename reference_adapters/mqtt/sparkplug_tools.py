@@ -163,6 +163,7 @@ class SparkplugTools:
     async def _publish(self, call: Call, kind: str, device: str | None, compose: Callable[[], list[Message]]) -> int:
         """Publish as edge node and return the sequence number of the message that the call is about."""
         node, seq = self._node, 0
+        call.changes((node.topic(kind, device), None))
 
         def composed() -> list[Message]:
             nonlocal seq
@@ -193,6 +194,8 @@ class SparkplugTools:
         group = self._node.group if arguments.group_id is None else arguments.group_id
         known = self._link.nodes.check_command(group, target, device, metrics)
         topic = f"{NAMESPACE}/{group}/{kind}/{target}" + ("" if device is None else f"/{device}")
+
+        call.changes((topic, None))
 
         def compose() -> list[Message]:
             call.trace.update(group=group, edge_node=target, type=kind)

@@ -57,6 +57,7 @@ class Tools:
         """Publish a message. With QoS 0 success means that it was written to a live connection, no more."""
         topic, qos, retain = check_name(arguments.topic), arguments.qos, arguments.retain
         message = Message(topic=topic, payload=_payload(arguments.payload, arguments.encoding), qos=qos, retain=retain)
+        call.changes((topic, _number(message.payload)))
         await self._link.publish(call, lambda: [message])
         return {
             "topic": topic,
@@ -126,6 +127,14 @@ def _payload(text: str, encoding: Encoding) -> bytes:
     if len(data) > MAX_PAYLOAD_BYTES:
         raise AdapterError("limit_exceeded", f"the payload is above {MAX_PAYLOAD_BYTES} bytes", field="/payload")
     return data
+
+
+def _number(payload: bytes) -> float | None:
+    """Return the number that a payload is as a text; None where it is none, or a structure."""
+    try:
+        return float(payload)
+    except ValueError:
+        return None
 
 
 def _received(call: Call, index: int, received: Received) -> ReceivedMessage:

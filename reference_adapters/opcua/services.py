@@ -89,6 +89,7 @@ class Services:
 
     async def write(self, nodes: Sequence[ua.NodeId], values: Sequence[ua.Variant]) -> list[ua.StatusCode]:
         """Write values without status and times, which servers may refuse (OPC 10000-4, 5.11.4.1)."""
+        self._call.changes(*((node.to_string(), value.Value) for node, value in zip(nodes, values, strict=True)))
         parameters = ua.WriteParameters(
             NodesToWrite=[
                 ua.WriteValue(NodeId=node, AttributeId=Attributes.Value, Value=ua.DataValue(value, StatusCode=None))
@@ -101,6 +102,7 @@ class Services:
 
     async def call_method(self, request: ua.CallMethodRequest) -> ua.CallMethodResult:
         """Call a method."""
+        self._call.changes((request.MethodId.to_string(), None))
         (result,) = await self._request(lambda client: client.call([request]), 1, changes=True)
         self._call.answered(service="Call")
         return result

@@ -240,6 +240,8 @@ class Tools:
             message = f"the slave has {slave.output_length} bytes of outputs; say all of them"
             bounds = {"min_length": slave.output_length, "max_length": slave.output_length}
             raise AdapterError("limit_exceeded", message, field="/data", allowed=bounds, outcome="not_sent")
+        outputs = f"{arguments.slave_address}.output"
+        call.changes(*((f"{outputs}.{place}", byte) for place, byte in enumerate(arguments.data)))
         return await self._written(call, arguments.slave_address, lambda _: bytes(arguments.data))
 
     @tool("profibus.write_alias", writes=True)
@@ -250,6 +252,7 @@ class Tools:
         if not alias.writable:
             raise AdapterError("not_writable", "the alias map does not allow writing this alias", outcome="not_sent")
         content = encode(arguments.value, alias.data_type)
+        call.changes((f"{alias.slave_address}.output.{alias.offset}:{alias.data_type}", arguments.value))
 
         def changed(outputs: bytes) -> bytes:
             return outputs[: alias.offset] + content + outputs[alias.end :]

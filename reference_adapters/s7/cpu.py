@@ -103,6 +103,7 @@ class Cpu:
         if not self._control_enabled:
             message = "starting and stopping the CPU is disabled; set S7_CONTROL_ENABLED=true to enable it"
             raise AdapterError("writes_disabled", message, outcome="not_sent")
+        call.changes(("CPU", None))
         operation = "hot_start" if arguments.state == "RUN" else "stop"
         try:
             await self._link.exchange(call, self._link.protocol.build_plc_control_request(operation))

@@ -50,6 +50,16 @@ def _value(area: str, db: int, byte: int, kind: DataType, bit: int) -> Variable:
     return Variable(area=_AREAS[area], db=db, byte=byte, size=width(kind), bit=bit if kind == "BOOL" else None)
 
 
+def _address(variable: Variable) -> str:
+    """Return an address as STEP 7 writes it, with its width: ``DB10.DBW2``, ``MX3.5``."""
+    (area,) = (name for name, one in _AREAS.items() if one is variable.area)
+    within = f"DB{variable.db}.DB" if area == "DB" else area
+    if variable.bit is not None:
+        return f"{within}X{variable.byte}.{variable.bit}"
+    width = {1: "B", 2: "W", 4: "D", 8: "L"}.get(variable.size)
+    return f"{within}{width}{variable.byte}" if width else f"{within}B{variable.byte}[{variable.size}]"
+
+
 class Tools(Cpu):
     """The tools over one connection; those about the CPU itself are the base class's.
 
@@ -132,7 +142,7 @@ class Tools(Cpu):
             variable = _bytes("DB", arguments.db_number, start + 1, len(content))
         else:
             variable = _value("DB", arguments.db_number, start, kind, arguments.bit_index)
-        await self._write(call, [variable], [content])
+        await self._write(call, [variable], [content], [arguments.value])
         return _written(start, kind, arguments.value, content)
 
     @tool("s7.write_output", writes=True)
@@ -153,7 +163,7 @@ class Tools(Cpu):
             encode(variable.value, variable.data_type, f"/variables/{number}/value")
             for number, variable in enumerate(wanted)
         ]
-        await self._write(call, [_of(variable) for variable in wanted], contents)
+        await self._write(call, [_of(one) for one in wanted], contents, [one.value for one in wanted])
         return {
             "values": [
                 _written(variable.start_byte, variable.data_type, variable.value, content)
@@ -168,7 +178,8 @@ class Tools(Cpu):
         if not tag.writable:
             raise AdapterError("not_writable", "the tag map does not allow writing this tag", outcome="not_sent")
         content = encode(arguments.value, tag.type)
-        await self._write(call, [_value(tag.area, tag.db, tag.start, tag.type, tag.bit)], [content])
+        variable = _value(tag.area, tag.db, tag.start, tag.type, tag.bit)
+        await self._write(call, [variable], [content], [arguments.value])
         return {
             "name": arguments.name,
             "unit": tag.unit,
@@ -190,12 +201,15 @@ class Tools(Cpu):
                 raise refusal(call, return_code=code)
         return [content for _, content in items]
 
-    async def _write(self, call: Call, variables: Sequence[Variable], contents: Sequence[bytes]) -> None:
+    async def _write(
+        self, call: Call, variables: Sequence[Variable], contents: Sequence[bytes], values: Sequence[Plain]
+    ) -> None:
         """Write variables by one job.
 
         Raises:
             AdapterError: the controller refuses, or ``partial_failure``: it refuses some of them.
         """
+        call.changes(*((_address(variable), value) for variable, value in zip(variables, values, strict=True)))
         codes = [code for code, _ in await self._items(call, write_job(self._link.protocol, variables, contents))]
         refused = [code for code in codes if code != SUCCESS]
         if not refused:
@@ -222,7 +236,8 @@ class Tools(Cpu):
     async def _write_area(self, call: Call, area: str, arguments: WriteAreaValue) -> Written:
         kind, start = arguments.data_type, arguments.start_byte
         content = encode(arguments.value, kind)
-        await self._write(call, [_value(area, 0, start, kind, arguments.bit_index)], [content])
+        variable = _value(area, 0, start, kind, arguments.bit_index)
+        await self._write(call, [variable], [content], [arguments.value])
         return _written(start, kind, arguments.value, content)
 
     async def _declared_length(self, call: Call, arguments: BlockValue) -> int:

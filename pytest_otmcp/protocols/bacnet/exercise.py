@@ -6,8 +6,9 @@ import math
 import random
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
-from ..exercise import LARGEST_FLOAT32, Asked, Contended, Exercise, Texts
+from ..exercise import LARGEST_FLOAT32, Asked, Contended, Exercise, Limited, Texts
 from ..journal import Entries, JournalEntry
 from .entries import as_bacnet, changes
 
@@ -149,10 +150,8 @@ def _large(values: Sequence[int], signed: bool) -> tuple[Asked, ...]:
     return tuple(_further(kind, value, {"value": value}) for value in values)
 
 
-def _special(value: float) -> tuple[Asked, ...]:
-    kinds = ("analog-input", "large-analog-value")
-    held = value if math.isfinite(value) else str(value)
-    return tuple(_further(kind, held, {"value": value}) for kind in kinds)
+def _float(kind: str, value: float) -> Asked:
+    return _further(kind, value if math.isfinite(value) else str(value), {"value": value})
 
 
 def _real(value: float) -> Asked:
@@ -185,6 +184,28 @@ def _write_text(text: str) -> Asked:
     return replace(asked, pokes=({"types": True}, *asked.pokes))
 
 
+def _present(kind: str, instance: int, value: object) -> Asked:
+    return Asked(
+        operation="write",
+        inputs={**_at(kind, instance), "value": value, "priority": _PRIORITY},
+        points={f"{kind},{instance}/present-value": value},
+    )
+
+
+def _fenced(rng: random.Random) -> tuple[Asked, ...]:
+    # The multi-state value is what a list can allow.
+    value = rng.randrange(1, 2**20) + 0.5
+    return (
+        _present(*_MODE, rng.randrange(2, 4)),
+        _present("analog-output", 1, value),
+        Asked(
+            operation="write_alias",
+            inputs={"name": _ALIASES[1], "value": value},
+            points={"analog-output,1/present-value": value},
+        ),
+    )
+
+
 EXERCISE = Exercise(
     reading="read",
     read=_read,
@@ -211,11 +232,13 @@ EXERCISE = Exercise(
     every_read=_every_read,
     every_write=_every_write,
     contended=_contended,
+    fenced=_fenced,
+    limited={"analog-value,9/present-value": Limited(ways=(partial(_present, *_LIMIT),), unit=0.5)},
     asks_for=_asks_for,
     bounds=_bounds,
     misfits=_misfits,
     large=_large,
-    special=_special,
+    floats={"float32": partial(_float, "analog-input"), "float64": partial(_float, "large-analog-value")},
     real=_real,
-    texts=Texts(encoding="utf-8", read=_read_text, write=_write_text),
+    texts=Texts(encoding="utf-8", longest=200, limited=False, read=_read_text, write=_write_text),
 )

@@ -3,10 +3,24 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
 
-from ..exercise import LARGEST_FLOAT32, NO_INTEGERS, NO_REALS, Asked, Contended, Exercise, Texts, number_in_json
+from ..exercise import (
+    LARGEST_FLOAT32,
+    NO_INTEGERS,
+    NO_REALS,
+    Asked,
+    Contended,
+    Exercise,
+    Limited,
+    Texts,
+    number_in_json,
+)
 from ..journal import Entries, JournalEntry
 from .entries import DIRECT_OPERATE, OPERATE, as_dnp3, changes, commands
+from .oracle import LATCH_OFF, LATCH_ON
 
 __all__ = ["EXERCISE"]
 
@@ -14,6 +28,10 @@ _OUTSTATION, _INPUT, _OUTPUT = 10, 1, 2
 _WRITE = 2
 _LATCHES, _EVENTLESS = range(5), range(1, 6)
 """Outputs that are latches; analog inputs that hold whole numbers and make no events."""
+_PULSED, _TRIP_CLOSE = 6, 7
+"""Outputs that take pulses only, and trip and close only."""
+_LONGEST_TEXT = 255
+"""Bytes of an octet string, whose variation is its length."""
 _LEVEL, _EXACT, _PUMP = "otmcp_level", "otmcp_exact", "otmcp_pump"
 _SETPOINT, _BATCH, _TEXT = "otmcp_setpoint", "otmcp_batch", "otmcp_text"
 """Names that a launch of an adapter with names of its own has: the analog input 1, the analog input 7 (a double), the binary output 2,
@@ -129,6 +147,52 @@ def _every_write(rng: random.Random) -> tuple[Asked, ...]:
     )
 
 
+def _commanded(rng: random.Random, index: int, control: str, code: int, *further: str) -> Asked:
+    """Return a control of a binary output by its code.
+
+    Args:
+        further: inputs beside the code; those of a pulse.
+    """
+    value = control in ("latch_on", "pulse_on", "close")
+    given = {
+        "count": rng.randrange(2, 9),
+        "on_time_ms": rng.randrange(2000, 9000),
+        "off_time_ms": rng.randrange(10, 999),
+    }
+    inputs = {name: given[name] for name in further}
+    told = {"count": "count", "on_time_ms": "on_ms", "off_time_ms": "off_ms"}
+    return Asked(
+        operation="write_binary",
+        inputs={"outstation": _OUTSTATION, "index": index, "value": value, "control": control, **inputs},
+        points={} if index == _PULSED else {f"binary_output/{index}": value},
+        sent={"index": index, "code": code, "count": 1, **{told[name]: number for name, number in inputs.items()}},
+    )
+
+
+def _commands(rng: random.Random) -> tuple[Asked, ...]:
+    times = ("on_time_ms", "off_time_ms")
+    return (
+        _commanded(rng, _OUTPUT, "latch_on", LATCH_ON),
+        _commanded(rng, _OUTPUT, "latch_off", LATCH_OFF),
+        *(
+            _commanded(rng, index, control, code, *further)
+            for index, control, code in (
+                (_PULSED, "pulse_on", 0x01),
+                (_PULSED, "pulse_off", 0x02),
+                (_TRIP_CLOSE, "close", 0x41),
+                (_TRIP_CLOSE, "trip", 0x81),
+            )
+            for further in (times[:1], times)
+        ),
+        _commanded(rng, _PULSED, "pulse_on", 0x01, "count", *times),
+    )
+
+
+def _says(entry: JournalEntry) -> Mapping[str, Any] | None:
+    given = commands(entry)
+    return given[0] if len(given) == 1 and "code" in given[0] else None
+
+
 def _contended(rng: random.Random) -> Contended:
     old, *new = (number + 0.5 for number in rng.sample(range(2**20), 3))
     return Contended(
@@ -146,11 +210,8 @@ def _asks_for(entry: JournalEntry) -> object:
     return given[0].get("value") if len(given) == 1 else None
 
 
-def _special(value: float) -> tuple[Asked, ...]:
-    return tuple(
-        _named(name, point, number_in_json(value))
-        for name, point in ((_EXACT, "analog_input/7"), (_SETPOINT, "analog_output/0"))
-    )
+def _float(name: str, point: str, value: float) -> Asked:
+    return _named(name, point, number_in_json(value))
 
 
 def _real(value: float) -> Asked:
@@ -187,6 +248,24 @@ def _write_text(text: str) -> Asked:
     )
 
 
+def _fenced(rng: random.Random) -> tuple[Asked, ...]:
+    # The binary output 2 is what a list can allow.
+    def named(name: str, point: str, value: object) -> Asked:
+        return Asked(operation="write_alias", inputs={"name": name, "value": value}, points={point: value})
+
+    return (
+        *(_latch(index, rng.random() < 0.5) for index in (_OUTPUT, 1, 3)),
+        named("otmcp_limited", "analog_output/2", rng.randrange(1, 100) + 0.5),
+        named(_TEXT, "octet_string/0", f"text-{rng.getrandbits(32):08x}"),
+    )
+
+
+def _setting(name: str, index: int, value: float) -> Asked:
+    return Asked(
+        operation="write_alias", inputs={"name": name, "value": value}, points={f"analog_output/{index}": value}
+    )
+
+
 EXERCISE = Exercise(
     reading="read_analog",
     read=_read,
@@ -213,10 +292,20 @@ EXERCISE = Exercise(
     every_read=_every_read,
     every_write=_every_write,
     contended=_contended,
+    fenced=_fenced,
+    limited={
+        "analog_output/3": Limited(ways=(partial(_setting, _BATCH, 3),), unit=1),
+        "analog_output/0": Limited(ways=(partial(_setting, _SETPOINT, 0),), unit=0.5),
+    },
+    commands=_commands,
+    says=_says,
     asks_for=_asks_for,
     bounds=_bounds,
     misfits=_misfits,
-    special=_special,
+    floats={
+        "float32": partial(_float, _SETPOINT, "analog_output/0"),
+        "float64": partial(_float, _EXACT, "analog_input/7"),
+    },
     real=_real,
-    texts=Texts(encoding="utf-8", read=_read_text, write=_write_text),
+    texts=Texts(encoding="utf-8", longest=_LONGEST_TEXT, read=_read_text, write=_write_text),
 )

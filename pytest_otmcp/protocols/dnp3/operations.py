@@ -27,10 +27,11 @@ OPERATIONS: Mapping[str, Operation] = {
         voluntary_outputs=("flags", "events"),
     ),
     "write_binary": Operation(
-        meaning="latch a binary output on or off",
+        meaning="latch a binary output on or off; control: another code, which fits the value, and count and times of a pulse",
         inputs=("outstation", "index", "value"),
         outputs=("value",),
         writes=True,
+        voluntary_inputs=("control", "count", "on_time_ms", "off_time_ms"),
         voluntary_outputs=("status",),
     ),
     "poll": Operation(

@@ -6,6 +6,7 @@ import random
 import struct
 from collections.abc import Sequence
 from datetime import UTC, datetime
+from functools import partial
 
 from ..exercise import (
     LARGEST_FLOAT32,
@@ -14,6 +15,7 @@ from ..exercise import (
     Asked,
     Contended,
     Exercise,
+    Limited,
     Texts,
     every_change,
     number_in_json,
@@ -26,6 +28,8 @@ __all__ = ["EXERCISE"]
 _READ, _WRITTEN, _CONTENDED, _BIT_TAG = "FanSpeed", "HeaterPower", "BatchTarget", "Flags"
 _ARRAY = "Counts"
 _FREE_TEXT = "FreeString"
+_LONGEST_TEXT = 82
+"""Characters of a STRING."""
 _SIGNED = {"SINT": 8, "INT": 16, "DINT": 32, "LINT": 64}
 _UNSIGNED = {"USINT": 8, "UINT": 16, "UDINT": 32, "ULINT": 64}
 """Types of whole numbers to their bits."""
@@ -171,12 +175,12 @@ def _large_numbers(values: Sequence[int], signed: bool) -> tuple[Asked, ...]:
     return tuple(_reading(_free("LINT" if signed else "ULINT"), value) for value in values)
 
 
-def _special(value: float) -> tuple[Asked, ...]:
-    return tuple(_reading(_free(kind), number_in_json(value)) for kind in _REALS)
+def _float(kind: str, value: float) -> Asked:
+    return _reading(_free(kind), number_in_json(value))
 
 
 def _real(value: float) -> Asked:
-    return Asked(operation="write_tag", inputs={"tag": _free("REAL"), "value": value, "type": "REAL"})
+    return _writing(_free("REAL"), value, "REAL")
 
 
 def _bounds() -> tuple[tuple[Asked, object], ...]:
@@ -214,6 +218,54 @@ def _write_text(text: str) -> Asked:
     )
 
 
+def _fenced(rng: random.Random) -> tuple[Asked, ...]:
+    # HeaterPower and the elements 20 to 22 are what a list can allow.
+    def numbers(count: int) -> list[int]:
+        return [rng.randrange(1, 0x8000) for _ in range(count)]
+
+    def elements(first: int, count: int) -> Asked:
+        values = numbers(count)
+        return Asked(
+            operation="write_array",
+            inputs={"tag": f"{_ARRAY}[{first}]", "values": values},
+            points={f"{_ARRAY}[{first + index}]": value for index, value in enumerate(values)},
+        )
+
+    def batch(*tags: str) -> Asked:
+        values = dict(zip(tags, numbers(len(tags)), strict=True))
+        items = [{"tag_name": tag, "value": value} for tag, value in values.items()]
+        return Asked(operation="write_tags", inputs={"items": items}, points=values)
+
+    one, other, another, valve = numbers(4)
+    return (
+        _writing(_WRITTEN, one, "DINT"),
+        elements(20, 3),
+        elements(19, 2),
+        elements(22, 2),
+        _writing(f"{_ARRAY}[19]", other, "INT"),
+        _writing(f"{_ARRAY}[23]", another, "INT"),
+        batch(_WRITTEN, f"{_ARRAY}[21]"),
+        batch(_WRITTEN, _free("DINT")),
+        batch(_free("DINT"), _WRITTEN),
+        Asked(operation="write_alias", inputs={"name": _ALIASES[1], "value": valve}, points={"ValvePosition": valve}),
+        _writing(_free("BOOL"), True, "BOOL"),
+        Asked(
+            operation="set_clock",
+            inputs={"time": "2031-05-17T08:30:00+00:00"},
+            points={"Clock": "2031-05-17T08:30:00+00:00"},
+        ),
+    )
+
+
+def _in_a_batch(tag: str, value: float) -> Asked:
+    items = [{"tag_name": tag, "value": value}]
+    return Asked(operation="write_tags", inputs={"items": items}, points={tag: value})
+
+
+def _number(tag: str, value: float) -> Asked:
+    return _writing(tag, value, "DINT")
+
+
 EXERCISE = Exercise(
     reading="read_tag",
     read=_read,
@@ -239,11 +291,16 @@ EXERCISE = Exercise(
     every_read=_every_read,
     every_write=_every_write,
     contended=_contended,
+    fenced=_fenced,
+    limited={
+        tag: Limited(ways=(partial(_number, tag), partial(_in_a_batch, tag)), unit=1)
+        for tag in (_CONTENDED, "FanSpeed")
+    },
     asks_for=_asks_for,
     bounds=_bounds,
     misfits=_misfits,
     large=_large_numbers,
-    special=_special,
+    floats={"float32": partial(_float, "REAL"), "float64": partial(_float, "LREAL")},
     real=_real,
-    texts=Texts(encoding="latin-1", read=_read_text, write=_write_text),
+    texts=Texts(encoding="latin-1", longest=_LONGEST_TEXT, read=_read_text, write=_write_text),
 )

@@ -84,6 +84,7 @@ OPERATIONS: Mapping[str, Operation] = {
         inputs=("time",),
         outputs=("time",),
         writes=True,
+        controls=True,
         voluntary=True,
     ),
 }

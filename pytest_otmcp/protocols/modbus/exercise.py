@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import random
+from functools import partial
 from typing import Any
 
-from ..exercise import Asked, Exercise, every_change
+from ..exercise import Asked, Exercise, Limited, every_change
 from .entries import points
 from .tags import TAGS
 
@@ -72,6 +73,64 @@ def _write_of(
     )
 
 
+def _fenced(rng: random.Random) -> tuple[Asked, ...]:
+    # Registers 10 to 19 are what a list can allow.
+    def words(count: int) -> list[int]:
+        return [rng.randrange(1, 0x10000) for _ in range(count)]
+
+    registers, coils = "holding_registers", "coils"
+    shifted = TAGS["otmcp_shifted"].address
+    single = (
+        _write_of("write_holding", registers, at, [word], value=word) for at in (10, 19, 9, 20) for word in words(1)
+    )
+    blocks = (
+        _write_of("write_registers", registers, at, values, values=values)
+        for at, values in ((12, words(3)), (9, words(2)), (19, words(2)), (8, words(14)))
+    )
+    (word,) = words(1)
+    return (
+        *single,
+        *blocks,
+        _write_of("write_coil", coils, 12, [True], value=True),
+        _write_of("write_coils", coils, 12, [True, True], values=[True, True]),
+        _write_of("mask_write", registers, 20, [0xFFFF], and_mask=0, or_mask=0xFFFF),
+        Asked(
+            operation="write_tag",
+            inputs={"name": "otmcp_shifted", "value": 10.0},
+            points=points(registers, shifted, [100]),
+        ),
+        Asked(
+            operation="write_holding",
+            inputs={"address": 12, "value": word, "unit": 2},
+            points=points(registers, 12, [word], unit=2),
+        ),
+    )
+
+
+def _word(address: int, value: float) -> Asked:
+    return Asked(
+        operation="write_holding",
+        inputs={"address": address, "value": value},
+        points=points("holding_registers", address, [value]),
+    )
+
+
+def _block(address: int, value: float) -> Asked:
+    return Asked(
+        operation="write_registers",
+        inputs={"address": address, "values": [value]},
+        points=points("holding_registers", address, [value]),
+    )
+
+
+def _scaled(value: float) -> Asked:
+    return Asked(
+        operation="write_tag",
+        inputs={"name": "otmcp_scaled", "value": value / 10},
+        points=points("holding_registers", TAGS["otmcp_scaled"].address, [value]),
+    )
+
+
 EXERCISE = Exercise(
     reading="read_holding",
     read=_read,
@@ -86,4 +145,9 @@ EXERCISE = Exercise(
     reset=({"action": {"reset": True}},),
     refused=({"action": {"exception": 4}},),
     every_write=_every_write,
+    fenced=_fenced,
+    limited={
+        "1/holding_registers/80": Limited(ways=(partial(_word, 80), partial(_block, 80), _scaled), unit=1),
+        "1/holding_registers/40": Limited(ways=(partial(_word, 40), partial(_block, 40)), unit=1),
+    },
 )

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import random
+from functools import partial
 
-from ..exercise import Asked, Exercise
+from ..exercise import Asked, Exercise, Limited
 from ..journal import Entries, JournalEntry
 from .entries import messages, payload_of
 
@@ -35,6 +36,27 @@ def _published(entries: Entries, asked: Asked) -> list[JournalEntry]:
     ]
 
 
+def _fenced(rng: random.Random) -> tuple[Asked, ...]:
+    topics = ("pump", "line-1/speed", "pump2", "pump/1", "line-1/axis-2/speed", "speed")
+    command = [{"name": "setpoint", "datatype": "Double", "value": 42.5}]
+    return (
+        *(_publication(f"control/{topic}", f"check-{rng.getrandbits(32):08x}") for topic in topics),
+        Asked(
+            operation="send_node_command",
+            inputs={"node": "otmcp-fenced", "metrics": command},
+            points={"spBv1.0/NCMD/otmcp-fenced": command},
+        ),
+    )
+
+
+def _publication(topic: str, payload: str) -> Asked:
+    return Asked(operation="publish", inputs={"topic": topic, "payload": payload, "qos": 1}, points={topic: payload})
+
+
+def _number(topic: str, value: float) -> Asked:
+    return _publication(topic, f"{value:g}")
+
+
 EXERCISE = Exercise(
     reading="subscribe",
     read=_read,
@@ -49,5 +71,10 @@ EXERCISE = Exercise(
     reset=tuple({"packet": packet, "action": {"reset": True}} for packet in ("SUBSCRIBE", "PUBLISH")),
     refused=({"packet": "SUBSCRIBE", "action": {"reason_code": 0x80}},),
     tells=_tells,
+    fenced=_fenced,
+    limited={
+        topic: Limited(ways=(partial(_number, topic),), unit=0.5, given_as="payload")
+        for topic in ("control/limited", "control/paced")
+    },
     outside={"qos": (-1, 257, 2**31, 1.5, "0x1")},
 )

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import random
+from functools import partial
 
-from ..exercise import Asked, Contended, Exercise, every_change
+from ..exercise import Asked, Contended, Exercise, Limited, every_change
 from ..journal import JournalEntry
 from .entries import as_opcua
 
@@ -83,6 +84,34 @@ def _asks_for(entry: JournalEntry) -> object:
     return nodes[0].get("value") if len(nodes) == 1 else None
 
 
+def _fenced(rng: random.Random) -> tuple[Asked, ...]:
+    valve, fan, pump = (f"ns=2;s={name}" for name in (_WRITTEN, "FanSpeed", "PumpEnabled"))
+    number = round(rng.uniform(1.0, 99.0), 3)
+    batches = ([(valve, number), (pump, True)], [(pump, True), (valve, number)], [(valve, number + 0.5)])
+    return (
+        Asked(operation="write", inputs={"node": valve, "value": number}, points={valve: number}),
+        Asked(operation="write", inputs={"node": pump, "value": True}, points={pump: True}),
+        Asked(operation="write", inputs={"node": fan, "value": number}, points={fan: number}),
+        *(
+            Asked(
+                operation="write_many",
+                inputs={"items": [{"node_id": node, "value": value} for node, value in items]},
+                points=dict(items),
+            )
+            for items in batches
+        ),
+    )
+
+
+def _one(node: str, value: float) -> Asked:
+    return Asked(operation="write", inputs={"node": node, "value": value}, points={node: value})
+
+
+def _in_a_batch(node: str, value: float) -> Asked:
+    items = [{"node_id": node, "value": value}]
+    return Asked(operation="write_many", inputs={"items": items}, points={node: value})
+
+
 EXERCISE = Exercise(
     reading="read",
     read=_read,
@@ -99,5 +128,10 @@ EXERCISE = Exercise(
     distinct=_distinct,
     every_write=_every_write,
     contended=_contended,
+    fenced=_fenced,
+    limited={
+        node: Limited(ways=(partial(_one, node), partial(_in_a_batch, node)), unit=0.5)
+        for node in ("ns=2;s=HeaterPower", "ns=2;s=FanSpeed")
+    },
     asks_for=_asks_for,
 )

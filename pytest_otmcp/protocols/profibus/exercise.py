@@ -5,8 +5,9 @@ from __future__ import annotations
 import random
 import struct
 from collections.abc import Sequence
+from functools import partial
 
-from ..exercise import LARGEST_FLOAT32, NO_INTEGERS, NO_REALS, Asked, Contended, Exercise
+from ..exercise import LARGEST_FLOAT32, NO_INTEGERS, NO_REALS, Asked, Contended, Exercise, Limited
 from ..journal import Entries, JournalEntry
 from .entries import as_profibus, points
 from .oracle import outputs_sent
@@ -92,9 +93,8 @@ def _large_numbers(values: Sequence[int], signed: bool) -> tuple[Asked, ...]:
     return tuple(_alias(name, value.to_bytes(8, "big", signed=signed), {"value": value}) for value in values)
 
 
-def _special(value: float) -> tuple[Asked, ...]:
-    forms = ((_SPEED, ">f"), (_DOUBLE, ">d"))
-    return tuple(_alias(alias, struct.pack(form, value), {"value": value}) for alias, form in forms)
+def _float(alias: str, form: str, value: float) -> Asked:
+    return _alias(alias, struct.pack(form, value), {"value": value})
 
 
 def _named(name: str, value: object, offset: int, content: bytes) -> Asked:
@@ -163,6 +163,19 @@ def _asks_for(entry: JournalEntry) -> object:
     return int(setpoint)
 
 
+def _fenced(rng: random.Random) -> tuple[Asked, ...]:
+    # The outputs of the small slave are what a list can allow.
+    return (
+        _outputs(_SMALL, _bytes(rng, 2)),
+        _outputs(_LARGE, _bytes(rng, _WIDTH)),
+        _real(rng.randrange(1, 2**20) + 0.5),
+    )
+
+
+def _setting(value: float) -> Asked:
+    return _named(_SETPOINT, value, 0, struct.pack(">h", value))
+
+
 EXERCISE = Exercise(
     reading="read_inputs",
     read=_read,
@@ -185,10 +198,12 @@ EXERCISE = Exercise(
     every_read=_every_read,
     every_write=_every_write,
     contended=_contended,
+    fenced=_fenced,
+    limited={"8.output.0": Limited(ways=(_setting,), unit=1)},
     asks_for=_asks_for,
     bounds=_bounds,
     misfits=_misfits,
     large=_large_numbers,
-    special=_special,
+    floats={"float32": partial(_float, _SPEED, ">f"), "float64": partial(_float, _DOUBLE, ">d")},
     real=_real,
 )

@@ -5,8 +5,9 @@ from __future__ import annotations
 import random
 import struct
 from collections.abc import Iterator, Sequence
+from functools import partial
 
-from ..exercise import LARGEST_FLOAT32, NO_INTEGERS, NO_REALS, Asked, Contended, Exercise, Texts, every_change
+from ..exercise import LARGEST_FLOAT32, NO_INTEGERS, NO_REALS, Asked, Contended, Exercise, Limited, Texts, every_change
 from ..journal import JournalEntry
 from .entries import as_s7, points
 
@@ -165,13 +166,12 @@ def _large_numbers(values: Sequence[int], signed: bool) -> tuple[Asked, ...]:
     return tuple(_held(kind, value.to_bytes(8, "big", signed=signed), {"value": value}) for value in values)
 
 
-def _special(value: float) -> tuple[Asked, ...]:
-    forms = (("REAL", ">f"), ("LREAL", ">d"))
-    return tuple(_held(kind, struct.pack(form, value), {"value": value}) for kind, form in forms)
+def _float(kind: str, form: str, value: float) -> Asked:
+    return _held(kind, struct.pack(form, value), {"value": value})
 
 
 def _real(value: float) -> Asked:
-    return Asked(operation="write_db", inputs={"db": _BLOCK, "start": _FREE, "type": "REAL", "value": value})
+    return _write_typed("REAL", ">f", value)
 
 
 _WHOLE = {"SINT": ">b", "USINT": ">B", "INT": ">h", "UINT": ">H", "DINT": ">i", "UDINT": ">I"}
@@ -232,6 +232,35 @@ def _write_text(text: str) -> Asked:
     )
 
 
+def _fenced(rng: random.Random) -> tuple[Asked, ...]:
+    # The INT from byte 2 on is what a list can allow.
+    kinds = {"INT": ">h", "DINT": ">i"}
+    places = ((_BLOCK, 2, "INT"), (_BLOCK, 1, "INT"), (_BLOCK, 3, "INT"), (_BLOCK, 4, "INT"), (_BLOCK, 2, "DINT"))
+    found = []
+    for db, start, kind in (*places, (_BLOCK, 0, "DINT"), (_LARGE, _FIRST, "INT")):
+        content = rng.randbytes(struct.calcsize(kinds[kind]))
+        (value,) = struct.unpack(kinds[kind], content)
+        inputs = {"db": db, "start": start, "type": kind, "value": value}
+        found.append(Asked(operation="write_db", inputs=inputs, points=points(f"DB{db}", start, content)))
+    return (
+        *found,
+        Asked(
+            operation="write_marker",
+            inputs={"byte": _MARKER, "bit": 2, "value": True},
+            points=points("M", _MARKER, bytes([1 << 2])),
+        ),
+        Asked(operation="set_cpu_state", inputs={"state": "STOP"}, points={"CPU": "STOP"}),
+    )
+
+
+def _whole(start: int, kind: str, value: float) -> Asked:
+    return Asked(
+        operation="write_db",
+        inputs={"db": _BLOCK, "start": start, "type": kind, "value": value},
+        points=points(f"DB{_BLOCK}", start, struct.pack(_WHOLE[kind], value)),
+    )
+
+
 EXERCISE = Exercise(
     reading="read_typed",
     read=_read,
@@ -255,11 +284,16 @@ EXERCISE = Exercise(
     every_read=_every_read,
     every_write=_every_write,
     contended=_contended,
+    fenced=_fenced,
+    limited={
+        "DB10.DBD12": Limited(ways=(partial(_whole, _TARGET, "DINT"),), unit=1),
+        "DB10.DBW48": Limited(ways=(partial(_whole, _FREE, "INT"),), unit=1),
+    },
     asks_for=_asks_for,
     bounds=_bounds,
     misfits=_misfits,
     large=_large_numbers,
-    special=_special,
+    floats={"float32": partial(_float, "REAL", ">f"), "float64": partial(_float, "LREAL", ">d")},
     real=_real,
-    texts=Texts(encoding="latin-1", read=_read_text, write=_write_text),
+    texts=Texts(encoding="latin-1", longest=_DECLARED, read=_read_text, write=_write_text),
 )

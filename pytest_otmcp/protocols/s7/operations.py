@@ -48,6 +48,7 @@ OPERATIONS: Mapping[str, Operation] = {
         inputs=("state",),
         outputs=("state",),
         writes=True,
+        controls=True,
         voluntary=True,
     ),
 }

@@ -64,6 +64,10 @@ def _held(arguments: Any) -> Data:
     }
 
 
+def _one_decimal(data: Data) -> Data:
+    return {**data, "value": round(data["value"], 1)} if isinstance(data["value"], float) else data
+
+
 def _positive(data: Data) -> Data:
     return {**data, "value": abs(data["value"])} if data["type"] == "real" else data
 
@@ -144,6 +148,14 @@ MUTANTS: tuple[Mutant, ...] = (
         "A present value that is NaN is 0.",
     ),
     _mutant(
+        "MU-57bac",
+        "enc",
+        "ENC-003",
+        "ENC-003",
+        told(_READ, change=_one_decimal),
+        "A REAL is rounded to one decimal.",
+    ),
+    _mutant(
         "MU-58bac",
         "enc",
         "ENC-005",
@@ -162,7 +174,7 @@ MUTANTS: tuple[Mutant, ...] = (
     _mutant(
         "MU-124b",
         "enc",
-        "ENC-004 ENC-005 ENC-006 ENC-007",
+        "ENC-003 ENC-004 ENC-005 ENC-006 ENC-007",
         "ENC-007",
         local_time,
         "started_at of a BACnet answer is the local time with a Z behind it.",

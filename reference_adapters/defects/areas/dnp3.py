@@ -11,9 +11,9 @@ from typing import Any
 from ...core import AdapterServer
 from ..any_protocol import answers_from_memory_when_gone, guard_after_sending
 from ..claims import local_time
-from ..mutant import Data, Mutant, told
+from ..mutant import Bend, Data, Mutant, told
 from .enc import as_zero
-from .further import cut_off, declared, last_answer, merged, module_of, stripped
+from .further import beginning, cut_off, declared, last_answer, merged, module_of, stripped
 
 __all__ = ["MUTANTS"]
 
@@ -60,6 +60,33 @@ def _or_ends(check: Callable[[bytes], bool]) -> Callable[[bytes], bool]:
     return lambda content: check(content) or os._exit(1)
 
 
+def _six_digits(data: Data) -> Data:
+    return {**data, "value": float(f"{data['value']:.6g}")} if isinstance(data["value"], float) else data
+
+
+def _binary_command(change: Callable[..., tuple[Any, ...]]) -> Bend:
+    """Return the defect that of a command of a binary output something else is sent: what ``change`` makes of code, count and times."""
+
+    def bend(server: AdapterServer) -> None:
+        tools = _module("tools")
+        genuine = tools.binary_command
+        tools.binary_command = lambda index, *given: genuine(index, *change(*given))
+
+    return bend
+
+
+def _latched(code: str, count: int, on_ms: int, off_ms: int) -> tuple[Any, ...]:
+    return code.replace("pulse", "latch"), count, on_ms, off_ms
+
+
+def _a_second(code: str, count: int, on_ms: int, off_ms: int) -> tuple[Any, ...]:
+    return code, count, min(on_ms, 1000), off_ms
+
+
+def _once(code: str, count: int, on_ms: int, off_ms: int) -> tuple[Any, ...]:
+    return code, 1, on_ms, off_ms
+
+
 def _positive(data: Data) -> Data:
     return {**data, "points": [{**point, "value": abs(point["value"])} for point in data["points"]]}
 
@@ -88,6 +115,11 @@ MUTANTS: tuple[Mutant, ...] = (
         told(_READ, change=_positive),
         "An analog input is read without its sign.",
     ),
+    _mutant("MU-14dc", "wr", "WR-001", "WR-001", _binary_command(_latched), "A pulse is sent as a latch."),
+    _mutant(
+        "MU-09dt", "wr", "WR-001", "WR-001", _binary_command(_a_second), "The time of a pulse is a second at most."
+    ),
+    _mutant("MU-09dq", "wr", "WR-001", "WR-001", _binary_command(_once), "Of several pulses one is sent."),
     _mutant(
         "MU-20dw",
         "wr",
@@ -145,6 +177,22 @@ MUTANTS: tuple[Mutant, ...] = (
         "An analog input that is NaN is 0.",
     ),
     _mutant(
+        "MU-57dnp",
+        "enc",
+        "ENC-003",
+        "ENC-003",
+        told(_READ_ALIAS, change=_six_digits),
+        "Of a floating-point number six digits are told.",
+    ),
+    _mutant(
+        "MU-123dl",
+        "enc",
+        "ENC-006",
+        "ENC-006",
+        told(_READ_ALIAS, change=beginning),
+        "Of an octet string the first 20 characters are read.",
+    ),
+    _mutant(
         "MU-123d",
         "enc",
         "ENC-006",
@@ -155,7 +203,7 @@ MUTANTS: tuple[Mutant, ...] = (
     _mutant(
         "MU-124d",
         "enc",
-        "ENC-004 ENC-006 ENC-007",
+        "ENC-003 ENC-004 ENC-006 ENC-007",
         "ENC-007",
         local_time,
         "started_at of a DNP3 answer is the local time with a Z behind it.",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import struct
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
@@ -13,7 +14,18 @@ from ..claims import local_time
 from ..mutant import Data, Mutant, failing, told
 from ..refusals import _end
 from .enc import as_zero, by_way_of_float
-from .further import altered, declared, last_answer, lower_half, merged, module_of, reencoded, stripped, truth
+from .further import (
+    altered,
+    controls_always,
+    declared,
+    last_answer,
+    lower_half,
+    merged,
+    module_of,
+    reencoded,
+    stripped,
+    truth,
+)
 
 __all__ = ["MUTANTS"]
 
@@ -62,6 +74,16 @@ def _cut_index(name: Any) -> Any:
     if not isinstance(name, str):
         return name
     return re.sub(r"(?<=\[)[0-9]+(?=\])", lambda index: str(int(index[0]) % 2**32), name)
+
+
+def _by_way_of_32_bits(data: Data) -> Data:
+    if data["type"] != "LREAL" or data["value"] is None or abs(data["value"]) > 1e38:
+        return data
+    return {**data, "value": struct.unpack("<f", struct.pack("<f", data["value"]))[0]}
+
+
+def _beginning(value: Any, kind: str) -> Any:
+    return value[:20] if kind == "STRING" and isinstance(value, str) else value
 
 
 _mutant = partial(declared, "ethernetip")
@@ -129,6 +151,30 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _mutant("MU-56ei", "enc", "ENC-004", "ENC-004", told(_READ, change=as_zero), "A tag that is NaN is 0."),
     _mutant(
+        "MU-20eic",
+        "wr",
+        "WR-004",
+        "WR-004",
+        controls_always("set_plc_time"),
+        "The controller's clock is set wherever writes are enabled, whatever the switch for control says.",
+    ),
+    _mutant(
+        "MU-57ei",
+        "enc",
+        "ENC-003",
+        "ENC-003",
+        told(_READ, change=_by_way_of_32_bits),
+        "An LREAL is read by way of 32 bits.",
+    ),
+    _mutant(
+        "MU-123eil",
+        "enc",
+        "ENC-006",
+        "ENC-006",
+        reencoded("ethernetip", _beginning),
+        "Of a text the first 20 characters are written, and the whole text is told as written.",
+    ),
+    _mutant(
         "MU-58ei",
         "enc",
         "ENC-005",
@@ -147,7 +193,7 @@ MUTANTS: tuple[Mutant, ...] = (
     _mutant(
         "MU-124ei",
         "enc",
-        "ENC-004 ENC-005 ENC-006 ENC-007",
+        "ENC-003 ENC-004 ENC-005 ENC-006 ENC-007",
         "ENC-007",
         local_time,
         "started_at of an EtherNet/IP answer is the local time with a Z behind it.",

@@ -17,6 +17,8 @@ from ..mutant import Bend, Data, Handler, Mutant, each, on, wrap
 
 __all__ = [
     "altered",
+    "beginning",
+    "controls_always",
     "cut_off",
     "declared",
     "last_answer",
@@ -146,6 +148,19 @@ def lower_half(value: Any, kind: str) -> Any:
 def truth(value: Any, kind: str) -> Any:
     """Return True for a BOOL that is any text but the empty one."""
     return bool(value) if kind == "BOOL" else value
+
+
+def beginning(data: Data) -> Data:
+    return {**data, "value": data["value"][:20]} if isinstance(data["value"], str) else data
+
+
+def controls_always(tool: str) -> Bend:
+    """Return the defect that a tool's switch of its own is not looked at: writes that are enabled are enough."""
+
+    def bend(server: AdapterServer) -> None:
+        server._tools[tool].handler.__self__._control_enabled = True
+
+    return bend
 
 
 def stripped(data: Data) -> Data:

@@ -11,7 +11,19 @@ from ..claims import local_time
 from ..mutant import Data, Mutant, failing, told
 from ..refusals import _end
 from .enc import as_zero, by_way_of_float
-from .further import cut_off, declared, last_answer, lower_half, merged, module_of, reencoded, stripped, truth
+from .further import (
+    beginning,
+    controls_always,
+    cut_off,
+    declared,
+    last_answer,
+    lower_half,
+    merged,
+    module_of,
+    reencoded,
+    stripped,
+    truth,
+)
 
 __all__ = ["MUTANTS"]
 
@@ -46,6 +58,10 @@ def _written(arguments: Any) -> Data:
 
 def _signed(data: Data) -> Data:
     return {**data, "value": data["value"] - 0x10000} if data["type"] == "WORD" else data
+
+
+def _four_digits(value: Any, kind: str) -> Any:
+    return float(f"{value:.4g}") if kind == "REAL" and isinstance(value, float) else value
 
 
 _mutant = partial(declared, "s7")
@@ -111,6 +127,30 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _mutant("MU-56k", "enc", "ENC-004", "ENC-004", told(_READ, change=as_zero), "A REAL that is NaN is 0."),
     _mutant(
+        "MU-20kc",
+        "wr",
+        "WR-004",
+        "WR-004",
+        controls_always("set_cpu_state"),
+        "The CPU is started and stopped wherever writes are enabled, whatever the switch for control says.",
+    ),
+    _mutant(
+        "MU-57k",
+        "enc",
+        "ENC-003",
+        "ENC-003",
+        reencoded("s7", _four_digits),
+        "Of a REAL that is written four digits are kept.",
+    ),
+    _mutant(
+        "MU-123kl",
+        "enc",
+        "ENC-006",
+        "ENC-006",
+        told(_READ, change=beginning),
+        "Of the text of a STRING the first 20 characters are read.",
+    ),
+    _mutant(
         "MU-58k",
         "enc",
         "ENC-005",
@@ -129,7 +169,7 @@ MUTANTS: tuple[Mutant, ...] = (
     _mutant(
         "MU-124k",
         "enc",
-        "ENC-004 ENC-005 ENC-006 ENC-007",
+        "ENC-003 ENC-004 ENC-005 ENC-006 ENC-007",
         "ENC-007",
         local_time,
         "started_at of an S7 answer is the local time with a Z behind it.",

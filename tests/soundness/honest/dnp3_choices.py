@@ -32,6 +32,22 @@ CHOICES, choice = choices("dnp3")
 
 
 @choice(
+    "has no pulses: latches, trips and closes alone, and refuses the other codes by itself",
+    "which controls an adapter offers is its author's choice",
+)
+def no_pulses(server: AdapterServer) -> None:
+    def without(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Any:
+            if arguments.control.startswith("pulse"):
+                raise AdapterError("unsupported_operation", "outputs are not pulsed", field="/code", outcome="not_sent")
+            return await genuine(call, arguments)
+
+        return handler
+
+    wrap(server, "write_binary_output", without)
+
+
+@choice(
     "tells an event that came unasked in the answer to the read that it came before, and not once more with the next poll",
     "it is told once, as soon as there is an answer that can tell it",
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
+import struct
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -40,6 +41,8 @@ CHOICES, choice = choices("s7")
 
 WRITTEN = ("BOOL", "BYTE", "WORD", "DWORD", "INT", "DINT", "REAL")
 READ = (*WRITTEN, "STRING")
+_MOST = 40
+"""Characters of a text, for an adapter that takes no long ones."""
 
 
 def without_codes(adapter: Adapter) -> Adapter:
@@ -50,6 +53,68 @@ def without_codes(adapter: Adapter) -> Adapter:
         for name, bound in adapter.operations.items()
     }
     return dataclasses.replace(adapter, answering=answering, operations=operations)
+
+
+@choice(
+    "tells a REAL by the fewest digits that make it: 0.1, not 0.10000000149011612",
+    "these digits have the same bits when they are put into a REAL again",
+)
+def shortest_digits(server: AdapterServer) -> None:
+    def shorter(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Any:
+            data = await genuine(call, arguments)
+            if data["type"] != "REAL" or data["value"] is None:
+                return data
+            return {**data, "value": _shortest(data["value"])}
+
+        return handler
+
+    wrap(server, "read_db_typed", shorter)
+
+
+def _shortest(value: float) -> float:
+    candidates = (float(f"{value:.{digits}g}") for digits in range(1, 10))
+    return next(one for one in candidates if _bits(one) == _bits(value))
+
+
+def _bits(value: float) -> bytes | None:
+    try:
+        return struct.pack(">f", value)
+    except OverflowError:
+        return None
+
+
+@choice(
+    "writes texts of up to 40 characters, which the schema says, and refuses longer ones",
+    "how long a text may be is its author's choice as far as the schema tells it",
+)
+def short_texts(server: AdapterServer) -> None:
+    listing = server._tools["write_db"].listing
+    properties = {
+        **listing.input_schema["properties"],
+        "value": {"anyOf": [{"type": ["boolean", "number"]}, {"type": "string", "maxLength": _MOST}]},
+    }
+    schema = {**listing.input_schema, "properties": properties}
+
+    def refusing(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Any:
+            if isinstance(arguments.value, str) and len(arguments.value) > _MOST:
+                message = f"a text may have {_MOST} characters"
+                raise AdapterError("limit_exceeded", message, field="/value", outcome="not_sent")
+            return await genuine(call, arguments)
+
+        return handler
+
+    wrap(server, "write_db", refusing, listing=listing.model_copy(update={"input_schema": schema}))
+
+
+@choice(
+    "has no tool that starts and stops the CPU unless control is enabled",
+    "a tool that is not there cannot be used",
+)
+def control_tools_hidden(server: AdapterServer) -> None:
+    if not server._tools["set_cpu_state"].handler.__self__._control_enabled:  # type: ignore[attr-defined]
+        del server._tools["set_cpu_state"]
 
 
 @choice(

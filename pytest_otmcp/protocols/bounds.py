@@ -1,0 +1,88 @@
+"""What an adapter was told to allow: the targets that may be written, and limits of their values. Pure.
+
+Targets have the names of the points in a device's image; a device without such an image, as a broker is, has them by the protocol's own
+names, such as topics.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import cache
+from typing import Any
+
+__all__ = ["Bounds", "Limit"]
+
+_RANGE = re.compile(r"(\d+)\.\.(\d+)|\*")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Limit:
+    """Limits of the number that a target holds, in the device's own terms; None where there is no such limit.
+
+    Attributes:
+        lowest, highest: may be written themselves.
+        step: the most by which one write may change it.
+        every_s: seconds that have to lie between two writes.
+    """
+
+    lowest: float | None = None
+    highest: float | None = None
+    step: float | None = None
+    every_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bounds:
+    """What an adapter was told.
+
+    Attributes:
+        allowed: names of targets that may be written; ``10..19`` in a name stands for these numbers, ``*`` for any characters but ``/``.
+            Empty for an adapter that was told no targets.
+        limits: of targets, by name.
+    """
+
+    allowed: Sequence[str] = ()
+    limits: Mapping[str, Limit] = field(default_factory=dict)
+
+    def allows(self, target: str) -> bool:
+        """Tell whether a target is on the list."""
+        return not self.allowed or any(_covers(pattern, target) for pattern in self.allowed)
+
+    def as_record(self) -> dict[str, Any]:
+        """Return this as a run record has it."""
+        limits = {target: _stated(limit) for target, limit in self.limits.items()}
+        return {"allowed": list(self.allowed), "limits": limits}
+
+    @classmethod
+    def of_record(cls, stated: Mapping[str, Any]) -> Bounds:
+        """Return what a subject file or a run record states."""
+        limits = {target: Limit(**limit) for target, limit in stated["limits"].items()}
+        return cls(allowed=tuple(stated["allowed"]), limits=limits)
+
+
+def _stated(limit: Limit) -> dict[str, float]:
+    return {name: value for name, value in asdict(limit).items() if value is not None}
+
+
+def _covers(pattern: str, target: str) -> bool:
+    expression, ranges = _compiled(pattern)
+    match = expression.fullmatch(target)
+    return match is not None and all(
+        first <= int(found) <= last for found, (first, last) in zip(match.groups(), ranges, strict=True)
+    )
+
+
+@cache
+def _compiled(pattern: str) -> tuple[re.Pattern[str], tuple[tuple[int, int], ...]]:
+    parts, ranges, end = [], [], 0
+    for place in _RANGE.finditer(pattern):
+        parts.append(re.escape(pattern[end : place.start()]))
+        end = place.end()
+        if place[1] is None:
+            parts.append("[^/]*")
+        else:
+            parts.append("([0-9]{1,9})")
+            ranges.append((int(place[1]), int(place[2])))
+    return re.compile("".join(parts) + re.escape(pattern[end:])), tuple(ranges)

@@ -1,0 +1,262 @@
+"""Defects of adapters that have a list of targets and limits, which the checks of WR-006 and WR-007 notice."""
+
+from __future__ import annotations
+
+import fnmatch
+import math
+from collections.abc import Callable, Iterable
+from functools import partial
+from typing import Any
+
+from pydantic import create_model
+
+from ...core import AdapterServer, Call
+from ...core import bounds as core_bounds
+from ...mqtt import tools as mqtt_tools
+from ..mutant import Bend, Data, Handler, Mutant, each, wrap
+from .further import declared, module_of
+
+__all__ = ["MUTANTS"]
+
+_Pair = tuple[str, object]
+
+
+def _said(*names: str, change: Callable[[Any, tuple[_Pair, ...]], Iterable[_Pair]]) -> Bend:
+    """Return the defect that these tools, or all, say something else of what they change, made from arguments and targets."""
+
+    def saying(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            changes = call.changes
+            call.changes = lambda *targets: changes(*change(arguments, targets))
+            data: Data = await genuine(call, arguments)
+            return data
+
+        return handler
+
+    return each(*names, change=saying)
+
+
+def _unbounded(*names: str) -> Bend:
+    """Return the defect that list and limits do not hold for these tools."""
+    return _said(*names, change=lambda arguments, targets: ())
+
+
+_first_alone = partial(_said, change=lambda arguments, targets: targets[:1])
+
+
+def _as_a_word(server: AdapterServer) -> None:
+    module_of("s7", "tools")._address = lambda variable: f"DB{variable.db}.DBW{variable.byte}"
+
+
+def _globs(server: AdapterServer) -> None:
+    core_bounds._covers = lambda pattern, target: fnmatch.fnmatch(target, pattern)
+
+
+def _opened_by_an_argument(tool: str) -> Bend:
+    """Return the defect that the tool takes ``force``, and the list does not hold then."""
+
+    def bend(server: AdapterServer) -> None:
+        genuine = server._tools[tool]
+        fields: dict[str, Any] = {"force": (bool, False), "override": (bool, False)}
+        model = create_model(genuine.model.__name__, __base__=genuine.model, **fields)
+
+        def opened(handler: Handler) -> Handler:
+            async def forced(call: Call, arguments: Any) -> Data:
+                if arguments.force:
+                    call._bounds = None
+                data: Data = await handler(call, arguments)
+                return data
+
+            return forced
+
+        wrap(server, tool, opened, model=model)
+
+    return bend
+
+
+def _one_after_the_other(tool: str, items: str, told: str) -> Bend:
+    """Return the defect that the tool of a batch writes its items one after the other, until it meets one that is forbidden.
+
+    Args:
+        items: the argument that is the batch.
+        told: the member of ``data`` that has the results.
+    """
+
+    def singly(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Data:
+            results: list[Any] = []
+            for item in getattr(arguments, items):
+                results += (await genuine(call, arguments.model_copy(update={items: [item]})))[told]
+            return {told: results}
+
+        return handler
+
+    return each(tool, change=singly)
+
+
+def _without(*members: str) -> Bend:
+    """Return the defect that these limits are not looked at."""
+
+    def bend(server: AdapterServer) -> None:
+        if server._bounds is not None:
+            changes = dict.fromkeys(members)
+            limits = server._bounds._limits
+            server._bounds._limits = {name: one.model_copy(update=changes) for name, one in limits.items()}
+
+    return bend
+
+
+def _what_is_no_number_passes(server: AdapterServer) -> None:
+    genuine = core_bounds._within
+
+    def within(target: str, value: Any, *rest: Any) -> float:
+        # No comparison with it is true.
+        return value if isinstance(value, float) and math.isnan(value) else genuine(target, value, *rest)
+
+    core_bounds._within = within
+    assert mqtt_tools._number(b"NaN") is not None
+
+
+def _clamped(server: AdapterServer) -> None:
+    """Write the highest number, where a higher one is asked for, and tell that as done."""
+    services = module_of("opcua", "services").Services
+    genuine = services.write
+
+    async def write(self: Any, nodes: Any, values: Any) -> Any:
+        limits = {} if self._call._bounds is None else self._call._bounds._limits
+        for node, value in zip(nodes, values, strict=True):
+            limit = limits.get(node.to_string())
+            if limit is not None and limit.highest is not None and isinstance(value.Value, float):
+                value.Value = min(value.Value, limit.highest)
+        return await genuine(self, nodes, values)
+
+    services.write = write
+
+
+def _mutant(id: str, protocol: str, row: str, cited: str, bend: Bend, sentence: str) -> Mutant:
+    return declared(protocol, id, "wr", row, cited, bend, sentence)
+
+
+MUTANTS: tuple[Mutant, ...] = (
+    _mutant(
+        "MU-22",
+        "modbus",
+        "WR-006",
+        "WR-006",
+        _first_alone("write_registers", "write_coils_bulk"),
+        "Of a range that is to be written the first register alone must be allowed.",
+    ),
+    _mutant(
+        "MU-22f",
+        "modbus",
+        "WR-006",
+        "WR-006",
+        _opened_by_an_argument("write_register"),
+        "The argument force opens the list of registers that may be written.",
+    ),
+    _mutant(
+        "MU-22q",
+        "mqtt",
+        "WR-006",
+        "WR-006",
+        _globs,
+        "A star in the list of topics stands for several levels.",
+    ),
+    _mutant(
+        "MU-22k",
+        "s7",
+        "WR-006",
+        "WR-006",
+        _as_a_word,
+        "Every value counts as the word that begins where it does, a DINT as well.",
+    ),
+    _mutant(
+        "MU-22ei",
+        "ethernetip",
+        "WR-006",
+        "WR-006",
+        _first_alone("write_array"),
+        "Of elements that are to be written the first alone must be allowed.",
+    ),
+    _mutant(
+        "MU-22bac",
+        "bacnet",
+        "WR-006",
+        "WR-006",
+        _unbounded("write_object_by_alias"),
+        "An alias writes an object that is not on the list.",
+    ),
+    _mutant(
+        "MU-22dnp",
+        "dnp3",
+        "WR-006 WR-007",
+        "WR-006 WR-007",
+        _unbounded("write_point_by_alias"),
+        "List and limits hold for points by index, and not for those by alias.",
+    ),
+    _mutant(
+        "MU-22dp",
+        "profibus",
+        "WR-006",
+        "WR-006",
+        _first_alone("write_outputs"),
+        "Of the outputs of a slave the first byte alone must be allowed.",
+    ),
+    _mutant(
+        "MU-23",
+        "opcua",
+        "WR-006",
+        "WR-006",
+        _one_after_the_other("write_multiple_opcua_nodes", "items", "items"),
+        "Of a batch the nodes before a forbidden one are written.",
+    ),
+    _mutant(
+        "MU-23ei",
+        "ethernetip",
+        "WR-006",
+        "WR-006",
+        _one_after_the_other("write_multiple_tags", "payloads", "tags"),
+        "Of a batch the tags before a forbidden one are written.",
+    ),
+    _mutant(
+        "MU-24c",
+        "modbus",
+        "WR-007",
+        "WR-007",
+        _said("write_tag", change=lambda asked, targets: [(target, asked.value) for target, _ in targets]),
+        "The limit of a register is compared with a tag's value before it is scaled.",
+    ),
+    _mutant(
+        "MU-24q",
+        "mqtt",
+        "WR-007",
+        "WR-007",
+        _what_is_no_number_passes,
+        "NaN is within every limit.",
+    ),
+    _mutant("MU-24s", "opcua", "WR-007", "WR-007", _without("step"), "A value may leap, whatever the largest step is."),
+    _mutant(
+        "MU-24r",
+        "s7",
+        "WR-007",
+        "WR-007",
+        _without("every_s"),
+        "Values may be written as fast as they come, whatever time has to lie between two.",
+    ),
+    _mutant(
+        "MU-24o",
+        "opcua",
+        "WR-007",
+        "WR-007",
+        _clamped,
+        "A value above the highest is written as the highest.",
+    ),
+    _mutant(
+        "MU-24dp",
+        "profibus",
+        "WR-007",
+        "WR-007",
+        _without("lowest"),
+        "The lowest value of a slave's output is not looked at.",
+    ),
+)
