@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 from ..record.schema import Footprint
 
-__all__ = ["footprint"]
+__all__ = ["command_lines", "footprint"]
 
 _PROC = Path("/proc")
 _PAGE_KIB = os.sysconf("SC_PAGE_SIZE") // 1024
@@ -29,6 +31,13 @@ def footprint(root: int | None) -> Footprint:
         found["threads"] += threads
         found["processes"] += 1
     return found
+
+
+def command_lines(root: int | None) -> Iterator[bytes]:
+    """Return the arguments of every process that descends from ``root``, which anybody on the machine can read."""
+    for pid in () if root is None else _descendants(root):
+        with suppress(OSError):
+            yield (_PROC / str(pid) / "cmdline").read_bytes()
 
 
 def _descendants(root: int) -> list[int]:

@@ -11,6 +11,10 @@ from .entries import messages, payload_of
 __all__ = ["EXERCISE"]
 
 
+_NOT_AUTHORISED = 0x87
+"""Reason code of MQTT 5; a client of 3.1.1 is told its return code 5."""
+
+
 def _read(rng: random.Random) -> Asked:
     return Asked(operation="subscribe", inputs={"filter": f"otmcp/check/{rng.getrandbits(32):08x}", "qos": 0})
 
@@ -43,5 +47,6 @@ EXERCISE = Exercise(
     silent=tuple({"packet": packet, "action": {"no_answer": True}} for packet in ("SUBSCRIBE", "PUBLISH")),
     reset=tuple({"packet": packet, "action": {"reset": True}} for packet in ("SUBSCRIBE", "PUBLISH")),
     refused=({"packet": "SUBSCRIBE", "action": {"reason_code": 0x80}},),
+    unauthorised=({"packet": "CONNECT", "action": {"reason_code": _NOT_AUTHORISED}},),
     outside={"qos": (-1, 257, 2**31, 1.5, "0x1")},
 )
