@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import base64
 import os
+import socket
 import subprocess
 import sys
 
 from ...core import AdapterError, AdapterServer, Call
 from ..claims import meta
+from ..life import address_of
 from ..mutant import Bend, Data, Mutant, failing
 
 __all__ = ["MUTANTS"]
@@ -50,12 +52,20 @@ def secret_for_a_helper(server: AdapterServer) -> None:
     waiting = "import sys; sys.stdin.read()"
     command = [sys.executable, "-S", "-c", waiting, f"--token={os.environ[_SPARE]}"]
     # The helper ends with the adapter, whose end closes the pipe.
-    server.helper = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL)  # type: ignore[attr-defined]
+    server.helper = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL)
 
 
 def secret_in_a_description(server: AdapterServer) -> None:
     listing = next(iter(server._tools.values())).listing
     listing.description = f"{listing.description} (configured by {dict(os.environ)})"
+
+
+def ends_with_its_settings(server: AdapterServer) -> None:
+    """End at the start, with everything that it was told, where there is no device."""
+    try:
+        socket.create_connection(address_of(server)).close()
+    except OSError:
+        sys.exit(f"there is no device; the settings are {dict(os.environ)}")
 
 
 MUTANTS: tuple[Mutant, ...] = (
@@ -113,6 +123,15 @@ MUTANTS: tuple[Mutant, ...] = (
         bend=secret_in_a_description,
         items="KEY-001.s7",
         requirements="KEY-001",
+        areas="key",
+    ),
+    Mutant(
+        id="MU-99h",
+        protocol="modbus",
+        sentence="An adapter that does not start without its device ends with its environment on stderr.",
+        bend=ends_with_its_settings,
+        items="KEY-001.modbus",
+        requirements="KEY-001 MCP-002",
         areas="key",
     ),
 )
