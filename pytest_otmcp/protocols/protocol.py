@@ -57,6 +57,7 @@ class Operation:
         outputs: names that the kit judges in a successful answer, when the binding says where they are.
         needed: the outputs without which nothing could be judged.
         writes: the operation changes the state of the plant.
+        adds: a write that takes nothing away and does something of its own each time, such as a message that is published.
         optional: inputs that a tool may lack; each is a facet of its own, such as ``subscribe.qos``.
         status: it asks whether the device is reachable, which an adapter may know from a moment ago.
         waits: the input that limits how many seconds a call may wait for the messages that it returns; None where no call
@@ -75,6 +76,7 @@ class Operation:
     outputs: tuple[str, ...] = ()
     needed: tuple[str, ...] = ()
     writes: bool = False
+    adds: bool = False
     optional: tuple[str, ...] = ()
     status: bool = False
     waits: str | None = None

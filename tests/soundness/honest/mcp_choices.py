@@ -14,7 +14,7 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from mcp import MCPError
-from mcp.types import METHOD_NOT_FOUND, Tool
+from mcp.types import METHOD_NOT_FOUND, Tool, ToolAnnotations
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call, stdio
 from pytest_otmcp.reference_adapters.core import call as core_call
 from pytest_otmcp.reference_adapters.core import server as core_server
@@ -154,6 +154,13 @@ def no_output_schema(server: AdapterServer) -> None:
     for name, tool in [*server._tools.items()]:
         listing = Tool(**{**tool.listing.model_dump(by_alias=True, exclude_none=True), "outputSchema": None})
         server._tools[name] = dataclasses.replace(tool, listing=listing)
+
+
+@choice("has no annotations, or idempotentHint alone", "ToolAnnotations: what is left out has the cautious value")
+def few_annotations(server: AdapterServer) -> None:
+    for name, tool in server._tools.items():
+        only = ToolAnnotations(idempotent_hint=True) if name.startswith("write_") else None
+        tool.listing.annotations = only
 
 
 @choice("has further tools", "nobody forbids tools that the kit does not know")

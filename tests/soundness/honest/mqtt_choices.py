@@ -505,6 +505,19 @@ def delivers_again_with_dup(server: AdapterServer) -> None:
     wrap(server, "publish_message", outgoing)
 
 
+# -- tools -----------------------------------------------------------------------------------------------------------
+
+
+@choice(
+    "says of the tools that publish that they are not destructive", "ToolAnnotations: a message that is sent only adds"
+)
+def publishing_only_adds(server: AdapterServer) -> None:
+    for name in ("publish_message", "publish_device_data", "publish_node_data"):
+        annotations = server._tools[name].listing.annotations
+        assert annotations is not None
+        annotations.destructive_hint = False
+
+
 # -- secrets ----------------------------------------------------------------------------------------------------------
 
 
