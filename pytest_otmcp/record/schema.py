@@ -394,12 +394,16 @@ Change = tuple[list[str | int], Any]
 
 
 class Footprint(TypedDict):
-    """Figures of a session's processes together: resident memory in KiB, open descriptors, threads, processes."""
+    """Figures of a session's processes together: resident memory in KiB, open descriptors, threads, processes.
+
+    ``lazy_heap``: one of them takes memory up to a limit of its own before it frees any, as virtual machines do; absent where none does.
+    """
 
     rss_kib: Count
     descriptors: Count
     threads: Count
     processes: Count
+    lazy_heap: NotRequired[bool]
 
 
 class HandshakeEra(TypedDict):

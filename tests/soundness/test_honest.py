@@ -36,7 +36,7 @@ CLOSEST = """
 
 NEIGHBOURS = [
     ("mqtt/publishing-only-adds", "MCP-008.mqtt"),
-    ("mcp/few-annotations", "M2 MCP-008.modbus"),
+    ("mcp/few-annotations", "M3 MCP-008.modbus"),
     ("mqtt/says-which-settings-it-has", "KEY-001.mqtt"),
     ("mqtt/helper-with-the-password", "KEY-001.mqtt"),
 ]
