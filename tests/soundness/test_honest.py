@@ -35,6 +35,8 @@ CLOSEST = """
 
 
 NEIGHBOURS = [
+    ("mcp/fills-a-cache-and-a-pool", "RES-001.modbus"),
+    ("mcp/collects-late", "RES-001.modbus"),
     ("mqtt/publishing-only-adds", "MCP-008.mqtt"),
     ("mcp/few-annotations", "M3 MCP-008.modbus"),
     ("mqtt/says-which-settings-it-has", "KEY-001.mqtt"),

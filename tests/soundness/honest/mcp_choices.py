@@ -7,7 +7,9 @@ import dataclasses
 import json
 import math
 import sys
+import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from datetime import UTC, datetime
 from types import SimpleNamespace
@@ -237,6 +239,34 @@ def talkative_on_stderr(server: AdapterServer) -> None:
 
     print("DEBUG " * 17_000, file=sys.stderr)
     every_tool(server, talking)
+
+
+@choice("keeps its last 300 answers, 20 kB each, and starts a pool of 16 threads one by one", "both have a bound")
+def fills_a_cache_and_a_pool(server: AdapterServer) -> None:
+    kept: deque[bytearray] = deque(maxlen=300)
+    pool: list[threading.Thread] = []
+
+    def keeping(envelope: Envelope) -> Envelope:
+        kept.append(bytearray(b"\1" * 20_000))
+        if len(pool) < 16:
+            pool.append(threading.Thread(target=threading.Event().wait, daemon=True))
+            pool[-1].start()
+        return envelope
+
+    other_envelopes(keeping)
+
+
+@choice("lets go of what it has answered only with every 120th call", "a collector may come late")
+def collects_late(server: AdapterServer) -> None:
+    kept: list[bytearray] = []
+
+    def collecting(envelope: Envelope) -> Envelope:
+        if len(kept) == 120:
+            kept.clear()
+        kept.append(bytearray(b"\1" * 20_000))
+        return envelope
+
+    other_envelopes(collecting)
 
 
 def before_each_message(line: Callable[[], bytes]) -> None:
