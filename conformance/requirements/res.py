@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import base64
 import random
-from collections.abc import Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from functools import partial
+from itertools import pairwise
 from statistics import median
+from typing import cast
 
 from pytest_otmcp.core.finding import Finding
+from pytest_otmcp.protocols.journal import ADAPTER
 from pytest_otmcp.protocols.registry import protocols
+from pytest_otmcp.trial.alteration import Alteration
 from pytest_otmcp.trial.check import Checks
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Footprint, Rig
 
+from .provoked import UNKNOWN_ARGUMENT
 from .steps import a_read_works, answers_again, exercise, faulty, read, reset
 
 __all__ = ["TASKS"]
@@ -34,6 +40,16 @@ _MORE_RSS_KIB = 20 * 1024
 _LATE_S = 0.05
 _SLOWER, _SLOWER_MS = 10, 50.0
 """How much slower the last calls may be than the first, as a factor and beyond it; a busy machine alone does less."""
+
+_WINDOW = 25
+"""Calls between two looks at the processes."""
+_MOST_WINDOWS = 40
+_QUIET_WINDOWS = 2
+"""Windows without growth after which a figure is believed to have found its bound."""
+_PER_CALL = {"descriptors": 0.1, "threads": 0.1, "rss_kib": 10.0}
+"""Growth with each call that counts. An honest adapter in Python on the official SDK takes 5.5 KiB with each of its first 500 calls, until
+its collector looks through everything (CPython 3.11, measured 2026-11)."""
+_KINDS = {"descriptors": "descriptors", "threads": "threads", "rss_kib": "KiB of memory"}
 
 # -- RES-003 -------------------------------------------------------------------------------------------------
 
@@ -69,16 +85,19 @@ _REFUSALS = ("rate_limited", "device_busy", "limit_exceeded")
 @TASKS.every_protocol("RES-001", "Nothing leaks.", facets="recovery")
 async def nothing_leaks(run: Repetition, at: Rig) -> None:
     """Read many times; read while connections are reset, cancel reads, stop and start the device, each several times. Do it once
-    with few of each and then with many, and where something has grown once more.
+    with few of each and then with many, and where something has grown once more. Then read, 25 times between two looks at the
+    processes, until nothing has grown between two of them; and again while the calls fail.
 
     Said: success for the reads without a fault; the last of them as fast as the first.
-    Seen: memory, descriptors, threads and processes of the adapter, before and after; nothing of them grows every time.
+    Seen: memory, descriptors, threads and processes of the adapter, before and after; nothing of them grows every time, or with
+        every call.
     Why: an adapter runs for months; what it loses with each fault is gone in the night in which the line is disturbed.
     """
     await _burst(run, at, *_WARM)
     before = await at.footprint()
-    if not before["processes"]:
-        # The processes of an adapter elsewhere cannot be seen.
+    if not before["processes"] or not await _is_seen(at):
+        message = f"{at.protocol}: the process that talks to the device cannot be seen from here, so nothing is known of what it loses"
+        run.witnessed([Finding(code="unseen_process", message=message, requirement="RES-001", strength="SHOULD")])
         return
     numbers = (_CALLS[run.soak], _FAULTS[run.soak], _CANCELS[run.soak], _RECONNECTS[run.soak])
     replies = await _burst(run, at, *numbers)
@@ -106,6 +125,78 @@ async def nothing_leaks(run: Repetition, at: Rig) -> None:
     if last > first * _SLOWER + _SLOWER_MS:
         message = f"{at.protocol}: after {did} a read took {last:.1f} ms, before {first:.1f} ms"
         run.finding("slower", message, "RES-001")
+    if not grown:
+        await _loses_nothing(run, at, "succeeds", partial(_succeeding, run, at))
+        await at.fault(*exercise(at).refused)
+        await _loses_nothing(run, at, "fails", partial(_failing, run, at))
+        await at.fault()
+        await answers_again(run, at)
+
+
+async def _is_seen(at: Rig) -> bool:
+    """Tell whether the process that talks to the device is one that can be looked at; only of connections a witness knows whose they
+    are."""
+    if not protocols()[at.protocol].has_connections:
+        return True
+    made = [entry for entry in await at.journal() if entry["kind"] == "CONNECTED" and entry["origin"] == ADAPTER]
+    return not made or any("process" in entry for entry in made)
+
+
+async def _succeeding(run: Repetition, at: Rig, _: int) -> None:
+    asked, reply = await read(run, at)
+    run.succeeds(reply, requirement=None, **asked.outputs)
+
+
+async def _failing(run: Repetition, at: Rig, index: int) -> None:
+    """Have the device refuse a read, and the adapter every second one."""
+    asked = exercise(at).read(run.rng)
+    if index % 2 and at.arguments_of(asked.operation, **asked.inputs) is not None:
+        wrong = Alteration(given={UNKNOWN_ARGUMENT: index})
+        await at.call_altered(asked.operation, wrong, role="control", **asked.inputs)
+    else:
+        await at.call(asked.operation, role="control", **asked.inputs)
+
+
+async def _loses_nothing(run: Repetition, at: Rig, how: str, call: Callable[[int], Awaitable[None]]) -> None:
+    """Call until nothing of the processes has grown for a while, or what grows has grown nearly every time."""
+    looks: list[Footprint] = []
+    for _ in range(_MOST_WINDOWS):
+        for index in range(_WINDOW):
+            await call(index)
+        looks.append(await at.footprint())
+        if not any(_may_grow(_growths(looks, name), name) for name in _PER_CALL):
+            return
+    lost = {name: growths for name in _PER_CALL if _keeps_growing(growths := _growths(looks, name), name)}
+    if any(look.get("lazy_heap") for look in looks):
+        # Such a runtime takes memory up to a limit of its own before it looks for what it can free.
+        lost.pop("rss_kib", None)
+    run.witnessed(
+        [
+            Finding(
+                code="leak",
+                message=f"{at.protocol}: the adapter's {_KINDS[name]} should stay, with every call that {how} "
+                f"there are {sum(growths) / len(growths) / _WINDOW:.1f} more, through {len(growths) * _WINDOW} calls",
+                requirement="RES-001",
+            )
+            for name, growths in lost.items()
+        ]
+    )
+
+
+def _growths(looks: Sequence[Footprint], name: str) -> list[int]:
+    """Return by how much a figure grew from each look to the next; the first windows are those in which caches and pools are filled."""
+    figures = [cast(int, dict(look)[name]) for look in looks]
+    return [now - then for then, now in pairwise(figures)]
+
+
+def _may_grow(growths: Sequence[int], name: str) -> bool:
+    return sum(growth < _PER_CALL[name] * _WINDOW for growth in growths) < _QUIET_WINDOWS
+
+
+def _keeps_growing(growths: Sequence[int], name: str) -> bool:
+    """Tell whether a figure has grown to the end, and hardly less than at the beginning: what fills up grows less and less."""
+    half = len(growths) // 2
+    return _may_grow(growths, name) and 2 * sum(growths[half:]) >= sum(growths[:half])
 
 
 async def _burst(run: Repetition, at: Rig, calls: int, faults: int, cancels: int, reconnects: int) -> list[Reply]:

@@ -27,6 +27,8 @@ KEEP_ALIVE_TIMEOUT = 0x8D
 SESSION_TAKEN_OVER = 0x8E
 TOPIC_ALIAS_INVALID = 0x94
 V311_UNACCEPTABLE_PROTOCOL = 1
+_AS_V311 = {0x86: 4, 0x87: 5}
+"""Return codes of 3.1.1 for the reasons of 5 that it has as well: a bad user name or password, and not authorised."""
 
 _LINGER_S = 1.0
 """Seconds in which a client may read the last packet before the connection is cut."""
@@ -324,7 +326,9 @@ class Connection(asyncio.Protocol):
             self._accept(packet, asked)
         elif rule.refuses:
             assert rule.reason_code is not None
-            self.send(Connack(session_present=False, reason_code=rule.reason_code), answers=asked)
+            known = {} if packet.protocol_level == MQTT_5 else _AS_V311
+            code = known.get(rule.reason_code, rule.reason_code)
+            self.send(Connack(session_present=False, reason_code=code), answers=asked)
             self.end("fault plan")
         elif rule.close or rule.reset:
             self._cut(reset=rule.reset)

@@ -53,7 +53,8 @@ class Rule(FaultRule):
         delay_s: handle it and answer this many seconds later; a CONNECT is handled later.
         reason_code: refuse with this code and do not handle it; a SUBSCRIBE with 0 to 2 is granted that QoS instead. A rule with
             a topic refuses that filter alone and handles the others of the same SUBSCRIBE. 3.1.1 cannot refuse a PUBLISH or
-            UNSUBSCRIBE: they are acknowledged and not handled.
+            UNSUBSCRIBE: they are acknowledged and not handled. Where 3.1.1 has a return code of its own for the reason, a
+            CONNECT gets that.
         close, reset: handle it, then close the connection, or reset it; a CONNECT is not handled.
         ack_only: acknowledge a PUBLISH as delivered, and deliver it to nobody.
         disconnect: handle it; then, instead of an answer, an MQTT 5 client gets a DISCONNECT with this reason code and the

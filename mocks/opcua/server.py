@@ -42,8 +42,8 @@ class PlantServer(Server):  # type: ignore[misc]
         self.set_server_name("OT-MCP mock plant")
         self._application_uri = _APPLICATION
         self.product_uri = _APPLICATION
-        # Nobody has a certificate or a password here, so the endpoint offers neither.
-        self.set_identity_tokens([ua.AnonymousIdentityToken])
+        # Nobody has a certificate here. Any user name and password is as good as none: an adapter may have been told some.
+        self.set_identity_tokens([ua.AnonymousIdentityToken, ua.UserNameIdentityToken])
 
     async def listen(self, listener: socket.socket, owner: DeviceState) -> None:
         """Accept connections on ``listener`` for a device."""

@@ -53,6 +53,7 @@ def describe_launch(
         lists={},
         probes={},
         secrets=(),
+        secret_env=(),
         transport="stdio" if url is None else "http",
         url=url,
         era=era,

@@ -155,19 +155,20 @@ class Run:
             raise ExhaustedError(f"{folder} cannot be made any more: {reason}") from error
         # Plugins that repeat tests may execute the same item twice.
         spool = SampleSpool(folder / f"{task.id}-{uuid4().hex}.jsonl")
-        tally, redactor = Tally(task.id, task.suite), self._redactor()
+        tally = Tally(task.id, task.suite)
         writing, told = Lock(), Event()
 
         def keep(sample: Sample) -> None:
             # Whoever ends a run twice does not wait for the trial, which ends on the loop's thread.
             with writing:
                 if not told.is_set():
-                    spool.add(redactor.apply(sample))
+                    spool.add(self._redactor().apply(sample))
                     tally.add(sample)
 
         def result(item: ItemBody) -> ItemResult:
             with writing:
                 told.set()
+            redactor = self._redactor()
             measured = redactor.apply(tally.measured(item))
             return {
                 "item": redactor.apply(item),
@@ -205,7 +206,9 @@ class Run:
     def _redactor(self) -> Redactor:
         from ..record.redaction import Redactor
 
-        return Redactor({secret for adapter in self.subject.adapters.values() for secret in adapter.secret_values()})
+        declared = {secret for adapter in self.subject.adapters.values() for secret in adapter.secret_values()}
+        # Of the random secrets only those need to be taken out that an adapter has told.
+        return Redactor(declared | (self._bench.told_secrets() if self._bench is not None else set()))
 
     def facts(self) -> WorkerFacts:
         """Return what the controller has to know about this process."""

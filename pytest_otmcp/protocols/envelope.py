@@ -96,6 +96,7 @@ def _faults(result: Mapping[str, object], measured_ms: float | None, delay_ms: f
         )
     if success is False and isinstance(data := envelope.get("data"), dict) and set(data) != {"partial"}:
         yield Finding(code="data_on_failure", message="a failure carries data", requirement="ENV-002")
+    yield from _two_answers(envelope)
     if path := _not_finite(envelope):
         yield Finding(code="not_finite", message=f"{path} is no finite number", requirement="ENV-003")
     if isinstance(error, dict):
@@ -104,6 +105,31 @@ def _faults(result: Mapping[str, object], measured_ms: float | None, delay_ms: f
     if isinstance(meta, dict):
         yield from _meta_faults(meta, measured_ms, delay_ms)
         yield from _contradictions(meta, error if isinstance(error, dict) else {})
+
+
+_REFUSED_HERE = ("validation", "policy")
+_MAY_HAVE_HAPPENED = ("unknown", "partial", "applied")
+
+
+def _two_answers(envelope: Mapping[str, Any]) -> Iterator[Finding]:
+    """Judge what contradicts the rest of one and the same answer: an error within the data of a success, and the advice to repeat what
+    may have happened."""
+    data, error = envelope.get("data"), envelope.get("error")
+    if envelope.get("success") is True and isinstance(data, dict):
+        told = data.get("error")
+        if (isinstance(told, str | dict) and told) or data.get("success") is False:
+            yield Finding(
+                code="error_in_data",
+                message="success is True while data says that it failed",
+                requirement="ENV-002",
+                evidence=json.dumps(told, ensure_ascii=False)[:400],
+            )
+    if isinstance(error, dict) and error.get("retryable") is True and error.get("outcome") in _MAY_HAVE_HAPPENED:
+        yield Finding(
+            code="unsafe_retry",
+            message=f"retryable is True although the outcome is {error['outcome']!r}: the first request may have been carried out",
+            requirement="ENV-002",
+        )
 
 
 def _reason(fault: Any) -> str:
@@ -191,7 +217,14 @@ def _error_faults(error: Mapping[str, object]) -> Iterator[Finding]:
             message=f"the error message leaks internals: {leak.group()!r}",
             requirement="ENV-006",
         )
+    outcome = error.get("outcome")
     if entry is None:
+        if error.get("class") in _REFUSED_HERE and outcome in _MAY_HAVE_HAPPENED:
+            yield Finding(
+                code="impossible_outcome",
+                message=f"an error of the class {error['class']} is refused by the adapter itself, its outcome is {outcome!r}",
+                requirement="ERR-006",
+            )
         return
     if error.get("class") not in entry.classes:
         yield Finding(
@@ -202,7 +235,6 @@ def _error_faults(error: Mapping[str, object]) -> Iterator[Finding]:
     retryable = error.get("retryable")
     if isinstance(retryable, bool) and not entry.allows_retryable(retryable):
         yield Finding(code="wrong_retryable", message=f"retryable is {retryable} for {code}", requirement="ERR-001")
-    outcome = error.get("outcome")
     if isinstance(outcome, str) and not entry.allows_outcome(outcome):
         yield Finding(
             code="impossible_outcome",

@@ -138,6 +138,7 @@ class Exercise:
         silent: rules with which the device takes every request and never answers.
         reset: rules with which the device resets the connection instead of answering.
         refused: rules with which the device refuses what is read, by an answer of the protocol.
+        unauthorised: rules with which the device refuses the account of a client that connects; empty where it knows no accounts.
         write_refused: action of a fault rule with which the device refuses a write, and the code of the failure that this is; None where
             checks of the protocol's own have it.
         outside: values that are outside of the protocol's own domain of an input of the read or the write, by input; some are the good
@@ -178,6 +179,7 @@ class Exercise:
     silent: tuple[Rule, ...]
     reset: tuple[Rule, ...]
     refused: tuple[Rule, ...]
+    unauthorised: tuple[Rule, ...] = ()
     write_refused: tuple[Mapping[str, object], str] | None = None
     outside: Mapping[str, tuple[object, ...]] = field(default_factory=dict)
     distinct: Callable[[random.Random, int], tuple[Asked, ...]] | None = None

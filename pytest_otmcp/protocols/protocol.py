@@ -75,6 +75,7 @@ class Operation:
         needed: the outputs without which nothing could be judged.
         writes: the operation changes the state of the plant.
         controls: what it changes is the device itself, its mode or its clock; adapters have a switch of its own for that.
+        adds: a write that takes nothing away and does something of its own each time, such as a message that is published.
         optional: inputs that a tool may lack; each is a facet of its own, such as ``subscribe.qos``.
         status: it asks whether the device is reachable, which an adapter may know from a moment ago.
         waits: the input that limits how many seconds a call may wait for the messages that it returns; None where no call
@@ -94,6 +95,7 @@ class Operation:
     needed: tuple[str, ...] = ()
     writes: bool = False
     controls: bool = False
+    adds: bool = False
     optional: tuple[str, ...] = ()
     status: bool = False
     waits: str | None = None

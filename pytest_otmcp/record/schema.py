@@ -57,7 +57,9 @@ __all__ = [
     "StoredBinding",
     "Stranger",
     "Subject",
+    "ToldSecret",
     "ToolListing",
+    "ToolsChanged",
     "check",
 ]
 
@@ -415,12 +417,16 @@ Change = tuple[list[str | int], Any]
 
 
 class Footprint(TypedDict):
-    """Figures of a session's processes together: resident memory in KiB, open descriptors, threads, processes."""
+    """Figures of a session's processes together: resident memory in KiB, open descriptors, threads, processes.
+
+    ``lazy_heap``: one of them takes memory up to a limit of its own before it frees any, as virtual machines do; absent where none does.
+    """
 
     rss_kib: Count
     descriptors: Count
     threads: Count
     processes: Count
+    lazy_heap: NotRequired[bool]
 
 
 class HandshakeEra(TypedDict):
@@ -543,11 +549,28 @@ class ItemDevice(TypedDict):
     proof: NotRequired[SessionProof]
 
 
+class ToldSecret(TypedDict):
+    """A secret that the adapter has told; the secret itself is not kept.
+
+    ``variable``: of the adapter's environment. ``place``: where it was told. ``form``: how it was written.
+    """
+
+    variable: str
+    place: str
+    form: str
+
+
+ToolsChanged = Literal["changed", "announced", "order"]
+"""How the list of tools was another one at the end of a session: something else, something else as the adapter had announced, or the
+same in another order."""
+
+
 class SessionRemark(TypedDict):
     """The remarkable facts about a session apart from its replies, at the item's inspection of this number.
 
     ``unknown_ids``: of responses to requests that were never sent. ``repeated_ids``: of requests that were answered more than once.
-    ``too_deep``: how many messages were nested deeper than can be read.
+    ``too_deep``: how many messages were nested deeper than can be read. ``leaks``: secrets that were told. ``tools_changed``: how the
+    list of tools was another one at the end.
     """
 
     inspection: Count
@@ -560,6 +583,8 @@ class SessionRemark(TypedDict):
     too_deep: NotRequired[Count]
     stray_lines: Count
     first_stray: str
+    leaks: NotRequired[list[ToldSecret]]
+    tools_changed: NotRequired[ToolsChanged]
 
 
 class Stranger(TypedDict):

@@ -12,6 +12,7 @@ from ..protocols.journal import Entries
 from ..protocols.protocol import Declared
 from ..record.reader import StoredItem
 from ..record.schema import Around, Role, Sample
+from ..session.canary import Leak
 from ..subject.model import READ_WRITE
 from ..trial.adapter_under_test import NoBindingError
 from ..trial.driver import ItemHistory, SessionFacts
@@ -195,6 +196,10 @@ class ReplayDriver:
         self._close(renewed=False)
         return self._inspected()
 
+    def told_at_start(self) -> list[SessionFacts]:
+        """Return what was remarkable at this inspection."""
+        return self._inspected()
+
     async def end_sessions(self) -> list[SessionFacts]:
         """End all sessions; return what was remarkable about them at this inspection."""
         for state in self._states:
@@ -214,6 +219,8 @@ class ReplayDriver:
                 too_deep=entry.get("too_deep", 0),
                 stray_lines=entry["stray_lines"],
                 first_stray=entry["first_stray"],
+                leaks=tuple(Leak(**told) for told in entry.get("leaks", ())),
+                tools_changed=entry.get("tools_changed"),
             )
             for entry in self._head["sessions"]
             if entry["inspection"] == self._inspections

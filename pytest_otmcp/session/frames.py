@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -16,6 +17,7 @@ from mcp.types import (
 )
 from pydantic import ValidationError
 
+from .canary import SecretSearch, place_of
 from .limits import Allowance, is_too_large
 
 __all__ = ["MAX_STRAY_LINES", "META_KEY", "FrameRecorder", "Measurement"]
@@ -26,6 +28,7 @@ the specification gives for such keys (basic, "General fields"), and servers mus
 
 MAX_STRAY_LINES = 1000
 _KEPT_STRAY_LINES = 5
+_LIST_CHANGED = "notifications/tools/list_changed"
 _LONGEST_ID = 100
 _LONGEST_STRAY = 1000
 
@@ -52,6 +55,8 @@ class FrameRecorder:
         too_deep: number of messages that are nested deeper than the client's parser reads.
         overflow: True when a message arrived that is larger than the kit accepts, or one more than it keeps.
         allowance: the room for answers to calls.
+        secrets: are looked for in every frame.
+        list_changes: how often the adapter has announced that its tools have changed.
     """
 
     stray_count: int = 0
@@ -61,6 +66,8 @@ class FrameRecorder:
     too_deep: int = 0
     overflow: bool = False
     allowance: Allowance = field(default_factory=Allowance)
+    secrets: SecretSearch = field(default_factory=SecretSearch)
+    list_changes: int = 0
     _listing: Allowance = field(default_factory=Allowance)
     _answered: set[object] = field(default_factory=set)
     _pending: dict[int, Measurement] = field(default_factory=dict)
@@ -99,11 +106,13 @@ class FrameRecorder:
         """Tell whether a frame is to be read, before a parser sees it; one that is too large is an overflow."""
         if is_too_large(frame):
             self.overflow = True
+            self.secrets.look(frame, lambda: "a message that is too long")
         return not self.overflow
 
     def received(self, now: int, frame: bytes) -> JSONRPCMessage | ValidationError | None:
         """Note that a frame was read; return its message, the error when it holds no message, or None for a notification:
         the kit uses none."""
+        self.secrets.look(frame, lambda: self._place(frame))
         try:
             message = jsonrpc_message_adapter.validate_json(frame)
         except ValidationError as error:
@@ -134,8 +143,17 @@ class FrameRecorder:
             else:
                 self._answered.add(message.id)
         elif not isinstance(message, JSONRPCRequest):
+            self.list_changes += message.method == _LIST_CHANGED
             return None
         return message
+
+    def _place(self, frame: bytes) -> str:
+        try:
+            message = json.loads(frame)
+        except (ValueError, RecursionError):
+            message = None
+        asked = self._by_request_id.get(message.get("id")) if isinstance(message, dict) else None
+        return place_of(message, b"" if asked is None else asked.request)
 
 
 def _keep(identifiers: list[str], identifier: object) -> None:

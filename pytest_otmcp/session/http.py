@@ -18,6 +18,7 @@ import httpx2
 from mcp.client.streamable_http import streamable_http_client
 
 from ..core.exhaustion import exhausted
+from .canary import STDERR, STDOUT
 from .frames import FrameRecorder
 from .limits import MAX_FRAME_BYTES, TOO_LARGE
 from .process import StopReport, SubjectProcess
@@ -76,13 +77,15 @@ class HttpTransport:
     @asynccontextmanager
     async def streams(self) -> AsyncIterator[TransportStreams]:
         """Start the process and give the streams for the SDK's client; the end of the block ends the process."""
+        secrets = self._recorder.secrets
         self.process = await SubjectProcess.start(
             self._command,
             env=self._env,
             cwd=self._cwd,
             # A server on the network may print anything: its stdout carries no MCP messages.
-            on_line=lambda now, line: None,
+            on_line=lambda now, line: secrets.look(line, lambda: STDOUT),
             on_overflow=lambda now: None,
+            on_stderr=secrets.stream(STDERR),
         )
         try:
             await self._wait_until_accepting(self.process)
@@ -133,6 +136,8 @@ class _RecordingTransport(httpx2.AsyncBaseTransport):
         if response.status_code == httpx2.codes.CONTENT_TOO_LARGE:
             self._recorder.refused_as_too_large(time.monotonic_ns(), asked)
         response.headers.pop("content-encoding", None)
+        for name, value in response.headers.raw:
+            self._recorder.secrets.look(value, lambda name=name: f"the header {name.decode('latin-1')} of an answer")  # type: ignore[misc]
         # As the client takes them: what it reads is recorded, and limited.
         kind = response.headers.get("content-type", "").lower()
         assert isinstance(response.stream, httpx2.AsyncByteStream)

@@ -50,7 +50,8 @@ _ALWAYS = {"PYTHONUNBUFFERED": "1"}
 def subject_environment(declared: Mapping[str, str]) -> dict[str, str]:
     """Return the environment of a subject: a short allow-list from the kit's own, and the variables that it declares."""
     inherited = {name: os.environ[name] for name in _INHERITED if name in os.environ}
-    return inherited | _ALWAYS | dict(declared)
+    # What is declared comes first: a program that shows its environment may show no more than its beginning.
+    return dict(declared) | inherited | _ALWAYS | dict(declared)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,9 +104,15 @@ class _Stdin(asyncio.BaseProtocol):
 class _Pipes:
     """The output of a process: stdout is cut into lines, each stamped with the time at which its last byte was read."""
 
-    def __init__(self, on_line: Callable[[int, bytes], None], on_overflow: Callable[[int], None]) -> None:
+    def __init__(
+        self,
+        on_line: Callable[[int, bytes], None],
+        on_overflow: Callable[[int], None],
+        on_stderr: Callable[[bytes], None],
+    ) -> None:
         self._on_line = on_line
         self._on_overflow = on_overflow
+        self._on_stderr = on_stderr
         self._partial = bytearray()
         self.overflown = False
         self.stderr: deque[str] = deque(maxlen=_STDERR_LINES)
@@ -130,6 +137,7 @@ class _Pipes:
             self._on_overflow(now)
 
     def read_stderr(self, data: bytes) -> None:
+        self._on_stderr(data)
         *lines, rest = (self._stderr_partial + data).split(b"\n")
         self._stderr_partial = rest[-_STDERR_LINE_BYTES:]
         # Only the newest lines are kept, so the others of a large chunk need not be decoded.
@@ -165,6 +173,7 @@ class SubjectProcess:
         cwd: Path | None,
         on_line: Callable[[int, bytes], None],
         on_overflow: Callable[[int], None],
+        on_stderr: Callable[[bytes], None] = lambda data: None,
     ) -> SubjectProcess:
         """Start ``command`` in a session of its own, below a watcher.
 
@@ -174,12 +183,13 @@ class SubjectProcess:
             cwd: working directory, or None for the kit's.
             on_line: called with (monotonic ns, line without its newline) for every line on stdout.
             on_overflow: called once when a line on stdout exceeds :data:`~pytest_otmcp.session.limits.MAX_FRAME_BYTES`; reading ends then.
+            on_stderr: called with whatever is read from stderr.
 
         Raises:
             OSError: the command cannot be executed.
             KitError: no process could be started, for a reason that is not the command's.
         """
-        pipes = _Pipes(on_line, on_overflow)
+        pipes = _Pipes(on_line, on_overflow, on_stderr)
         async with AsyncExitStack() as undo:
             try:
                 theirs, ours = _streams(undo)

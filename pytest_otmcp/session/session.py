@@ -19,15 +19,16 @@ from pathlib import Path
 from typing import cast
 
 from mcp import Client, MCPError
-from mcp.types import CallToolResult, RequestParamsMeta
+from mcp.types import CallToolResult, RequestParamsMeta, Tool
 from mcp.types.version import HANDSHAKE_PROTOCOL_VERSIONS
 from pydantic import ValidationError
 
 from ..core.errors import ExhaustedError, KitError, SubjectError
 from ..core.exhaustion import exhausted
-from ..record.schema import Footprint
+from ..record.schema import Footprint, ToolsChanged
+from .canary import SecretSearch
 from .exchange import CANCELLED, CONTENT_TOO_LARGE, Exchange
-from .footprint import footprint
+from .footprint import command_lines, footprint
 from .frames import MAX_STRAY_LINES, META_KEY, FrameRecorder, Measurement
 from .http import HttpTransport
 from .limits import TOO_LARGE, Allowance
@@ -38,6 +39,11 @@ from .starvation import LOOK_S, Patience
 from .stdio import StdioTransport
 
 __all__ = ["McpSession", "SessionOptions"]
+
+
+_LASTED_NS = 1_000_000_000
+"""Age of a session that is asked for its list of tools once more."""
+_LIST_S = 2.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,6 +57,7 @@ class SessionOptions:
         url: URL of the subject's streamable HTTP endpoint; None for stdio.
         pace: the adapter's limit of calls; None without one.
         allowance: the room for its answers to calls.
+        secrets: what the adapter must not tell.
     """
 
     era: str = "auto"
@@ -59,6 +66,7 @@ class SessionOptions:
     url: str | None = None
     pace: Pace | None = None
     allowance: Allowance = field(default_factory=Allowance)
+    secrets: SecretSearch = field(default_factory=SecretSearch)
 
 
 class McpSession:
@@ -73,7 +81,7 @@ class McpSession:
     def __init__(self, command: Sequence[str], env: Mapping[str, str], cwd: Path | None, options: SessionOptions):
         self._command = list(command)
         self._options = options
-        self._recorder = FrameRecorder(allowance=options.allowance)
+        self._recorder = FrameRecorder(allowance=options.allowance, secrets=options.secrets)
         self._transport: StdioTransport | HttpTransport
         env = subject_environment(env)
         if options.url is None:
@@ -84,6 +92,7 @@ class McpSession:
         self._owner: asyncio.Task[None] | None = None
         self._closing = asyncio.Event()
         self.tools: dict[str, dict[str, object]] = {}
+        self._first_list = ""
         self._output_schemas: dict[str, bytes] = {}
         self.state: dict[str, object] = {}
         self.server_name = ""
@@ -91,6 +100,11 @@ class McpSession:
         self.protocol_version = ""
         self.spawned_ns = 0
         self.ready_ns = 0
+
+    def look_at_arguments(self) -> None:
+        """Look for secrets in the arguments of the processes that the adapter runs at this moment."""
+        for line in command_lines(self.pid):
+            self._options.secrets.look(line, lambda: "the arguments of a process")
 
     @property
     def by_handshake(self) -> bool:
@@ -136,6 +150,7 @@ class McpSession:
                 raise ExhaustedError(f"no session could be opened with the adapter: {cure}") from error
             raise SubjectError("cannot_start", self._explain_failed_start(error)) from error
         self.ready_ns = time.monotonic_ns()
+        self.look_at_arguments()
 
     async def _ready_in_time(self, ready: asyncio.Future[None]) -> None:
         """Wait for the end of the handshake; the time in which the machine does not let the adapter run is not the adapter's.
@@ -190,14 +205,17 @@ class McpSession:
     async def _list_tools(self, client: Client) -> None:
         # Listing before the first call also keeps the SDK from sending a hidden tools/list after it.
         cursor: str | None = None
+        entries: list[str] = []
         while True:
             page = await client.list_tools(cursor=cursor)
             for tool in page.tools:
+                entries.append(_entry(tool))
                 self.tools[tool.name] = tool.model_dump(by_alias=True, mode="json", exclude_none=True)
                 if tool.output_schema is not None:
                     self._output_schemas[tool.name] = json.dumps(tool.output_schema).encode()
             cursor = page.next_cursor
             if cursor is None:
+                self._first_list = _digests(entries)
                 return
 
     async def close(self) -> StopReport | None:
@@ -246,13 +264,29 @@ class McpSession:
             async with asyncio.timeout(timeout_s):
                 while self._client is not None:
                     page = await self._client.list_tools(cursor=cursor)
-                    entries += [tool.model_dump_json(by_alias=True, exclude_none=True) for tool in page.tools]
+                    entries += map(_entry, page.tools)
                     cursor = page.next_cursor
                     if cursor is None:
-                        return f"{_digest(sorted(entries))} {_digest(entries)}"
+                        return _digests(entries)
         except (MCPError, TimeoutError, RuntimeError, ValueError) as error:
             raise SubjectError("session_lost", f"tools/list was not answered: {error}") from None
         raise SubjectError("session_lost", await self.death_note())
+
+    async def tools_changed(self) -> ToolsChanged | None:
+        """Ask for the list of tools once more, in a session that has lasted for a while, and compare it with the first; None where it is
+        the same, or there is no answer."""
+        if self.died or not self.ready_ns or time.monotonic_ns() - self.ready_ns < _LASTED_NS:
+            return None
+        try:
+            now = await self.list_anew(timeout_s=_LIST_S)
+        except SubjectError:
+            # That an adapter does not answer is found where it is called.
+            return None
+        if now == self._first_list:
+            return None
+        if now.partition(" ")[0] == self._first_list.partition(" ")[0]:
+            return "order"
+        return "announced" if self._recorder.list_changes else "changed"
 
     def write_line(self, line: bytes) -> bool:
         """Write a line to the standard input of the subject as it is; return whether there is such a stream."""
@@ -405,6 +439,15 @@ class McpSession:
             return f"the command cannot be executed ({error.strerror or error}): {self._command_line()}"
         reason = str(error).splitlines()[0][:300] if str(error) else type(error).__name__
         return f"the adapter's handshake failed: {reason} ({self._command_line()}){self._stderr_excerpt()}"
+
+
+def _entry(tool: Tool) -> str:
+    return tool.model_dump_json(by_alias=True, exclude_none=True)
+
+
+def _digests(entries: Sequence[str]) -> str:
+    """Return the digest of the entries of ``tools/list`` in whatever order, and after a blank that of their order."""
+    return f"{_digest(sorted(entries))} {_digest(entries)}"
 
 
 def _digest(entries: Sequence[str]) -> str:

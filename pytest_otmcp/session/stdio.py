@@ -14,6 +14,7 @@ from mcp.shared.message import SessionMessage
 from mcp.types import JSONRPCRequest
 from pydantic import ValidationError
 
+from .canary import STDERR
 from .frames import MAX_STRAY_LINES, FrameRecorder
 from .process import StopReport, SubjectProcess
 
@@ -78,7 +79,12 @@ class StdioTransport:
     async def streams(self) -> AsyncIterator[TransportStreams]:
         """Start the process and give the streams for the SDK's client; the end of the block ends the process."""
         self.process = await SubjectProcess.start(
-            self._command, env=self._env, cwd=self._cwd, on_line=self._receive_line, on_overflow=self._end_at_overflow
+            self._command,
+            env=self._env,
+            cwd=self._cwd,
+            on_line=self._receive_line,
+            on_overflow=self._end_at_overflow,
+            on_stderr=self._recorder.secrets.stream(STDERR),
         )
         to_client, from_server = anyio.create_memory_object_stream[SessionMessage | Exception](0)
         from_client, to_server = anyio.create_memory_object_stream[SessionMessage](16)

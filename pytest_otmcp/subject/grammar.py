@@ -195,6 +195,11 @@ def adapter_table(protocol: OtProtocol) -> Table:
                 "Environment variables whose values are never shown.",
                 default=[],
             ),
+            "secret_env": Key(
+                strings("names of environment variables"),
+                "Environment variables that take a secret: each session gets a random value in them, which the adapter must not tell.",
+                default=[],
+            ),
             "transport": Key(OneOf(("stdio", "http")), "How the adapter is spoken to.", default="stdio"),
             "url": Key(TEXT, 'The MCP endpoint, for transport = "http".'),
             "era": Key(

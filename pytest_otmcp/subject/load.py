@@ -128,6 +128,7 @@ def _adapter(protocol: str, table: Mapping[str, Any], path: Path, *, run: bool) 
         lists={key: tuple(table[key]) for key in known.lists},
         probes={**known.probes, **table["probes"]},
         secrets=tuple(table["secrets"]),
+        secret_env=_secret_env(table, key),
         transport=table["transport"],
         url=_url(table, key),
         era=table.get("era"),
@@ -135,6 +136,17 @@ def _adapter(protocol: str, table: Mapping[str, Any], path: Path, *, run: bool) 
         start_timeout_s=float(table["start_timeout_s"]),
         bounds=Bounds.of_record(table[BOUNDED]) if BOUNDED in table else None,
     )
+
+
+def _secret_env(table: Mapping[str, Any], key: str) -> tuple[str, ...]:
+    names: list[str] = table["secret_env"]
+    for name in names:
+        if any(name in part["env"] for part in (table, table[READ_WRITE], table[READ_ONLY])):
+            raise Refusal(
+                f"{key}.secret_env",
+                f"{name} has a value in 'env'; a secret that must have that value belongs into 'secrets'",
+            )
+    return tuple(names)
 
 
 def _check_placeholders(

@@ -54,6 +54,14 @@ _SECRET_NAME = re.compile(
 )
 
 
+_TELLING = 12
+"""Characters of a fixed secret that is looked for: a shorter one, or a word, may be in what an adapter says for another reason."""
+
+
+def _is_telling(value: str) -> bool:
+    return len(value) >= _TELLING and any(map(str.isalpha, value)) and any(map(str.isdecimal, value))
+
+
 def replace_placeholders(text: str, values: Mapping[str, str]) -> Any:
     """Replace ``{host}`` and its like, and ``{env:NAME}``; a text that is only ``{port:int}`` becomes a number."""
     whole = _PLACEHOLDER.fullmatch(text)
@@ -343,6 +351,7 @@ class Adapter:
         lists: the lists of the protocol's own keys, such as ``command_topics``, by key.
         probes: name to the input that tasks use where the adapter must refuse.
         secrets: names of environment variables whose values must not be shown.
+        secret_env: names of environment variables that get a random value in each session.
         transport: ``stdio`` or ``http``.
         url: of the MCP endpoint, when the transport is ``http``.
         era: MCP protocol era of the adapter's sessions, or None for that of the run.
@@ -363,6 +372,7 @@ class Adapter:
     lists: Mapping[str, tuple[str, ...]]
     probes: Mapping[str, Any]
     secrets: tuple[str, ...]
+    secret_env: tuple[str, ...]
     transport: Literal["stdio", "http"]
     url: str | None
     era: str | None
@@ -391,6 +401,10 @@ class Adapter:
             named |= {name: os.environ.get(name, "") for name in set().union(*map(environment_names, texts))}
             found |= {value for name, value in named.items() if name in self.secrets or _SECRET_NAME.search(name)}
         return found
+
+    def telling_secrets(self, env: Mapping[str, str]) -> dict[str, str]:
+        """Return those of the declared secrets in an environment that cannot be meant by anything else an adapter says."""
+        return {name: value for name in self.secrets if _is_telling(value := env.get(name, ""))}
 
     @property
     def write_switch(self) -> str | None:

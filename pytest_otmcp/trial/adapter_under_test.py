@@ -24,8 +24,9 @@ from ..plant.endpoint import Endpoint, first_port
 from ..plant.owners import TOKEN_VARIABLE, new_token
 from ..protocols.envelope import check_result
 from ..protocols.registry import protocols
-from ..record.schema import AdapterFacts, StoredBinding, ToolListing, VariantName
+from ..record.schema import AdapterFacts, StoredBinding, ToolListing, ToolsChanged, VariantName
 from ..record.schema import Device as DeviceFacts
+from ..session.canary import CANARY_VARIABLE, Leak, SecretSearch, new_canary
 from ..session.exchange import Exchange, joined
 from ..session.limits import Allowance
 from ..session.pace import Pace
@@ -125,11 +126,13 @@ class EndedSession:
     Attributes:
         stray_lines, first_stray: number of lines on stdout that are no MCP message, and the first of them.
         report: the end of the process; None when there was none.
+        tools_changed: how the list of tools was another one at the end; or None.
     """
 
     stray_lines: int
     first_stray: str
     report: StopReport | None
+    tools_changed: ToolsChanged | None = None
 
 
 class AdapterUnderTest:
@@ -170,6 +173,8 @@ class AdapterUnderTest:
         self.used: dict[str, None] = {}
         self._called: set[str] = set()
         self._ended: list[EndedSession] = []
+        self._searches: list[SecretSearch] = []
+        self._told: set[str] = set()
         self._addressed = False
         self.legacy = False
         self._garbled: Mapping[str, str] = {}
@@ -262,6 +267,8 @@ class AdapterUnderTest:
             "local_port": str(_free_port(socket.SOCK_DGRAM)),
         }
         launch = self.adapter.variants[self.variant].for_endpoint(values)
+        canaries = {name: new_canary() for name in (CANARY_VARIABLE, *self.adapter.secret_env)}
+        search = SecretSearch(canaries, self.adapter.telling_secrets(launch.env))
         for name, content in launch.files.items():
             file = Path(self._work.name, name)
             file.parent.mkdir(parents=True, exist_ok=True)
@@ -272,12 +279,13 @@ class AdapterUnderTest:
             exit_grace_s=_EXIT_GRACE_S * self._options.time_scale,
             pace=self._pace,
             allowance=self._allowance,
+            secrets=search,
             url=None if self.adapter.url is None else str(replace_placeholders(self.adapter.url, values)),
         )
         self._token = new_token()
-        session = McpSession(
-            launch.command, {**launch.env, **self._garbled, TOKEN_VARIABLE: self._token}, launch.cwd, options
-        )
+        env = {**canaries, **launch.env, **self._garbled, TOKEN_VARIABLE: self._token}
+        session = McpSession(launch.command, env, launch.cwd, options)
+        self._searches = [*(one for one in self._searches if one.leaks), search]
         self.device.sessions.begin(self._token, lambda: session.pid)
         return session
 
@@ -409,10 +417,17 @@ class AdapterUnderTest:
         session, self.session = self.session, None
         self.cursor.close_session()
         if session is not None:
+            changed = await session.tools_changed()
+            session.look_at_arguments()
             await session.close()
             stray, first = session.stray_output()
             self._ended.append(
-                EndedSession(stray_lines=stray, first_stray=first[0] if stray else "", report=session.stop_report)
+                EndedSession(
+                    stray_lines=stray,
+                    first_stray=first[0] if stray else "",
+                    report=session.stop_report,
+                    tools_changed=changed,
+                )
             )
         token, self._token = self._token, None
         if token is not None:
@@ -429,6 +444,21 @@ class AdapterUnderTest:
         """Return the sessions that have ended since the last question."""
         ended, self._ended = self._ended, []
         return ended
+
+    def take_leaks(self) -> tuple[Leak, ...]:
+        """Return the secrets that were told in the session that there is, and in those that have ended, or were never opened, since the
+        last question; each variable at each place once."""
+        if self.session is not None:
+            self.session.look_at_arguments()
+        found = dict.fromkeys(leak for search in self._searches for leak in search.leaks)
+        self._told = self.told_secrets
+        self._searches = [] if self.session is None else self._searches[-1:]
+        return tuple(found)
+
+    @property
+    def told_secrets(self) -> set[str]:
+        """The secrets that were told in any session; they must not get into what the run keeps."""
+        return self._told.union(*(search.told for search in self._searches))
 
     def _current(self) -> McpSession:
         if self.session is None:

@@ -134,6 +134,10 @@ class Bench:
                 facts[key]["listing"] = {**own["listing"], **facts[key]["listing"]}
         return dict(sorted(facts.items()))
 
+    def told_secrets(self) -> set[str]:
+        """Return the random secrets that adapters have told; they must not get into what the run keeps."""
+        return set[str]().union(*(under_test.told_secrets for under_test in self._adapters.values()))
+
     def devices(self) -> dict[str, Device]:
         """Return the devices that adapters had so far, as ``run.json`` has them."""
         return {under_test.device_name: under_test.device_facts() for under_test in self._adapters.values()}

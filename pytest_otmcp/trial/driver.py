@@ -14,7 +14,8 @@ from typing import Protocol, TypedDict
 from ..core.verdict import Status
 from ..protocols.journal import Entries
 from ..protocols.protocol import Declared
-from ..record.schema import ItemDevice, Role, SessionRemark
+from ..record.schema import ItemDevice, Role, SessionRemark, ToldSecret, ToolsChanged
+from ..session.canary import Leak
 from .repetition import Repetition
 from .task import Steps
 
@@ -35,6 +36,8 @@ class SessionFacts:
         too_deep: how many messages were nested deeper than can be read.
         stray_lines: how many lines on stdout were no MCP message.
         first_stray: the first of them.
+        leaks: secrets that were told: the variable, the place, and how it was written.
+        tools_changed: words for how the list of tools has changed; or None.
     """
 
     protocol: str
@@ -46,12 +49,15 @@ class SessionFacts:
     too_deep: int = 0
     stray_lines: int = 0
     first_stray: str = ""
+    leaks: tuple[Leak, ...] = ()
+    tools_changed: ToolsChanged | None = None
 
     @property
     def remarkable(self) -> bool:
         """At least one of the facts deviates from a clean session."""
         ids = self.unknown_ids or self.repeated_ids
-        return bool(self.overflow or self.died or self.overstayed or ids or self.too_deep or self.stray_lines)
+        said = self.stray_lines or self.leaks or self.tools_changed
+        return bool(self.overflow or self.died or self.overstayed or ids or self.too_deep or said)
 
     def as_record(self, inspection: int) -> SessionRemark:
         """Return the facts as an item has them, with the number of the inspection."""
@@ -69,6 +75,12 @@ class SessionFacts:
             remark["repeated_ids"] = list(self.repeated_ids)
         if self.too_deep:
             remark["too_deep"] = self.too_deep
+        if self.leaks:
+            remark["leaks"] = [
+                ToldSecret(variable=variable, place=place, form=form) for variable, place, form in self.leaks
+            ]
+        if self.tools_changed is not None:
+            remark["tools_changed"] = self.tools_changed
         return remark
 
 
@@ -107,6 +119,9 @@ class TrialDriver(Protocol):
 
     async def inspect(self) -> list[SessionFacts]:
         """Return what is remarkable about the sessions so far."""
+
+    def told_at_start(self) -> list[SessionFacts]:
+        """Return the secrets that were told by adapters that could not be started."""
 
     async def end_sessions(self) -> list[SessionFacts]:
         """End all sessions, because one of them did not answer; return what is remarkable about them."""

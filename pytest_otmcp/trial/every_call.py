@@ -62,12 +62,14 @@ class EveryCall:
 
     def _listing_faults(self, at: Rig, call: Judged) -> Iterator[Finding]:
         tool = call.reply.tool
-        writes = protocols()[at.protocol].operations[call.reply.operation].writes
-        asked = (at.protocol, tool, writes, *sorted(call.reply.arguments))
+        operation = protocols()[at.protocol].operations[call.reply.operation]
+        asked = (at.protocol, tool, operation.writes, operation.adds, *sorted(call.reply.arguments))
         listing = at.listing(call.reply.operation, tool)
         if listing is not None and asked not in self._listings:
             self._listings.add(asked)
-            yield from listing_faults(tool, listing, arguments=call.reply.arguments, writes=writes)
+            yield from listing_faults(
+                tool, listing, arguments=call.reply.arguments, writes=operation.writes, adds=operation.adds
+            )
 
     def at_end(self, ended_at: str, ended_ns: int) -> list[Finding]:
         """Return what the item as a whole has shown; see :class:`StartTimes` for the arguments."""

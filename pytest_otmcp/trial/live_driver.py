@@ -71,6 +71,7 @@ class LiveDriver:
             await state.under_test.device.reset()
             # Those ended with earlier items.
             state.under_test.take_ended()
+            state.under_test.take_leaks()
             await state.enter()
         await self.open_sessions()
 
@@ -139,11 +140,17 @@ class LiveDriver:
                     stray_lines=session.stray_lines,
                     first_stray=session.first_stray,
                     overstayed=_overstayed(report) if report is not None and late else _left(report),
+                    tools_changed=session.tools_changed,
                 )
                 if facts.remarkable:
                     found.append(facts)
                     self._sessions.append(facts.as_record(self._inspections))
-        return found
+        return found + self._leaks()
+
+    def told_at_start(self) -> list[SessionFacts]:
+        """Return the secrets that were told by adapters that could not be started."""
+        self._inspections += 1
+        return self._leaks()
 
     async def end_sessions(self) -> list[SessionFacts]:
         """End all sessions and return how they ended: all start afresh, as a hanging call may affect the calls after it."""
@@ -152,6 +159,13 @@ class LiveDriver:
             for state in self._states:
                 await state.under_test.close()
                 state.under_test.take_ended()
+        return found + self._leaks()
+
+    def _leaks(self) -> list[SessionFacts]:
+        """Return and record the secrets that were told since the last question."""
+        told = ((state.under_test.adapter.protocol, state.under_test.take_leaks()) for state in self._states)
+        found = [SessionFacts(protocol=protocol, leaks=leaks) for protocol, leaks in told if leaks]
+        self._sessions += [facts.as_record(self._inspections) for facts in found]
         return found
 
     async def _inspect(self, *, ending: bool) -> list[SessionFacts]:
@@ -169,6 +183,7 @@ class LiveDriver:
                 too_deep=session.too_deep,
                 stray_lines=lines,
                 first_stray=first[0] if lines else "",
+                tools_changed=None if ending else await session.tools_changed(),
             )
             if ending:
                 died = session.died and not session.overflow

@@ -328,7 +328,8 @@ class LiveRig(Rig):
         # Like an endpoint restart, this time is a result of the measurement, not its cost.
         with self._bench.spent.on("fresh sessions"):
             session = self.under_test.session
-            report = await session.close() if session is not None else None
+            await self.under_test.close()
+            report = None if session is None else session.stop_report
             await self.under_test.open()
         assert self.under_test.session is not None
         fresh = FreshSession(

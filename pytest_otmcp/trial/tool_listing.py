@@ -13,7 +13,7 @@ _ELSEWHERE = ("$ref", "allOf", "anyOf", "oneOf", "patternProperties")
 
 
 def listing_faults(
-    tool: str, listing: Mapping[str, object], *, arguments: Iterable[str], writes: bool
+    tool: str, listing: Mapping[str, object], *, arguments: Iterable[str], writes: bool, adds: bool = False
 ) -> Iterator[Finding]:
     """Judge the entry of one tool.
 
@@ -21,6 +21,7 @@ def listing_faults(
         listing: ``inputSchema`` and ``annotations`` of its entry in ``tools/list``.
         arguments: names that it was called with.
         writes: it was called to change the plant.
+        adds: what it writes takes nothing away, and does something each time.
     """
     schema = listing.get("inputSchema")
     if not isinstance(schema, Mapping) or schema.get("type") != "object":
@@ -41,9 +42,29 @@ def listing_faults(
             requirement="MCP-003",
         )
     annotations = listing.get("annotations")
-    if writes and isinstance(annotations, Mapping) and annotations.get("readOnlyHint") is True:
+    if writes and isinstance(annotations, Mapping):
+        yield from _false_hints(tool, annotations, adds=adds)
+
+
+def _false_hints(tool: str, annotations: Mapping[str, object], *, adds: bool) -> Iterator[Finding]:
+    """Judge the annotations of a tool that writes; those that are not there have the cautious value (MCP, ToolAnnotations)."""
+    if annotations.get("readOnlyHint") is True:
         yield Finding(
             code="tool_annotations",
             message=f"tools/list: {tool!r} writes, its readOnlyHint says that it does not",
             requirement="MCP-008",
+        )
+    elif not adds and annotations.get("destructiveHint") is False:
+        yield Finding(
+            code="tool_hints",
+            message=f"tools/list: {tool!r} replaces what the device held, its destructiveHint should not say that it only adds",
+            requirement="MCP-008",
+            strength="SHOULD",
+        )
+    elif adds and annotations.get("idempotentHint") is True:
+        yield Finding(
+            code="tool_hints",
+            message=f"tools/list: {tool!r} does the same again with each call, its idempotentHint should not say that it does not",
+            requirement="MCP-008",
+            strength="SHOULD",
         )

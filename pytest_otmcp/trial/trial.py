@@ -7,7 +7,7 @@ its driver does it, or looks up what was done (see ``driver``).
 from __future__ import annotations
 
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Literal, cast
 
@@ -15,7 +15,7 @@ from ..core.errors import ExhaustedError, KitError, SubjectError
 from ..core.exhaustion import exhausted
 from ..core.finding import Finding, Kind, kind_of
 from ..protocols.unsolicited import nothing_commanded
-from ..record.schema import Around, DeviceEntry, Ended, ItemBody, Role, Sample, State
+from ..record.schema import Around, DeviceEntry, Ended, ItemBody, Role, Sample, State, ToolsChanged
 from ..session.limits import TOO_LARGE
 from ..subject.model import READ_WRITE
 from .adapter_under_test import NoBindingError
@@ -33,6 +33,13 @@ __all__ = ["Repetition", "Trial"]
 _GIVE_UP_AFTER = 3
 """Consecutive repetitions without any reply after which an item is not continued: a hanging adapter is then found within
 a few deadlines, not after thirty."""
+
+
+_CHANGED: Mapping[ToolsChanged, str] = {
+    "changed": "says something else",
+    "announced": "says something else, as the adapter had announced,",
+    "order": "has another order",
+}
 
 
 class _DisturbedError(Exception):
@@ -105,6 +112,7 @@ class Trial:
             pass
         except SubjectError as failure:
             self._end("subject", failure.code, str(failure), None if failure.code == "control_channel" else "MCP-002")
+            self._take(self._driver.told_at_start())
         except NoBindingError as gap:
             self._status, self._reason = "NOT_TESTABLE", str(gap)
             self._end("binding", "not_testable", str(gap))
@@ -241,8 +249,10 @@ class Trial:
             self._findings.append(refused)
             raise _ItemOverError
 
-    def _note(self, code: str, message: str, requirement: str | None = None) -> Finding:
-        return self._add(Finding(code=code, message=message, requirement=requirement))
+    def _note(
+        self, code: str, message: str, requirement: str | None = None, strength: Literal["MUST", "SHOULD"] = "MUST"
+    ) -> Finding:
+        return self._add(Finding(code=code, message=message, requirement=requirement, strength=strength))
 
     def _add(self, finding: Finding) -> Finding:
         """Note a finding once, and return the one that was noted."""
@@ -268,6 +278,11 @@ class Trial:
             if facts.too_deep:
                 said = f"{facts.protocol}: {facts.too_deep} message(s) nested more deeply than the MCP client reads"
                 self._note("frame_too_deep", said, "MCP-001")
+            if facts.tools_changed is not None:
+                said = f"{facts.protocol}: tools/list {_CHANGED[facts.tools_changed]} at the end of a session"
+                self._note("tools_changed", said, "MCP-010", "MUST" if facts.tools_changed == "changed" else "SHOULD")
+            for variable, place, form in facts.leaks:
+                self._note("told_secret", f"{facts.protocol}: {place} has the value of {variable}, {form}", "KEY-001")
             if facts.stray_lines:
                 count, first = facts.stray_lines, facts.first_stray
                 message = f"{count} line(s) on stdout that are no MCP message, the first: {first!r}"

@@ -43,7 +43,6 @@ NOT_YET: Mapping[str, Mapping[str, str]] = {
         "MU-96": "A broker that is to be reached by TLS is reached without.",
         "MU-97": "Certificates are not verified.",
         "MU-98": "Where security cannot be agreed on, there is none.",
-        "MU-99b": "A password is in the words of an error.",
         "MU-100": "The audit log has successful writes alone.",
         "MU-101": "Records of the audit log can be cut off.",
         "MU-102": "A write is sent although the audit log is full.",

@@ -68,6 +68,13 @@ def test_an_answer_comes_byte_by_byte(broker: RunningBroker, packet: str, sent: 
     assert [one["drip_s"] for one in broker.entries(kind=kind)] == [0.1]
 
 
+@pytest.mark.parametrize(("level", "answer"), [(4, b"\0\5"), (5, b"\0\x87\0")], ids=["3.1.1", "5"])
+def test_an_account_is_refused_in_the_words_of_each_version(broker: RunningBroker, level: int, answer: bytes) -> None:
+    plan(broker, "CONNECT", {"reason_code": 0x87})
+    with Raw(broker.port).send(connect_bytes("raw", level)) as raw:
+        assert raw.packet() == (0x20, answer)
+
+
 def test_an_answer_is_mangled_and_the_journal_has_the_bytes(broker: RunningBroker) -> None:
     plan(broker, "PINGREQ", {"mangle": {"flip": [[0, 255]], "append": "ff", "end": True}}, times=1)
     with Raw(broker.port).send(connect_bytes("raw")) as raw:

@@ -40,6 +40,15 @@ ERROR: Envelope = {
 }
 FAILURE: Envelope = {"success": False, "data": None, "error": ERROR, "meta": META}
 
+UNKNOWN: Envelope = {
+    **FAILURE,
+    "error": {**ERROR, "code": "timeout", "class": "transport", "outcome": "unknown"},
+}
+OF_A_VENDOR: Envelope = {
+    **FAILURE,
+    "error": {**ERROR, "code": "x_approval_pending", "class": "policy", "outcome": "not_sent", "retryable": True},
+}
+
 
 def result_of(envelope: Any, **changes: Any) -> dict[str, Any]:
     result = {
@@ -148,6 +157,12 @@ def test_equality_is_that_of_json() -> None:
         changed(SUCCESS, "meta/endpoint", "mqtts://[::1]:8883"),
         changed(SUCCESS, "meta/vendor_extension", {"any": "thing"}),
         changed(SUCCESS, "data", {}),
+        changed(SUCCESS, "data", {"error": None, "value": 1}),
+        changed(SUCCESS, "data", {"error": "", "last_error": "timeout"}),
+        UNKNOWN,
+        OF_A_VENDOR,
+        # What certainly did not happen, or changes nothing, may be repeated.
+        changed(changed(UNKNOWN, "error/retryable", True), "error/outcome", "not_applicable"),
     ],
 )
 def test_a_proper_result_has_no_findings(envelope: Envelope) -> None:
@@ -187,6 +202,10 @@ ONE_FAULT: list[tuple[Callable[[], dict[str, Any]], list[tuple[str, str | None]]
     (lambda: result_of(changed(FAILURE, "error", None)), [("success_and_error", "ENV-002")]),
     (lambda: result_of(changed(FAILURE, "data", {"value": 1})), [("data_on_failure", "ENV-002")]),
     (lambda: result_of(changed(FAILURE, "data", {})), [("data_on_failure", "ENV-002")]),
+    (lambda: result_of(changed(SUCCESS, "data", {"error": "timeout"})), [("error_in_data", "ENV-002")]),
+    (lambda: result_of(changed(SUCCESS, "data", {"success": False})), [("error_in_data", "ENV-002")]),
+    (lambda: result_of(changed(UNKNOWN, "error/retryable", True)), [("unsafe_retry", "ENV-002")]),
+    (lambda: result_of(changed(changed(OF_A_VENDOR, "error/outcome", "applied"), "error/retryable", False)), [("impossible_outcome", "ERR-006")]),
     (lambda: result_of(changed(FAILURE, "error/code", "made_up_code")), [("unknown_code", "ERR-001")]),
     (lambda: result_of(changed(FAILURE, "error/class", "policy")), [("wrong_class", "ERR-001")]),
     (lambda: result_of(changed(FAILURE, "error/retryable", True)), [("wrong_retryable", "ERR-001")]),

@@ -273,6 +273,24 @@ def test_a_tool_is_listed_as_what_it_is_used_for(listing: dict[str, Any], writes
     assert [finding.requirement for finding in faults] == found
 
 
+@pytest.mark.parametrize(
+    ("hints", "adds", "warned"),
+    [
+        ({}, False, False),
+        ({"destructiveHint": True, "idempotentHint": True}, False, False),
+        ({"destructiveHint": False}, False, True),
+        ({"destructiveHint": False}, True, False),
+        ({"idempotentHint": False}, True, False),
+        ({"idempotentHint": True}, True, True),
+    ],
+)
+def test_the_hints_of_a_tool_that_writes_should_be_true(hints: dict[str, Any], adds: bool, warned: bool) -> None:
+    listing = {"inputSchema": {"type": "object", "properties": {"a": {}}}, "annotations": hints}
+    faults = list(listing_faults("tool", listing, arguments=["a"], writes=True, adds=adds))
+    assert [(fault.requirement, fault.strength) for fault in faults] == [("MCP-008", "SHOULD")] * warned
+    assert list(listing_faults("tool", listing, arguments=["a"], writes=False, adds=adds)) == []
+
+
 def test_a_tool_without_arguments_may_declare_none() -> None:
     assert list(listing_faults("ping", {"inputSchema": {"type": "object"}}, arguments=[], writes=False)) == []
 

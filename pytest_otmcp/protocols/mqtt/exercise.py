@@ -12,6 +12,10 @@ from .entries import messages, payload_of
 __all__ = ["EXERCISE"]
 
 
+_NOT_AUTHORISED = 0x87
+"""Reason code of MQTT 5; a client of 3.1.1 is told its return code 5."""
+
+
 def _read(rng: random.Random) -> Asked:
     return Asked(operation="subscribe", inputs={"filter": f"otmcp/check/{rng.getrandbits(32):08x}", "qos": 0})
 
@@ -76,5 +80,6 @@ EXERCISE = Exercise(
         topic: Limited(ways=(partial(_number, topic),), unit=0.5, given_as="payload")
         for topic in ("control/limited", "control/paced")
     },
+    unauthorised=({"packet": "CONNECT", "action": {"reason_code": _NOT_AUTHORISED}},),
     outside={"qos": (-1, 257, 2**31, 1.5, "0x1")},
 )

@@ -124,6 +124,7 @@ EXERCISE = Exercise(
     writes=({"service": "Write"},),
     silent=tuple({"service": service, "action": {"drop": True}} for service in ("Read", "Write")),
     reset=tuple({"service": service, "action": {"reset": True}} for service in ("Read", "Write")),
+    unauthorised=({"service": "ActivateSession", "action": {"service_fault": "BadIdentityTokenRejected"}},),
     refused=({"service": "Read", "action": {"status": "BadDeviceFailure"}},),
     distinct=_distinct,
     every_write=_every_write,

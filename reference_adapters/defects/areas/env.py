@@ -29,6 +29,20 @@ def failures_carry_data(envelope: Data, genuine: Callable[[Data], Data]) -> Data
     return genuine(envelope if envelope["success"] else {**envelope, "data": {"value": None}})
 
 
+def whatever_failed_may_be_repeated(envelope: Data, genuine: Callable[[Data], Data]) -> Data:
+    error = envelope["error"]
+    lost = error and error["class"] == "transport"
+    return genuine({**envelope, "error": {**error, "retryable": True}} if lost else envelope)
+
+
+def warns_in_the_data(envelope: Data, genuine: Callable[[Data], Data]) -> Data:
+    """Tell in the data of a success that it is none."""
+    data = envelope["data"]
+    return genuine(
+        {**envelope, "data": {**data, "error": "the value was not confirmed"}} if envelope["success"] else envelope
+    )
+
+
 def leaves_nan(server: AdapterServer) -> None:
     """Write what JSON does not have as Python does."""
     opcua_values._special = lambda value: None
@@ -131,6 +145,33 @@ def from_memory_when_gone(name: str) -> Bend:
 
 
 MUTANTS: tuple[Mutant, ...] = (
+    Mutant(
+        id="MU-46r",
+        protocol="modbus",
+        sentence="A write that may have reached the device is said to be retryable.",
+        bend=result(whatever_failed_may_be_repeated),
+        items=on("modbus", "ENV-001 ENV-002 ENV-005 ENV-006"),
+        requirements="ENV-002",
+        areas="env",
+    ),
+    Mutant(
+        id="MU-46s",
+        protocol="s7",
+        sentence="A write that may have reached the device is said to be retryable.",
+        bend=result(whatever_failed_may_be_repeated),
+        items=on("s7", "ENV-001 ENV-002 ENV-005 ENV-006"),
+        requirements="ENV-002",
+        areas="env",
+    ),
+    Mutant(
+        id="MU-46t",
+        protocol="mqtt",
+        sentence="The data of a success say that it failed.",
+        bend=result(warns_in_the_data),
+        items=on("mqtt", _ALL),
+        requirements="ENV-002",
+        areas="env",
+    ),
     Mutant(
         id="MU-15n",
         protocol="opcua",

@@ -88,6 +88,17 @@ def named_with_blanks(server: AdapterServer) -> None:
     server._tools["list_tags"].listing.name = "list tags!"
 
 
+def hinted(**hints: bool) -> Bend:
+    """Return the defect that the annotations of every tool that writes have these values."""
+
+    def bend(server: AdapterServer) -> None:
+        for tool in server._tools.values():
+            if tool.writes:
+                tool.listing.annotations = tool.listing.annotations.model_copy(update=hints)
+
+    return bend
+
+
 def described_by_the_device(server: AdapterServer) -> None:
     """Append what the device calls itself to a description."""
 
@@ -309,6 +320,33 @@ MUTANTS: tuple[Mutant, ...] = (
         bend=also("get_all_variables", action=opcua_heartbeat),
         items=on("opcua", "MCP-008 MCP-010"),
         requirements="MCP-008 WR-010",
+        areas="mcp",
+    ),
+    Mutant(
+        id="MU-53d",
+        protocol="modbus",
+        sentence="The tools that write have a destructiveHint of false.",
+        bend=hinted(destructive_hint=False),
+        items="",
+        requirements="MCP-008",
+        areas="mcp",
+    ),
+    Mutant(
+        id="MU-53e",
+        protocol="opcua",
+        sentence="The tools that write have a destructiveHint of false.",
+        bend=hinted(destructive_hint=False),
+        items="",
+        requirements="MCP-008",
+        areas="mcp",
+    ),
+    Mutant(
+        id="MU-53i",
+        protocol="mqtt",
+        sentence="The tools that publish have an idempotentHint.",
+        bend=hinted(idempotent_hint=True),
+        items="",
+        requirements="MCP-008",
         areas="mcp",
     ),
     Mutant(

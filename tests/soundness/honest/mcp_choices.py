@@ -7,14 +7,16 @@ import dataclasses
 import json
 import math
 import sys
+import threading
 import time
+from collections import deque
 from collections.abc import Awaitable, Callable
 from datetime import UTC, datetime
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from mcp import MCPError
-from mcp.types import METHOD_NOT_FOUND, PARSE_ERROR, Tool
+from mcp.types import METHOD_NOT_FOUND, PARSE_ERROR, Tool, ToolAnnotations
 from pytest_otmcp.reference_adapters.core import AdapterError, AdapterServer, Call, stdio
 from pytest_otmcp.reference_adapters.core import call as core_call
 from pytest_otmcp.reference_adapters.core import server as core_server
@@ -205,6 +207,13 @@ def no_output_schema(server: AdapterServer) -> None:
         server._tools[name] = dataclasses.replace(tool, listing=listing)
 
 
+@choice("has no annotations, or idempotentHint alone", "ToolAnnotations: what is left out has the cautious value")
+def few_annotations(server: AdapterServer) -> None:
+    for name, tool in server._tools.items():
+        only = ToolAnnotations(idempotent_hint=True) if name.startswith("write_") else None
+        tool.listing.annotations = only
+
+
 @choice("has further tools", "nobody forbids tools that the kit does not know")
 def further_tools(server: AdapterServer) -> None:
     ping = server._tools["ping"]
@@ -279,6 +288,34 @@ def talkative_on_stderr(server: AdapterServer) -> None:
 
     print("DEBUG " * 17_000, file=sys.stderr)
     every_tool(server, talking)
+
+
+@choice("keeps its last 300 answers, 20 kB each, and starts a pool of 16 threads one by one", "both have a bound")
+def fills_a_cache_and_a_pool(server: AdapterServer) -> None:
+    kept: deque[bytearray] = deque(maxlen=300)
+    pool: list[threading.Thread] = []
+
+    def keeping(envelope: Envelope) -> Envelope:
+        kept.append(bytearray(b"\1" * 20_000))
+        if len(pool) < 16:
+            pool.append(threading.Thread(target=threading.Event().wait, daemon=True))
+            pool[-1].start()
+        return envelope
+
+    other_envelopes(keeping)
+
+
+@choice("lets go of what it has answered only with every 120th call", "a collector may come late")
+def collects_late(server: AdapterServer) -> None:
+    kept: list[bytearray] = []
+
+    def collecting(envelope: Envelope) -> Envelope:
+        if len(kept) == 120:
+            kept.clear()
+        kept.append(bytearray(b"\1" * 20_000))
+        return envelope
+
+    other_envelopes(collecting)
 
 
 def before_each_message(line: Callable[[], bytes]) -> None:

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
+import hashlib
+import os
 import secrets
 import struct
+import subprocess
+import sys
 from collections.abc import Callable
 from contextlib import suppress
 from types import SimpleNamespace
@@ -583,3 +587,41 @@ def values_from_a_store(server: AdapterServer) -> None:
         metric.is_historical = True
 
     retold(stored)
+
+
+# -- tools -----------------------------------------------------------------------------------------------------------
+
+
+@choice(
+    "says of the tools that publish that they are not destructive", "ToolAnnotations: a message that is sent only adds"
+)
+def publishing_only_adds(server: AdapterServer) -> None:
+    for name in ("publish_message", "publish_device_data", "publish_node_data"):
+        annotations = server._tools[name].listing.annotations
+        assert annotations is not None
+        annotations.destructive_hint = False
+
+
+# -- secrets ----------------------------------------------------------------------------------------------------------
+
+
+@choice(
+    "logs its account with a masked password and a fingerprint of it, and names the variables that it was given",
+    "a name, a mask and a digest are no secret",
+)
+def says_which_settings_it_has(server: AdapterServer) -> None:
+    password = os.environ["MQTT_PASSWORD"]
+    fingerprint = hashlib.sha256(password.encode()).hexdigest()[:16]
+    print(f"account {os.environ['MQTT_USERNAME']}:{password[:3]}***** ({fingerprint})", file=sys.stderr)
+    print("set: " + ", ".join(sorted(os.environ)), file=sys.stderr)
+
+
+@choice("hands its password to a helper by the environment and a pipe", "what only the helper can read is not told")
+def helper_with_the_password(server: AdapterServer) -> None:
+    waiting = "import sys; sys.stdin.read()"
+    helper = subprocess.Popen([sys.executable, "-S", "-c", waiting], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL)
+    assert helper.stdin is not None
+    helper.stdin.write(os.environ["MQTT_PASSWORD"].encode())
+    helper.stdin.flush()
+    # The helper ends when the adapter does, whose end closes the pipe.
+    server.helper = helper  # type: ignore[attr-defined]

@@ -1,0 +1,137 @@
+"""Defects that the checks of the area KEY notice."""
+
+from __future__ import annotations
+
+import base64
+import os
+import socket
+import subprocess
+import sys
+
+from ...core import AdapterError, AdapterServer, Call
+from ..claims import meta
+from ..life import address_of
+from ..mutant import Bend, Data, Mutant, failing
+
+__all__ = ["MUTANTS"]
+
+_SPARE = "OTMCP_CANARY_TOKEN"
+"""A variable of the adapter's environment that it has no use for."""
+_LONGEST = 480
+_BROKEN = ("connect_failed", "connection_lost", "timeout", "auth_failed")
+
+
+def environment_in_errors(*codes: str) -> Bend:
+    """Return the defect that failures with these codes show the environment, cut off where a message must end."""
+
+    def change(call: Call, error: AdapterError) -> Exception | None:
+        shown = str(dict(os.environ))[:_LONGEST]
+        return AdapterError(error.code, shown, outcome=error.outcome) if error.code in codes else None
+
+    return failing(change=change)
+
+
+def password_in_errors(call: Call, error: AdapterError) -> Exception | None:
+    if error.code not in _BROKEN:
+        return None
+    account = f"{os.environ['MQTT_USERNAME']}:{os.environ['MQTT_PASSWORD']}"
+    return AdapterError(error.code, f"no connection as {account}", outcome=error.outcome)
+
+
+def account_in_the_trace(stated: Data) -> None:
+    account = f"{os.environ['MQTT_USERNAME']}:{os.environ['MQTT_PASSWORD']}"
+    stated["trace"] = {**stated["trace"], "authorization": f"Basic {base64.b64encode(account.encode()).decode()}"}
+
+
+def settings_on_stderr(server: AdapterServer) -> None:
+    for name, value in os.environ.items():
+        print(f"{name}={value.encode().hex()}", file=sys.stderr)
+
+
+def secret_for_a_helper(server: AdapterServer) -> None:
+    waiting = "import sys; sys.stdin.read()"
+    command = [sys.executable, "-S", "-c", waiting, f"--token={os.environ[_SPARE]}"]
+    # The helper ends with the adapter, whose end closes the pipe.
+    server.helper = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL)
+
+
+def secret_in_a_description(server: AdapterServer) -> None:
+    listing = next(iter(server._tools.values())).listing
+    listing.description = f"{listing.description} (configured by {dict(os.environ)})"
+
+
+def ends_with_its_settings(server: AdapterServer) -> None:
+    """End at the start, with everything that it was told, where there is no device."""
+    try:
+        socket.create_connection(address_of(server)).close()
+    except OSError:
+        sys.exit(f"there is no device; the settings are {dict(os.environ)}")
+
+
+MUTANTS: tuple[Mutant, ...] = (
+    Mutant(
+        id="MU-99b",
+        protocol="mqtt",
+        sentence="The password is in the words of an error.",
+        bend=failing(change=password_in_errors),
+        items="KEY-001.mqtt",
+        requirements="KEY-001",
+        areas="key",
+        quick=True,
+    ),
+    Mutant(
+        id="MU-99c",
+        protocol="modbus",
+        sentence="The whole environment is in the words of an error.",
+        bend=environment_in_errors(*_BROKEN),
+        items="KEY-001.modbus",
+        requirements="KEY-001",
+        areas="key",
+    ),
+    Mutant(
+        id="MU-99d",
+        protocol="mqtt",
+        sentence="Each answer has user name and password in base64, as HTTP would send them.",
+        bend=meta(account_in_the_trace),
+        items="KEY-001.mqtt",
+        requirements="KEY-001",
+        areas="key",
+    ),
+    Mutant(
+        id="MU-99e",
+        protocol="opcua",
+        sentence="At the start the environment is logged, its values in hexadecimal digits.",
+        bend=settings_on_stderr,
+        items="KEY-001.opcua",
+        requirements="KEY-001",
+        areas="key",
+    ),
+    Mutant(
+        id="MU-99f",
+        protocol="modbus",
+        sentence="A secret is an argument of a process that the adapter starts.",
+        bend=secret_for_a_helper,
+        items="KEY-001.modbus",
+        requirements="KEY-001",
+        areas="key",
+        cold=True,
+    ),
+    Mutant(
+        id="MU-99g",
+        protocol="s7",
+        sentence="The description of a tool has the environment in it.",
+        bend=secret_in_a_description,
+        items="KEY-001.s7",
+        requirements="KEY-001",
+        areas="key",
+    ),
+    Mutant(
+        id="MU-99h",
+        protocol="modbus",
+        sentence="An adapter that does not start without its device ends with its environment on stderr.",
+        bend=ends_with_its_settings,
+        items="KEY-001.modbus",
+        requirements="KEY-001 MCP-002",
+        areas="key",
+    ),
+)
