@@ -21,6 +21,7 @@ __all__ = [
     "NO_REALS",
     "Asked",
     "Contended",
+    "DeviceText",
     "Exercise",
     "Texts",
     "every_change",
@@ -100,6 +101,29 @@ class Texts:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class DeviceText:
+    """A place where the device itself supplies a text, and the call that brings it to the adapter's client.
+
+    Attributes:
+        place: in words that follow "as".
+        ask: makes the call for a text; its pokes put the text there. No two texts disturb each other.
+        longest: characters that the place holds.
+        encoding: the characters that it can hold, as a codec of Python.
+        controls: they may be control characters.
+        first: a call without which the text does not reach the adapter, such as a subscription.
+        then: a call on the same connection: when it is answered, the adapter has read what the device sent before.
+    """
+
+    place: str
+    ask: Callable[[str], Asked]
+    longest: int
+    encoding: str = "utf-8"
+    controls: bool = True
+    first: Asked | None = None
+    then: Asked | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Exercise:
     """What checks for every protocol do on this one.
 
@@ -132,6 +156,8 @@ class Exercise:
             as for ``large``.
         real: makes a write of a floating-point number, which is its input ``value``.
         texts: reads and writes of a text; None as for ``large``.
+        device_texts: returns the places where the device supplies texts; the argument is a name that nothing else has. None where no
+            operation returns one.
         bounds: makes writes of values at a bound of their type, each with a value just beyond; None as for ``large``.
         misfits: makes writes, each with values of other kinds than the target's; None as for ``large``.
         asks_for: returns what a request that writes asks for, as the values of ``contended`` are; None for another request.
@@ -162,6 +188,7 @@ class Exercise:
     special: Callable[[float], tuple[Asked, ...]] | None = None
     real: Callable[[float], Asked] | None = None
     texts: Texts | None = None
+    device_texts: Callable[[str], tuple[DeviceText, ...]] | None = None
 
 
 def every_change(entries: Entries, asked: Asked) -> list[JournalEntry]:

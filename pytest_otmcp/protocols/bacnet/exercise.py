@@ -7,7 +7,7 @@ import random
 from collections.abc import Sequence
 from dataclasses import replace
 
-from ..exercise import LARGEST_FLOAT32, Asked, Contended, Exercise, Texts
+from ..exercise import LARGEST_FLOAT32, Asked, Contended, DeviceText, Exercise, Texts
 from ..journal import Entries, JournalEntry
 from .entries import as_bacnet, changes
 
@@ -185,6 +185,23 @@ def _write_text(text: str) -> Asked:
     return replace(asked, pokes=({"types": True}, *asked.pokes))
 
 
+def _listed(text: str) -> Asked:
+    pokes = ({"object": "analog-input,2", "name": text},)
+    return Asked(operation="list_objects", inputs={"device": _DEVICE}, pokes=pokes)
+
+
+def _found(text: str) -> Asked:
+    return Asked(operation="discover", inputs={}, pokes=({"object": f"device,{_DEVICE}", "name": text},))
+
+
+def _device_texts(name: str) -> tuple[DeviceText, ...]:
+    return (
+        DeviceText(place="a characterstring value", ask=_read_text, longest=200),
+        DeviceText(place="the name of an object", ask=_listed, longest=200),
+        DeviceText(place="the name of the device", ask=_found, longest=200),
+    )
+
+
 EXERCISE = Exercise(
     reading="read",
     read=_read,
@@ -217,4 +234,5 @@ EXERCISE = Exercise(
     special=_special,
     real=_real,
     texts=Texts(encoding="utf-8", read=_read_text, write=_write_text),
+    device_texts=_device_texts,
 )

@@ -4,7 +4,17 @@ from __future__ import annotations
 
 import random
 
-from ..exercise import LARGEST_FLOAT32, NO_INTEGERS, NO_REALS, Asked, Contended, Exercise, Texts, number_in_json
+from ..exercise import (
+    LARGEST_FLOAT32,
+    NO_INTEGERS,
+    NO_REALS,
+    Asked,
+    Contended,
+    DeviceText,
+    Exercise,
+    Texts,
+    number_in_json,
+)
 from ..journal import Entries, JournalEntry
 from .entries import DIRECT_OPERATE, OPERATE, as_dnp3, changes, commands
 
@@ -187,6 +197,10 @@ def _write_text(text: str) -> Asked:
     )
 
 
+def _device_texts(name: str) -> tuple[DeviceText, ...]:
+    return (DeviceText(place="an octet string", ask=_read_text, longest=200, encoding="utf-8"),)
+
+
 EXERCISE = Exercise(
     reading="read_analog",
     read=_read,
@@ -219,4 +233,5 @@ EXERCISE = Exercise(
     special=_special,
     real=_real,
     texts=Texts(encoding="utf-8", read=_read_text, write=_write_text),
+    device_texts=_device_texts,
 )

@@ -13,6 +13,7 @@ from ..exercise import (
     NO_REALS,
     Asked,
     Contended,
+    DeviceText,
     Exercise,
     Texts,
     every_change,
@@ -214,6 +215,17 @@ def _write_text(text: str) -> Asked:
     )
 
 
+def _listed(text: str) -> Asked:
+    return Asked(operation="list_tags", inputs={}, pokes=({"create": text},))
+
+
+def _device_texts(name: str) -> tuple[DeviceText, ...]:
+    return (
+        DeviceText(place="a STRING", ask=_read_text, longest=82, encoding="latin-1"),
+        DeviceText(place="the name of a tag", ask=_listed, longest=200, encoding="latin-1"),
+    )
+
+
 EXERCISE = Exercise(
     reading="read_tag",
     read=_read,
@@ -246,4 +258,5 @@ EXERCISE = Exercise(
     special=_special,
     real=_real,
     texts=Texts(encoding="latin-1", read=_read_text, write=_write_text),
+    device_texts=_device_texts,
 )

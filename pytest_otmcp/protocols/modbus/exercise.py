@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import base64
 import random
 from typing import Any
 
-from ..exercise import Asked, Exercise, every_change
+from ..exercise import Asked, DeviceText, Exercise, every_change
 from .entries import points
 from .tags import TAGS
 
@@ -72,6 +73,16 @@ def _write_of(
     )
 
 
+def _identification(text: str) -> Asked:
+    # Object 0 is the vendor's name.
+    content = base64.b64encode(text.encode()).decode()
+    return Asked(operation="read_device_information", inputs={}, pokes=({"unit": 1, "identification": {"0": content}},))
+
+
+def _device_texts(name: str) -> tuple[DeviceText, ...]:
+    return (DeviceText(place="an object of the identification", ask=_identification, longest=200),)
+
+
 EXERCISE = Exercise(
     reading="read_holding",
     read=_read,
@@ -86,4 +97,5 @@ EXERCISE = Exercise(
     reset=({"action": {"reset": True}},),
     refused=({"action": {"exception": 4}},),
     every_write=_every_write,
+    device_texts=_device_texts,
 )

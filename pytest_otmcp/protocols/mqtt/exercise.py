@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import base64
 import random
 
-from ..exercise import Asked, Exercise
+from ..exercise import Asked, DeviceText, Exercise
 from ..journal import Entries, JournalEntry
 from .entries import messages, payload_of
 
@@ -30,6 +31,62 @@ def _published(entries: Entries, asked: Asked) -> list[JournalEntry]:
     ]
 
 
+def _message(topic: str, payload: str) -> dict[str, object]:
+    return {"publish": {"topic": topic, "payload": base64.b64encode(payload.encode()).decode()}}
+
+
+def _metric(name: str, value: str) -> dict[str, object]:
+    return {"edge_node": {"metrics": [{"device": "device-1", "name": name, "datatype": "String", "value": value}]}}
+
+
+def _device_texts(name: str) -> tuple[DeviceText, ...]:
+    below = f"otmcp/{name}"
+    subscribed, exchange = (
+        Asked(operation="subscribe", inputs={"filter": filter_, "qos": 0})
+        for filter_ in (f"{below}/#", f"{below}/none")
+    )
+
+    def received(poke: dict[str, object]) -> Asked:
+        return Asked(operation="messages", inputs={"filter": f"{below}/#"}, pokes=(poke,))
+
+    def listed(poke: dict[str, object]) -> Asked:
+        return Asked(operation="sparkplug_nodes", inputs={}, pokes=(poke,))
+
+    births = Asked(operation="sparkplug_nodes", inputs={})
+    return (
+        DeviceText(
+            place="a payload",
+            ask=lambda text: received(_message(f"{below}/text", text)),
+            longest=10_000,
+            first=subscribed,
+            then=exchange,
+        ),
+        DeviceText(
+            place="a topic",
+            ask=lambda text: received(_message(f"{below}/{text}", "x")),
+            longest=10_000,
+            # MQTT 3.1.1, section 1.5.3: a receiver may close the connection for them.
+            controls=False,
+            first=subscribed,
+            then=exchange,
+        ),
+        DeviceText(
+            place="the name of a metric",
+            ask=lambda text: listed(_metric(text, "x")),
+            longest=200,
+            first=births,
+            then=exchange,
+        ),
+        DeviceText(
+            place="the value of a metric",
+            ask=lambda text: listed(_metric("otmcp_text", text)),
+            longest=10_000,
+            first=births,
+            then=exchange,
+        ),
+    )
+
+
 EXERCISE = Exercise(
     reading="subscribe",
     read=_read,
@@ -44,4 +101,5 @@ EXERCISE = Exercise(
     reset=tuple({"packet": packet, "action": {"reset": True}} for packet in ("SUBSCRIBE", "PUBLISH")),
     refused=({"packet": "SUBSCRIBE", "action": {"reason_code": 0x80}},),
     outside={"qos": (-1, 257, 2**31, 1.5, "0x1")},
+    device_texts=_device_texts,
 )

@@ -6,7 +6,17 @@ import random
 import struct
 from collections.abc import Iterator, Sequence
 
-from ..exercise import LARGEST_FLOAT32, NO_INTEGERS, NO_REALS, Asked, Contended, Exercise, Texts, every_change
+from ..exercise import (
+    LARGEST_FLOAT32,
+    NO_INTEGERS,
+    NO_REALS,
+    Asked,
+    Contended,
+    DeviceText,
+    Exercise,
+    Texts,
+    every_change,
+)
 from ..journal import JournalEntry
 from .entries import as_s7, points
 
@@ -232,6 +242,10 @@ def _write_text(text: str) -> Asked:
     )
 
 
+def _device_texts(name: str) -> tuple[DeviceText, ...]:
+    return (DeviceText(place="a STRING", ask=_read_text, longest=_DECLARED, encoding="latin-1"),)
+
+
 EXERCISE = Exercise(
     reading="read_typed",
     read=_read,
@@ -262,4 +276,5 @@ EXERCISE = Exercise(
     special=_special,
     real=_real,
     texts=Texts(encoding="latin-1", read=_read_text, write=_write_text),
+    device_texts=_device_texts,
 )
