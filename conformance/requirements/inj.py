@@ -96,8 +96,9 @@ async def texts_of_the_device_are_data(run: Repetition, at: Rig) -> None:
     Seen: nothing that changes the plant.
     Why: an assistant takes an error's words, and a tool's description, for those of the adapter that it trusts.
     """
+    places = _places(run, at, f"otmcp{_nonce(run)}")
+    # The names of topics and nodes, which calls have in their arguments, have another word.
     nonce = _nonce(run)
-    places = _places(run, at, f"otmcp{nonce}")
     write = exercise(at).write(run.rng)
     tool = at.tool_of(write.operation, **write.inputs) or write.operation
     first = await at.listed_tools()
@@ -169,8 +170,7 @@ async def misleading_characters_are_not_passed_on(run: Repetition, at: Rig) -> N
     Seen: the device has these texts.
     Why: an escape sequence rewrites the operator's screen, and what is written in tags is read by the model alone.
     """
-    nonce = _nonce(run)
-    for place in _places(run, at, f"otmcp{nonce}"):
+    for place in _places(run, at, f"otmcp{_nonce(run)}"):
         word, end = _nonce(run), _nonce(run)
         characters = "".join(one for one in _MISLEADING if _fits(place, one))
         reply = await _shown(at, place, f"{word}{characters}[31m{end}")
@@ -198,12 +198,15 @@ def _fits(place: DeviceText, character: str) -> bool:
 # -- INJ-003 ----------------------------------------------------------------------------------------------------------
 
 
+_PATH = "a path out of every folder"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Hostile:
     """Texts that mean something in a language, and how it shows that they were taken for it.
 
     Attributes:
-        word: that begins each of them.
+        word: that begins each of them, but for a path.
         file: name of the file that a shell would make of one.
         member: name of the member that one would add to JSON that is put together by hand.
         product: that a template engine, or an interpreter, would make of one.
@@ -232,8 +235,7 @@ class _Hostile:
                 ("a text that quotes a command of a shell", f"{word}';touch {file};'\";touch {file};\""),
                 ("a text that is a template", f"{word}{{{{{a}*{b}}}}}${{{a}*{b}}}$(({a}*{b}))"),
                 ("a text that is a format", f"{word}${{HOME}}%n{{0}}%(a)s{{x.y}}"),
-                ("a text that is a path", f"../../../../../../../../etc/passwd?{word}"),
-                ("a path out of every folder", "../../../../../../../../etc/passwd"),
+                (_PATH, "../../../../../../../../etc/passwd"),
             ),
         )
 
@@ -311,11 +313,13 @@ async def _in_arguments(run: Repetition, at: Rig, asked: Asked, hostile: _Hostil
         if not isinstance(given, str):
             continue
         for what, text in hostile.texts:
-            altered = Alteration(given={argument: f"{given}{text}"})
+            # A path leads nowhere behind a name.
+            whole = text if what == _PATH else f"{given}{text}"
+            altered = Alteration(given={argument: whole})
             reply = await at.call_altered(asked.operation, altered, **asked.inputs)
             run.judge(reply, hostile.shown_by(reply, f"{what}, in the argument {argument!r}"))
             seen = reply.during(await at.journal())
-            others = [entry for entry in seen if entry["state_changing"] and not carries(entry, f"{given}{text}")]
+            others = [entry for entry in seen if entry["state_changing"] and not carries(entry, whole)]
             if nothing_arrived(at, others, requirement="INJ-003"):
                 message = (
                     f"{reply.label}: {what}, in the argument {argument!r}: the device saw a request for something else"

@@ -89,13 +89,16 @@ def _device_texts(name: str) -> tuple[DeviceText, ...]:
     def named(text: str) -> str:
         return f"{name}.{zlib.crc32(text.encode()):08x}"
 
+    def held(text: str) -> dict[str, object]:
+        return {"create": [{"variable": named(text), "type": "String", "value": text}]}
+
     def value(text: str) -> Asked:
-        node = {"variable": named(text), "type": "String", "value": text}
-        return Asked(operation="read", inputs={"node": f"ns=2;s={named(text)}"}, pokes=({"create": [node]},))
+        return Asked(operation="read", inputs={"node": f"ns=2;s={named(text)}"}, pokes=(held(text),))
 
     def several(text: str) -> Asked:
-        (poke,) = value(text).pokes
-        return Asked(operation="read_many", inputs={"nodes": [f"ns=2;s={named(text)}"]}, pokes=(poke,))
+        node = {"variable": named(f"several/{text}"), "type": "String", "value": text}
+        inputs = {"nodes": [f"ns=2;s={node['variable']}"]}
+        return Asked(operation="read_many", inputs=inputs, pokes=({"create": [node]},))
 
     def shown(member: str, prefix: str = "") -> Callable[[str], Asked]:
         def browsed(text: str) -> Asked:
