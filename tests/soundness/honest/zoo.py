@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from . import dnp3_choices, mcp_choices, modbus_choices, mqtt_choices, opcua_choices, s7_choices
+from . import dnp3_choices, mcp_choices, modbus_choices, mqtt_choices, opcua_choices, s7_choices, text_choices
 from .choice import Choice
 
 __all__ = ["ZOO"]
@@ -18,6 +18,7 @@ ZOO: Mapping[str, Choice] = {
         ("opcua", opcua_choices.CHOICES),
         ("s7", s7_choices.CHOICES),
         ("dnp3", dnp3_choices.CHOICES),
+        ("texts", text_choices.CHOICES),
     )
     for name, choice in declared.items()
 }
