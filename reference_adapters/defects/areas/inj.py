@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import re
+import sys
 import unicodedata
 from collections.abc import Callable
 from dataclasses import replace
@@ -251,6 +252,15 @@ def _first_line(file: Path) -> str:
         return ""
 
 
+def _logged_as_it_is(server: AdapterServer) -> None:
+    def logged(call: Call, pointer: str, text: Any) -> str:
+        raw = text.decode("utf-8", "replace") if isinstance(text, bytes) else str(text)
+        print(f"the device says {raw}", file=sys.stderr, flush=True)
+        return genuine_text(call, pointer, text)
+
+    modbus_tools.device_text = logged
+
+
 _mutant = mutants_of("inj")
 _SHELLS = "A text reaches a shell"
 
@@ -424,6 +434,14 @@ MUTANTS: tuple[Mutant, ...] = (
         "An alias that is not known is looked up as a file.",
         _aliases_are_files,
         "INJ-003.dnp3",
+        "INJ-003",
+    ),
+    _mutant(
+        "MU-109l",
+        "modbus",
+        "Texts of the device are logged as they are, with their line ends.",
+        _logged_as_it_is,
+        "",
         "INJ-003",
     ),
 )
