@@ -116,7 +116,12 @@ def outside_of_data(reply: Reply, nonce: str, place: str) -> list[Finding]:
     listed = reply.member("meta", "untrusted")
     untrusted = [pointer for pointer in listed if isinstance(pointer, str)] if isinstance(listed, list) else []
     for pointer, text in _texts(reply.envelope):
-        if nonce in text and (pointer == "/error/message" or not _below(pointer, untrusted)):
+        # The pointer to a member has the name of the member in it.
+        if (
+            nonce in text
+            and not pointer.startswith("/meta/untrusted/")
+            and (pointer == "/error/message" or not _below(pointer, untrusted))
+        ):
             where = (
                 "error.message"
                 if pointer == "/error/message"
