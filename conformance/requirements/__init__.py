@@ -11,7 +11,7 @@ from pytest_otmcp.trial.task import Task
 
 __all__ = ["AREAS", "MODULES", "checks", "modules"]
 
-AREAS = ("mcp", "env", "err", "rd", "wr", "adr", "enc", "con", "tmo", "rec", "mqt", "spb", "oua", "res", "key")
+AREAS = ("mcp", "env", "err", "rd", "wr", "adr", "enc", "con", "tmo", "rec", "mqt", "spb", "oua", "res", "inj", "key")
 """The areas in the order of the catalogue; each is a module here."""
 
 

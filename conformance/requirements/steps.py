@@ -17,7 +17,7 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
-from .within import within
+from ..within import within
 
 __all__ = [
     "CONNECTION_FAULTS",

@@ -20,6 +20,8 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
+from ..within import allowed, within
+
 __all__ = [
     "CONNECTION_FAULTS",
     "NOTHING_SENT",
@@ -337,20 +339,8 @@ async def writes_fail(run: Repetition, rig: Rig) -> bool:
 def each_write(run: Repetition, rig: Rig) -> list[Asked]:
     """Return one write by every operation that writes and that the adapter has, with inputs that the schema of its tool allows."""
     exercise = protocols()[rig.protocol].exercise
-    if exercise is None:
-        return []
-    every = (asked for asked in exercise.each_write(run.rng) if rig.can_ask(asked.operation, asked.inputs))
-    allowed = (_allowed(rig, asked, partial(exercise.each_write, run.rng)) for asked in every)
-    return [asked for asked in allowed if asked is not None]
-
-
-def _allowed(rig: Rig, asked: Asked, draw: Callable[[], list[Asked]]) -> Asked | None:
-    """Return a write, drawn anew until the schema of its tool allows it; None where it allows none of many."""
-    for _ in range(_DRAWS):
-        if rig.excess(asked.operation, **asked.inputs) is None:
-            return asked
-        asked = next(one for one in draw() if one.operation == asked.operation)
-    return None
+    every = [] if exercise is None else within(rig, exercise).each_write(run.rng)
+    return [asked for asked in every if rig.can_ask(asked.operation, asked.inputs) and allowed(rig, asked)]
 
 
 async def each_fails(run: Repetition, rig: Rig, writes: Iterable[Asked], *, code_requirement: str = "REC-002") -> None:

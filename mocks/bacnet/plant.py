@@ -120,10 +120,12 @@ class Plant:
 
     Attributes:
         objects: by type and instance.
+        name: object name of the device object.
     """
 
     def __init__(self) -> None:
         self.objects = {(int(one.type), one.instance): one for one in _objects()}
+        self.name = "Kit Device"
         self._seconds = 0
         self._zone = 72.5
         self._schedule()
@@ -199,7 +201,7 @@ class Plant:
 
     def names(self) -> dict[str, tuple[int, int]]:
         """Return the identifiers of all objects by their names."""
-        return {"Kit Device": (int(ObjectType.DEVICE), DEVICE)} | {
+        return {self.name: (int(ObjectType.DEVICE), DEVICE)} | {
             one.name: identifier for identifier, one in self.objects.items()
         }
 
@@ -215,7 +217,7 @@ class Plant:
         listed = [(int(ObjectType.DEVICE), DEVICE), *self.objects]
         return {
             Property.OBJECT_IDENTIFIER: one("object-identifier", [int(ObjectType.DEVICE), DEVICE]),
-            Property.OBJECT_NAME: one("character-string", "Kit Device"),
+            Property.OBJECT_NAME: one("character-string", self.name),
             Property.OBJECT_TYPE: one("enumerated", int(ObjectType.DEVICE)),
             Property.SYSTEM_STATUS: one("enumerated", 0),
             Property.VENDOR_NAME: one("character-string", "pytest-otmcp"),

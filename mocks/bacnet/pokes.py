@@ -5,6 +5,7 @@
                  a priority array the relinquish default. A REAL or DOUBLE may be ``"nan"``, ``"inf"`` or ``"-inf"``
 ``priority``     ``{"object": "analog-output,1", "priority": 5, "value": 30.0}``: a slot of the priority array; null empties it
 ``reliability``  ``{"object": "analog-input,1", "reliability": 1}`` (BACnetReliability): 0 for no fault; else the status flag *fault* is set
+``name``         ``{"object": "analog-input,1", "name": "Zone"}``: the object name; of ``device,12345`` that of the device
 ``objects``      ``{"objects": 400}``: the plant has so many further analog values, from instance 1000 on
 ``types``        ``{"types": true}``: the plant has characterstring-value,1, integer-value,1, large-analog-value,1 and
                  positive-integer-value,1 as well
@@ -16,11 +17,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ..fault_rules import FLAG, integer
+from ..fault_rules import FLAG, TEXT, integer
 from .faults import identifier_of
 from .names import Refusal
 from .objects import PRIORITIES, BacnetObject
-from .plant import Plant, single
+from .plant import DEVICE, Plant, single
 from .values import Value
 
 __all__ = ["poke"]
@@ -47,6 +48,14 @@ def poke(plant: Plant, params: Mapping[str, Any]) -> None:
         if not FLAG.accepts(params["types"]):
             raise ValueError(f"types: expected {FLAG.expected}, found {params['types']!r}")
         plant.diversify()
+        return
+    if "name" in params:
+        if not TEXT.accepts(params["name"]):
+            raise ValueError(f"name: expected {TEXT.expected}, found {params['name']!r}")
+        if params["object"] == f"device,{DEVICE}":
+            plant.name = params["name"]
+        else:
+            _object(plant, params["object"]).name = params["name"]
         return
     target = _object(plant, params["object"])
     if "reliability" in params:

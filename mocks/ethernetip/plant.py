@@ -107,6 +107,11 @@ class Plant:
         self.set("Recipe.Rate", 12.5)
         self.set("Recipe.Count", 3)
 
+    def create(self, name: str) -> None:
+        """Add a tag of the controller, a DINT."""
+        instance = 3 + max(tag.instance for tag in self.tags)
+        self.tags.append(Tag(name=name, instance=instance, kind=ELEMENTARY["DINT"]))
+
     def image(self) -> dict[str, Any]:
         """Return ``points``: each value by its name, and ``Clock``, the time that was set last; ``symbols``: the names of the
         controller's tags by their instances; and the settings."""

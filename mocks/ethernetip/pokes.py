@@ -4,6 +4,7 @@
 ``tag``               ``{"tag": "Levels[2]", "value": 12.5}`` sets a value by its name in the image; a bit is ``Flags.3``. A REAL or
                       LREAL may be ``"NaN"``, ``"Infinity"`` or ``"-Infinity"``
 ``external_access``   ``{"tag": "Locked", "external_access": "read_write"}``, or ``"read_only"``, or ``"none"``
+``create``            ``{"create": "Speed"}``: a further DINT of the controller with this name, whatever characters it has
 ``connection_limit``  ``{"connection_limit": 4}``: so many CIP connections can be open
 ``connections``       ``{"connections": "forget"}``: the controller knows none of the open CIP connections any more
 ``restless``          ``{"restless": [{"tag": "Flags", "bits": 64}]}``: these bits turn just before each request is executed, so between
@@ -18,7 +19,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from ..fault_rules import integer, one_of
+from ..fault_rules import TEXT, integer, one_of
 from .plant import Plant
 from .tags import ACCESS, Place, store
 from .types import Elementary
@@ -53,6 +54,9 @@ def poke(plant: Plant, params: Mapping[str, Any]) -> None:
         ValueError: no such tag or value.
         KeyError: a parameter is missing.
     """
+    if "create" in params:
+        plant.create(checked(TEXT, "create", params))
+        return
     if "external_access" in params:
         tag = _place(plant, params["tag"]).tag
         tag.access = checked(_ACCESS, "external_access", params)

@@ -50,7 +50,7 @@ def symbol_list(plant: Plant, path: Path, data: bytes, most: int) -> tuple[bytes
 
 def _row(name: str, kind: int, size: int, dimension: int, access: int) -> dict[int, bytes]:
     """Return attributes of a symbol: name, type, address, object address, software control, size, dimensions, external access."""
-    text = name.encode("ascii")
+    text = name.encode("latin-1")
     return {
         1: struct.pack("<H", len(text)) + text,
         2: struct.pack("<H", kind),

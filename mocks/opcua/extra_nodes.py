@@ -10,8 +10,8 @@ them.
                ``read``, ``denied`` to this user, ``denied_writing`` to this user, ``hidden`` from everybody), ``range`` ([low, high]), ``data_type``
                (node id of the DataType attribute), ``property`` (true: HasProperty instead of HasComponent),
                ``browse_name`` (default: the name; ``0:EURange`` is in namespace 0), ``type_definition`` (node id),
-               ``copies`` (so many more, equal to it but for the name, which gets a number from 1)
-``method``     name of a method of the Methods folder that returns its ``inputs`` (names of built-in types)
+               ``display_name`` and ``description`` (default: the name), ``copies`` (so many more, equal to it but for the name, which gets a number from 1)
+``method``     name of a method of the Methods folder that returns its ``inputs`` (names of built-in types), or a text ``returns``
 ``reference``  name of a folder that gets an Organizes reference ``to`` another
 =============  =======================================================================================
 
@@ -36,6 +36,7 @@ __all__ = ["ExtraNodes"]
 _BITS = {"read": 1, "write": 2}
 # Access rights of all users, and of this user.
 _ACCESS = {"read_write": (3, 3), "read": (1, 1), "denied": (3, 0), "denied_writing": (3, 1), "hidden": (0, 0)}
+_TEXTS = {"display_name": ua.AttributeIds.DisplayName, "description": ua.AttributeIds.Description}
 
 
 class ExtraNodes:
@@ -148,10 +149,17 @@ class ExtraNodes:
             (ua.AttributeIds.ValueRank, rank, ua.VariantType.Int32),
             (ua.AttributeIds.AccessLevel, everybody, ua.VariantType.Byte),
             (ua.AttributeIds.UserAccessLevel, user, ua.VariantType.Byte),
+            *(
+                (attribute, ua.LocalizedText(description[member]), ua.VariantType.LocalizedText)
+                for member, attribute in _TEXTS.items()
+                if member in description
+            ),
         ):
             await node.write_attribute(attribute, ua.DataValue(ua.Variant(number, width)))
         lengths = ua.Variant(list(dimensions), ua.VariantType.UInt32, is_array=True)
         await node.write_attribute(ua.AttributeIds.ArrayDimensions, ua.DataValue(lengths))
+        if "display_name" in description:
+            self._show(node.nodeid, parent.nodeid, description["display_name"])
         # The library loses the information that a value is an array (asyncua 2.1), so the value is set again.
         await self._plant.hold(node.nodeid, value)
         if "type_definition" in description:
@@ -173,6 +181,12 @@ class ExtraNodes:
         place = next(each for each in siblings if each.NodeId == node.nodeid)
         for number in range(1, int(description.get("copies", 0)) + 1):
             siblings.append(self._copy(place, f"{name}{number}"))
+
+    def _show(self, node: ua.NodeId, parent: ua.NodeId, name: str) -> None:
+        """Change the display name that a parent tells of a node."""
+        for reference in self._server.iserver.aspace[parent].references:
+            if reference.NodeId == node:
+                reference.DisplayName = ua.LocalizedText(name)
 
     def _define(self, node: ua.NodeId, parent: ua.NodeId, kind: ua.NodeId) -> None:
         """Change the type definition of a variable."""
@@ -210,11 +224,13 @@ class ExtraNodes:
     async def _method(self, description: Mapping[str, Any]) -> None:
         name = str(description["method"])
         inputs = {f"Argument{number}": ua.VariantType[kind] for number, kind in enumerate(description["inputs"], 1)}
+        told = description.get("returns")
 
-        async def echo(*arguments: Any) -> list[Any]:
-            return list(arguments)
+        async def function(*arguments: Any) -> list[Any]:
+            return list(arguments) if told is None else [told]
 
-        method = Method(owner=self._plant.folders["Methods"], inputs=inputs, outputs=inputs, function=echo)
+        outputs = inputs if told is None else {"Text": ua.VariantType.String}
+        method = Method(owner=self._plant.folders["Methods"], inputs=inputs, outputs=outputs, function=function)
         self._keep(name, await self._plant.add_method(*await self._place(description, name), method))
 
     async def _reference(self, description: Mapping[str, Any]) -> None:

@@ -21,6 +21,7 @@ __all__ = [
     "NO_REALS",
     "Asked",
     "Contended",
+    "DeviceText",
     "Exercise",
     "Limited",
     "Texts",
@@ -122,6 +123,29 @@ class Limited:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class DeviceText:
+    """A place where the device itself supplies a text, and the call that brings it to the adapter's client.
+
+    Attributes:
+        place: in words that follow "as".
+        ask: makes the call for a text; its pokes put the text there. No two texts disturb each other.
+        longest: characters that the place holds.
+        encoding: the characters that it can hold, as a codec of Python.
+        controls: they may be control characters.
+        first: a call without which the text does not reach the adapter, such as a subscription.
+        then: a call on the same connection: when it is answered, the adapter has read what the device sent before.
+    """
+
+    place: str
+    ask: Callable[[str], Asked]
+    longest: int
+    encoding: str = "utf-8"
+    controls: bool = True
+    first: Asked | None = None
+    then: Asked | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Exercise:
     """What checks for every protocol do on this one.
 
@@ -160,6 +184,8 @@ class Exercise:
             checks of the protocol's own have it.
         real: makes a write of a floating-point number of 32 bits, which is its input ``value``; its points may be left out.
         texts: reads and writes of a text; None as for ``large``.
+        device_texts: returns the places where the device supplies texts; the argument is a name that nothing else has. None where no
+            operation returns one.
         bounds: makes writes of values at a bound of their type, each with a value just beyond; None as for ``large``.
         misfits: makes writes, each with values of other kinds than the target's; None as for ``large``.
         commands: makes writes that say more than a value; an adapter may refuse what it does not offer. None where there are none.
@@ -198,6 +224,7 @@ class Exercise:
     floats: Mapping[str, Callable[[float], Asked]] = field(default_factory=dict)
     real: Callable[[float], Asked] | None = None
     texts: Texts | None = None
+    device_texts: Callable[[str], tuple[DeviceText, ...]] | None = None
 
     def each_write(self, rng: random.Random) -> list[Asked]:
         """Return one write by each operation that writes, that of ``write`` first."""

@@ -454,7 +454,7 @@ class Observation(TypedDict):
     ``handshake_era``: the session was replaced by one of MCP's era of the handshake, if the adapter speaks it.
     ``end``: the slice ends before this number, the next one begins there. ``process``: figures of the adapter's processes.
     ``tools``: digests of the tools that the adapter lists, and of their order. ``line_sent``: whether a line could be written to its standard input as it is.
-    ``stderr``: the adapter's newest lines there. ``listed``: the tools of the session, name to entry.
+    ``stderr``: the adapter's newest lines there. ``made_file``: whether a file was there that a shell makes of a text. ``listed``: the tools of the session, name to entry.
     """
 
     at: str
@@ -477,6 +477,7 @@ class Observation(TypedDict):
     tools: NotRequired[str]
     line_sent: NotRequired[bool]
     stderr: NotRequired[list[str]]
+    made_file: NotRequired[bool]
     listed: NotRequired[dict[str, ToolListing]]
 
 

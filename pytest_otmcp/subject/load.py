@@ -141,7 +141,7 @@ def _adapter(protocol: str, table: Mapping[str, Any], path: Path, *, run: bool) 
 def _secret_env(table: Mapping[str, Any], key: str) -> tuple[str, ...]:
     names: list[str] = table["secret_env"]
     for name in names:
-        if any(name in part["env"] for part in (table, table[READ_WRITE], table[READ_ONLY])):
+        if any(name in part["env"] for part in (table, *(table[variant] for variant in _launches(table)))):
             raise Refusal(
                 f"{key}.secret_env",
                 f"{name} has a value in 'env'; a secret that must have that value belongs into 'secrets'",

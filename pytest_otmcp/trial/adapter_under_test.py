@@ -289,6 +289,22 @@ class AdapterUnderTest:
         self.device.sessions.begin(self._token, lambda: session.pid)
         return session
 
+    def take_file(self, name: str) -> bool:
+        """Return whether a file of this name is in a folder that the adapter works in, and remove it."""
+        folders = {self.adapter.variants[self.variant].cwd or Path.cwd()}
+        if self._work is not None:
+            folders.add(Path(self._work.name))
+        if self.session is not None and self.session.pid is not None:
+            with suppress(OSError):
+                # An adapter may have gone to a folder of its own.
+                folders.add(Path(f"/proc/{self.session.pid}/cwd").readlink())
+        found = False
+        for file in (folder / name for folder in folders):
+            with suppress(OSError):
+                file.unlink()
+                found = True
+        return found
+
     async def open(self) -> None:
         """Make sure that there is a usable session.
 

@@ -397,6 +397,12 @@ class LiveRig(Rig):
         self._noted({"line_sent": sent}, asked_ns)
         return sent
 
+    async def made_file(self, name: str) -> bool:
+        asked_ns = time.monotonic_ns()
+        found = self.under_test.take_file(name)
+        self._noted({"made_file": found}, asked_ns)
+        return found
+
     async def stderr(self) -> list[str]:
         asked_ns = time.monotonic_ns()
         lines = self._session.stderr_tail()

@@ -372,6 +372,10 @@ class Rig(WriteGate):
         """Write a line to the adapter's standard input as it is; return whether there is such a stream."""
 
     @abstractmethod
+    async def made_file(self, name: str) -> bool:
+        """Return whether a file of this name has come to be where the adapter works, and remove it."""
+
+    @abstractmethod
     async def stderr(self) -> list[str]:
         """Return the newest lines that the adapter has written to standard error, oldest first."""
 

@@ -9,7 +9,7 @@ from bacpypes3.apdu import ReadPropertyACK, ReadPropertyRequest, WritePropertyRe
 from bacpypes3.pdu import Address
 from bacpypes3.primitivedata import Atomic, Null, ObjectIdentifier, PropertyIdentifier
 
-from ..core import AdapterError, Call, tool
+from ..core import AdapterError, Call, device_text, tool
 from .aliases import Alias
 from .link import Link
 from .shapes import (
@@ -125,14 +125,14 @@ class Tools:
     @tool("bacnet.read_property")
     async def read_property(self, call: Call, arguments: PropertyOf) -> PropertyValue:
         """Read a property of an object (ReadProperty)."""
-        return _shown(arguments, await self._read(call, arguments.device_id, arguments))
+        return _shown(call, "/data/value", arguments, await self._read(call, arguments.device_id, arguments))
 
     @tool("bacnet.read_alias")
     async def read_object_by_alias(self, call: Call, arguments: AliasName) -> AliasValue:
         """Read the property that an alias of the alias map stands for."""
         alias = self._known_alias(arguments.alias)
         asked = _of_alias(alias)
-        shown = _shown(asked, await self._read(call, asked.device_id, asked))
+        shown = _shown(call, "/data/value", asked, await self._read(call, asked.device_id, asked))
         return {"alias": arguments.alias, "unit": alias.unit, **shown}
 
     # -- writing ----------------------------------------------------------------------------------------------
@@ -198,7 +198,7 @@ class Tools:
             message = f"the device acknowledged the write, but what it holds could not be read: {error.message}"
             raise AdapterError(error.code, message, outcome="unknown") from None
         call.trace |= trace
-        shown = _shown(asked, found)
+        shown = _shown(call, "/data/present_value", asked, found)
         winning = next((index for index, slot in enumerate(slots, 1) if slot[0] != "null"), None)
         if slots:
             # What the write was for is the slot; what is in effect, the present value.
@@ -211,7 +211,10 @@ class Tools:
                 f"priority {winning} wins" if winning is not None and winning != priority else "it holds another value"
             )
             message = f"the device acknowledged the write and does not follow it: {held}"
-            details = {"present_value": shown["value"], "winning_priority": winning, "priority": priority}
+            details = {"winning_priority": winning, "priority": priority}
+            if shown["type"] != "character-string":
+                # A text of the device's belongs into data alone.
+                details["present_value"] = shown["value"]
             raise AdapterError("verify_failed", message, outcome="applied", details=details)
         return {
             "device_id": asked.device_id,
@@ -306,10 +309,19 @@ def _accept(answer: Any, identifier: ObjectIdentifier, number: PropertyIdentifie
         raise AdapterError("protocol_error", "the device answered about another property than it was asked for")
 
 
-def _shown(asked: PropertyOf, found: list[Read]) -> PropertyValue:
+def _shown(call: Call, pointer: str, asked: PropertyOf, found: list[Read]) -> PropertyValue:
+    """Return what a property holds, for this place of the answer; texts are marked as the device's."""
     if asked.property_id == "present-value" and len(found) != 1:
         raise AdapterError("protocol_error", f"a present value is one value, the device sent {len(found)}")
-    kind, value = found[0] if len(found) == 1 else ("list", [value for _, value in found])
+
+    def told(place: str, kind: str, value: Any) -> Any:
+        return device_text(call, place, value) if kind == "character-string" else value
+
+    kind, value = found[0] if len(found) == 1 else ("list", None)
+    if len(found) == 1:
+        value = told(pointer, kind, value)
+    else:
+        value = [told(f"{pointer}/{place}", *one) for place, one in enumerate(found)]
     special = None
     if kind in ("real", "double") and isinstance(value, str):
         value, special = None, value

@@ -8,7 +8,7 @@ from typing import Any
 from dnp3.core.enums import FunctionCode
 from dnp3.core.flags import IIN
 
-from ..core import AdapterError, Call, tool
+from ..core import AdapterError, Call, device_text, tool
 from .aliases import Alias
 from .commands import ANALOG_VARIATIONS, AnalogType, binary_command, echoed_status, octets_written
 from .connection import Response
@@ -111,9 +111,10 @@ class Tools:
         )
         (point,) = exactly(response, alias.point_type, range(alias.index, alias.index + 1))
         told = shown(point)
+        doubtful = not point.is_reliable or bool(response.indications & IIN.DEVICE_TROUBLE)
         if alias.point_type == "octet_string":
-            told["value"] = text(point)
-        if not point.is_reliable or response.indications & IIN.DEVICE_TROUBLE:
+            told["value"] = device_text(call, "/data/partial/value" if doubtful else "/data/value", text(point))
+        if doubtful:
             message = "the outstation does not vouch for the value; see its flags and the indications"
             raise AdapterError("bad_quality", message, partial=told)
         return {
@@ -221,7 +222,7 @@ class Tools:
         )
         state = None
         if found is not None:
-            state = text(found) if alias.point_type == "octet_string" else found.value
+            state = device_text(call, "/data/state", text(found)) if alias.point_type == "octet_string" else found.value
         return {
             "alias": arguments.alias,
             "unit": alias.unit,

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import cast
 
-from ..core import AdapterError, Call, exact_in_json, tool
+from ..core import AdapterError, Call, device_text, exact_in_json, tool
 from .aliases import Alias
 from .codec import DataType, Plain, TagType, Value, decode, encode, tag_type
 from .controller import Controller
@@ -68,6 +68,13 @@ def _target(name: str) -> _Target:
     return _Target(base, int(last)) if base and last.isdecimal() else _Target(name, None)
 
 
+def _told(call: Call, pointer: str, value: Value) -> Value:
+    """Return a value for this place of the answer; a text is marked as the device's, ``raw`` has its bytes."""
+    if isinstance(value["value"], str) and value["type"] == "STRING":
+        value["value"] = device_text(call, pointer, value["value"])
+    return value
+
+
 class Tools(Controller):
     """The tools over one connection; those about the controller itself are the base class's.
 
@@ -100,7 +107,7 @@ class Tools(Controller):
         return {
             "tag_name": arguments.tag_name,
             "type": kind.name,
-            "values": [value["value"] for value in values],
+            "values": [_told(call, f"/data/values/{index}", one)["value"] for index, one in enumerate(values)],
             "specials": [value["special"] for value in values],
             "raw": b"".join(contents).hex(),
         }
@@ -123,8 +130,8 @@ class Tools(Controller):
             raise self._refused(call, arguments.tags, replies, "read")
         return {
             "tags": [
-                {"tag_name": name, **self._decoded(call, target, reply)}
-                for name, target, reply in zip(arguments.tags, targets, replies, strict=True)
+                {"tag_name": name, **_told(call, f"/data/tags/{index}/value", self._decoded(call, target, reply))}
+                for index, (name, target, reply) in enumerate(zip(arguments.tags, targets, replies, strict=True))
             ]
         }
 
@@ -210,7 +217,7 @@ class Tools(Controller):
     async def _value(self, call: Call, name: str) -> TagValue:
         target = _target(name)
         reply = await self._link.ask(call, read_service(self._path(target), 1), tag=target.name)
-        return {"tag_name": name, **self._decoded(call, target, reply)}
+        return {"tag_name": name, **_told(call, "/data/value", self._decoded(call, target, reply))}
 
     async def _write(self, call: Call, name: str, value: Plain, wanted: DataType | None = None) -> TagWritten:
         target = _target(name)

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 from snap7.datatypes import S7Area
 
-from ..core import AdapterError, Call, exact_in_json, tool
-from .codec import DataType, Plain, decode, encode, width
+from ..core import AdapterError, Call, device_text, exact_in_json, tool
+from .codec import DataType, Plain, Value, decode, encode, width
 from .cpu import Cpu
 from .link import Link
 from .refusals import refusal
@@ -60,6 +60,14 @@ def _address(variable: Variable) -> str:
     return f"{within}{width}{variable.byte}" if width else f"{within}B{variable.byte}[{variable.size}]"
 
 
+def _told(call: Call, place: str, content: bytes, kind: DataType) -> Value:
+    """Return the value that bytes hold, for this place of the answer; a text is marked as the device's, ``raw`` has its bytes."""
+    value = decode(content, kind)
+    if isinstance(value["value"], str) and kind in ("CHAR", "STRING"):
+        value["value"] = device_text(call, f"{place}/value", value["value"])
+    return value
+
+
 class Tools(Cpu):
     """The tools over one connection; those about the CPU itself are the base class's.
 
@@ -89,7 +97,7 @@ class Tools(Cpu):
         else:
             variable = _value("DB", arguments.db_number, start, kind, arguments.bit_index)
         (content,) = await self._read(call, [variable])
-        return {"start": start, **decode(content, kind)}
+        return {"start": start, **_told(call, "/data", content, kind)}
 
     @tool("s7.read_input")
     async def read_input(self, call: Call, arguments: AreaBytes) -> ReadBytes:
@@ -112,7 +120,10 @@ class Tools(Cpu):
         wanted = arguments.variables
         contents = await self._read(call, [_of(variable) for variable in wanted])
         return {
-            "values": [decode(content, variable.data_type) for content, variable in zip(contents, wanted, strict=True)]
+            "values": [
+                _told(call, f"/data/values/{place}", content, variable.data_type)
+                for place, (content, variable) in enumerate(zip(contents, wanted, strict=True))
+            ]
         }
 
     @tool("s7.list_tags")
@@ -125,7 +136,7 @@ class Tools(Cpu):
         """Read a tag's value."""
         tag = self._known_tag(arguments.name)
         (content,) = await self._read(call, [_value(tag.area, tag.db, tag.start, tag.type, tag.bit)])
-        return {"name": arguments.name, "unit": tag.unit, **decode(content, tag.type)}
+        return {"name": arguments.name, "unit": tag.unit, **_told(call, "/data", content, tag.type)}
 
     # -- writing ------------------------------------------------------------------------------------------
 

@@ -15,7 +15,7 @@ from bacpypes3.ipv4.app import NormalApplication
 from bacpypes3.local.device import DeviceObject
 from bacpypes3.pdu import Address, IPv4Address
 from bacpypes3.primitivedata import Null, Real
-from mock_program import PATIENCE_S, MockProgram
+from mock_program import PATIENCE_S, MockProgram, RefusedError
 from rusty_bacnet import (
     BacnetAbortError,
     BACnetClient,
@@ -112,6 +112,14 @@ async def test_the_present_value_is_the_slot_of_the_highest_priority(device: Moc
     assert (await device.control.points())["analog-output,1/present-value"] == 25.5
     assert await peer.ask("0005020f 0c00400001 1955 3e 00 3f 4908") == "20020f"
     assert await device.control.points() == start
+
+
+async def test_names_are_what_the_kit_says(device: MockProgram, peer: BacnetPeer) -> None:
+    for number, (target, asked) in enumerate((("analog-output,1", "0c00400001"), ("device,12345", "0c02003039"))):
+        await device.control.ask("poke", params={"object": target, "name": f"\x1b{number}"})
+        assert (await peer.ask(f"0005010c {asked} 194d")).endswith(f"3e73001b3{number}3f")
+    with pytest.raises(RefusedError, match="name: expected a string"):
+        await device.control.ask("poke", params={"object": "device,12345", "name": 5})
 
 
 async def test_a_schedule_holds_the_lowest_priority_of_the_setpoint(device: MockProgram) -> None:

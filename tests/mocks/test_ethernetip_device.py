@@ -541,6 +541,13 @@ async def test_a_poke_that_is_not_understood_is_refused(
         await device.control.ask("poke", params=params)
 
 
+async def test_a_tag_may_have_any_name(device: MockProgram) -> None:
+    await device.control.ask("poke", params={"create": 'a"\x1b'})
+    assert 'a"\x1b' in (await device.control.image())["symbols"].values()
+    with pytest.raises(RefusedError, match="create: expected a string"):
+        await device.control.ask("poke", params={"create": 5})
+
+
 async def test_the_plant_moves_and_follows_its_orders(device: MockProgram) -> None:
     for tag, value in (("HeaterPower", 100), ("ConveyorSpeed", 30), ("Flags.3", True), ("FreeReal", "NaN")):
         await device.control.ask("poke", params={"tag": tag, "value": value})

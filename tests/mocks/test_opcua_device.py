@@ -427,6 +427,22 @@ async def test_a_methods_arguments_are_checked(
         assert await device.control.image() == before
 
 
+async def test_texts_are_what_the_kit_says(device: MockProgram, client: Client) -> None:
+    names = {"browse_name": "2:browsed", "display_name": "sh\x1bown", "description": "described"}
+    await create(
+        device,
+        {"variable": "Named", "type": "Int32", "value": 1, **names},
+        {"method": "Speaks", "inputs": [], "returns": "a \u202e text"},
+    )
+    named = client.get_node(node("Named"))
+    assert (await named.read_browse_name()).Name == "browsed"
+    assert (await named.read_display_name()).Text == "sh\x1bown"
+    assert (await named.read_description()).Text == "described"
+    listed = await client.get_node(node("Plant")).get_references()
+    assert [one.DisplayName.Text for one in listed if one.NodeId == named.nodeid] == ["sh\x1bown"]
+    assert [one.Value for one in (await call(client, "Speaks")).OutputArguments] == ["a \u202e text"]
+
+
 async def test_a_method_belongs_to_its_object(client: Client) -> None:
     assert (await call(client, "ResetAlarms", owner="Plant")).StatusCode.name == "BadMethodInvalid"
     assert (await call(client, "ResetAlarms", owner="Nobody")).StatusCode.name == "BadNodeIdUnknown"

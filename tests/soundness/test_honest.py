@@ -74,6 +74,11 @@ def test_an_honest_adapter_is_accused_of_nothing_in_the_items_that_say_most(judg
     accused_of_nothing(judge, name, QUICK[ZOO[name].protocol])
 
 
+@pytest.mark.parametrize("name", [name for name in ZOO if name.startswith("texts/")])
+def test_an_honest_adapter_that_treats_texts_otherwise_is_accused_of_nothing(judge: Judge, name: str) -> None:
+    accused_of_nothing(judge, name, " ".join(f"INJ-00{number}.{ZOO[name].protocol}" for number in (1, 2, 3)))
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("name", ZOO)
 def test_an_honest_adapter_is_accused_of_nothing_in_the_whole_suite(judge: Judge, name: str) -> None:

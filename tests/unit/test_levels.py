@@ -217,7 +217,7 @@ def a_run(seed: int) -> list[dict[str, Any]]:
     return items
 
 
-SEEDS = range(30)
+SEEDS = range(60)
 
 
 def test_the_runs_at_random_earn_each_level() -> None:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
-from ..exercise import LARGEST_FLOAT32, Asked, Contended, Exercise, Limited, Texts
+from ..exercise import LARGEST_FLOAT32, Asked, Contended, DeviceText, Exercise, Limited, Texts
 from ..journal import Entries, JournalEntry
 from .entries import as_bacnet, changes
 
@@ -206,6 +206,23 @@ def _fenced(rng: random.Random) -> tuple[Asked, ...]:
     )
 
 
+def _listed(text: str) -> Asked:
+    pokes = ({"object": "analog-input,2", "name": text},)
+    return Asked(operation="list_objects", inputs={"device": _DEVICE}, pokes=pokes)
+
+
+def _found(text: str) -> Asked:
+    return Asked(operation="discover", inputs={}, pokes=({"object": f"device,{_DEVICE}", "name": text},))
+
+
+def _device_texts(name: str) -> tuple[DeviceText, ...]:
+    return (
+        DeviceText(place="a characterstring value", ask=_read_text, longest=200),
+        DeviceText(place="the name of an object", ask=_listed, longest=200),
+        DeviceText(place="the name of the device", ask=_found, longest=200),
+    )
+
+
 EXERCISE = Exercise(
     reading="read",
     read=_read,
@@ -241,4 +258,5 @@ EXERCISE = Exercise(
     floats={"float32": partial(_float, "analog-input"), "float64": partial(_float, "large-analog-value")},
     real=_real,
     texts=Texts(encoding="utf-8", longest=200, limited=False, read=_read_text, write=_write_text),
+    device_texts=_device_texts,
 )

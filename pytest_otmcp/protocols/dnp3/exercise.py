@@ -13,6 +13,7 @@ from ..exercise import (
     NO_REALS,
     Asked,
     Contended,
+    DeviceText,
     Exercise,
     Limited,
     Texts,
@@ -266,6 +267,10 @@ def _setting(name: str, index: int, value: float) -> Asked:
     )
 
 
+def _device_texts(name: str) -> tuple[DeviceText, ...]:
+    return (DeviceText(place="an octet string", ask=_read_text, longest=200, encoding="utf-8"),)
+
+
 EXERCISE = Exercise(
     reading="read_analog",
     read=_read,
@@ -308,4 +313,5 @@ EXERCISE = Exercise(
     },
     real=_real,
     texts=Texts(encoding="utf-8", longest=_LONGEST_TEXT, read=_read_text, write=_write_text),
+    device_texts=_device_texts,
 )

@@ -14,6 +14,7 @@ from ..exercise import (
     NO_REALS,
     Asked,
     Contended,
+    DeviceText,
     Exercise,
     Limited,
     Texts,
@@ -266,6 +267,17 @@ def _number(tag: str, value: float) -> Asked:
     return _writing(tag, value, "DINT")
 
 
+def _listed(text: str) -> Asked:
+    return Asked(operation="list_tags", inputs={}, pokes=({"create": text},))
+
+
+def _device_texts(name: str) -> tuple[DeviceText, ...]:
+    return (
+        DeviceText(place="a STRING", ask=_read_text, longest=82, encoding="latin-1"),
+        DeviceText(place="the name of a tag", ask=_listed, longest=200, encoding="latin-1"),
+    )
+
+
 EXERCISE = Exercise(
     reading="read_tag",
     read=_read,
@@ -303,4 +315,5 @@ EXERCISE = Exercise(
     floats={"float32": partial(_float, "REAL"), "float64": partial(_float, "LREAL")},
     real=_real,
     texts=Texts(encoding="latin-1", longest=_LONGEST_TEXT, read=_read_text, write=_write_text),
+    device_texts=_device_texts,
 )

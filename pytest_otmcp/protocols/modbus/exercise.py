@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import base64
 import random
 from functools import partial
 from typing import Any
 
-from ..exercise import Asked, Exercise, Limited, every_change
+from ..exercise import Asked, DeviceText, Exercise, Limited, every_change
 from .entries import points
 from .tags import TAGS
 
@@ -131,6 +132,16 @@ def _scaled(value: float) -> Asked:
     )
 
 
+def _identification(text: str) -> Asked:
+    # Object 0 is the vendor's name.
+    content = base64.b64encode(text.encode()).decode()
+    return Asked(operation="read_device_information", inputs={}, pokes=({"unit": 1, "identification": {"0": content}},))
+
+
+def _device_texts(name: str) -> tuple[DeviceText, ...]:
+    return (DeviceText(place="an object of the identification", ask=_identification, longest=200),)
+
+
 EXERCISE = Exercise(
     reading="read_holding",
     read=_read,
@@ -150,4 +161,5 @@ EXERCISE = Exercise(
         "1/holding_registers/80": Limited(ways=(partial(_word, 80), partial(_block, 80), _scaled), unit=1),
         "1/holding_registers/40": Limited(ways=(partial(_word, 40), partial(_block, 40)), unit=1),
     },
+    device_texts=_device_texts,
 )

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import base64
 import random
 from functools import partial
 
-from ..exercise import Asked, Exercise, Limited
+from ..exercise import Asked, DeviceText, Exercise, Limited
 from ..journal import Entries, JournalEntry
 from .entries import messages, payload_of
 
@@ -53,6 +54,62 @@ def _fenced(rng: random.Random) -> tuple[Asked, ...]:
     )
 
 
+def _message(topic: str, payload: str) -> dict[str, object]:
+    return {"publish": {"topic": topic, "payload": base64.b64encode(payload.encode()).decode()}}
+
+
+def _metric(name: str, value: str) -> dict[str, object]:
+    return {"edge_node": {"metrics": [{"device": "device-1", "name": name, "datatype": "String", "value": value}]}}
+
+
+def _device_texts(name: str) -> tuple[DeviceText, ...]:
+    below = f"otmcp/{name}"
+    subscribed, exchange = (
+        Asked(operation="subscribe", inputs={"filter": filter_, "qos": 0})
+        for filter_ in (f"{below}/#", f"{below}/none")
+    )
+
+    def received(poke: dict[str, object]) -> Asked:
+        return Asked(operation="messages", inputs={"filter": f"{below}/#"}, pokes=(poke,))
+
+    def listed(poke: dict[str, object]) -> Asked:
+        return Asked(operation="sparkplug_nodes", inputs={}, pokes=(poke,))
+
+    births = Asked(operation="sparkplug_nodes", inputs={})
+    return (
+        DeviceText(
+            place="a payload",
+            ask=lambda text: received(_message(f"{below}/text", text)),
+            longest=10_000,
+            first=subscribed,
+            then=exchange,
+        ),
+        DeviceText(
+            place="a topic",
+            ask=lambda text: received(_message(f"{below}/{text}", "x")),
+            longest=10_000,
+            # MQTT 3.1.1, section 1.5.3: a receiver may close the connection for them.
+            controls=False,
+            first=subscribed,
+            then=exchange,
+        ),
+        DeviceText(
+            place="the name of a metric",
+            ask=lambda text: listed(_metric(text, "x")),
+            longest=200,
+            first=births,
+            then=exchange,
+        ),
+        DeviceText(
+            place="the value of a metric",
+            ask=lambda text: listed(_metric("otmcp_text", text)),
+            longest=10_000,
+            first=births,
+            then=exchange,
+        ),
+    )
+
+
 def _publication(topic: str, payload: str) -> Asked:
     return Asked(operation="publish", inputs={"topic": topic, "payload": payload, "qos": 1}, points={topic: payload})
 
@@ -82,4 +139,5 @@ EXERCISE = Exercise(
     },
     unauthorised=({"packet": "CONNECT", "action": {"reason_code": _NOT_AUTHORISED}},),
     outside={"qos": (-1, 257, 2**31, 1.5, "0x1")},
+    device_texts=_device_texts,
 )

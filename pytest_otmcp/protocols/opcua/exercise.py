@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import random
+import zlib
+from collections.abc import Callable
 from functools import partial
 
-from ..exercise import Asked, Contended, Exercise, Limited, every_change
+from ..exercise import Asked, Contended, DeviceText, Exercise, Limited, every_change
 from ..journal import JournalEntry
 from .entries import as_opcua
 
@@ -112,6 +114,53 @@ def _in_a_batch(node: str, value: float) -> Asked:
     return Asked(operation="write_many", inputs={"items": items}, points={node: value})
 
 
+def _device_texts(name: str) -> tuple[DeviceText, ...]:
+    def named(text: str) -> str:
+        return f"{name}.{zlib.crc32(text.encode()):08x}"
+
+    def held(text: str) -> dict[str, object]:
+        return {"create": [{"variable": named(text), "type": "String", "value": text}]}
+
+    def value(text: str) -> Asked:
+        return Asked(operation="read", inputs={"node": f"ns=2;s={named(text)}"}, pokes=(held(text),))
+
+    def several(text: str) -> Asked:
+        node = {"variable": named(f"several/{text}"), "type": "String", "value": text}
+        inputs = {"nodes": [f"ns=2;s={node['variable']}"]}
+        return Asked(operation="read_many", inputs=inputs, pokes=({"create": [node]},))
+
+    def shown(member: str, prefix: str = "") -> Callable[[str], Asked]:
+        def browsed(text: str) -> Asked:
+            folder = named(f"{member}/{text}")
+            node = {"variable": f"{folder}.node", "in": folder, "type": "Int32", "value": 1, member: prefix + text}
+            pokes = ({"create": [{"folder": folder}, node]},)
+            return Asked(operation="browse", inputs={"node": f"ns=2;s={folder}"}, pokes=pokes)
+
+        return browsed
+
+    def enumerated(text: str) -> Asked:
+        node = {"variable": named(f"all/{text}"), "type": "Int32", "value": 1, "browse_name": f"2:{text}"}
+        return Asked(operation="variables", inputs={}, pokes=({"create": [{**node, "display_name": text}]},))
+
+    def answered(text: str) -> Asked:
+        method = named(f"method/{text}")
+        return Asked(
+            operation="call_method",
+            inputs={"object": "ns=2;s=Methods", "method": f"ns=2;s={method}", "arguments": []},
+            pokes=({"create": [{"method": method, "inputs": [], "returns": text}]},),
+        )
+
+    return (
+        DeviceText(place="the value of a variable", ask=value, longest=10_000),
+        DeviceText(place="the value of one of several variables", ask=several, longest=10_000),
+        DeviceText(place="a browse name", ask=shown("browse_name", "2:"), longest=500),
+        DeviceText(place="a display name", ask=shown("display_name"), longest=10_000),
+        DeviceText(place="a description", ask=shown("description"), longest=10_000),
+        DeviceText(place="a name in the list of all variables", ask=enumerated, longest=500),
+        DeviceText(place="the result of a method", ask=answered, longest=10_000),
+    )
+
+
 EXERCISE = Exercise(
     reading="read",
     read=_read,
@@ -135,4 +184,5 @@ EXERCISE = Exercise(
         for node in ("ns=2;s=HeaterPower", "ns=2;s=FanSpeed")
     },
     asks_for=_asks_for,
+    device_texts=_device_texts,
 )

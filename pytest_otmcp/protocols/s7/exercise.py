@@ -7,7 +7,18 @@ import struct
 from collections.abc import Iterator, Sequence
 from functools import partial
 
-from ..exercise import LARGEST_FLOAT32, NO_INTEGERS, NO_REALS, Asked, Contended, Exercise, Limited, Texts, every_change
+from ..exercise import (
+    LARGEST_FLOAT32,
+    NO_INTEGERS,
+    NO_REALS,
+    Asked,
+    Contended,
+    DeviceText,
+    Exercise,
+    Limited,
+    Texts,
+    every_change,
+)
 from ..journal import JournalEntry
 from .entries import as_s7, points
 
@@ -261,6 +272,10 @@ def _whole(start: int, kind: str, value: float) -> Asked:
     )
 
 
+def _device_texts(name: str) -> tuple[DeviceText, ...]:
+    return (DeviceText(place="a STRING", ask=_read_text, longest=_DECLARED, encoding="latin-1"),)
+
+
 EXERCISE = Exercise(
     reading="read_typed",
     read=_read,
@@ -296,4 +311,5 @@ EXERCISE = Exercise(
     floats={"float32": partial(_float, "REAL", ">f"), "float64": partial(_float, "LREAL", ">d")},
     real=_real,
     texts=Texts(encoding="latin-1", longest=_DECLARED, read=_read_text, write=_write_text),
+    device_texts=_device_texts,
 )

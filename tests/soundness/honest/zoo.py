@@ -14,6 +14,7 @@ from . import (
     opcua_choices,
     profibus_choices,
     s7_choices,
+    text_choices,
 )
 from .choice import Choice
 
@@ -31,6 +32,7 @@ ZOO: Mapping[str, Choice] = {
         ("bacnet", bacnet_choices.CHOICES),
         ("ethernetip", ethernetip_choices.CHOICES),
         ("profibus", profibus_choices.CHOICES),
+        ("texts", text_choices.CHOICES),
     )
     for name, choice in declared.items()
 }

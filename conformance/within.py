@@ -36,8 +36,9 @@ def within(at: Rig, exercise: Exercise) -> Exercise:
         contended=exercise.contended and _one(exercise.contended, lambda one: _all_allowed(at, one)),
         every_read=exercise.every_read and _each(at, exercise.every_read),
         every_write=exercise.every_write and _each(at, exercise.every_write),
+        tells=exercise.tells and _each(at, exercise.tells),
         large=exercise.large and _chosen(at, exercise.large, lambda asked: asked),
-        special=exercise.special and _chosen(at, exercise.special, lambda asked: asked),
+        floats={kind: read for kind, read in exercise.floats.items() if allowed(at, read(1.5))},
         bounds=exercise.bounds and _chosen(at, exercise.bounds, lambda pair: pair[0]),
     )
 
