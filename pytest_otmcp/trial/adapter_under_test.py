@@ -35,6 +35,7 @@ from ..subject.addressing import addressed_by, carries_address
 from ..subject.answers import interpret, read_answer
 from ..subject.comparison import stored_bindings
 from ..subject.functions import Refused, ToolAnswer, checked_outputs
+from ..subject.imports import libraries_used
 from ..subject.model import (
     READ_WRITE,
     Adapter,
@@ -42,6 +43,7 @@ from ..subject.model import (
     Binding,
     Function,
     OutputRule,
+    Variant,
     replace_placeholders,
     replace_template,
 )
@@ -171,6 +173,7 @@ class AdapterUnderTest:
         self._called: set[str] = set()
         self._ended: list[EndedSession] = []
         self._addressed = False
+        self._launched: Variant | None = None
         self.legacy = False
         self._garbled: Mapping[str, str] = {}
         self._by_handshake = self._refuses_handshake = False
@@ -210,6 +213,7 @@ class AdapterUnderTest:
             "unmet": sorted(self.unmet),
             "listing": {tool: entry for tool in sorted(self._called) if (entry := self.listing(tool)) is not None},
             "addressed_by": addressed_by(adapter),
+            "libraries": {} if self._launched is None else libraries_used(self._launched.command, self._launched.cwd),
         }
 
     def listing(self, tool: str) -> ToolListing | None:
@@ -255,6 +259,7 @@ class AdapterUnderTest:
             "local_port": str(_free_port(socket.SOCK_DGRAM)),
         }
         launch = self.adapter.variants[self.variant].for_endpoint(values)
+        self._launched = launch
         for name, content in launch.files.items():
             file = Path(self._work.name, name)
             file.parent.mkdir(parents=True, exist_ok=True)

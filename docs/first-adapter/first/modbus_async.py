@@ -1,18 +1,23 @@
 """A Modbus adapter as one writes it first: the official SDK, and pymodbus's asynchronous client."""
 
 import os
+from functools import cache
 
 from mcp.server import MCPServer
 from pymodbus.client import AsyncModbusTcpClient
 
 mcp = MCPServer("plant-modbus")
-plc = AsyncModbusTcpClient(os.environ["MODBUS_HOST"], port=int(os.environ["MODBUS_PORT"]))
+
+
+@cache
+def plc():
+    return AsyncModbusTcpClient(os.environ["MODBUS_HOST"], port=int(os.environ["MODBUS_PORT"]))
 
 
 async def connected():
-    if not plc.connected:
-        await plc.connect()
-    return plc
+    if not plc().connected:
+        await plc().connect()
+    return plc()
 
 
 def answer_of(reply):

@@ -1,0 +1,152 @@
+"""An OPC UA adapter that earns Silver: the official SDK, and asyncua."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import math
+import os
+import struct
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from dataclasses import fields, is_dataclass
+from datetime import UTC, datetime
+from enum import Enum
+from typing import Any
+
+from asyncua import Client, Node, ua
+from mcp.server.mcpserver.exceptions import ToolError
+from strict_mcp import READS, WRITES, StrictServer, strict
+
+mcp = StrictServer("plant-opcua", "1.0.0")
+TIMEOUT_S = float(os.environ.get("OPCUA_TIMEOUT_S", "2"))
+SESSIONS = asyncio.Semaphore(8)  # servers have few of them
+
+NodeId = strict(str, "node id, such as ns=2;s=Temperature", min_length=3, max_length=4096)
+
+# The format of each integer type, for struct.
+INTEGERS = dict(zip("SByte Byte Int16 UInt16 Int32 UInt32 Int64 UInt64".split(), "bBhHiIqQ", strict=True))
+
+
+@asynccontextmanager
+async def plc() -> AsyncIterator[Client]:
+    """Give a call a session of its own."""
+    # The watchdog ends a connection whose server was slow to answer it once.
+    client = Client(os.environ["OPCUA_URL"], timeout=TIMEOUT_S, watchdog_intervall=60)
+    try:
+        async with asyncio.timeout(2 * TIMEOUT_S), SESSIONS:
+            try:
+                await client.connect()
+            except (OSError, TimeoutError, ua.UaError) as error:
+                raise ToolError(f"connect_failed: the server cannot be reached ({error}); nothing was sent") from error
+            try:
+                yield client
+            finally:
+                await client.disconnect()
+    except ua.UaStatusCodeError as error:
+        raise ToolError(f"{ua.StatusCode(error.code).name}: the server refused") from error
+    except (OSError, TimeoutError, ua.UaError) as error:
+        # The SDK hides the text of every exception but ToolError.
+        raise ToolError(f"no_reply: the server gave no valid answer ({error})") from error
+
+
+def node(client: Client, text: str) -> Node:
+    """Return a node; raise for a text that is no node id."""
+    try:
+        return client.get_node(text)
+    except Exception as error:
+        raise ToolError(f"invalid_argument: {text!r} is no node id; nothing was sent") from error
+
+
+def plain(value: Any) -> Any:
+    """Return a value as JSON has it."""
+    if isinstance(value, list):
+        return [plain(member) for member in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Enum):
+        return value.name
+    if isinstance(value, int) and not isinstance(value, bool):
+        # A client in JavaScript has no integers beyond this.
+        return value if abs(value) < 2**53 else str(value)
+    if isinstance(value, bytes):
+        return base64.b64encode(value).decode()
+    if isinstance(value, datetime):
+        return value.replace(tzinfo=UTC).isoformat()
+    if isinstance(value, ua.NodeId):
+        return value.to_string()
+    if isinstance(value, ua.LocalizedText):
+        return value.Text
+    if is_dataclass(value):
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+    return value if value is None or isinstance(value, (bool, str)) else str(value)
+
+
+def typed(value: Any, kind: ua.VariantType) -> Any:
+    """Return a value as the node's own type; raise for one that the type cannot hold."""
+    if isinstance(value, list):
+        return [typed(member, kind) for member in value]
+    refused = ToolError(f"type_mismatch: the node holds {kind.name}; nothing was sent")
+    if kind.name in INTEGERS and type(value) is int:
+        try:
+            struct.pack(f"<{INTEGERS[kind.name]}", value)
+        except struct.error:
+            raise ToolError(f"range_overflow: {kind.name} cannot hold {value}; nothing was sent") from None
+        return value
+    if kind.name in ("Float", "Double") and type(value) in (int, float):
+        try:
+            struct.pack("<f" if kind.name == "Float" else "<d", value)
+        except OverflowError:
+            raise ToolError(f"range_overflow: {kind.name} cannot hold {value}; nothing was sent") from None
+        if not math.isfinite(value):
+            raise refused
+        return float(value)
+    if (kind.name == "Boolean" and type(value) is bool) or (kind.name == "String" and type(value) is str):
+        return value
+    raise refused
+
+
+@mcp.tool(annotations=READS)
+async def read_node(node_id: NodeId) -> dict[str, Any]:
+    """Read the value of a variable."""
+    async with plc() as client:
+        found = await node(client, node_id).read_data_value()
+    value, kind = found.Value.Value, found.Value.VariantType
+    return {
+        "value": plain(value),
+        "data_type": kind.name,
+        "status": found.StatusCode.name,
+        "special": str(value) if isinstance(value, float) and not math.isfinite(value) else None,
+        "source_timestamp": plain(found.SourceTimestamp),
+        "server_timestamp": plain(found.ServerTimestamp),
+    }
+
+
+@mcp.tool(annotations=READS)
+async def browse_node(node_id: NodeId) -> dict[str, list[dict[str, str]]]:
+    """List the children of a node."""
+    async with plc() as client:
+        parent = node(client, node_id)
+        await parent.read_node_class()  # asyncua lists no children for a node that does not exist
+        children = await parent.get_children_descriptions()
+    return {"children": [{"node_id": plain(each.NodeId), "name": each.BrowseName.Name} for each in children]}
+
+
+@mcp.tool(annotations=WRITES)
+async def write_node(node_id: NodeId, value: Any) -> dict[str, Any]:
+    """Write the value of a variable, as the type that the node has."""
+    if os.environ.get("OPCUA_WRITES") != "true":
+        raise ToolError("writes_disabled: OPCUA_WRITES is not true; nothing was sent")
+    async with plc() as client:
+        target = node(client, node_id)
+        kind = await target.read_data_type_as_variant_type()
+        rank = await target.read_value_rank()
+        if isinstance(value, list) != (rank >= 0):
+            raise ToolError("type_mismatch: an array is needed where the node holds one; nothing was sent")
+        variant = ua.Variant(typed(value, kind), kind, is_array=isinstance(value, list))
+        await target.write_value(ua.DataValue(variant))
+    return {"node_id": node_id, "value": value}
+
+
+if __name__ == "__main__":
+    mcp.run()
