@@ -20,12 +20,13 @@ from strict_mcp import READS, WRITES, StrictServer, strict
 
 mcp = StrictServer("plant-opcua", "1.0.0")
 TIMEOUT_S = float(os.environ.get("OPCUA_TIMEOUT_S", "2"))
-SESSIONS = asyncio.Semaphore(8)  # servers have few of them
+SESSIONS = asyncio.Semaphore(4)  # servers have few of them
 
 NodeId = strict(str, "node id, such as ns=2;s=Temperature", min_length=3, max_length=4096)
 
 # The format of each integer type, for struct.
 INTEGERS = dict(zip("SByte Byte Int16 UInt16 Int32 UInt32 Int64 UInt64".split(), "bBhHiIqQ", strict=True))
+SPECIAL = {"nan": "NaN", "inf": "Infinity", "-inf": "-Infinity"}  # JSON has none of these numbers
 
 
 @asynccontextmanager
@@ -110,13 +111,19 @@ def typed(value: Any, kind: ua.VariantType) -> Any:
 async def read_node(node_id: NodeId) -> dict[str, Any]:
     """Read the value of a variable."""
     async with plc() as client:
-        found = await node(client, node_id).read_data_value()
-    value, kind = found.Value.Value, found.Value.VariantType
+        # read_data_value() does not ask for the time of the server, and fails for a value that is uncertain.
+        asked = ua.ReadValueId(NodeId=node(client, node_id).nodeid, AttributeId=ua.AttributeIds.Value)
+        both = ua.ReadParameters(TimestampsToReturn=ua.TimestampsToReturn.Both, NodesToRead=[asked])
+        [found] = await client.uaclient.read(both)
+        if found.StatusCode.is_bad():
+            found.StatusCode.check()
+    held = found.Value or ua.Variant()
+    value, kind = held.Value, held.VariantType
     return {
         "value": plain(value),
         "data_type": kind.name,
         "status": found.StatusCode.name,
-        "special": str(value) if isinstance(value, float) and not math.isfinite(value) else None,
+        "special": SPECIAL.get(str(value)) if isinstance(value, float) else None,
         "source_timestamp": plain(found.SourceTimestamp),
         "server_timestamp": plain(found.ServerTimestamp),
     }
