@@ -13,7 +13,9 @@ from dataclasses import fields, is_dataclass
 from datetime import UTC, datetime
 from enum import Enum
 from typing import Any
+from uuid import UUID
 
+import anyio
 from asyncua import Client, Node, ua
 from mcp.server.mcpserver.exceptions import ToolError
 from strict_mcp import READS, WRITES, StrictServer, strict
@@ -26,6 +28,13 @@ NodeId = strict(str, "node id, such as ns=2;s=Temperature", min_length=3, max_le
 
 # The format of each integer type, for struct.
 INTEGERS = dict(zip("SByte Byte Int16 UInt16 Int32 UInt32 Int64 UInt64".split(), "bBhHiIqQ", strict=True))
+TEXTS = {
+    "String": str,
+    "LocalizedText": ua.LocalizedText,
+    "Guid": UUID,
+    "ByteString": lambda text: base64.b64decode(text, validate=True),
+    "DateTime": lambda text: utc(datetime.fromisoformat(text)),
+}
 SPECIAL = {"nan": "NaN", "inf": "Infinity", "-inf": "-Infinity"}  # JSON has none of these numbers
 
 
@@ -38,15 +47,18 @@ async def plc() -> AsyncIterator[Client]:
         async with asyncio.timeout(2 * TIMEOUT_S), SESSIONS:
             try:
                 await client.connect()
-            except (OSError, TimeoutError, ua.UaError) as error:
+            except (OSError, ua.UaError) as error:
+                client.disconnect_socket()
                 raise ToolError(f"connect_failed: the server cannot be reached ({error}); nothing was sent") from error
             try:
                 yield client
             finally:
-                await client.disconnect()
+                # A call that is cancelled is cancelled at each await: without the shield its connection would stay open.
+                with anyio.move_on_after(TIMEOUT_S, shield=True):
+                    await client.disconnect()
     except ua.UaStatusCodeError as error:
         raise ToolError(f"{ua.StatusCode(error.code).name}: the server refused") from error
-    except (OSError, TimeoutError, ua.UaError) as error:
+    except (OSError, ua.UaError) as error:
         # The SDK hides the text of every exception but ToolError.
         raise ToolError(f"no_reply: the server gave no valid answer ({error})") from error
 
@@ -102,9 +114,31 @@ def typed(value: Any, kind: ua.VariantType) -> Any:
         if not math.isfinite(value):
             raise refused
         return float(value)
-    if (kind.name == "Boolean" and type(value) is bool) or (kind.name == "String" and type(value) is str):
+    if kind.name == "Boolean" and type(value) is bool:
         return value
+    if kind.name in TEXTS and type(value) is str:
+        try:
+            return TEXTS[kind.name](value)
+        except ValueError:
+            raise refused from None
     raise refused
+
+
+def utc(moment: datetime) -> datetime:
+    """Return the instant as the server has it; raise for a time that does not say its zone."""
+    if moment.tzinfo is None:
+        raise ValueError("no zone")
+    return moment.astimezone(UTC).replace(tzinfo=None)
+
+
+def shape(value: Any) -> list[int]:
+    """Return the lengths of an array's dimensions; raise for one whose rows differ."""
+    if not isinstance(value, list):
+        return []
+    inner = [shape(member) for member in value]
+    if any(other != inner[0] for other in inner):
+        raise ToolError("type_mismatch: the rows of the array differ in length; nothing was sent")
+    return [len(value), *(inner[0] if inner else [])]
 
 
 @mcp.tool(annotations=READS)
@@ -148,11 +182,17 @@ async def write_node(node_id: NodeId, value: Any) -> dict[str, Any]:
         target = node(client, node_id)
         kind = await target.read_data_type_as_variant_type()
         rank = await target.read_value_rank()
-        if isinstance(value, list) != (rank >= 0):
-            raise ToolError("type_mismatch: an array is needed where the node holds one; nothing was sent")
-        variant = ua.Variant(typed(value, kind), kind, is_array=isinstance(value, list))
-        await target.write_value(ua.DataValue(variant))
-    return {"node_id": node_id, "value": value}
+        lengths = await target.read_array_dimensions() or [] if rank > 0 else []
+        found = shape(value)
+        if len(found) != max(rank, 0) or any(one not in (0, two) for one, two in zip(lengths, found, strict=False)):
+            raise ToolError(f"type_mismatch: the node holds {rank} dimensions of {lengths}; nothing was sent")
+        data = ua.DataValue(ua.Variant(typed(value, kind), kind, is_array=rank > 0))
+        request = ua.WriteValue(NodeId=target.nodeid, AttributeId=ua.AttributeIds.Value, Value=data)
+        [status] = await client.uaclient.write(ua.WriteParameters(NodesToWrite=[request]))
+        status.check()
+        if status.name == "GoodClamped":
+            value = plain(await target.read_value())
+    return {"node_id": node_id, "value": value, "status": status.name}
 
 
 if __name__ == "__main__":
