@@ -547,7 +547,7 @@ async def what_is_too_large_is_refused(run: Repetition, at: Rig) -> None:
     name = next((given[each] for each in ("value", "payload") if each in given), None)
     if name is None:
         run.not_applicable(f"the value of {asked.operation} is not given to the tool as it is")
-    for size in (filler(_CHARACTERS), filler(1_000_000, ELEMENTS), filler(100, DEEP)):
+    for size in (filler(_CHARACTERS), filler(1_000_000, ELEMENTS), filler(200, DEEP)):
         reply = await at.call_altered(asked.operation, Alteration(given={name: size}), **asked.inputs)
         await refused_before_the_wire(run, at, reply, "limit_exceeded", *_WRONG_KIND, requirement="ADR-009")
         await a_write_works(run, at)
