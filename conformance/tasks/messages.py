@@ -7,6 +7,7 @@ import base64
 import json
 import math
 from collections.abc import Callable, Mapping
+from typing import Any
 
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.journal import Entries
@@ -16,7 +17,7 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
-__all__ = ["arrival", "collect", "publish_from_kit", "received", "receives", "sync_point"]
+__all__ = ["arrival", "collect", "publish_from_kit", "received", "receives", "sync_point", "tells"]
 
 COLLECT_S = 2
 """Seconds that a call that waits for messages is told to wait, on a machine that is not slow."""
@@ -127,13 +128,11 @@ def received(reply: Reply, topic: str, payload: str, *, filtered: bool) -> list[
     """
     if findings := succeeded(reply):
         return findings
-    messages = reply.outputs.get("messages")
-    listed = messages if isinstance(messages, list) else []
-    found = [message for message in listed if isinstance(message, dict) and message.get("payload") == payload]
+    listed, found = _listed(reply), _with_payload(reply, payload)
     asked_for = listed if filtered else found
     if len(found) == 1 and all(isinstance(message, dict) and message.get("topic") == topic for message in asked_for):
         return []
-    shown = json.dumps(messages, ensure_ascii=False, default=repr)[:400]
+    shown = json.dumps(reply.outputs.get("messages"), ensure_ascii=False, default=repr)[:400]
     return [
         Finding(
             code="wrong_value",
@@ -143,3 +142,17 @@ def received(reply: Reply, topic: str, payload: str, *, filtered: bool) -> list[
             evidence=json.dumps(reply.envelope, ensure_ascii=False, default=repr)[:400],
         )
     ]
+
+
+def tells(reply: Reply, payload: str) -> bool:
+    """Tell whether a message with this payload is in the answer."""
+    return bool(_with_payload(reply, payload))
+
+
+def _with_payload(reply: Reply, payload: str) -> list[dict[str, Any]]:
+    return [message for message in _listed(reply) if isinstance(message, dict) and message.get("payload") == payload]
+
+
+def _listed(reply: Reply) -> list[Any]:
+    messages = reply.outputs.get("messages")
+    return messages if isinstance(messages, list) else []

@@ -52,6 +52,9 @@ SAMPLE = {
 }
 """A few items of each protocol, with the rows that the first forms violate in them."""
 
+NO_ANSWER_TO_200_LEVELS = {("ADR-009", "too_deep_to_read")}
+"""The only warning: the SDK's own parser drops such a message."""
+
 USED = {"modbus": {"mcp", "pymodbus"}, "mqtt": {"mcp", "paho-mqtt"}, "opcua": {"mcp", "asyncua"}}
 
 Results = dict[str, dict[str, Any]]
@@ -120,10 +123,11 @@ def test_a_first_form_violates_exactly_these_rows(name: str, judge: Judge) -> No
 
 @pytest.mark.long
 @pytest.mark.parametrize(("name", "protocol"), ADAPTERS.items())
-def test_a_second_form_earns_silver_without_a_warning(name: str, protocol: str, judge: Judge) -> None:
+def test_a_second_form_earns_silver(name: str, protocol: str, judge: Judge) -> None:
     results, facts = judge(FILES / f"{name}.toml", None)
     assert results.keys() <= tasks_by_id([protocol], SUITES).keys()
-    assert words(results) == ""
+    told = {(one["requirement"], one["code"]) for item in results.values() for one in findings_of(cast(Item, item))}
+    assert told <= NO_ANSWER_TO_200_LEVELS, words(results)
     assert {result["status"] for result in results.values()} <= {"PASS", "NOT_APPLICABLE"}
     assert standing(catalogue(), [cast(Item, item) for item in results.values()], protocol).level is Level.SILVER
     assert facts["server_version"] == "1.0.0"
