@@ -17,7 +17,7 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
-__all__ = ["arrival", "collect", "publish_from_kit", "received", "receives", "sync_point"]
+__all__ = ["arrival", "collect", "publish_from_kit", "received", "receives", "sync_point", "tells"]
 
 COLLECT_S = 2
 """Seconds that a call that waits for messages is told to wait, on a machine that is not slow."""
@@ -142,3 +142,8 @@ def received(reply: Reply, topic: str, payload: str, *, filtered: bool) -> list[
             evidence=json.dumps(reply.envelope, ensure_ascii=False, default=repr)[:400],
         )
     ]
+
+
+def tells(reply: Reply, payload: str) -> bool:
+    """Tell whether a message with this payload is in the answer."""
+    return any(message.content == payload.encode() for message in listed(reply.outputs))

@@ -30,7 +30,7 @@ from .common import (
     survive_a_restart,
     writes_fail,
 )
-from .messages import arrival, collect, publish_from_kit, receives, sync_point
+from .messages import arrival, collect, publish_from_kit, receives, sync_point, tells
 from .refusals import filters_are_no_topics
 
 __all__ = ["TASKS"]
@@ -321,7 +321,7 @@ async def a_proper_qos_is_accepted(run: Repetition, mqtt: Rig) -> None:
 async def concurrent_message_reads(run: Repetition, mqtt: Rig) -> None:
     """Ask for the messages on four topics by four calls at the same time.
 
-    Said: in each answer the message of its own topic, once.
+    Said: in each answer the message of its own topic, once; where the tool takes no filter, in one of them.
     Seen: four messages that the broker sends to the adapter.
     Why: a message on the wrong topic is a measurement of the wrong machine.
     """
@@ -335,7 +335,15 @@ async def concurrent_message_reads(run: Repetition, mqtt: Rig) -> None:
     await sync_point(run, mqtt, "stress/#")
     replies = await run.together(*(mqtt.call("messages", filter=topic) for topic in nonces))
     for reply, (topic, nonce) in zip(replies, nonces.items(), strict=True):
-        receives(run, mqtt, reply, topic, nonce)
+        # Four calls without a filter ask for the same: the first one may have taken what there was.
+        having = (
+            None
+            if mqtt.accepts_input("messages", "filter")
+            else next((one for one in replies if tells(one, nonce)), None)
+        )
+        if having is not None:
+            run.succeeds(reply)
+        receives(run, mqtt, having or reply, topic, nonce)
 
 
 @concurrent_message_reads.before

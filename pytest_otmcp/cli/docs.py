@@ -14,17 +14,21 @@ from . import show
 
 __all__ = ["add_parser", "run"]
 
+_COPIED = "first-adapter"
+"""The folder of adapters and subject files that beginners copy."""
+
 
 def add_parser(subparsers: Any) -> None:
     """Declare the subcommand."""
     parser: argparse.ArgumentParser = subparsers.add_parser(
         "docs",
         help="print a page of the documentation, or list the pages",
-        description="Print a page of the documentation (Markdown); without a name, list the pages.",
+        description="Print a page of the documentation (Markdown), or a file that a page tells to copy, such as "
+        "first-adapter/strict_mcp.py; without a name, list the pages.",
     )
     page = parser.add_argument("page", metavar="NAME", nargs="?", help="a page, such as subject-file")
     # argcomplete asks an argument for its words by this attribute.
-    page.completer = lambda **_: list(_pages())  # type: ignore[attr-defined]
+    page.completer = lambda **_: [*_pages(), *_to_copy()]  # type: ignore[attr-defined]
     parser.set_defaults(run=run)
 
 
@@ -41,7 +45,11 @@ def run(args: argparse.Namespace) -> int:
         for name, page in sorted(pages.items()):
             show(f"{name:<{width}}  {page.read_text(encoding='utf-8').partition(chr(10))[0].lstrip('# ')}")
         return 0
-    name = args.page.removesuffix(".md").removeprefix("docs/")
+    asked = args.page.removeprefix("docs/")
+    if (copied := _to_copy().get(asked)) is not None:
+        print(copied.read_text(encoding="utf-8"), end="")
+        return 0
+    name = asked.removesuffix(".md")
     if name not in pages:
         raise UsageError(describe_unknown("page", name, pages))
     text = pages[name].read_text(encoding="utf-8")
@@ -66,13 +74,26 @@ def _lines(text: str) -> Iterator[tuple[str, bool]]:
 
 def _pages() -> dict[str, Traversable]:
     """Return the pages by name."""
+    return {page.name.removesuffix(".md"): page for page in _entries(_folder()) if page.name.endswith(".md")}
+
+
+def _to_copy() -> dict[str, Traversable]:
+    """Return the files that a page tells to copy, by their path from the folder of the pages."""
+    first = _folder() / _COPIED
+    found = {f"{_COPIED}/{file.name}": file for file in _entries(first) if file.is_file()}
+    for inner in (folder for folder in _entries(first) if folder.is_dir() and not folder.name.startswith("_")):
+        found |= {f"{_COPIED}/{inner.name}/{file.name}": file for file in _entries(inner) if file.is_file()}
+    return found
+
+
+def _folder() -> Traversable:
     from importlib.resources import files
 
     # In a wheel the folder lies in the kit's package, in a checkout beside it; setup.py says which folders do so.
     package = files(__package__.partition(".")[0])
     for folder in (package / "docs", package.joinpath("..", "docs")):
-        if pages := {page.name.removesuffix(".md"): page for page in _entries(folder) if page.name.endswith(".md")}:
-            return pages
+        if any(page.name.endswith(".md") for page in _entries(folder)):
+            return folder
     raise KitError("the installation has no documentation")
 
 

@@ -221,6 +221,7 @@ class AdapterFacts(TypedDict):
     envelope that its own answers do not meet. ``listing``: every tool that was called by a binding. ``unjudged``: outputs that the
     subject file does not say where to find. The members of the server are None when no session was ever opened.
     ``addressed_by``: keys of the subject file that hold the address of the mock device. ``transport``: that of MCP.
+    ``libraries``: known libraries that the adapter's own files import, to the name of the first such file.
     """
 
     command: list[str]
@@ -247,6 +248,7 @@ class AdapterFacts(TypedDict):
     protocol_version: Name | None
     tools: Count | None
     addressed_by: NotRequired[list[str]]
+    libraries: NotRequired[dict[str, str]]
 
 
 class Subject(TypedDict):

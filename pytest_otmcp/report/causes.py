@@ -11,8 +11,10 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 from ..core.matrix import CROSS_PROTOCOL
+from ..protocols.registry import protocols
 from ..record.schema import Finding
 from ..record.warnings import failing
+from ..suite.by_library import advice
 from ..suite.requirements import requirements
 from . import Item, Run
 
@@ -40,6 +42,7 @@ class Cause:
         items: ids of the items that it touches, in the order of the suite.
         times: number of findings.
         further: the first sentence of each other kind of finding about the same rule.
+        by_library: what to change in the libraries that the adapter was seen to use, a sentence each.
     """
 
     family: str
@@ -51,6 +54,7 @@ class Cause:
     items: tuple[str, ...]
     times: int
     further: tuple[str, ...]
+    by_library: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,7 +95,15 @@ def causes(run: Run) -> list[Cause]:
     for group in groups.values():
         group.sort(key=lambda one: one.place)
     ordered = sorted(groups.items(), key=lambda entry: entry[1][0].place)
-    return [_cause(family, group) for (family, _), group in ordered]
+    used = _libraries(run)
+    return [_cause(family, group, used.get(family, ())) for (family, _), group in ordered]
+
+
+def _libraries(run: Run) -> dict[str, Collection[str]]:
+    """Return the libraries that adapters were seen to use, by the name of their protocol."""
+    known = protocols()
+    adapters = run["subject"]["adapters"].items()
+    return {known[key].name: facts.get("libraries", {}) for key, facts in adapters if key in known}
 
 
 def _findings(items: Iterable[Item]) -> Iterator[_Found]:
@@ -113,7 +125,7 @@ def _of_cross_protocol(one: _Found, kinds: Mapping[tuple[str, str], Collection[s
     return candidates[0] if len(candidates) == 1 else (CROSS_PROTOCOL, one.rule)
 
 
-def _cause(family: str, group: list[_Found]) -> Cause:
+def _cause(family: str, group: list[_Found], used: Collection[str]) -> Cause:
     first = group[0]
     kinds = {one.kind: one for one in reversed(group)}
     further = sorted((one for kind, one in kinds.items() if kind != first.kind), key=lambda one: one.place)
@@ -127,4 +139,5 @@ def _cause(family: str, group: list[_Found]) -> Cause:
         items=tuple(dict.fromkeys(one.item["id"] for one in group)),
         times=len(group),
         further=tuple(_ROLE.sub("", one.finding["message"]) for one in further),
+        by_library=tuple(advice(first.rule, used)),
     )

@@ -122,6 +122,8 @@ def _told(cause: Cause) -> Iterator[str]:
         yield f"also: {message}"
     for key in subject_keys(cause.where):
         yield f"in the subject file: {key}"
+    for change in cause.by_library:
+        yield f"by library: {change}"
 
 
 def _warnings(run: Run, width: int) -> Iterator[Line]:

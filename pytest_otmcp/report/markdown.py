@@ -131,6 +131,7 @@ def _causes(run: Run) -> Iterator[str]:
     for one in found[:_ITEMS]:
         told = escape(one.statement) or code(one.first["message"])
         yield f"- **{escape(one.rule)}** {escape(one.family)}, in {escape(' '.join(one.items))}: {told}"
+        yield from (f"  - by library: {change}" for change in one.by_library)
     if len(found) > _ITEMS:
         yield f"- {len(found) - _ITEMS} more causes; see report.html"
     yield ""

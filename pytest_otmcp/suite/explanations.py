@@ -14,6 +14,7 @@ from ..core.finding_registry import FindingCode, finding_codes
 from ..protocols.registry import protocols
 from ..trial.explanation import explanation
 from ..trial.task import Task
+from .by_library import advice
 from .catalogue import all_tasks
 from .keys import keys_of_code, keys_of_task
 from .requirements import Level, Profile, Requirement, catalogue, requirements
@@ -151,6 +152,7 @@ def requirement(row: Requirement) -> Explained:
         ("Source", (source,)),
         ("What it takes away", (lost if row.capabilities else "",)),
         ("Items about it", (_list([task.id for task in all_tasks().values() if row.id in task.requirements]),)),
+        ("By library", tuple(advice(row.id))),
     )
 
 

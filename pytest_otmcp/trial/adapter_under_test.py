@@ -36,6 +36,7 @@ from ..subject.addressing import addressed_by, carries_address
 from ..subject.answers import interpret, read_answer
 from ..subject.comparison import stored_bindings
 from ..subject.functions import Refused, ToolAnswer, checked_outputs
+from ..subject.imports import libraries_used
 from ..subject.model import (
     READ_WRITE,
     Adapter,
@@ -43,6 +44,7 @@ from ..subject.model import (
     Binding,
     Function,
     OutputRule,
+    Variant,
     replace_placeholders,
     replace_template,
 )
@@ -176,6 +178,7 @@ class AdapterUnderTest:
         self._searches: list[SecretSearch] = []
         self._told: set[str] = set()
         self._addressed = False
+        self._launched: Variant | None = None
         self.legacy = False
         self._garbled: Mapping[str, str] = {}
         self._by_handshake = self._refuses_handshake = False
@@ -215,6 +218,7 @@ class AdapterUnderTest:
             "unmet": sorted(self.unmet),
             "listing": {tool: entry for tool in sorted(self._called) if (entry := self.listing(tool)) is not None},
             "addressed_by": addressed_by(adapter),
+            "libraries": {} if self._launched is None else libraries_used(self._launched.command, self._launched.cwd),
         }
 
     def listing(self, tool: str) -> ToolListing | None:
@@ -269,6 +273,7 @@ class AdapterUnderTest:
         launch = self.adapter.variants[self.variant].for_endpoint(values)
         canaries = {name: new_canary() for name in (CANARY_VARIABLE, *self.adapter.secret_env)}
         search = SecretSearch(canaries, self.adapter.telling_secrets(launch.env))
+        self._launched = launch
         for name, content in launch.files.items():
             file = Path(self._work.name, name)
             file.parent.mkdir(parents=True, exist_ok=True)

@@ -106,3 +106,14 @@ def test_a_finding_about_several_protocols_that_two_may_have_caused_is_a_cause_o
 
 def test_a_warning_is_no_cause() -> None:
     assert causes_of(failing("M1", "Modbus", finding("no text block", "MCP-006", strength="SHOULD"))) == []
+
+
+def test_a_cause_names_what_to_change_in_a_library_that_the_adapter_was_seen_to_use() -> None:
+    told = run([failing("M3", "Modbus", finding("wrote twice", "WR-003"), finding("wrote elsewhere", "WR-002"))])
+    twice, elsewhere = causes(cast(Run, told))
+    assert (twice.by_library, elsewhere.by_library) == ((), ())
+    told["subject"]["adapters"]["modbus"]["libraries"] = {"pymodbus": "server.py", "mcp": "server.py"}
+    twice, elsewhere = causes(cast(Run, told))
+    assert [change.partition("`retries=0`")[:2] for change in twice.by_library] == [("pymodbus: ", "`retries=0`")]
+    assert twice.by_library[0].endswith("(docs/by-library.md#pymodbus)")
+    assert elsewhere.by_library == ()

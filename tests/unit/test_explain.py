@@ -44,6 +44,12 @@ def test_a_requirement_is_told_with_its_source_and_whether_that_was_checked(
     assert "was not at hand" not in checked
 
 
+def test_a_requirement_is_told_with_what_to_change_in_every_library(capsys: pytest.CaptureFixture[str]) -> None:
+    text = told(capsys, "WR-003")
+    assert "By library pymodbus: `retries=0`" in text
+    assert "paho-mqtt: `Client(reconnect_on_failure=False)`" in text
+
+
 def test_an_error_code_is_told_with_what_the_protocols_call_it(capsys: pytest.CaptureFixture[str]) -> None:
     text = told(capsys, "illegal_address")
     assert "Modbus: ILLEGAL DATA ADDRESS" in text

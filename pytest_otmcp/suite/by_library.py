@@ -1,0 +1,32 @@
+"""What to change in which library: the hints of the registries, by the rule that a finding cites. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+
+from ..core.library_registry import Library, libraries
+from ..protocols.registry import protocols
+
+__all__ = ["PAGE", "advice", "known_libraries"]
+
+PAGE = "docs/by-library.md"
+
+
+def known_libraries() -> Mapping[str, Library]:
+    """Return every library of the registries, by name."""
+    packages = [protocol.package for protocol in protocols().values()]
+    return {**libraries(), **{name: one for package in packages for name, one in libraries(package).items()}}
+
+
+def advice(requirement: str, used: Collection[str] | None = None) -> Iterator[str]:
+    """Yield a sentence for each change that keeps a rule, with the place that explains it.
+
+    Args:
+        requirement: id of the rule.
+        used: names of the libraries that the adapter was seen to use; None for every library.
+    """
+    for name, library in known_libraries().items():
+        if used is None or name in used:
+            for hint in library.hints:
+                if requirement in hint.requirements:
+                    yield f"{name}: {hint.change} ({PAGE}#{name.lower()})"

@@ -1,0 +1,46 @@
+"""The page by-library explains every hint of the registries, below the library's name."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from pytest_otmcp.suite.by_library import PAGE, known_libraries
+from pytest_otmcp.suite.requirements import requirements
+
+CHECKOUT = Path(__file__).parents[2]
+PARTS = re.split(r'^<a id="([a-z0-9-]+)"></a>$', (CHECKOUT / PAGE).read_text(encoding="utf-8"), flags=re.MULTILINE)
+BY_ANCHOR = dict(zip(PARTS[1::2], PARTS[2::2], strict=True))
+
+
+def test_the_page_has_every_library() -> None:
+    assert {name.lower() for name in known_libraries()} <= BY_ANCHOR.keys()
+
+
+@pytest.mark.parametrize("name", known_libraries())
+def test_every_hint_is_about_rows_that_the_page_explains_under_the_library(name: str) -> None:
+    library = known_libraries()[name]
+    assert library.python or library.node
+    cited = {row for hint in library.hints for row in hint.requirements}
+    assert cited <= requirements().keys()
+    assert {row for row in cited if row not in BY_ANCHOR[name.lower()]} == set()
+
+
+def test_the_page_cites_rows_of_the_catalogue_alone() -> None:
+    text = (CHECKOUT / PAGE).read_text(encoding="utf-8")
+    assert set(re.findall(r"\b[A-Z]{2,3}-\d{3}\b", text)) <= requirements().keys()
+
+
+@pytest.mark.parametrize("page", [PAGE, "docs/first-adapter.md"])
+def test_the_files_that_a_page_names_are_there(page: str) -> None:
+    text = (CHECKOUT / page).read_text(encoding="utf-8")
+    assert [
+        path for path in re.findall(r"\]\((first-adapter/[^)#]+)\)", text) if not (CHECKOUT / "docs" / path).is_file()
+    ] == []
+    assert [
+        path
+        for path in re.findall(r"otmcp docs (first-adapter/\S+\w)", text)
+        if not (CHECKOUT / "docs" / path).is_file() and "NAME" not in path
+    ] == []

@@ -1,0 +1,133 @@
+"""The adapters of docs/first-adapter, made with stock parts: as one writes them first, and after the changes that the documents name.
+
+The first forms are honest and have faults: the rows that they violate are pinned. The second ones earn Silver, so that every MUST up to
+that level can be kept with the official SDK's high-level server and a common client library.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator
+from pathlib import Path
+from typing import Any, cast
+
+import pytest
+
+from pytest_otmcp.core.matrix import SUITES
+from pytest_otmcp.plant.devices import Plant
+from pytest_otmcp.record.schema import Item
+from pytest_otmcp.record.warnings import failing, findings_of
+from pytest_otmcp.session.loop import LoopThread
+from pytest_otmcp.soundness.judging import measured
+from pytest_otmcp.subject import load_subject
+from pytest_otmcp.suite.by_library import advice
+from pytest_otmcp.suite.catalogue import all_tasks, tasks_by_id
+from pytest_otmcp.suite.levels import standing
+from pytest_otmcp.suite.requirements import Level, catalogue
+from pytest_otmcp.trial.adapter_under_test import BenchOptions
+from pytest_otmcp.trial.bench import Bench
+
+FILES = Path(__file__).parents[2] / "docs" / "first-adapter"
+
+ADAPTERS = {"modbus": "modbus", "modbus_async": "modbus", "mqtt": "mqtt", "opcua": "opcua"}
+"""Each adapter, and its protocol."""
+
+VIOLATED = {
+    "modbus": "ADR-004 MCP-004 MCP-005 RD-004 RD-005 TMO-001 TMO-003 WR-003 WR-005 WR-009 WR-010",
+    "modbus_async": "ADR-004 MCP-004 MCP-005 RD-004 RD-005 TMO-001 WR-003 WR-005 WR-009",
+    "mqtt": "",
+    "opcua": "",
+}
+"""The MUSTs that each first form violates."""
+
+SAMPLE = {
+    "modbus": {
+        "M1": "RD-004",
+        "M3": "",
+        "RD-005.modbus": "RD-005",
+        "WR-009.modbus": "WR-009",
+        "ADR-004.modbus": "ADR-004",
+    },
+    "mqtt": {},
+    "opcua": {},
+}
+"""A few items of each protocol, with the rows that the first forms violate in them."""
+
+NO_ANSWER_TO_200_LEVELS = {("ADR-009", "too_deep_to_read")}
+"""The only warning: the SDK's own parser drops such a message."""
+
+USED = {"modbus": {"mcp", "pymodbus"}, "mqtt": {"mcp", "paho-mqtt"}, "opcua": {"mcp", "asyncua"}}
+
+Results = dict[str, dict[str, Any]]
+Judge = Callable[[Path, Collection[str] | None], tuple[Results, dict[str, Any]]]
+
+
+@pytest.fixture(scope="module")
+def judge() -> Iterator[Judge]:
+    """``judge(file, items)`` runs these items, or all, for a subject file; returns them, and what is known of the adapter."""
+    loop, plant = LoopThread(), Plant()
+
+    async def run(file: Path, items: Collection[str] | None) -> tuple[Results, dict[str, Any]]:
+        subject = load_subject(file)
+        [protocol] = subject.adapters
+        own = (task for task in all_tasks().values() if set(task.protocols) == {protocol})
+        bench = Bench(subject, BenchOptions(), plant)
+        try:
+            await bench.prepare(subject.adapters)
+            assert bench.drift() == []
+            chosen = [task for task in own if items is None or task.id in items]
+            results = {task.id: await measured(bench, task) for task in chosen}
+            return results, dict(bench.adapters()[protocol])
+        finally:
+            await bench.close()
+
+    yield lambda file, items: loop.run(run(file, items))
+    loop.run(plant.close())
+    loop.close()
+
+
+def violated(item: dict[str, Any]) -> set[str]:
+    return {finding["requirement"] or finding["code"] for finding in failing(findings_of(cast(Item, item)))}
+
+
+def words(results: Results) -> str:
+    findings = ((name, one) for name, item in results.items() for one in findings_of(cast(Item, item)))
+    return "\n".join(f"{name}: {one['requirement']} {one['message']}" for name, one in findings)
+
+
+@pytest.mark.parametrize(("name", "protocol"), ADAPTERS.items())
+def test_a_first_form_violates_what_the_documents_say_and_is_told_of_its_libraries(
+    name: str, protocol: str, judge: Judge
+) -> None:
+    results, facts = judge(FILES / "first" / f"{name}.toml", SAMPLE[protocol])
+    assert {item: " ".join(sorted(violated(found))) for item, found in results.items()} == SAMPLE[protocol]
+    assert facts["libraries"] == dict.fromkeys(sorted(USED[protocol]), f"{name}.py")
+    for row in {row for rows in SAMPLE[protocol].values() for row in rows.split()}:
+        assert list(advice(row, facts["libraries"])), f"nothing says what to change for {row}"
+
+
+@pytest.mark.parametrize(("name", "protocol"), ADAPTERS.items())
+def test_a_second_form_keeps_what_the_first_one_violates(name: str, protocol: str, judge: Judge) -> None:
+    results, _ = judge(FILES / f"{name}.toml", SAMPLE[protocol])
+    assert {result["status"] for result in results.values()} == {"PASS"}, words(results)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ADAPTERS)
+def test_a_first_form_violates_exactly_these_rows(name: str, judge: Judge) -> None:
+    results, facts = judge(FILES / "first" / f"{name}.toml", None)
+    found = set().union(*map(violated, results.values()))
+    assert found == set(VIOLATED[name].split()), words(results)
+    without = {row for row in found if not list(advice(row, facts["libraries"]))}
+    assert without <= {"WR-005"}, "a switch is the author's own, the rest has a hint"
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("name", "protocol"), ADAPTERS.items())
+def test_a_second_form_earns_silver(name: str, protocol: str, judge: Judge) -> None:
+    results, facts = judge(FILES / f"{name}.toml", None)
+    assert results.keys() <= tasks_by_id([protocol], SUITES).keys()
+    told = {(one["requirement"], one["code"]) for item in results.values() for one in findings_of(cast(Item, item))}
+    assert told <= NO_ANSWER_TO_200_LEVELS, words(results)
+    assert {result["status"] for result in results.values()} <= {"PASS", "NOT_APPLICABLE"}
+    assert standing(catalogue(), [cast(Item, item) for item in results.values()], protocol).level is Level.SILVER
+    assert facts["server_version"] == "1.0.0"
