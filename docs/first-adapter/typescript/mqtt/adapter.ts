@@ -8,6 +8,8 @@ import { Failure, inTurn, serve, TIMEOUT_MS, tool } from "../tools.ts";
 type QoS = 0 | 1 | 2;
 
 const KEPT = 1000;
+/** Characters of a payload; brokers end the connection at a packet that is larger than they take. */
+const LONGEST = 65536;
 
 const client = mqtt.connect(process.env.MQTT_URL ?? "mqtt://127.0.0.1:1883", {
   connectTimeout: TIMEOUT_MS,
@@ -140,7 +142,7 @@ tool(
     name: "publish",
     description: "Publish a text",
     writes: true,
-    arguments: { topic, payload: z.string(), qos, retain: z.boolean().default(false) },
+    arguments: { topic, payload: z.string().max(LONGEST), qos, retain: z.boolean().default(false) },
   },
   async (given, signal) => {
     const { topic, payload, qos, retain } = given;
