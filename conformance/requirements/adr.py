@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from decimal import Decimal
+from functools import partial
 from typing import Any
 
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.core.strict_json import same_json
-from pytest_otmcp.protocols.journal import Image
+from pytest_otmcp.protocols.journal import Entries, Image
 from pytest_otmcp.protocols.modbus import oracle as modbus_oracle
 from pytest_otmcp.protocols.modbus.tags import TAGS
 from pytest_otmcp.protocols.opcua import oracle as opcua_oracle
@@ -93,41 +94,53 @@ async def what_is_no_address_is_refused(run: Repetition, modbus: Rig) -> None:
     are not; before and after, the same with what there is.
 
     Said: failures with `invalid_input`, `illegal_address`, `limit_exceeded`, `range_overflow` or `type_mismatch`, and the outcome
-        `not_sent`; for a reserved unit also the failure of the gateway. Success before and after.
+        `not_sent`, or with the code of the exception by which the device refused it; for a reserved unit also the failure of the
+        gateway. Success before and after.
     Seen: no request that changes the plant.
     Why: an address or a unit that is cut down to fit is another machine.
     """
     await a_read_works(run, modbus)
     await a_write_works(run, modbus)
+    refused = partial(_refused, run, modbus, relayed=modbus_oracle.codes_of_refusals)
     random = run.rng.randrange(SIZE, 2**31)
     for address in (-1, SIZE, random, 2**31, 10.5, "0x10"):
-        await _refused(run, modbus, "read_holding", {"address": 20, "count": 1}, "address", address)
-        await _refused(run, modbus, "write_holding", {"address": 20, "value": 7}, "address", address)
+        await refused("read_holding", {"address": 20, "count": 1}, "address", address)
+        await refused("write_holding", {"address": 20, "value": 7}, "address", address)
     for count in (-1, 0, 1.5, "0x1", SIZE + 1):
-        await _refused(run, modbus, "read_holding", {"address": 20, "count": 1}, "count", count)
+        await refused("read_holding", {"address": 20, "count": 1}, "count", count)
     for operation, inputs in (
         ("read_holding", {"address": 20, "count": 1}),
         ("write_holding", {"address": 20, "value": 7}),
     ):
         for unit in (-1, 256, 257, 2**31, 1.5, "0x1", 248, 254):
             if modbus.accepts_input(operation, "unit"):
-                await _refused(run, modbus, operation, {**inputs, "unit": 1}, "unit", unit)
+                await refused(operation, {**inputs, "unit": 1}, "unit", unit)
     await a_read_works(run, modbus)
     await a_write_works(run, modbus)
 
 
 async def _refused(
-    run: Repetition, at: Rig, operation: str, inputs: Mapping[str, Any], name: str, value: object
+    run: Repetition,
+    at: Rig,
+    operation: str,
+    inputs: Mapping[str, Any],
+    name: str,
+    value: object,
+    relayed: Callable[[Entries], Sequence[str]] = lambda _: (),
 ) -> None:
-    """Call with a value outside of its input's domain."""
+    """Call with a value outside of its input's domain.
+
+    Args:
+        relayed: the codes of what the device said during the call: it may be the one that refuses.
+    """
     reply = await _with(at, operation, inputs, name, value)
     if reply is None:
         return
+    seen = reply.during(await at.journal())
     # A reserved unit is a number that a gateway may have been given.
     codes = (*_OUTSIDE, *_NOBODY) if name == "unit" and value in (248, 254) else _OUTSIDE
     outcomes = (*NOTHING_SENT, "unknown", "rejected") if codes != _OUTSIDE else (*NOTHING_SENT, "rejected")
-    run.fails(reply, *codes, outcome=outcomes, requirement="ADR-002", code_requirement="ERR-002")
-    seen = reply.during(await at.journal())
+    run.fails(reply, *codes, *relayed(seen), outcome=outcomes, requirement="ADR-002", code_requirement="ERR-002")
     if reply.error_code not in _NOBODY:
         run.witnessed(nothing_arrived(at, seen, requirement="ADR-002"))
 

@@ -134,6 +134,11 @@ def test_an_exception_is_seen_by_its_code() -> None:
     assert "exception 02, its answers had none" in words(oracle.refused_with([], 2))
 
 
+def test_an_exception_of_the_device_stands_for_its_codes() -> None:
+    assert oracle.codes_of_refusals(journal(MISSING)) == ("illegal_address",)
+    assert oracle.codes_of_refusals([]) == ()
+
+
 def image(**changes: int) -> dict[str, Any]:
     registers = [0] * 10
     for name, value in changes.items():

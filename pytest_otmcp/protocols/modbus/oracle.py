@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+from ...core.error_registry import wire_codes
 from ...core.finding import Finding
 from ...core.strict_json import same_json
 from ..journal import Entries, Image, JournalEntry
@@ -14,6 +15,7 @@ from .entries import as_modbus, describe, points
 
 __all__ = [
     "asked_of_unit",
+    "codes_of_refusals",
     "exactly_one_mask_write",
     "exactly_one_write",
     "held",
@@ -227,6 +229,14 @@ def refused_with(entries: Entries, code: int) -> list[Finding]:
         return []
     shown = [f"{exception:02X}" for exception in sent]
     return _WITNESS.no_refusal(entries, f"exception {code:02X}", shown, requirement="ERR-002")
+
+
+def codes_of_refusals(entries: Entries) -> tuple[str, ...]:
+    """Return the error codes that the exceptions which the device answered with stand for; a quantity that it refuses is its 3."""
+    answers = (as_modbus(entry) for entry in entries if entry["kind"] == "response")
+    known = wire_codes(__package__)
+    sent = {str(exception) for answer in answers if (exception := answer.get("exception")) is not None}
+    return tuple(code for exception in sorted(sent & known.keys()) for code in known[exception].codes)
 
 
 def image_holds(image: Image, table: str, address: int, values: list[Any], unit: int = 1) -> list[Finding]:
