@@ -281,15 +281,18 @@ async def _meet_hostile_names(run: Repetition, at: Rig) -> None:
 
 
 def _same_list(run: Repetition, at: Rig, first: str, now: str, when: str) -> None:
-    # The digest of the entries, then that of their order.
-    same = now.partition(" ")[0] == first.partition(" ")[0]
-    if not same or now != first:
+    # The digest of the entries, then that of their order, then whether a change was announced.
+    (entries, order, *announced), (entries_then, order_then, *before) = now.split(), first.split()
+    same = entries == entries_then
+    if not same or order != order_then:
         what = "has another order" if same else "says something else"
+        announced += before
+        what += ", as the adapter had announced," if announced else ""
         finding = Finding(
             code="tools_changed",
             message=f"{at.protocol}: tools/list {what} {when}",
             requirement="MCP-010",
-            strength="SHOULD" if same else "MUST",
+            strength="SHOULD" if same or announced else "MUST",
         )
         run.witnessed([finding])
 

@@ -253,7 +253,8 @@ class McpSession:
         )
 
     async def list_anew(self, *, timeout_s: float) -> str:
-        """Ask for the list of tools again and return the digest of its entries, and after a blank that of their order.
+        """Ask for the list of tools again and return the digest of its entries, after a blank that of their order, and after another
+        one the word ``announced`` if the adapter has announced in this session that its tools have changed.
 
         Raises:
             SubjectError: there is no answer.
@@ -267,7 +268,7 @@ class McpSession:
                     entries += map(_entry, page.tools)
                     cursor = page.next_cursor
                     if cursor is None:
-                        return _digests(entries)
+                        return f"{_digests(entries)}{' announced' if self._recorder.list_changes else ''}"
         except (MCPError, TimeoutError, RuntimeError, ValueError) as error:
             raise SubjectError("session_lost", f"tools/list was not answered: {error}") from None
         raise SubjectError("session_lost", await self.death_note())
@@ -275,18 +276,22 @@ class McpSession:
     async def tools_changed(self) -> ToolsChanged | None:
         """Ask for the list of tools once more, in a session that has lasted for a while, and compare it with the first; None where it is
         the same, or there is no answer."""
-        if self.died or not self.ready_ns or time.monotonic_ns() - self.ready_ns < _LASTED_NS:
+        if self.died or self._floods or not self.ready_ns or time.monotonic_ns() - self.ready_ns < _LASTED_NS:
             return None
         try:
             now = await self.list_anew(timeout_s=_LIST_S)
-        except SubjectError:
-            # That an adapter does not answer is found where it is called.
+        except Exception:
+            # That an adapter does not answer, or not in MCP, is found where it is called; its session is ended all the same.
             return None
-        if now == self._first_list:
+        if now.startswith(self._first_list):
             return None
         if now.partition(" ")[0] == self._first_list.partition(" ")[0]:
             return "order"
-        return "announced" if self._recorder.list_changes else "changed"
+        return "announced" if now.endswith("announced") else "changed"
+
+    @property
+    def _floods(self) -> bool:
+        return self._recorder.overflow or self._recorder.stray_count >= MAX_STRAY_LINES
 
     def write_line(self, line: bytes) -> bool:
         """Write a line to the standard input of the subject as it is; return whether there is such a stream."""

@@ -357,7 +357,7 @@ class Rig(WriteGate):
 
     @abstractmethod
     async def listed_tools(self) -> str:
-        """Ask for the list of tools again, and return the digest of its entries, and after a blank that of their order.
+        """Ask for the list of tools again; see :meth:`pytest_otmcp.session.session.McpSession.list_anew`.
 
         Raises:
             SubjectError: there is no answer.

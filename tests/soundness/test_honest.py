@@ -40,6 +40,7 @@ CLOSEST = """
 
 
 NEIGHBOURS = [
+    ("mcp/announces-new-descriptions", "MCP-010.modbus"),
     ("mcp/fills-a-cache-and-a-pool", "RES-001.modbus"),
     ("mcp/collects-late", "RES-001.modbus"),
     ("mqtt/publishing-only-adds", "MCP-008.mqtt"),

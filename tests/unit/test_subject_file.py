@@ -416,3 +416,27 @@ def test_an_answer_that_is_no_envelope_cannot_say_how_old_it_is(tmp_path: Path) 
         UsageError, match=r"bind\.ping\.source: only an answer in the kit's envelope says how old it is"
     ):
         load(tmp_path, text)
+
+
+SECRETS = """
+[subject]
+name = "x"
+version = "1"
+[adapter.mqtt]
+command = ["adapter"]
+env = { BROKER_PIN = "plant-4711-west", SHORT = "geheim1", WORD = "administrator" }
+secrets = ["BROKER_PIN", "SHORT", "WORD"]
+secret_env = ["MQTT_PASSWORD"]
+"""
+
+
+def test_a_secret_variable_gets_its_value_from_the_kit(tmp_path: Path) -> None:
+    file = tmp_path / "otmcp.toml"
+    file.write_text(SECRETS, encoding="utf-8")
+    adapter = load_subject(file).adapters["mqtt"]
+    assert adapter.secret_env == ("MQTT_PASSWORD",)
+    # A short secret, or a word, may be in an answer for another reason.
+    assert adapter.telling_secrets(adapter.variants["rw"].env) == {"BROKER_PIN": "plant-4711-west"}
+    file.write_text(SECRETS.replace("SHORT =", "MQTT_PASSWORD ="), encoding="utf-8")
+    with pytest.raises(UsageError, match=r"adapter\.mqtt\.secret_env: MQTT_PASSWORD has a value in 'env'"):
+        load_subject(file)

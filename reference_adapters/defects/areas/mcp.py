@@ -354,7 +354,7 @@ MUTANTS: tuple[Mutant, ...] = (
         protocol="modbus",
         sentence="A tool's description holds what the device calls itself.",
         bend=described_by_the_device,
-        items="MCP-010.modbus",
+        items="MCP-008.modbus MCP-010.modbus",
         requirements="MCP-010",
         areas="mcp",
     ),

@@ -359,6 +359,33 @@ def notifications(server: AdapterServer) -> None:
     before_each_message(lambda: json.dumps(told).encode())
 
 
+@choice(
+    "describes its tools anew after the first call, and announces it",
+    "MCP 2025-11-25, server/tools, List Changed Notification",
+    warnings=(("MCP-010", "tools_changed"),),
+    described=spoken_to_by_handshake,
+)
+def announces_new_descriptions(server: AdapterServer) -> None:
+    told = b'{"jsonrpc":"2.0","method":"notifications/tools/list_changed"}\n'
+    genuine = stdio._Output.send
+    pending: list[bytes] = []
+
+    def describing(envelope: Envelope) -> Envelope:
+        for tool in server._tools.values():
+            if not (tool.listing.description or "").endswith("(connected)"):
+                tool.listing.description = f"{tool.listing.description} (connected)"
+                pending[:] = [told]
+        return envelope
+
+    async def send(output: Any, item: Any, /) -> None:
+        while pending:
+            output._pipe.write(pending.pop())
+        await genuine(output, item)
+
+    stdio._Output.send = send
+    other_envelopes(describing)
+
+
 @choice("ends its lines with CR LF", "JSON allows white space after a value")
 def lines_of_windows(server: AdapterServer) -> None:
     async def send(output: Any, item: Any, /) -> None:
