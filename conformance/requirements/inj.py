@@ -275,7 +275,7 @@ async def _from_the_device(run: Repetition, at: Rig, hostile: _Hostile) -> None:
             reply = await _shown(at, place, text)
             shown = hostile.shown_by(reply, f"{what}, which the device has as {place.place}", plain)
             run.judge(reply, shown)
-            if shown or _is_slow(reply):
+            if shown:
                 break
         if place.controls:
             await _on_one_line(run, at, place)
@@ -324,13 +324,13 @@ async def _in_arguments(run: Repetition, at: Rig, asked: Asked, hostile: _Hostil
             if not found and name not in _HOW:
                 found = _other_requests(at, reply, reply.during(await at.journal()), whole, f"{what} in {argument!r}")
             run.judge(reply, found)
-            if found or _is_slow(reply):
+            if found or _was_looked_for(reply):
                 break
 
 
-def _is_slow(reply: Reply) -> bool:
-    """Tell whether an answer took so long that the others of its kind are not waited for: of a name that the adapter looks for, for instance."""
-    return (reply.latency_ms or 0.0) > _SLOW_MS
+def _was_looked_for(reply: Reply) -> bool:
+    """Tell whether the adapter has looked for such a name until a time-out: the others of its kind would take as long each."""
+    return not reply.success and (reply.latency_ms or 0.0) > _SLOW_MS
 
 
 def _other_requests(at: Rig, reply: Reply, seen: Entries, whole: str, what: str) -> list[Finding]:

@@ -16,6 +16,7 @@ from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.core.strict_json import parse_strict
 from pytest_otmcp.protocols.journal import JournalEntry
 from pytest_otmcp.trial.reply import Reply
+from pytest_otmcp.trial.stored import KEPT_OF_A_FRAME
 
 __all__ = [
     "blocks",
@@ -35,8 +36,14 @@ _PASSWORDS = "root:x:0:"
 """How the file of the accounts begins on many systems, at the end of a path out of every folder."""
 
 
+def _message(reply: Reply) -> Any:
+    """Return the message of an answer; None for one that is longer than a record keeps, which could not be judged again."""
+    response = reply.exchange.response or b""
+    return None if len(response) > KEPT_OF_A_FRAME else _read(response)
+
+
 def _result(reply: Reply) -> Mapping[str, Any]:
-    message = _read(reply.exchange.response or b"")
+    message = _message(reply)
     result = message.get("result") if isinstance(message, Mapping) else None
     return result if isinstance(result, Mapping) else {}
 
@@ -50,7 +57,7 @@ def _read(text: bytes | str) -> Any:
 
 def blocks(reply: Reply) -> list[str]:
     """Return the texts of an answer as a host shows them: the text blocks, or the message of a JSON-RPC error."""
-    message = _read(reply.exchange.response or b"")
+    message = _message(reply)
     error = message.get("error") if isinstance(message, Mapping) else None
     if isinstance(error, Mapping) and isinstance(error.get("message"), str):
         return [error["message"]]
@@ -65,7 +72,7 @@ def blocks(reply: Reply) -> list[str]:
 
 def _documents(reply: Reply) -> Iterator[Any]:
     """Yield what of an answer is JSON: the structured content, and text blocks."""
-    structured = _result(reply).get("structuredContent")
+    structured = reply.envelope if reply.native else _result(reply).get("structuredContent")
     if structured is not None:
         yield structured
     yield from (document for text in blocks(reply) if isinstance(document := _read(text), Mapping | list))
@@ -139,10 +146,7 @@ def _below(pointer: str, listed: Sequence[str]) -> bool:
 
 def _strays(reply: Reply, place: str, where: str, *, strength: Any = "MUST") -> Finding:
     message = f"{reply.label}: a text that the device has as {place} is in {where}"
-    evidence = (reply.exchange.response or b"")[:400].decode("utf-8", "replace")
-    return Finding(
-        code="device_text", message=message, requirement="INJ-001", evidence=ascii(evidence), strength=strength
-    )
+    return Finding(code="device_text", message=message, requirement="INJ-001", strength=strength)
 
 
 # -- INJ-002 ----------------------------------------------------------------------------------------------------------

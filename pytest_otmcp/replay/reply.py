@@ -144,7 +144,7 @@ def _exchange(call: Mapping[str, Any]) -> Exchange | None:
 
 def _altered(frame: str) -> bool:
     """Tell whether a frame may have been recorded with less than its bytes: cut off, without a secret, or with bytes that are no text."""
-    return len(frame) > KEPT_OF_A_FRAME or REDACTED in frame or "\\x" in frame
+    return len(frame.encode()) > KEPT_OF_A_FRAME or REDACTED in frame or "\\x" in frame
 
 
 def _frame(envelope: Mapping[str, object]) -> bytes:

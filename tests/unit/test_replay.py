@@ -558,6 +558,13 @@ def test_frames_that_were_cut_off_are_believed_with_their_faults() -> None:
     assert "no text' (no_text), the record says nothing of it" in "\n".join(rejudge(run(failed)))
 
 
+def test_what_is_kept_of_a_frame_are_bytes() -> None:
+    failed = failing()
+    cut = failed["samples"][0]["calls"][0]
+    cut["frames"]["response"] = "\u00e9" * (KEPT_OF_A_FRAME // 2) + "\u2026 (90000 bytes)"
+    assert rejudge(run(failed)) == []
+
+
 def test_frames_that_were_not_cut_off_must_be_those_of_their_digest() -> None:
     failed = failing()
     failed["samples"][0]["calls"][0]["frames"]["response"] += " "

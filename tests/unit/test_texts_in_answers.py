@@ -176,3 +176,9 @@ def test_what_was_interpreted_shows() -> None:
 def test_a_request_carries_a_text_whole_in_several_forms(member: dict[str, Any]) -> None:
     assert carries(entry("write", **member), 'a"b')
     assert not carries(entry("write", **member), 'a"bc')
+
+
+def test_of_an_answer_that_no_record_keeps_whole_the_envelope_alone_is_judged() -> None:
+    long = HIDDEN + "x" * 20_000
+    assert left_raw(observed(result(long), PROSE), HIDDEN, "a name") == []
+    assert left_raw(told(with_text(long)), HIDDEN, "a name")
