@@ -646,10 +646,12 @@ def _whole(value: float) -> float:
 
 @TASKS.check("WR-008", "A write of several cells is one request, or it is refused.", needs="modbus.write_registers")
 async def a_block_is_one_request(run: Repetition, modbus: Rig) -> None:
-    """Write 1, 90, 123, 124 and 1000 registers, and none; where the tool is there, 1968 and 1969 coils, and none.
+    """Write 1, 90, 123, 124 and 1000 registers, and none; where the tool is there, 1968 and 1969 coils, and none. Of 90, as many as the
+    tool's own schema allows.
 
     Said: success; for one too many `limit_exceeded`, for none `invalid_input`. The device has no room for 123 registers and 1968
         coils; it refuses them.
+        What the tool's own schema does not allow is refused as one too many is.
     Seen: one well-formed request for 1, 90, 123 and 1968, and none for the others.
     Why: a recipe that is written in two parts is half a recipe in between.
     """

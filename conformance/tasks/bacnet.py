@@ -31,6 +31,7 @@ from .common import (
     start_without_device,
     status_is_known,
     survive_a_restart,
+    untold,
 )
 
 __all__ = ["TASKS"]
@@ -339,7 +340,7 @@ async def _refused(
         run.witnessed(oracle.refused_with(journal, *error))
     else:
         run.fails(reply, code, "range_overflow", "invalid_input", outcome="not_sent", requirement="ERR-002")
-    run.witnessed(oracle.only_changed(before, await bacnet.image(), {}, otherwise="ERR-006"))
+    run.witnessed(oracle.only_changed(before, await bacnet.image(), {}, otherwise=untold(reply, "ERR-002")))
 
 
 @TASKS.task(
@@ -379,8 +380,8 @@ async def _not_sent(run: Repetition, bacnet: Rig, *codes: str, requirement: str,
     reply = await bacnet.call("write", **inputs)
     run.fails(reply, *codes, outcome="not_sent", requirement=requirement)
     run.witnessed(
-        oracle.no_state_changing_request(await bacnet.journal(), requirement="ERR-006"),
-        oracle.only_changed(before, await bacnet.image(), {}, otherwise="ERR-006"),
+        oracle.no_state_changing_request(await bacnet.journal(), requirement=untold(reply, requirement)),
+        oracle.only_changed(before, await bacnet.image(), {}, otherwise=untold(reply, requirement)),
     )
 
 

@@ -43,6 +43,7 @@ __all__ = [
     "start_without_device",
     "status_is_known",
     "survive_a_restart",
+    "untold",
     "writes_fail",
 ]
 
@@ -94,6 +95,17 @@ def drawn(at: Rig, operation: str, draw: Callable[[], T], inputs: Callable[[T], 
             return one
         one = draw()
     return first
+
+
+def untold(reply: Reply, otherwise: str) -> str:
+    """Return the requirement that a change at the device breaks, which should not have come of a call: ERR-006 where the reply says that
+    nothing was sent, or that the device has rejected it.
+
+    Args:
+        otherwise: the requirement by which the call had to be refused; a reply that says nothing of the kind tells no untruth about it.
+    """
+    told = reply.native and reply.member("error", "outcome") in ("not_sent", "rejected")
+    return "ERR-006" if told else otherwise
 
 
 def allowed_first(at: Rig, operation: str, values: Sequence[T], inputs: Callable[[T], Mapping[str, Any]]) -> T:

@@ -30,6 +30,7 @@ from .common import (
     start_without_device,
     status_is_known,
     survive_a_restart,
+    untold,
 )
 
 __all__ = ["TASKS"]
@@ -407,7 +408,7 @@ async def _refused(
         run.witnessed(oracle.refused_with_status(journal, status))
     else:
         run.fails(reply, *codes, "invalid_input", outcome="not_sent", requirement="ERR-002")
-    run.witnessed(oracle.only_changed(before, await dnp3.image(), {}, otherwise="ERR-006"))
+    run.witnessed(oracle.only_changed(before, await dnp3.image(), {}, otherwise=untold(reply, "ERR-002")))
 
 
 @TASKS.task(
@@ -483,8 +484,8 @@ async def write_wrong_type(run: Repetition, dnp3: Rig) -> None:
     reply = await dnp3.call("write_binary", **latched("off"))
     run.fails(reply, "type_mismatch", "invalid_input", outcome="not_sent", requirement="ADR-004")
     run.witnessed(
-        oracle.no_state_changing_request(await dnp3.journal(), requirement="ERR-006"),
-        oracle.only_changed(before, await dnp3.image(), {}, otherwise="ERR-006"),
+        oracle.no_state_changing_request(await dnp3.journal(), requirement=untold(reply, "ADR-004")),
+        oracle.only_changed(before, await dnp3.image(), {}, otherwise=untold(reply, "ADR-004")),
     )
 
 

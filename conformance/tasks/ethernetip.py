@@ -35,6 +35,7 @@ from .common import (
     start_without_device,
     status_is_known,
     survive_a_restart,
+    untold,
 )
 
 __all__ = ["TASKS"]
@@ -389,8 +390,8 @@ async def write_overflow(run: Repetition, ethernetip: Rig) -> None:
     reply = await ethernetip.call("write_tag", tag=VALVE, value=2**40, type="DINT")
     run.fails(reply, "range_overflow", outcome="not_sent", requirement="ADR-003")
     run.witnessed(
-        oracle.no_state_changing_request(await ethernetip.journal(), requirement="ERR-006"),
-        oracle.only_changed(before, await ethernetip.image(), {}, otherwise="ERR-006"),
+        oracle.no_state_changing_request(await ethernetip.journal(), requirement=untold(reply, "ADR-003")),
+        oracle.only_changed(before, await ethernetip.image(), {}, otherwise=untold(reply, "ADR-003")),
     )
 
 
@@ -431,8 +432,8 @@ async def write_wrong_type(run: Repetition, ethernetip: Rig) -> None:
     reply = await ethernetip.call("write_tag", tag=VALVE, value="abc", type="DINT")
     run.fails(reply, "type_mismatch", "invalid_input", outcome="not_sent", requirement="ADR-004")
     run.witnessed(
-        oracle.no_state_changing_request(await ethernetip.journal(), requirement="ERR-006"),
-        oracle.only_changed(before, await ethernetip.image(), {}, otherwise="ERR-006"),
+        oracle.no_state_changing_request(await ethernetip.journal(), requirement=untold(reply, "ADR-004")),
+        oracle.only_changed(before, await ethernetip.image(), {}, otherwise=untold(reply, "ADR-004")),
     )
 
 

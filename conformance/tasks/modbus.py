@@ -31,6 +31,7 @@ from .common import (
     start_without_device,
     status_is_known,
     survive_a_restart,
+    untold,
 )
 from .refusals import (
     a_busy_device_is_no_success,
@@ -291,8 +292,8 @@ async def write_overflow(run: Repetition, modbus: Rig) -> None:
         return
     run.fails(reply, "range_overflow", outcome="not_sent", requirement="ADR-003")
     run.witnessed(
-        oracle.no_state_changing_request(journal, requirement="ERR-006"),
-        oracle.only_changed(before, after, {}, otherwise="ERR-006"),
+        oracle.no_state_changing_request(journal, requirement=untold(reply, "ADR-003")),
+        oracle.only_changed(before, after, {}, otherwise=untold(reply, "ADR-003")),
     )
 
 

@@ -28,6 +28,7 @@ from .common import (
     start_without_device,
     status_is_known,
     survive_a_restart,
+    untold,
     writes_fail,
 )
 from .messages import arrival, collect, publish_from_kit, receives, sync_point, tells
@@ -230,9 +231,9 @@ async def no_device_is_born_with_writes_disabled(run: Repetition, mqtt_ro: Rig |
 TO_NOWHERE = json.dumps({"pump_speed": 50})
 
 
-def nothing_to_nowhere(mqtt: Rig) -> Witness:
+def nothing_to_nowhere(mqtt: Rig, requirement: str = "ADR-006") -> Witness:
     """Return the check that the message without a topic reached the broker in no form."""
-    return partial(oracle.not_published, payload=TO_NOWHERE.encode(), declared=mqtt.declared)
+    return partial(oracle.not_published, payload=TO_NOWHERE.encode(), declared=mqtt.declared, requirement=requirement)
 
 
 @TASKS.task(
@@ -253,7 +254,8 @@ async def publish_to_nowhere(run: Repetition, mqtt: Rig) -> None:
     reply = await mqtt.call("publish", topic="", payload=TO_NOWHERE, qos=0)
     run.fails(reply, "invalid_input", outcome="not_sent", requirement="ADR-006")
     journal = await mqtt.journal()
-    run.witnessed(nothing_to_nowhere(mqtt)(journal), oracle.session_stays_up(journal))
+    requirement = untold(reply, "ADR-006")
+    run.witnessed(nothing_to_nowhere(mqtt, requirement)(journal), oracle.session_stays_up(journal))
 
 
 @publish_to_nowhere.after

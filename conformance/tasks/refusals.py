@@ -15,7 +15,7 @@ from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
 from pytest_otmcp.trial.rig import Rig
 
-from .common import CONNECTION_FAULTS, QUIET_S
+from .common import CONNECTION_FAULTS, QUIET_S, untold
 
 __all__ = [
     "a_bad_value_is_no_success",
@@ -127,8 +127,10 @@ async def a_fraction_is_not_cut_off(run: Repetition, modbus: Rig) -> None:
         return
     run.fails(reply, "type_mismatch", "invalid_input", "range_overflow", outcome="not_sent", requirement="ADR-004")
     run.witnessed(
-        modbus_oracle.no_state_changing_request(reply.during(await modbus.journal()), requirement="ERR-006"),
-        modbus_oracle.only_changed(before, after, {}, otherwise="ERR-006"),
+        modbus_oracle.no_state_changing_request(
+            reply.during(await modbus.journal()), requirement=untold(reply, "ADR-004")
+        ),
+        modbus_oracle.only_changed(before, after, {}, otherwise=untold(reply, "ADR-004")),
     )
 
 

@@ -30,6 +30,7 @@ from .common import (
     start_without_device,
     status_is_known,
     survive_a_restart,
+    untold,
 )
 
 __all__ = ["TASKS"]
@@ -349,8 +350,8 @@ async def write_overflow(run: Repetition, s7: Rig) -> None:
     reply = await s7.call("write_db", db=CLIENTS, start=0, type="INT", value=70000)
     run.fails(reply, "range_overflow", outcome="not_sent", requirement="ADR-003")
     run.witnessed(
-        oracle.no_state_changing_request(await s7.journal(), requirement="ERR-006"),
-        oracle.only_changed(before, await s7.image(), {}, otherwise="ERR-006"),
+        oracle.no_state_changing_request(await s7.journal(), requirement=untold(reply, "ADR-003")),
+        oracle.only_changed(before, await s7.image(), {}, otherwise=untold(reply, "ADR-003")),
     )
 
 
@@ -389,8 +390,8 @@ async def write_wrong_type(run: Repetition, s7: Rig) -> None:
     reply = await s7.call("write_db", db=CLIENTS, start=8, type="REAL", value="abc")
     run.fails(reply, "type_mismatch", "invalid_input", outcome="not_sent", requirement="ADR-004")
     run.witnessed(
-        oracle.no_state_changing_request(await s7.journal(), requirement="ERR-006"),
-        oracle.only_changed(before, await s7.image(), {}, otherwise="ERR-006"),
+        oracle.no_state_changing_request(await s7.journal(), requirement=untold(reply, "ADR-004")),
+        oracle.only_changed(before, await s7.image(), {}, otherwise=untold(reply, "ADR-004")),
     )
 
 

@@ -13,7 +13,7 @@ from ..core.text import printable
 from ..protocols.registry import protocols
 from ..subject.answers import interpret, read_answer
 from ..subject.model import Answering
-from .evidence import CONNECT_FAILED, failure_rules, known_errors
+from .evidence import CONNECT_FAILED, CONNECTION_LOST, failure_rules, known_errors
 from .proposal import Proposal
 
 __all__ = ["Draft", "write_document"]
@@ -156,7 +156,7 @@ def _answer_rules(draft: Draft, form: str) -> list[str]:
     successes = [proposal.good for proposal in proven if proposal.good is not None]
     outcome: list[dict[str, object]] = []
     errors: list[dict[str, str]] = []
-    patterns = {"connect_failed": CONNECT_FAILED, **draft.errors}
+    patterns = {"connect_failed": CONNECT_FAILED, "connection_lost": CONNECTION_LOST, **draft.errors}
     failures = [(proposal, *failed) for proposal in proven for failed in proposal.failures]
     for tried, code, failure in failures:
         rules = failure_rules(failure, successes, form)

@@ -12,6 +12,7 @@ from ..subject.answers import extract, interpret, read_answer
 from ..subject.model import Answering, OutcomeRule, OutputRule
 
 __all__ = [
+    "CONNECTION_LOST",
     "CONNECT_FAILED",
     "FORMS",
     "Found",
@@ -24,10 +25,14 @@ __all__ = [
 ]
 
 CONNECT_FAILED = (
-    r"(?i)connection (refused|failed|lost|closed|reset)|connect call failed|broken pipe|unreachable|offline|not connected"
+    r"(?i)connection (refused|failed)|connect call failed|unreachable|offline|not connected"
     r"|(failed to|unable to|could not|cannot) (connect|reach)",
 )
-"""Patterns of the texts in which adapters of any protocol say that their device cannot be reached."""
+CONNECTION_LOST = (r"(?i)connection (was )?(lost|closed|reset|aborted)|broken pipe",)
+"""Patterns of the texts in which adapters of any protocol say that their device cannot be reached, and that the connection with it broke."""
+
+_BESIDE = {"connect_failed": ("connection_lost",)}
+"""Codes of failures that may come in the place of another one: an adapter whose device has gone may say that it has just lost it."""
 
 FORMS = ("structured", "json", "text", "texts")
 """Forms of answers, the one that says most first."""
@@ -234,4 +239,10 @@ def known_errors(patterns: Mapping[str, Sequence[str]], code: str, text: str) ->
     Args:
         patterns: error code to patterns of the texts in which libraries report it.
     """
-    return [{"text": pattern, "code": code} for pattern in patterns.get(code, ()) if re.search(pattern, text)]
+    codes = (code, *_BESIDE.get(code, ()))
+    return [
+        {"text": pattern, "code": each}
+        for each in codes
+        for pattern in patterns.get(each, ())
+        if re.search(pattern, text)
+    ]

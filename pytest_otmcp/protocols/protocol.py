@@ -87,6 +87,7 @@ class Operation:
         voluntary_inputs: further names that an argument template may refer to, each a facet that is claimed by referring to it.
             Where a call does not give one, the argument that stands for it is left out.
         voluntary_outputs: further outputs, each a facet that is claimed by saying where it is.
+        defaults: values of voluntary inputs for a tool whose schema requires the argument that stands for them.
     """
 
     meaning: str
@@ -104,6 +105,7 @@ class Operation:
     voluntary: bool = False
     voluntary_inputs: tuple[str, ...] = ()
     voluntary_outputs: tuple[str, ...] = ()
+    defaults: Mapping[str, object] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.requirement:

@@ -159,6 +159,7 @@ class Rig(WriteGate):
         an error of MCP instead of a result, or not at all, is worth the remark and nothing else. The end of the session is a fault.
         """
         await self._before(operation)
+        inputs = self._complete(operation, inputs)
         reply = await self._perform(operation, inputs, altered)
         if reply.unread:
             reply = replace(reply, faults=(remark,))
@@ -171,6 +172,7 @@ class Rig(WriteGate):
         self, operation: str, inputs: Mapping[str, object], role: Role | None, altered: Alteration | None = None
     ) -> Reply:
         writes = await self._before(operation)
+        inputs = self._complete(operation, inputs)
         there = self.running
         reply = await self._perform(operation, inputs, altered)
         if reply.success is False:
@@ -183,6 +185,20 @@ class Rig(WriteGate):
         if not reply.answered:
             raise EndedError
         return reply
+
+    def _complete(self, operation: str, inputs: Mapping[str, object]) -> dict[str, object]:
+        """Return inputs with what the schema of the tool requires beyond them, of that for which the operation has a default."""
+        defaults = protocols()[self.protocol].operations[operation].defaults
+        missing = {name: value for name, value in defaults.items() if name not in inputs}
+        given = {name: value for name, value in missing.items() if self.claims(f"{operation}.{name}")}
+        arguments = self.arguments_of(operation, **inputs, **given) if given else None
+        tool = self.tool_of(operation, **inputs)
+        listing = None if tool is None or arguments is None else self.listing(operation, tool)
+        schema = None if listing is None else listing.get("inputSchema")
+        required = schema.get("required") if isinstance(schema, Mapping) else None
+        if arguments is None or not isinstance(required, list):
+            return dict(inputs)
+        return {**inputs, **{name: value for name, value in given.items() if arguments.get(name) in required}}
 
     async def call_and_cancel(
         self,
@@ -201,6 +217,7 @@ class Rig(WriteGate):
             meanwhile: is done after that and before the call is cancelled; a look of this rig.
         """
         await self._before(operation)
+        inputs = self._complete(operation, inputs)
         with nullcontext() if meanwhile is None else self._ledger.one_group():
             reply = await self._perform_and_cancel(operation, inputs, {"origin": ADAPTER, **seen}, timeout_s, meanwhile)
             self._ledger.add(reply, inputs)

@@ -168,7 +168,7 @@ MUTANTS = (
         sentence="2 to the 40 is written as 0 to a DINT, and told as a success.",
         bend=cut_off,
         items="FE2",
-        requirements="ADR-003 ERR-006",
+        requirements="ADR-003",
     ),
     Mutant(
         id="MU-14ei",

@@ -129,7 +129,7 @@ MUTANTS = (
         sentence="300 is written to an output byte as 44, and told as a success.",
         bend=cut_off,
         items="FP3",
-        requirements="ADR-003 ERR-006",
+        requirements="ADR-003",
     ),
     Mutant(
         id="MU-10p",

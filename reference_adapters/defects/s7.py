@@ -104,7 +104,7 @@ MUTANTS = (
         sentence="70000 is written as 4464, and told as a success.",
         bend=cut_off,
         items="FK2",
-        requirements="ADR-003 ERR-006",
+        requirements="ADR-003",
     ),
     Mutant(
         id="MU-14k",

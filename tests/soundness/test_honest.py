@@ -120,6 +120,7 @@ def test_an_honest_adapter_is_accused_of_nothing_in_the_requirement_suite(judge:
         ("modbus/reads-of-8", "RD-001.modbus RD-006.modbus RD-007.modbus ENC-003.modbus"),
         ("modbus/values-up-to-1000", "WR-001.modbus WR-003.modbus CON-004.modbus ADR-003.modbus"),
         ("mqtt/short-payloads", "Q3 MQT-001.mqtt MQT-003.mqtt ADR-007.mqtt WR-003.mqtt"),
+        ("mqtt/encoding-required", "Q3 S5 S11 MQT-001.mqtt MQT-003.mqtt TMO-003.mqtt ENC-006.mqtt"),
         ("mqtt/data-by-alias-alone", "Q4 SPB-001.mqtt SPB-004.mqtt SPB-008.mqtt"),
         ("mqtt/every-payload-as-base64", "Q2 S2 S11 MQT-003.mqtt MQT-004.mqtt ENC-006.mqtt"),
     ],

@@ -182,6 +182,10 @@ def test_a_device_that_must_not_be_reported_is_told_from_the_adapters_own_node()
 
 def test_a_session_that_ends_is_found() -> None:
     assert oracle.session_stays_up(journal(*SUBSCRIBED, sent("DISCONNECTED", **MOCK))) == []
+    tried = {"connection": 77, "client_id": None}
+    assert (
+        oracle.session_stays_up(journal(*SUBSCRIBED, sent("CONNECTED", **tried), sent("DISCONNECTED", **tried))) == []
+    )
     ended = words(oracle.session_stays_up(journal(sent("DISCONNECT"), sent("DISCONNECTED"))))
     assert "should have stayed up, it ended with DISCONNECT and DISCONNECTED [ADR-006]" in ended
 

@@ -11,7 +11,15 @@ import pytest
 
 from pytest_otmcp.core.errors import UsageError
 from pytest_otmcp.onboarding.document import Draft, write_document
-from pytest_otmcp.onboarding.evidence import failure_rules, find, lists_in, turned_false
+from pytest_otmcp.onboarding.evidence import (
+    CONNECT_FAILED,
+    CONNECTION_LOST,
+    failure_rules,
+    find,
+    known_errors,
+    lists_in,
+    turned_false,
+)
 from pytest_otmcp.onboarding.guess import Guess
 from pytest_otmcp.onboarding.known_causes import find_advice
 from pytest_otmcp.onboarding.matching import guess_connect, guess_tools
@@ -391,3 +399,25 @@ def test_a_tool_that_may_write_is_never_guessed_for_reading() -> None:
         "read_registers": tool("address count"),
     }
     assert [guess.tool for guess in guesses("modbus", "read_holding", tools)] == ["read_registers"]
+
+
+@pytest.mark.parametrize(
+    ("text", "codes"),
+    [
+        ("[Errno 111] Connection refused", ["connect_failed"]),
+        ("failed to connect to 127.0.0.1", ["connect_failed"]),
+        ("read error: Connection reset by peer", ["connection_lost"]),
+        ("the connection was lost", ["connection_lost"]),
+        ("connection lost; not connected", ["connect_failed", "connection_lost"]),
+        ("no such register", []),
+    ],
+)
+def test_a_connection_that_broke_is_not_one_that_could_not_be_made(text: str, codes: list[str]) -> None:
+    patterns = {"connect_failed": CONNECT_FAILED, "connection_lost": CONNECTION_LOST}
+    assert [rule["code"] for rule in known_errors(patterns, "connect_failed", text)] == codes
+
+
+def test_a_node_id_that_is_none_is_no_illegal_address() -> None:
+    errors = load_pack("opcua").errors
+    assert known_errors(errors, "illegal_address", "BadNodeIdInvalid") == []
+    assert known_errors(errors, "illegal_address", "BadNodeIdUnknown") != []

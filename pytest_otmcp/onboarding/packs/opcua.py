@@ -137,7 +137,7 @@ PACK = Pack(
     lists=frozenset({"nodes", "items", "arguments"}),
     names=("opcua", "opc-ua", "opc_ua"),
     errors={
-        "illegal_address": (r"BadNodeIdUnknown|BadNodeIdInvalid|0x8034",),
+        "illegal_address": (r"BadNodeIdUnknown|0x8034",),
         "type_mismatch": (r"BadTypeMismatch|[Tt]ype.?[Mm]ismatch|could not convert",),
     },
 )

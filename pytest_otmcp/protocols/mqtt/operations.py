@@ -41,6 +41,7 @@ OPERATIONS: Mapping[str, Operation] = {
         optional=("qos",),
         requirement="MQT-001",
         voluntary_inputs=("retain", "encoding"),
+        defaults={"retain": False, "encoding": "utf-8"},
     ),
     "device_birth": Operation(
         meaning="announce a Sparkplug B device with its metrics (DBIRTH)",

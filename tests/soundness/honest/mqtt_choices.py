@@ -214,6 +214,22 @@ def short_payloads(server: AdapterServer) -> None:
     narrowed(server, "publish_message", "qos", "maximum", 1)
 
 
+@choice("takes a payload with its encoding alone", "its schema requires it, and its subject file binds it")
+def encoding_required(server: AdapterServer) -> None:
+    listing = server._tools["publish_message"].listing
+    schema = {**listing.input_schema, "required": [*listing.input_schema["required"], "encoding"]}
+
+    def insisting(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Any:
+            if "encoding" not in arguments.model_fields_set:
+                raise AdapterError("invalid_input", "encoding is required", outcome="not_sent", field="/encoding")
+            return await genuine(call, arguments)
+
+        return handler
+
+    wrap(server, "publish_message", insisting, listing=listing.model_copy(update={"input_schema": schema}))
+
+
 # -- connections ------------------------------------------------------------------------------------------------------
 
 
