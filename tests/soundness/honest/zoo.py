@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from . import dnp3_choices, mcp_choices, modbus_choices, mqtt_choices, opcua_choices, s7_choices
+from . import bounds_choices, dnp3_choices, mcp_choices, modbus_choices, mqtt_choices, opcua_choices, s7_choices
 from .choice import Choice
 
 __all__ = ["ZOO"]
@@ -18,6 +18,9 @@ ZOO: Mapping[str, Choice] = {
         ("opcua", opcua_choices.CHOICES),
         ("s7", s7_choices.CHOICES),
         ("dnp3", dnp3_choices.CHOICES),
+        ("bounds", bounds_choices.MODBUS),
+        ("bounds", bounds_choices.MQTT),
+        ("bounds", bounds_choices.OPCUA),
     )
     for name, choice in declared.items()
 }
