@@ -80,6 +80,12 @@ def test_an_honest_adapter_that_treats_texts_otherwise_is_accused_of_nothing(jud
     accused_of_nothing(judge, name, " ".join(f"INJ-00{number}.{ZOO[name].protocol}" for number in (1, 2, 3)))
 
 
+@pytest.mark.parametrize("name", [name for name in ZOO if name.startswith("bounds/")])
+def test_an_honest_adapter_that_keeps_bounds_in_its_own_way_is_accused_of_nothing(judge: Judge, name: str) -> None:
+    protocol = ZOO[name].protocol
+    accused_of_nothing(judge, name, f"WR-006.{protocol} WR-007.{protocol}")
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("name", ZOO)
 def test_an_honest_adapter_is_accused_of_nothing_in_the_whole_suite(judge: Judge, name: str) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 from pydantic import create_model
 
-from ...core import AdapterServer, Call
+from ...core import AdapterError, AdapterServer, Call
 from ...core import bounds as core_bounds
 from ...mqtt import tools as mqtt_tools
 from ..mutant import Bend, Data, Handler, Mutant, each, wrap
@@ -75,7 +75,7 @@ def _opened_by_an_argument(tool: str) -> Bend:
 
 
 def _one_after_the_other(tool: str, items: str, told: str) -> Bend:
-    """Return the defect that the tool of a batch writes its items one after the other, until it meets one that is forbidden.
+    """Return the defect that a batch with a forbidden item is written item by item, until it comes to that one.
 
     Args:
         items: the argument that is the batch.
@@ -84,10 +84,15 @@ def _one_after_the_other(tool: str, items: str, told: str) -> Bend:
 
     def singly(genuine: Handler) -> Handler:
         async def handler(call: Call, arguments: Any) -> Data:
-            results: list[Any] = []
-            for item in getattr(arguments, items):
-                results += (await genuine(call, arguments.model_copy(update={items: [item]})))[told]
-            return {told: results}
+            batch = getattr(arguments, items)
+            try:
+                data: Data = await genuine(call, arguments)
+            except AdapterError as error:
+                if error.code != "access_denied" or len(batch) == 1:
+                    raise
+                parts = [await genuine(call, arguments.model_copy(update={items: [item]})) for item in batch]
+                data = {told: [result for part in parts for result in part[told]]}
+            return data
 
         return handler
 
@@ -165,8 +170,8 @@ MUTANTS: tuple[Mutant, ...] = (
     _mutant(
         "MU-22k",
         "s7",
-        "WR-006",
-        "WR-006",
+        "WR-006 WR-007",
+        "WR-006 WR-007",
         _as_a_word,
         "Every value counts as the word that begins where it does, a DINT as well.",
     ),
@@ -199,8 +204,8 @@ MUTANTS: tuple[Mutant, ...] = (
         "profibus",
         "WR-006",
         "WR-006",
-        _first_alone("write_outputs"),
-        "Of the outputs of a slave the first byte alone must be allowed.",
+        _unbounded("write_outputs"),
+        "List and limits hold for outputs by alias, and not for those of a whole slave.",
     ),
     _mutant(
         "MU-23",

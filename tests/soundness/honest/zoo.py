@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from . import (
     bacnet_choices,
+    bounds_choices,
     dnp3_choices,
     ethernetip_choices,
     mcp_choices,
@@ -33,6 +34,9 @@ ZOO: Mapping[str, Choice] = {
         ("ethernetip", ethernetip_choices.CHOICES),
         ("profibus", profibus_choices.CHOICES),
         ("texts", text_choices.CHOICES),
+        ("bounds", bounds_choices.MODBUS),
+        ("bounds", bounds_choices.MQTT),
+        ("bounds", bounds_choices.OPCUA),
     )
     for name, choice in declared.items()
 }
