@@ -198,12 +198,12 @@ def reads_again_after_silence(server: AdapterServer) -> None:
     again_after_silence(server, *READS)
 
 
-@choice("reads the inputs of the slaves fifty times a second", "a master of class 2 may read at any time")
+@choice("reads the inputs of a slave ten times a second", "a master of class 2 may read at any time")
 def polls_the_same_inputs(server: AdapterServer) -> None:
     master = master_of(server)
 
     async def poll() -> None:
-        await asyncio.sleep(0.02)
+        await asyncio.sleep(0.1)
         await master.inputs(background_call(server), VALVES)
 
     in_background(server, poll)
