@@ -19,7 +19,7 @@ def facts(entry: JournalEntry) -> Mapping[str, Sequence[object]]:
         # A ReadPropertyMultiple is answered by an acknowledgement that has errors among its results.
         errors = [error for part in (message, *message.get("results", ())) if (error := part.get("error"))]
         return {
-            **_about(message.get("results", ())),
+            **(_about(message["results"]) if message.get("results") else {}),
             "error_class": [error_class for error_class, _ in errors] or [None],
             "error_code": [error_code for _, error_code in errors] or [None],
             "reject_reason": [message.get("reject")],

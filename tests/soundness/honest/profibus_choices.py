@@ -204,7 +204,9 @@ def polls_the_same_inputs(server: AdapterServer) -> None:
 
     async def poll() -> None:
         await asyncio.sleep(0.1)
-        await master.inputs(background_call(server), VALVES)
+        telegram = master._telegram(VALVES, "RD_Inp", b"", control=0x4D)
+        # Nobody else can use the line while it waits for a slave that is not there.
+        await master.line.exchange(background_call(server), telegram, timeout_s=0.05)
 
     in_background(server, poll)
 
@@ -308,7 +310,7 @@ def checks_the_configuration(server: AdapterServer) -> None:
                     raise AdapterError(error.code, error.message, outcome="not_sent") from None
                 finally:
                     call.attempts += question.attempts
-                    call._used = question._used
+                    call._used, call.trace = question._used, question.trace
                 if held != slave.cfg:
                     message = "the slave has another configuration than the slave map says"
                     raise AdapterError("config_error", message, outcome="not_sent")
