@@ -8,6 +8,7 @@ from typing import Any, cast
 from ..journal import Entries, JournalEntry
 
 __all__ = [
+    "ALL",
     "PRESENT_VALUE",
     "PRIORITY_ARRAY",
     "BacnetEntry",
@@ -25,6 +26,8 @@ Target = tuple[str, int]
 """An object: its type as the standard writes it, and its instance number."""
 
 PRESENT_VALUE, PRIORITY_ARRAY = 85, 87
+ALL = 8
+"""The property identifier that stands for all properties of an object."""
 
 _TYPES = {
     0: "analog-input",

@@ -8,7 +8,7 @@ from ...core.finding import Finding
 from ...core.strict_json import same_json
 from ..journal import Entries, Image, JournalEntry
 from ..oracle import Witness, requests
-from .entries import PRESENT_VALUE, Target, as_bacnet, changes, describe, label
+from .entries import ALL, PRESENT_VALUE, Target, as_bacnet, changes, describe, label
 
 __all__ = [
     "array",
@@ -29,8 +29,6 @@ __all__ = [
 ]
 
 _WITNESS = Witness(noun="the device", describe=describe)
-_MULTIPLE = 8
-"""The property identifier that stands for all properties of an object."""
 
 some_exchange = _WITNESS.answered
 no_state_changing_request = _WITNESS.nothing_changed
@@ -61,7 +59,7 @@ def held(image: Image, target: Target) -> object:
 
 def _asks_for(entry: JournalEntry, target: Target) -> bool:
     return any(
-        label(one["object"]) == f"{target[0]},{target[1]}" and one["property"] in (PRESENT_VALUE, _MULTIPLE)
+        label(one["object"]) == f"{target[0]},{target[1]}" and one["property"] in (PRESENT_VALUE, ALL)
         for one in as_bacnet(entry).get("reads", [])
     )
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ..journal import JournalEntry
-from .entries import as_bacnet, label, property_name
+from .entries import ALL, as_bacnet, label, property_name
 
 __all__ = ["facts"]
 
@@ -19,8 +19,7 @@ def facts(entry: JournalEntry) -> Mapping[str, Sequence[object]]:
         # A ReadPropertyMultiple is answered by an acknowledgement that has errors among its results.
         errors = [error for part in (message, *message.get("results", ())) if (error := part.get("error"))]
         return {
-            # An answer to a request for all properties names each.
-            **_about(message.get("results", ())),
+            **(_about(message["results"]) if message.get("results") else {}),
             "error_class": [error_class for error_class, _ in errors] or [None],
             "error_code": [error_code for _, error_code in errors] or [None],
             "reject_reason": [message.get("reject")],
@@ -37,7 +36,8 @@ def facts(entry: JournalEntry) -> Mapping[str, Sequence[object]]:
 
 
 def _about(parts: Sequence[Mapping[str, Any]]) -> dict[str, Sequence[object]]:
-    return {
-        "object": [label(one["object"]) for one in parts],
-        "property": [property_name(one["property"]) for one in parts],
-    }
+    found: dict[str, Sequence[object]] = {"object": [label(one["object"]) for one in parts]}
+    # What stands for all properties of an object stands for the one that the trace is about; an answer names each.
+    if not any(one["property"] == ALL for one in parts):
+        found["property"] = [property_name(one["property"]) for one in parts]
+    return found

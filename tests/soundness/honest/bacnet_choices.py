@@ -155,7 +155,7 @@ def lists_before_reading(server: AdapterServer) -> None:
                 listed = await tools.list_objects(question, arguments)
             finally:
                 call.attempts += question.attempts
-                call._used = question._used
+                call._used, call.trace = question._used, question.trace
             if wanted not in listed["objects"]:
                 raise AdapterError("illegal_address", "the device lists no such object", outcome="not_sent")
             return await genuine(call, arguments)

@@ -328,9 +328,9 @@ def repeats_with_its_sequence(server: AdapterServer) -> None:
     link = tools_of(server)._link
     send, calls = link._send, list[Call]()
 
-    async def sending(call: Call, *arguments: Any) -> Response:
+    async def sending(call: Call, *arguments: Any, **more: Any) -> Response:
         calls[:] = [call]
-        return await send(call, *arguments)
+        return await send(call, *arguments, **more)
 
     async def ask(self: Connection, *arguments: Any) -> Response:
         *request, timeout_s = arguments

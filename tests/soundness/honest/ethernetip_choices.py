@@ -297,7 +297,7 @@ def lists_before_reading(server: AdapterServer) -> None:
                 listed = await tools.get_tag_list(question, TagListOf())
             finally:
                 call.attempts += question.attempts
-                call._used = question._used
+                call._used, call.trace = question._used, question.trace
             name = re.split(r"[.\[]", arguments.tag_name)[0].lower()
             if name not in {one["tag_name"].lower() for one in listed["tags"]} and ":" not in name:
                 raise AdapterError("illegal_address", "the controller lists no such tag", outcome="not_applicable")
