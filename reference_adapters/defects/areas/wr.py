@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+from functools import partial
 from typing import Any
 
 from ...core import AdapterError, AdapterServer, Call
@@ -177,17 +179,27 @@ def any_value_echoed(server: AdapterServer) -> None:
     modbus_link.reply_pdu = lenient
 
 
-def written_later(server: AdapterServer) -> None:
-    """Keep the writes that failed for want of a connection, and send them before the next read."""
+def written_later(
+    server: AdapterServer,
+    address: int | None = None,
+    after_s: float = 0.0,
+    kinds: tuple[str, ...] = ("connect_failed", "connection_lost"),
+) -> None:
+    """Keep the writes that failed for want of a connection, and send them with the next read or so many seconds after it, to this address
+    or to their own."""
     tools = server._tools[_WRITE].handler.__self__
     kept: list[Any] = []
+    under_way: set[asyncio.Task[Any]] = set()
+
+    def send(call: Call, late: Any) -> None:
+        under_way.add(asyncio.ensure_future(tools.write_register(call, late)))
 
     def keeping(genuine: Handler) -> Handler:
         async def handler(call: Call, arguments: Any) -> Data:
             try:
                 data: Data = await genuine(call, arguments)
             except AdapterError as error:
-                if error.code in ("connect_failed", "connection_lost"):
+                if error.code in kinds:
                     kept.append(arguments)
                 raise
             return data
@@ -199,7 +211,11 @@ def written_later(server: AdapterServer) -> None:
             data: Data = await genuine(call, arguments)
             while kept:
                 late = kept.pop()
-                await tools.write_register(call, late)
+                late = late if address is None else late.model_copy(update={"address": address})
+                if after_s:
+                    asyncio.get_running_loop().call_later(after_s, send, call, late)
+                else:
+                    await tools.write_register(call, late)
             return data
 
         return handler
@@ -410,5 +426,29 @@ MUTANTS: tuple[Mutant, ...] = (
         made_up_for,
         "WR-003.mqtt WR-010.mqtt",
         "WR-003 WR-010",
+    ),
+    _mutant(
+        "MU-29ml",
+        "modbus",
+        "A register write that failed is carried out at another register, two seconds after the outage.",
+        partial(written_later, address=60, after_s=2.0, kinds=("connect_failed",)),
+        "WR-010.modbus",
+        "WR-010",
+    ),
+    _mutant(
+        "MU-29qt",
+        "mqtt",
+        "A publish that failed is published on another topic after the outage.",
+        partial(made_up_for, topic="line/late"),
+        "WR-010.mqtt",
+        "WR-010",
+    ),
+    _mutant(
+        "MU-29ql",
+        "mqtt",
+        "A publish that failed is published on another topic, two seconds after the outage.",
+        partial(made_up_for, topic="line/late", after_s=2.0),
+        "WR-010.mqtt",
+        "WR-010",
     ),
 )
