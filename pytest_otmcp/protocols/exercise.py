@@ -20,6 +20,7 @@ __all__ = [
     "NO_INTEGERS",
     "NO_REALS",
     "Asked",
+    "Clamped",
     "Contended",
     "Exercise",
     "Texts",
@@ -85,6 +86,23 @@ class Contended:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Clamped:
+    """A write that the device confirms, although it stores another value.
+
+    Attributes:
+        write: the call.
+        output: the output that says what was written.
+        held: the value that the device holds then.
+        action: of the fault rules that make it so.
+    """
+
+    write: Asked
+    output: str
+    held: object
+    action: Rule
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Texts:
     """Reads and writes of a text.
 
@@ -127,6 +145,7 @@ class Exercise:
             points that it changes. None where there are none.
         tells: makes a call by every further operation that writes, although the device does not hold what is written; None where there
             are none.
+        clamped: makes a write that the device confirms and does not carry out as asked; None where no device can be made to.
         contended: makes writes and a read of one target; None where nothing can be read that was written.
         large: makes a read of each of these whole numbers of 64 bits, of a type with a sign or of one without; None where checks of the
             protocol's own have it.
@@ -157,6 +176,7 @@ class Exercise:
     every_read: Callable[[random.Random], tuple[Asked, ...]] | None = None
     every_write: Callable[[random.Random], tuple[Asked, ...]] | None = None
     tells: Callable[[random.Random], tuple[Asked, ...]] | None = None
+    clamped: Callable[[random.Random], Clamped] | None = None
     contended: Callable[[random.Random], Contended] | None = None
     asks_for: Callable[[JournalEntry], object] | None = None
     bounds: Callable[[], tuple[tuple[Asked, object], ...]] | None = None

@@ -7,7 +7,7 @@ import random
 from collections.abc import Sequence
 from dataclasses import replace
 
-from ..exercise import LARGEST_FLOAT32, Asked, Contended, Exercise, Texts
+from ..exercise import LARGEST_FLOAT32, Asked, Clamped, Contended, Exercise, Texts
 from ..journal import Entries, JournalEntry
 from .entries import as_bacnet, changes
 
@@ -121,6 +121,12 @@ def _writing(kind: str, instance: int, value: object, *, before: object) -> Aske
     )
 
 
+def _clamped(rng: random.Random) -> Clamped:
+    highest = rng.randrange(1, 10) / 2
+    asked = _writing(*_LIMIT, highest + 2.5, before=0.0)
+    return Clamped(write=asked, output="value", held=highest, action={"clamp": [0, highest]})
+
+
 def _contended(rng: random.Random) -> Contended:
     old, *new = (value / 2 for value in rng.sample(range(20), 3))
     return Contended(
@@ -209,6 +215,7 @@ EXERCISE = Exercise(
     distinct=_distinct,
     every_read=_every_read,
     every_write=_every_write,
+    clamped=_clamped,
     contended=_contended,
     asks_for=_asks_for,
     bounds=_bounds,

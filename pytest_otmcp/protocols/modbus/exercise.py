@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 from typing import Any
 
-from ..exercise import Asked, Exercise, every_change
+from ..exercise import Asked, Clamped, Exercise, every_change
 from .entries import points
 from .tags import TAGS
 
@@ -72,6 +72,12 @@ def _write_of(
     )
 
 
+def _clamped(rng: random.Random) -> Clamped:
+    highest = rng.randrange(0x100, 0x4000)
+    asked = Asked(operation="write_holding", inputs={"address": _WRITTEN, "value": rng.randrange(0x8000, 0x10000)})
+    return Clamped(write=asked, output="value", held=highest, action={"clamp": [0, highest]})
+
+
 EXERCISE = Exercise(
     reading="read_holding",
     read=_read,
@@ -86,4 +92,5 @@ EXERCISE = Exercise(
     reset=({"action": {"reset": True}},),
     refused=({"action": {"exception": 4}},),
     every_write=_every_write,
+    clamped=_clamped,
 )

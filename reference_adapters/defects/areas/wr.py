@@ -9,9 +9,10 @@ from typing import Any
 from ...core import AdapterError, AdapterServer, Call
 from ...modbus import link as modbus_link
 from ..any_protocol import enabled_by_any_word, enabled_by_default, guard_after_sending
+from ..bacnet import told_as_asked
 from ..modbus import write_not_sent, write_only_remembered
 from ..mqtt import made_up_for
-from ..mutant import Bend, Data, Handler, Mutant, each, mutants_of, wrap
+from ..mutant import Bend, Data, Handler, Mutant, each, mutants_of, succeeding, wrap
 
 __all__ = ["MUTANTS"]
 
@@ -224,6 +225,25 @@ def written_later(
     each("read_multiple_holding_registers", change=making_up)(server)
 
 
+def unheeded(by: str, count: int) -> Bend:
+    """Return the defect that every register that was written is read back by a tool, so many at once, and nobody looks at what that says."""
+
+    def bend(server: AdapterServer) -> None:
+        reading = server._tools[by]
+
+        def reading_back(genuine: Handler) -> Handler:
+            async def handler(call: Call, arguments: Any) -> Data:
+                data: Data = await genuine(call, arguments)
+                await reading.handler(call, reading.model(address=arguments.address, count=count))
+                return data
+
+            return handler
+
+        each(_WRITE, change=reading_back)(server)
+
+    return bend
+
+
 def emulated_mask_write(server: AdapterServer) -> None:
     tools = server._tools[_MASK].handler.__self__
 
@@ -426,6 +446,30 @@ MUTANTS: tuple[Mutant, ...] = (
         made_up_for,
         "WR-003.mqtt WR-010.mqtt",
         "WR-003 WR-010",
+    ),
+    _mutant(
+        "MU-17m",
+        "modbus",
+        "A register is read back after a write, and nobody looks at it.",
+        unheeded("read_multiple_holding_registers", 1),
+        "",
+        "WR-012",
+    ),
+    _mutant(
+        "MU-17mb",
+        "modbus",
+        "A block is read back after a write of its first register, and nobody looks at it.",
+        unheeded("read_multiple_holding_registers", 10),
+        "",
+        "WR-012",
+    ),
+    _mutant(
+        "MU-17bac",
+        "bacnet",
+        "A property that is read back after a write, and holds something else, is told as written.",
+        succeeding("write_property", code="verify_failed", answer=told_as_asked),
+        "",
+        "WR-012",
     ),
     _mutant(
         "MU-29ml",
