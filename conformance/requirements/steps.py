@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 from pytest_otmcp.core.finding import Finding
 from pytest_otmcp.protocols.exercise import Asked, Exercise
-from pytest_otmcp.protocols.journal import Entries
+from pytest_otmcp.protocols.journal import Entries, JournalEntry
 from pytest_otmcp.protocols.oracle import Witness
 from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.protocols.unsolicited import nothing_commanded
@@ -33,6 +33,7 @@ __all__ = [
     "knows_node",
     "most_characters",
     "nothing_arrived",
+    "polls",
     "read",
     "refused_before_the_wire",
     "reset",
@@ -47,6 +48,9 @@ __all__ = [
 
 QUIET_S = 0.25
 """Seconds for which a device is watched for a request that must not come."""
+
+_POLLED_S = 3.0
+"""How long is looked for requests that nobody has asked for, before equal requests are held against a call."""
 
 CONNECTION_FAULTS = ("connect_failed", "connection_lost", "timeout")
 
@@ -220,6 +224,14 @@ def most_characters(at: Rig, asked: Asked, name: str) -> float:
     forms = [stated, *(others if isinstance(others, list) else ())]
     most = [form.get("maxLength") for form in forms if isinstance(form, Mapping)]
     return min((one for one in most if isinstance(one, int)), default=math.inf)
+
+
+async def polls(at: Rig, seen: Sequence[JournalEntry]) -> bool:
+    """Tell whether the adapter makes these equal requests also when nobody asks: then they are none of a call's own."""
+    before = len(await at.journal())
+    await at.watch(_POLLED_S)
+    describe = protocols()[at.protocol].describe
+    return any(entry["request"] and describe(entry) == describe(seen[0]) for entry in (await at.journal())[before:])
 
 
 async def works_again(run: Repetition, at: Rig, operation: str, **inputs: Any) -> None:

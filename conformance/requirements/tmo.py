@@ -24,6 +24,7 @@ from .steps import (
     citing,
     exercise,
     faulty,
+    polls,
     silence,
     since,
     vanishing,
@@ -38,8 +39,6 @@ _DRIP_S = 1.5
 
 _QUEUED_S, _QUEUED_BEHIND_S = 0.1, 0.4
 _SEEN_S = 2.0
-_POLLED_S = 3.0
-"""How long is looked for requests that nobody has asked for, before equal requests are held against a call."""
 _WATCHED_S = {False: 4.0, True: 60.0}
 """How long a device that refuses connections is watched in the short and in the long form."""
 _MOST_ATTEMPTS = {False: 15, True: 30}
@@ -95,7 +94,7 @@ async def repetitions_are_bounded(run: Repetition, at: Rig) -> None:
     run.fails(reply, *CONNECTION_FAULTS, requirement="TMO-002", code_requirement="ERR-005")
     attempts = _attempts(reply)
     same = _repeated(at, reply.during(await at.journal()))
-    if attempts is not None and len(same) > attempts and not await _polls(at, same):
+    if attempts is not None and len(same) > attempts and not await polls(at, same):
         message = f"{reply.label}: meta.attempts says {attempts}, the device saw the same request {len(same)} times"
         run.finding("repeated", message, "TMO-002", evidence=protocols()[at.protocol].seen(same))
     await answers_again(run, at)
@@ -113,14 +112,6 @@ def _repeated(at: Rig, entries: Entries) -> list[JournalEntry]:
     describe = protocols()[at.protocol].describe
     most = Counter(map(describe, reading)).most_common(1)
     return [entry for entry in reading if most and describe(entry) == most[0][0]]
-
-
-async def _polls(at: Rig, seen: Sequence[JournalEntry]) -> bool:
-    """Tell whether the adapter makes these equal requests also when nobody asks: then they are no repetitions of a call's."""
-    before = len(await at.journal())
-    await at.watch(_POLLED_S)
-    describe = protocols()[at.protocol].describe
-    return any(entry["request"] and describe(entry) == describe(seen[0]) for entry in (await at.journal())[before:])
 
 
 # -- cancellation -------------------------------------------------------------------------------------------
@@ -145,7 +136,7 @@ async def a_cancelled_call_ends(run: Repetition, at: Rig) -> None:
     await at.fault()
     await at.watch(QUIET_S)
     same = _repeated(at, since(reply, await at.journal()))
-    if len(same) > 1 and not await _polls(at, same):
+    if len(same) > 1 and not await polls(at, same):
         _once(run, at, reply, same)
     await answers_again(run, at)
 

@@ -39,6 +39,7 @@ from .steps import (
     exercise,
     faulty,
     nothing_arrived,
+    polls,
     reset,
     silence,
     since,
@@ -836,6 +837,46 @@ async def bits_are_changed_in_one_step(run: Repetition, modbus: Rig) -> None:
 
 
 # -- WR-012 -------------------------------------------------------------------------------------------------
+
+
+@TASKS.every_protocol(
+    "WR-012",
+    "A value that was read back after a write, and is another one, is not told as written.",
+    reads=False,
+    writes=True,
+    having="clamped",
+    apart="opcua",
+)
+async def what_was_read_back_is_said(run: Repetition, at: Rig) -> None:
+    """Write while the device confirms and stores another value; then while it stores what it is given.
+
+    Said: by an adapter that reads back, a failure such as `verify_failed`, or the value that is held now; then success.
+    Seen: the write, and what is asked for after it in the same call: an adapter that reads nothing back cannot know.
+    Why: who reads back and does not look makes a promise that nobody keeps.
+    """
+    clamped = exercise(at).clamped
+    assert clamped is not None
+    expected = clamped(run.rng)
+    await at.prove()
+    await at.fault(*faulty(exercise(at).writes, **expected.action))
+    reply = await at.call(expected.write.operation, **expected.write.inputs)
+    await at.fault()
+    told = reply.outputs.get(expected.output)
+    looked = _asked_after_the_write(reply.during(await at.journal()))
+    if reply.success and looked and told != expected.held and not await polls(at, looked):
+        message = f"{reply.label}: the device holds {expected.held} instead and was asked after the write; the reply says {told}"
+        found = Finding(code="cut_off", message=message, requirement="WR-012", strength="SHOULD")
+        run.judge(reply, [replace(found, evidence=protocols()[at.protocol].seen(looked))])
+    await a_write_works(run, at)
+
+
+def _asked_after_the_write(entries: Entries) -> list[JournalEntry]:
+    written = [entry["seq"] for entry in state_changing(entries)]
+    return [
+        entry
+        for entry in entries
+        if written and entry["request"] and not entry["state_changing"] and entry["seq"] > written[-1]
+    ]
 
 
 @TASKS.check(

@@ -20,6 +20,7 @@ __all__ = [
     "NO_INTEGERS",
     "NO_REALS",
     "Asked",
+    "Clamped",
     "Contended",
     "DeviceText",
     "Exercise",
@@ -86,6 +87,23 @@ class Contended:
     output: str
     writes: tuple[Asked, ...]
     first: Asked | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Clamped:
+    """A write that the device confirms, although it stores another value.
+
+    Attributes:
+        write: the call.
+        output: the output that says what was written.
+        held: the value that the device holds then.
+        action: of the fault rules that make it so.
+    """
+
+    write: Asked
+    output: str
+    held: object
+    action: Rule
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -174,6 +192,7 @@ class Exercise:
             points that it changes. None where there are none.
         tells: makes a call by every further operation that writes, although the device does not hold what is written; None where there
             are none.
+        clamped: makes a write that the device confirms and does not carry out as asked; None where no device can be made to.
         contended: makes writes and a read of one target; None where nothing can be read that was written.
         fenced: makes writes beside one another, by every operation that writes, some across the ends of what a list of targets can allow; the
             points of each are all its targets. None where there are none.
@@ -212,6 +231,7 @@ class Exercise:
     every_read: Callable[[random.Random], tuple[Asked, ...]] | None = None
     every_write: Callable[[random.Random], tuple[Asked, ...]] | None = None
     tells: Callable[[random.Random], tuple[Asked, ...]] | None = None
+    clamped: Callable[[random.Random], Clamped] | None = None
     contended: Callable[[random.Random], Contended] | None = None
     commands: Callable[[random.Random], tuple[Asked, ...]] | None = None
     says: Callable[[JournalEntry], Mapping[str, Any] | None] | None = None

@@ -8,13 +8,13 @@ from ..core import AdapterServer, Call
 from .any_protocol import guard_after_sending
 from .mutant import Data, Handler, Mutant, each, succeeding
 
-__all__ = ["MUTANTS"]
+__all__ = ["MUTANTS", "told_as_asked"]
 
 _WRITE = "write_property"
 _LOWEST = 16
 
 
-def _told(call: Call, arguments: Any) -> Data:
+def told_as_asked(call: Call, arguments: Any) -> Data:
     return {
         **arguments.model_dump(include={"device_id", "object_type", "object_instance", "property_id", "value"}),
         "present_value": arguments.value,
@@ -47,7 +47,7 @@ MUTANTS = (
         id="MU-14bac",
         protocol="bacnet",
         sentence="A BACnet write that the device acknowledges is told as done, although a higher priority wins.",
-        bend=succeeding(_WRITE, code="verify_failed", answer=_told),
+        bend=succeeding(_WRITE, code="verify_failed", answer=told_as_asked),
         items="B5",
         requirements="WR-001",
     ),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable
 from typing import Any
 
@@ -53,18 +54,24 @@ def keeps_what_failed(kept: list[Message], topic: str | None = None) -> Callable
     return keeping
 
 
-def made_up_for(server: AdapterServer) -> None:
-    """Keep what could not be published, and publish it with the next connection."""
+def made_up_for(server: AdapterServer, topic: str | None = None, after_s: float = 0.0) -> None:
+    """Keep what could not be published, and publish it with the next connection, or so many seconds later, on this topic or on its own."""
     kept: list[Message] = []
     genuine_restore = mqtt_link.Link._restore
 
-    async def restore(link: mqtt_link.Link, made: Any) -> None:
-        await genuine_restore(link, made)
+    def send(made: Any) -> None:
         while kept:
             made.send(kept.pop(0))
 
+    async def restore(link: mqtt_link.Link, made: Any) -> None:
+        await genuine_restore(link, made)
+        if after_s:
+            asyncio.get_running_loop().call_later(after_s, send, made)
+        else:
+            send(made)
+
     mqtt_link.Link._restore = restore
-    each(_PUBLISH, change=keeps_what_failed(kept))(server)
+    each(_PUBLISH, change=keeps_what_failed(kept, topic))(server)
 
 
 def delivered_later(server: AdapterServer) -> None:

@@ -93,11 +93,22 @@ def test_a_task_of_an_adapter_that_the_subject_does_not_have_does_not_apply(tmp_
 
 
 def test_what_does_not_apply_need_not_be_bound(tmp_path: Path) -> None:
-    # No tool is bound to read_input either.
-    assert judged(tmp_path, "M2", modbus('unclaimed = { read_input = "no input registers" }')) == (
+    # No tool is bound to ping either.
+    assert judged(tmp_path, "M1", modbus('unclaimed = { ping = "has none" }')) == (
         Status.NOT_APPLICABLE,
-        "modbus.read_input is not claimed: no input registers",
+        "modbus.ping is not claimed: has none",
     )
+
+
+@pytest.mark.parametrize("task", ["M2", "S1", "S7", "S10", "R-modbus"])
+def test_a_task_takes_the_first_read_that_is_claimed(tmp_path: Path, task: str) -> None:
+    assert judged(tmp_path, task, modbus()) == (
+        Status.NOT_TESTABLE,
+        "modbus: no tool is bound to the operation 'read_input', and read_input is not declared as unclaimed",
+    )
+    assert judged(tmp_path, task, modbus('unclaimed = { read_input = "no input registers" }')) is None
+    neither = modbus('unclaimed = { read_input = "has none", read_holding = "has none", ping = "has none" }')
+    assert judged(tmp_path, task, neither) == (Status.NOT_APPLICABLE, "modbus.read_input is not claimed: has none")
 
 
 def test_an_optional_input_without_a_place_is_not_testable_until_it_is_unclaimed(tmp_path: Path) -> None:

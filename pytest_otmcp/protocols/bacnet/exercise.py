@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
-from ..exercise import LARGEST_FLOAT32, Asked, Contended, DeviceText, Exercise, Limited, Texts
+from ..exercise import LARGEST_FLOAT32, Asked, Clamped, Contended, DeviceText, Exercise, Limited, Texts
 from ..journal import Entries, JournalEntry
 from .entries import as_bacnet, changes
 
@@ -120,6 +120,12 @@ def _writing(kind: str, instance: int, value: object, *, before: object) -> Aske
         pokes=({"object": f"{kind},{instance}", "value": before},),
         points={f"{kind},{instance}/present-value": value},
     )
+
+
+def _clamped(rng: random.Random) -> Clamped:
+    highest = rng.randrange(1, 10) / 2
+    asked = _writing(*_LIMIT, highest + 2.5, before=0.0)
+    return Clamped(write=asked, output="value", held=highest, action={"clamp": [0, highest]})
 
 
 def _contended(rng: random.Random) -> Contended:
@@ -248,6 +254,7 @@ EXERCISE = Exercise(
     distinct=_distinct,
     every_read=_every_read,
     every_write=_every_write,
+    clamped=_clamped,
     contended=_contended,
     fenced=_fenced,
     limited={"analog-value,9/present-value": Limited(ways=(partial(_present, *_LIMIT),), unit=0.5)},

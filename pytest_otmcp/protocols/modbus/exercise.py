@@ -7,7 +7,7 @@ import random
 from functools import partial
 from typing import Any
 
-from ..exercise import Asked, DeviceText, Exercise, Limited, every_change
+from ..exercise import Asked, Clamped, DeviceText, Exercise, Limited, every_change
 from .entries import points
 from .tags import TAGS
 
@@ -142,6 +142,12 @@ def _device_texts(name: str) -> tuple[DeviceText, ...]:
     return (DeviceText(place="an object of the identification", ask=_identification, longest=200),)
 
 
+def _clamped(rng: random.Random) -> Clamped:
+    highest = rng.randrange(0x100, 0x4000)
+    asked = Asked(operation="write_holding", inputs={"address": _WRITTEN, "value": rng.randrange(0x8000, 0x10000)})
+    return Clamped(write=asked, output="value", held=highest, action={"clamp": [0, highest]})
+
+
 EXERCISE = Exercise(
     reading="read_holding",
     read=_read,
@@ -162,4 +168,5 @@ EXERCISE = Exercise(
         "1/holding_registers/40": Limited(ways=(partial(_word, 40), partial(_block, 40)), unit=1),
     },
     device_texts=_device_texts,
+    clamped=_clamped,
 )

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import asyncio
+from functools import partial
 from typing import Any
 
 from ...core import AdapterError, AdapterServer, Call
 from ...modbus import link as modbus_link
 from ..any_protocol import enabled_by_any_word, enabled_by_default, guard_after_sending
+from ..bacnet import told_as_asked
 from ..modbus import write_not_sent, write_only_remembered
 from ..mqtt import made_up_for
-from ..mutant import Bend, Data, Handler, Mutant, each, mutants_of, wrap
+from ..mutant import Bend, Data, Handler, Mutant, each, mutants_of, succeeding, wrap
 
 __all__ = ["MUTANTS"]
 
@@ -177,17 +180,27 @@ def any_value_echoed(server: AdapterServer) -> None:
     modbus_link.reply_pdu = lenient
 
 
-def written_later(server: AdapterServer) -> None:
-    """Keep the writes that failed for want of a connection, and send them before the next read."""
+def written_later(
+    server: AdapterServer,
+    address: int | None = None,
+    after_s: float = 0.0,
+    kinds: tuple[str, ...] = ("connect_failed", "connection_lost"),
+) -> None:
+    """Keep the writes that failed for want of a connection, and send them with the next read or so many seconds after it, to this address
+    or to their own."""
     tools = server._tools[_WRITE].handler.__self__
     kept: list[Any] = []
+    under_way: set[asyncio.Task[Any]] = set()
+
+    def send(call: Call, late: Any) -> None:
+        under_way.add(asyncio.ensure_future(tools.write_register(call, late)))
 
     def keeping(genuine: Handler) -> Handler:
         async def handler(call: Call, arguments: Any) -> Data:
             try:
                 data: Data = await genuine(call, arguments)
             except AdapterError as error:
-                if error.code in ("connect_failed", "connection_lost"):
+                if error.code in kinds:
                     kept.append(arguments)
                 raise
             return data
@@ -199,13 +212,36 @@ def written_later(server: AdapterServer) -> None:
             data: Data = await genuine(call, arguments)
             while kept:
                 late = kept.pop()
-                await tools.write_register(call, late)
+                late = late if address is None else late.model_copy(update={"address": address})
+                if after_s:
+                    asyncio.get_running_loop().call_later(after_s, send, call, late)
+                else:
+                    await tools.write_register(call, late)
             return data
 
         return handler
 
     each(_WRITE, change=keeping)(server)
     each("read_multiple_holding_registers", change=making_up)(server)
+
+
+def unheeded(by: str, count: int) -> Bend:
+    """Return the defect that every register that was written is read back by a tool, so many at once, and nobody looks at what that says."""
+
+    def bend(server: AdapterServer) -> None:
+        reading = server._tools[by]
+
+        def reading_back(genuine: Handler) -> Handler:
+            async def handler(call: Call, arguments: Any) -> Data:
+                data: Data = await genuine(call, arguments)
+                await reading.handler(call, reading.model(address=arguments.address, count=count))
+                return data
+
+            return handler
+
+        each(_WRITE, change=reading_back)(server)
+
+    return bend
 
 
 def emulated_mask_write(server: AdapterServer) -> None:
@@ -410,5 +446,53 @@ MUTANTS: tuple[Mutant, ...] = (
         made_up_for,
         "WR-003.mqtt WR-010.mqtt",
         "WR-003 WR-010",
+    ),
+    _mutant(
+        "MU-17m",
+        "modbus",
+        "A register is read back after a write, and nobody looks at it.",
+        unheeded("read_multiple_holding_registers", 1),
+        "",
+        "WR-012",
+    ),
+    _mutant(
+        "MU-17mb",
+        "modbus",
+        "A block is read back after a write of its first register, and nobody looks at it.",
+        unheeded("read_multiple_holding_registers", 10),
+        "",
+        "WR-012",
+    ),
+    _mutant(
+        "MU-17bac",
+        "bacnet",
+        "A property that is read back after a write, and holds something else, is told as written.",
+        succeeding("write_property", code="verify_failed", answer=told_as_asked),
+        "",
+        "WR-012",
+    ),
+    _mutant(
+        "MU-29ml",
+        "modbus",
+        "A register write that failed is carried out at another register, two seconds after the outage.",
+        partial(written_later, address=60, after_s=2.0, kinds=("connect_failed",)),
+        "WR-010.modbus",
+        "WR-010",
+    ),
+    _mutant(
+        "MU-29qt",
+        "mqtt",
+        "A publish that failed is published on another topic after the outage.",
+        partial(made_up_for, topic="line/late"),
+        "WR-010.mqtt",
+        "WR-010",
+    ),
+    _mutant(
+        "MU-29ql",
+        "mqtt",
+        "A publish that failed is published on another topic, two seconds after the outage.",
+        partial(made_up_for, topic="line/late", after_s=2.0),
+        "WR-010.mqtt",
+        "WR-010",
     ),
 )

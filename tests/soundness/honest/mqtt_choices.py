@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import dataclasses
 import hashlib
+import json
 import os
 import secrets
 import struct
@@ -266,6 +267,32 @@ def backs_off_for_1_s(server: AdapterServer) -> None:
 def second_link(link: Link) -> Link:
     endpoint = dataclasses.replace(link.endpoint, client_id=f"{link.endpoint.client_id}-publisher")
     return Link(endpoint, EdgeNode("factory", "publisher"), may_write=False)
+
+
+@choice(
+    "tells on a topic of its own which publications have failed, with their payloads, when the broker is back",
+    "it commands nothing, and tells that it was not done",
+)
+def audited_failures(server: AdapterServer) -> None:
+    failed: list[dict[str, Any]] = []
+
+    def tell(connection: Connection) -> None:
+        while failed:
+            connection.send(Message(topic=f"{OWN_TOPIC}/audit", payload=json.dumps(failed.pop()).encode()))
+
+    def noting(genuine: Handler) -> Handler:
+        async def handler(call: Call, arguments: Any) -> Any:
+            try:
+                return await genuine(call, arguments)
+            except AdapterError as error:
+                if error.code in ("connect_failed", "connection_lost"):
+                    failed.append({"topic": arguments.topic, "payload": arguments.payload, "error": error.code})
+                raise
+
+        return handler
+
+    after_connecting(link_of(server), tell)
+    wrap(server, "publish_message", noting)
 
 
 @choice("publishes over a second connection", "a connection is the adapter's own affair")
