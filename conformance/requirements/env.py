@@ -49,7 +49,7 @@ async def every_result_is_an_envelope(run: Repetition, at: Rig) -> None:
     Why: what an assistant has to look for in another place each time it will not find.
     """
     needs_envelopes(run, at)
-    await every_kind(run, at, requirement="ENV-001")
+    await every_kind(run, at)
 
 
 @TASKS.every_protocol("ENV-002", "Success and error exclude each other.", writes=True, guard=True)
@@ -61,7 +61,7 @@ async def success_or_error(run: Repetition, at: Rig, guarded: Rig) -> None:
     Why: an answer that is both is read as what the reader hoped for.
     """
     needs_envelopes(run, at)
-    await every_kind(run, at, requirement="ENV-002")
+    await every_kind(run, at)
     await a_read_works(run, guarded)
     _, denied = await write(run, guarded)
     run.fails(denied, "writes_disabled", outcome="not_sent", requirement="WR-004")
@@ -198,7 +198,7 @@ async def meta_is_complete(run: Repetition, at: Rig) -> None:
     needs_envelopes(run, at)
     _, good = await read(run, at)
     run.succeeds(good)
-    failures = await every_kind(run, at, requirement="ENV-006")
+    failures = await every_kind(run, at)
     wanted = {name for name in _meta(good) if name in _REQUIRED}
     for reply in failures:
         if missing := sorted(wanted - set(_meta(reply))):

@@ -94,7 +94,7 @@ async def only_messages(run: Repetition, at: Rig) -> None:
     Seen: no line on standard output that is no message, from the start of the process.
     Why: a banner, or a library that prints an error, ends the session of a client that reads strictly.
     """
-    await every_kind(run, at, requirement="MCP-001")
+    await every_kind(run, at)
 
 
 @TASKS.every_protocol("MCP-002", "The adapter starts and lists its tools while its device is down.")
@@ -415,7 +415,7 @@ async def renderings_agree(run: Repetition, at: Rig) -> None:
     Seen: what each call asks for.
     Why: a client believes `isError`: a failure that does not say so is taken for done.
     """
-    await every_kind(run, at, requirement="MCP-006")
+    await every_kind(run, at)
 
 
 @TASKS.every_protocol("MCP-008", "A tool that says that it only reads only reads.", writes=True)

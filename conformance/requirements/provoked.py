@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from pytest_otmcp.core.finding import Finding
+from pytest_otmcp.protocols.registry import protocols
 from pytest_otmcp.trial.alteration import Alteration
 from pytest_otmcp.trial.repetition import Repetition
 from pytest_otmcp.trial.reply import Reply
@@ -55,16 +56,20 @@ async def refused_by_the_adapter(run: Repetition, at: Rig) -> Reply | None:
     return reply
 
 
-async def refused_by_the_device(run: Repetition, at: Rig, *, requirement: str) -> Reply:
+async def refused_by_the_device(run: Repetition, at: Rig, *, requirement: str = "") -> Reply:
     """Read while the device refuses it, and expect a failure, whatever its code.
 
     An adapter may get at its data in another way, which the device does not refuse: then nothing is expected.
+
+    Args:
+        requirement: id of the requirement that a success breaks; without it the one that the operation's result is about.
     """
     await at.fault(*exercise(at).refused)
-    _, reply = await read(run, at)
+    asked, reply = await read(run, at)
     await at.fault()
     if await met(at, reply):
-        expect_failure(run, reply, requirement=requirement)
+        own = protocols()[at.protocol].operations[asked.operation].requirement
+        expect_failure(run, reply, requirement=requirement or own)
     return reply
 
 
@@ -87,17 +92,13 @@ async def broken(run: Repetition, at: Rig, *, requirement: str) -> Reply:
     return reply
 
 
-async def every_kind(run: Repetition, at: Rig, *, requirement: str) -> Sequence[Reply]:
-    """Provoke every kind of answer; each envelope is judged as such. Return the failures.
-
-    Args:
-        requirement: id of the requirement that a success breaks where there was none.
-    """
+async def every_kind(run: Repetition, at: Rig) -> Sequence[Reply]:
+    """Provoke every kind of answer; each envelope is judged as such. Return the failures."""
     await a_read_works(run, at)
     await a_write_works(run, at)
     refused = await refused_by_the_adapter(run, at)
-    by_device = await refused_by_the_device(run, at, requirement=requirement)
-    lost = await broken(run, at, requirement=requirement)
+    by_device = await refused_by_the_device(run, at)
+    lost = await broken(run, at, requirement="ERR-005")
     return [reply for reply in (refused, by_device, lost) if reply is not None and not reply.success]
 
 

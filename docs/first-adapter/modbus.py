@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -13,6 +14,8 @@ from pymodbus.pdu import ModbusPDU
 from strict_mcp import READS, WRITES, StrictServer, strict
 
 mcp = StrictServer("plant-modbus", "1.0.0")
+
+CONNECTIONS = threading.BoundedSemaphore(4)  # a PLC has room for a few
 
 Address = strict(int, "register address, from 0", ge=0, le=65535)
 Count = strict(int, "number of registers", ge=1, le=125)
@@ -29,6 +32,8 @@ def plc() -> Iterator[ModbusTcpClient]:
         timeout=float(os.environ.get("MODBUS_TIMEOUT_S", "2")),
         retries=0,
     )
+    if not CONNECTIONS.acquire(timeout=0.5):
+        raise ToolError("device_busy: too many calls at the same time; nothing was sent")
     try:
         if not client.connect():
             raise ToolError("connect_failed: the PLC cannot be reached; nothing was sent")
@@ -38,6 +43,7 @@ def plc() -> Iterator[ModbusTcpClient]:
         raise ToolError(f"no_reply: the PLC gave no valid answer ({error})") from error
     finally:
         client.close()
+        CONNECTIONS.release()
 
 
 def checked(reply: ModbusPDU, function: int, count: int = 1) -> ModbusPDU:

@@ -16,6 +16,7 @@ from strict_mcp import READS, WRITES, StrictServer, strict
 mcp = StrictServer("plant-modbus", "1.0.0")
 
 TIMEOUT_S = float(os.environ.get("MODBUS_TIMEOUT_S", "2"))
+CONNECTIONS = asyncio.Semaphore(4)  # a PLC has room for a few
 
 Address = strict(int, "register address, from 0", ge=0, le=65535)
 Count = strict(int, "number of registers", ge=1, le=125)
@@ -23,10 +24,24 @@ Value = strict(int, "value of the register", ge=0, le=65535)
 
 
 @asynccontextmanager
+async def waited() -> AsyncIterator[None]:
+    """Wait a moment for one of the connections; refuse the call when there are too many."""
+    try:
+        async with asyncio.timeout(0.5):
+            await CONNECTIONS.acquire()
+    except TimeoutError:
+        raise ToolError("device_busy: too many calls at the same time; nothing was sent") from None
+    try:
+        yield
+    finally:
+        CONNECTIONS.release()
+
+
+@asynccontextmanager
 async def plc() -> AsyncIterator[AsyncModbusTcpClient]:
     """Give a call a connection of its own: an answer that comes late can be taken for no other call's."""
     try:
-        async with asyncio.timeout(2 * TIMEOUT_S) as limit:
+        async with waited(), asyncio.timeout(1.5 * TIMEOUT_S) as limit:
             # pymodbus waits for its whole time-out when the connection is lost, so the loss ends the call.
             client = AsyncModbusTcpClient(
                 os.environ["MODBUS_HOST"],

@@ -18,6 +18,7 @@ from strict_mcp import READS, WRITES, StrictServer, strict
 mcp = StrictServer("plant-mqtt", "1.0.0")
 HOST, PORT = os.environ["MQTT_HOST"], int(os.environ["MQTT_PORT"])
 TIMEOUT_S = float(os.environ.get("MQTT_TIMEOUT_S", "2"))
+CONNECTIONS = threading.BoundedSemaphore(4)
 
 Topic = strict(str, "topic, without wildcards", min_length=1, max_length=65535)
 Filter = strict(str, "topic filter", min_length=1, max_length=65535)
@@ -44,12 +45,14 @@ def connection() -> Iterator[mqtt.Client]:
     """
     own, answers = client(reconnect_on_failure=False), Queue[mqtt.ReasonCode]()
     own.on_connect = lambda _client, _data, _flags, reason, _properties: answers.put(reason)
+    if not CONNECTIONS.acquire(timeout=0.5):
+        raise ToolError("device_busy: too many calls at the same time; nothing was sent")
     try:
-        own.connect(HOST, PORT)
-    except OSError as error:
-        raise ToolError(f"connect_failed: the broker cannot be reached ({error}); nothing was sent") from error
-    own.loop_start()
-    try:
+        try:
+            own.connect(HOST, PORT)
+        except OSError as error:
+            raise ToolError(f"connect_failed: the broker cannot be reached ({error}); nothing was sent") from error
+        own.loop_start()
         try:
             reason = answers.get(timeout=TIMEOUT_S)
         except Empty:
@@ -60,6 +63,7 @@ def connection() -> Iterator[mqtt.Client]:
     finally:
         own.disconnect()
         own.loop_stop()
+        CONNECTIONS.release()
 
 
 class Subscriber:

@@ -22,6 +22,7 @@ from strict_mcp import READS, WRITES, StrictServer, strict
 
 mcp = StrictServer("plant-opcua", "1.0.0")
 TIMEOUT_S = float(os.environ.get("OPCUA_TIMEOUT_S", "2"))
+LONGEST = 10000
 SESSIONS = asyncio.Semaphore(4)  # servers have few of them
 
 NodeId = strict(str, "node id, such as ns=2;s=Temperature", min_length=3, max_length=4096)
@@ -39,23 +40,39 @@ SPECIAL = {"nan": "NaN", "inf": "Infinity", "-inf": "-Infinity"}  # JSON has non
 
 
 @asynccontextmanager
+async def waited() -> AsyncIterator[None]:
+    """Wait a moment for one of the sessions; refuse the call when there are too many."""
+    try:
+        async with asyncio.timeout(1):
+            await SESSIONS.acquire()
+    except TimeoutError:
+        raise ToolError("device_busy: too many calls at the same time; nothing was sent") from None
+    try:
+        yield
+    finally:
+        SESSIONS.release()
+
+
+@asynccontextmanager
 async def plc() -> AsyncIterator[Client]:
     """Give a call a session of its own."""
     # The watchdog ends a connection whose server was slow to answer it once.
     client = Client(os.environ["OPCUA_URL"], timeout=TIMEOUT_S, watchdog_intervall=60)
     try:
-        async with asyncio.timeout(2 * TIMEOUT_S), SESSIONS:
+        async with waited(), asyncio.timeout(2 * TIMEOUT_S):
             try:
-                await client.connect()
-            except (OSError, ua.UaError) as error:
-                client.disconnect_socket()
-                raise ToolError(f"connect_failed: the server cannot be reached ({error}); nothing was sent") from error
-            try:
-                yield client
+                try:
+                    await client.connect()
+                except (OSError, ua.UaError) as error:
+                    raise ToolError(f"connect_failed: the server cannot be reached ({error})") from error
+                try:
+                    yield client
+                finally:
+                    # A call that is cancelled is cancelled at each await: without the shield its session would stay.
+                    with anyio.move_on_after(1, shield=True):
+                        await client.disconnect()
             finally:
-                # A call that is cancelled is cancelled at each await: without the shield its connection would stay open.
-                with anyio.move_on_after(TIMEOUT_S, shield=True):
-                    await client.disconnect()
+                client.disconnect_socket()
     except ua.UaStatusCodeError as error:
         raise ToolError(f"{ua.StatusCode(error.code).name}: the server refused") from error
     except (OSError, ua.UaError) as error:
@@ -178,6 +195,8 @@ async def write_node(node_id: NodeId, value: Any) -> dict[str, Any]:
     """Write the value of a variable, as the type that the node has."""
     if os.environ.get("OPCUA_WRITES") != "true":
         raise ToolError("writes_disabled: OPCUA_WRITES is not true; nothing was sent")
+    if isinstance(value, list) and len(value) > LONGEST:
+        raise ToolError(f"limit_exceeded: an array has {LONGEST} elements at most; nothing was sent")
     async with plc() as client:
         target = node(client, node_id)
         kind = await target.read_data_type_as_variant_type()

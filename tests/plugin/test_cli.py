@@ -110,6 +110,9 @@ def test_the_pages_of_the_documentation_are_listed_and_printed(capsys: pytest.Ca
     for name in ("subject-file", "docs/subject-file.md"):
         assert cli.main(["docs", name]) == 0
         assert capsys.readouterr().out == (docs / "subject-file.md").read_text()
+    for name in ("first-adapter/modbus.py", "docs/first-adapter/first/modbus.toml"):
+        assert cli.main(["docs", name]) == 0
+        assert capsys.readouterr().out == (docs / name.removeprefix("docs/")).read_text()
     assert cli.main(["docs", "subjectfile"]) == 2
     assert capsys.readouterr().err == "otmcp: there is no page 'subjectfile'; did you mean 'subject-file'?\n"
 
