@@ -62,7 +62,24 @@ FOUND = {
         "TMO-001.mqtt": {"TMO-001"},
         "MQT-001.mqtt": {"TMO-001", "WR-003"},
     },
-    "opcua": {},
+    "opcua": {
+        "FO1": {"?"},
+        "FO2": {"?"},
+        "MCP-001.opcua": {"?"},
+        "MCP-002.opcua": {"?"},
+        "MCP-004.opcua": {"?"},
+        "MCP-005.opcua": {"?"},
+        "MCP-009.opcua": {"?"},
+        "RD-001.opcua": {"?"},
+        "ENC-004.opcua": {"?"},
+        "ADR-003.opcua": {"?"},
+        "ADR-004.opcua": {"?"},
+        "WR-003.opcua": {"?"},
+        "TMO-001.opcua": {"?"},
+        "OUA-001.opcua": {"?"},
+        "OUA-002.opcua": {"?"},
+        "OUA-005.opcua": {"?"},
+    },
 }
 """Of each adapter as it was first written: items, and the requirements that their findings cite; of none where it is right."""
 

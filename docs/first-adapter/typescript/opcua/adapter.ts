@@ -81,7 +81,8 @@ function exchange<T>(signal: AbortSignal, ask: (session: ClientSession, goOn: ()
       if (error === late) throw error;
       // The server's refusal of a whole request is an error of node-opcua, with the status in its text.
       const { message } = error as Error;
-      throw new Failure(/\bBad\w+/.exec(message)?.[0] ?? "connection_lost", message);
+      const status = message.startsWith("Cannot recreate session") ? "BadSessionIdInvalid" : /\bBad\w+/.exec(message)?.[0];
+      throw new Failure(status ?? "connection_lost", message);
     } finally {
       over = true;
       clearTimeout(timer);
@@ -137,9 +138,13 @@ tool(
     const nodeId = node(given.node_id);
     const attributeId = AttributeIds.Value;
     return exchange(signal, async (session, goOn) => {
-      const present = await session.read({ nodeId, attributeId }, 0);
+      const [present, lengths] = await session.read(
+        [{ nodeId, attributeId }, { nodeId, attributeId: AttributeIds.ArrayDimensions }],
+        0,
+      );
       check(present.statusCode);
-      const value = typed(await getBuiltInDataType(session, nodeId), present.value, given.value);
+      const dataType = await getBuiltInDataType(session, nodeId);
+      const value = typed(dataType, present.value, Array.from(lengths.value.value ?? []), given.value);
       goOn();
       // The value alone: many servers refuse a status or a time that comes with it.
       const status = check(await session.write({ nodeId, attributeId, value: { value } }));
