@@ -65,17 +65,12 @@ FOUND: dict[str, dict[str, set[str]]] = {
         "MQT-001.mqtt": {"TMO-001", "WR-003"},
     },
     "opcua": {
-        "FO2": {"?"},
-        "MCP-001.opcua": {"?"},
-        "MCP-002.opcua": {"?"},
-        "MCP-004.opcua": {"?"},
-        "MCP-005.opcua": {"?"},
-        "MCP-009.opcua": {"?"},
-        "ENC-004.opcua": {"?"},
-        "ADR-003.opcua": {"?"},
-        "OUA-001.opcua": {"?"},
-        "OUA-002.opcua": {"?"},
-        "OUA-005.opcua": {"?"},
+        "FO2": set(),
+        "MCP-002.opcua": {"MCP-002"},
+        "MCP-004.opcua": {"MCP-004"},
+        "MCP-005.opcua": set(),
+        "ADR-003.opcua": {"ADR-003"},
+        "OUA-005.opcua": {"OUA-005"},
     },
 }
 """Of each adapter as it was first written: items, and the requirements that their findings cite; of none where it is right."""
