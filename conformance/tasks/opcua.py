@@ -252,13 +252,14 @@ async def a_node_that_is_there_can_be_read(run: Repetition, opcua: Rig) -> None:
 async def write_wrong_type(run: Repetition, opcua: Rig) -> None:
     """Write a text to a variable that holds a floating-point number.
 
-    Said: a failure with `type_mismatch`; the outcome is `not_sent` or `rejected`.
+    Said: a failure with `type_mismatch`, or with `invalid_input` by a tool whose schema takes numbers alone; the outcome is `not_sent` or
+        `rejected`.
     Seen: no write that the server accepted; the server holds what it held.
     Why: a text that is turned into a number in silence is a value that nobody asked for.
     """
     before = await opcua.image()
     reply = await opcua.call("write", node=VALVE, value="fully open")
-    run.fails(reply, "type_mismatch", outcome=("not_sent", "rejected"), requirement="ADR-004")
+    run.fails(reply, "type_mismatch", "invalid_input", outcome=("not_sent", "rejected"), requirement="ADR-004")
     run.witnessed(
         oracle.only_changed(before, await opcua.image(), {}, otherwise="ADR-004"),
         oracle.accepted_writes(await opcua.journal(), 0, requirement="ADR-004"),

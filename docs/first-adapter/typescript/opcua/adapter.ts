@@ -4,10 +4,15 @@ import {
   AttributeIds,
   type ClientSession,
   DataType,
+  type DataValue,
   getBuiltInDataType,
   OPCUAClient,
+  ReadRequest,
+  type ReadResponse,
+  type ReadValueIdOptions,
   resolveNodeId,
-  StatusCode,
+  type StatusCode,
+  TimestampsToReturn,
 } from "node-opcua-client";
 import { z } from "zod";
 
@@ -81,12 +86,25 @@ function exchange<T>(signal: AbortSignal, ask: (session: ClientSession, goOn: ()
       if (error === late) throw error;
       // The server's refusal of a whole request is an error of node-opcua, with the status in its text.
       const { message } = error as Error;
-      throw new Failure(/\bBad\w+/.exec(message)?.[0] ?? "connection_lost", message);
+      const status = message.startsWith("Cannot recreate session") ? "BadSessionIdInvalid" : /\bBad\w+/.exec(message)?.[0];
+      throw new Failure(status ?? "connection_lost", message);
     } finally {
       over = true;
       clearTimeout(timer);
     }
   });
+}
+
+/** Read as `session.read` does, which first reads all types of the server where a value is a structure that it does not know. */
+async function read(session: ClientSession, ...nodesToRead: ReadValueIdOptions[]): Promise<DataValue[]> {
+  const request = new ReadRequest({ nodesToRead, maxAge: 0, timestampsToReturn: TimestampsToReturn.Both });
+  const response = await new Promise<ReadResponse>((resolve, reject) => {
+    (session as any).performMessageTransaction(request, (error: Error | null, answer: ReadResponse) => {
+      if (error) reject(error);
+      else resolve(answer);
+    });
+  });
+  return response.results ?? [];
 }
 
 /** Refuse what is bad; what is good or uncertain goes on, and its status is said. */
@@ -111,7 +129,7 @@ tool(
   { name: "read_node", description: "Read the value of a node", writes: false, arguments: { node_id } },
   async (given, signal) => {
     const asked = { nodeId: node(given.node_id), attributeId: AttributeIds.Value };
-    const held = await exchange(signal, (session) => session.read(asked, 0));
+    const [held] = await exchange(signal, (session) => read(session, asked));
     return {
       status: check(held.statusCode),
       ...plain(held.value),
@@ -137,14 +155,16 @@ tool(
     const nodeId = node(given.node_id);
     const attributeId = AttributeIds.Value;
     return exchange(signal, async (session, goOn) => {
-      const present = await session.read({ nodeId, attributeId }, 0);
+      const dimensions = { nodeId, attributeId: AttributeIds.ArrayDimensions };
+      const [present, lengths] = await read(session, { nodeId, attributeId }, dimensions);
       check(present.statusCode);
-      const value = typed(await getBuiltInDataType(session, nodeId), present.value, given.value);
+      const dataType = await getBuiltInDataType(session, nodeId);
+      const value = typed(dataType, present.value, Array.from(lengths.value.value ?? []), given.value);
       goOn();
       // The value alone: many servers refuse a status or a time that comes with it.
       const status = check(await session.write({ nodeId, attributeId, value: { value } }));
       const clamped = status === "GoodClamped";
-      const taken = clamped ? plain((await session.read({ nodeId, attributeId }, 0)).value).value : given.value;
+      const taken = clamped ? plain((await read(session, { nodeId, attributeId }))[0].value).value : given.value;
       return { node_id: given.node_id, value: taken, status, clamped, verified: clamped };
     });
   },

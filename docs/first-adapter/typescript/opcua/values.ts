@@ -72,13 +72,14 @@ function nested(elements: unknown[], dimensions: number[]): unknown[] {
   );
 }
 
-/** Make a value of the node's type in the shape that it has now, or refuse. */
-export function typed(dataType: DataType, present: Variant, given: Given): Variant {
+/** Make a value of the node's type in the shape that it has now, or refuse; a list may have any length unless the node says one. */
+export function typed(dataType: DataType, present: Variant, lengths: number[], given: Given): Variant {
   const { arrayType } = present;
   if (arrayType === VariantArrayType.Scalar) {
     return new Variant({ dataType, arrayType, value: scalar(dataType, given) });
   }
-  const dimensions = arrayType === VariantArrayType.Matrix ? present.dimensions! : [present.value?.length ?? 0];
+  const any = Array.isArray(given) ? given.length : 0;
+  const dimensions = arrayType === VariantArrayType.Matrix ? present.dimensions! : [lengths[0] || any];
   const value = flat(given, dimensions).map((element) => scalar(dataType, element));
   return new Variant({ dataType, arrayType, dimensions: present.dimensions, value });
 }
