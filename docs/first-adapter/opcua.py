@@ -43,7 +43,7 @@ SPECIAL = {"nan": "NaN", "inf": "Infinity", "-inf": "-Infinity"}  # JSON has non
 async def waited() -> AsyncIterator[None]:
     """Wait a moment for one of the sessions; refuse the call when there are too many."""
     try:
-        async with asyncio.timeout(1):
+        with anyio.fail_after(1):
             await SESSIONS.acquire()
     except TimeoutError:
         raise ToolError("device_busy: too many calls at the same time; nothing was sent") from None
@@ -59,20 +59,22 @@ async def plc() -> AsyncIterator[Client]:
     # The watchdog ends a connection whose server was slow to answer it once.
     client = Client(os.environ["OPCUA_URL"], timeout=TIMEOUT_S, watchdog_intervall=60)
     try:
-        async with waited(), asyncio.timeout(2 * TIMEOUT_S):
-            try:
+        # Not asyncio.timeout(): with anyio's shield below it a time-out would end the whole server.
+        async with waited():
+            with anyio.fail_after(2 * TIMEOUT_S):
                 try:
-                    await client.connect()
-                except (OSError, ua.UaError) as error:
-                    raise ToolError(f"connect_failed: the server cannot be reached ({error})") from error
-                try:
-                    yield client
+                    try:
+                        await client.connect()
+                    except (OSError, ua.UaError) as error:
+                        raise ToolError(f"connect_failed: the server cannot be reached ({error})") from error
+                    try:
+                        yield client
+                    finally:
+                        # A call that is cancelled is cancelled at each await: without the shield its session would stay.
+                        with anyio.move_on_after(1, shield=True):
+                            await client.disconnect()
                 finally:
-                    # A call that is cancelled is cancelled at each await: without the shield its session would stay.
-                    with anyio.move_on_after(1, shield=True):
-                        await client.disconnect()
-            finally:
-                client.disconnect_socket()
+                    client.disconnect_socket()
     except ua.UaStatusCodeError as error:
         raise ToolError(f"{ua.StatusCode(error.code).name}: the server refused") from error
     except (OSError, ua.UaError) as error:
