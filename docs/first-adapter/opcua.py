@@ -15,13 +15,13 @@ from enum import Enum
 from typing import Any
 from uuid import UUID
 
-import anyio
 from asyncua import Client, Node, ua
 from mcp.server.mcpserver.exceptions import ToolError
 from strict_mcp import READS, WRITES, StrictServer, strict
 
 mcp = StrictServer("plant-opcua", "1.0.0")
 TIMEOUT_S = float(os.environ.get("OPCUA_TIMEOUT_S", "2"))
+CLOSING: set[asyncio.Task[None]] = set()
 LONGEST = 10000
 SESSIONS = asyncio.Semaphore(4)  # servers have few of them
 
@@ -43,7 +43,7 @@ SPECIAL = {"nan": "NaN", "inf": "Infinity", "-inf": "-Infinity"}  # JSON has non
 async def waited() -> AsyncIterator[None]:
     """Wait a moment for one of the sessions; refuse the call when there are too many."""
     try:
-        with anyio.fail_after(1):
+        async with asyncio.timeout(1):
             await SESSIONS.acquire()
     except TimeoutError:
         raise ToolError("device_busy: too many calls at the same time; nothing was sent") from None
@@ -59,22 +59,19 @@ async def plc() -> AsyncIterator[Client]:
     # The watchdog ends a connection whose server was slow to answer it once.
     client = Client(os.environ["OPCUA_URL"], timeout=TIMEOUT_S, watchdog_intervall=60)
     try:
-        # Not asyncio.timeout(): with anyio's shield below it a time-out would end the whole server.
-        async with waited():
-            with anyio.fail_after(2 * TIMEOUT_S):
+        async with waited(), asyncio.timeout(2 * TIMEOUT_S):
+            try:
                 try:
-                    try:
-                        await client.connect()
-                    except (OSError, ua.UaError) as error:
-                        raise ToolError(f"connect_failed: the server cannot be reached ({error})") from error
-                    try:
-                        yield client
-                    finally:
-                        # A call that is cancelled is cancelled at each await: without the shield its session would stay.
-                        with anyio.move_on_after(1, shield=True):
-                            await client.disconnect()
-                finally:
-                    client.disconnect_socket()
+                    await client.connect()
+                except (OSError, ua.UaError) as error:
+                    raise ToolError(f"connect_failed: the server cannot be reached ({error})") from error
+                yield client
+            finally:
+                # In a task of its own: a call that is cancelled is cancelled at each await, and its session would stay.
+                closing = asyncio.create_task(client.disconnect())
+                CLOSING.add(closing)
+                closing.add_done_callback(CLOSING.discard)
+                await asyncio.wait({closing}, timeout=1)
     except ua.UaStatusCodeError as error:
         raise ToolError(f"{ua.StatusCode(error.code).name}: the server refused") from error
     except (OSError, ua.UaError) as error:
