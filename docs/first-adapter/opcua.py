@@ -15,13 +15,13 @@ from enum import Enum
 from typing import Any
 from uuid import UUID
 
-import anyio
 from asyncua import Client, Node, ua
 from mcp.server.mcpserver.exceptions import ToolError
 from strict_mcp import READS, WRITES, StrictServer, strict
 
 mcp = StrictServer("plant-opcua", "1.0.0")
 TIMEOUT_S = float(os.environ.get("OPCUA_TIMEOUT_S", "2"))
+CLOSING: set[asyncio.Task[None]] = set()
 LONGEST = 10000
 SESSIONS = asyncio.Semaphore(4)  # servers have few of them
 
@@ -65,14 +65,13 @@ async def plc() -> AsyncIterator[Client]:
                     await client.connect()
                 except (OSError, ua.UaError) as error:
                     raise ToolError(f"connect_failed: the server cannot be reached ({error})") from error
-                try:
-                    yield client
-                finally:
-                    # A call that is cancelled is cancelled at each await: without the shield its session would stay.
-                    with anyio.move_on_after(1, shield=True):
-                        await client.disconnect()
+                yield client
             finally:
-                client.disconnect_socket()
+                # In a task of its own: a call that is cancelled is cancelled at each await, and its session would stay.
+                closing = asyncio.create_task(client.disconnect())
+                CLOSING.add(closing)
+                closing.add_done_callback(CLOSING.discard)
+                await asyncio.wait({closing}, timeout=1)
     except ua.UaStatusCodeError as error:
         raise ToolError(f"{ua.StatusCode(error.code).name}: the server refused") from error
     except (OSError, ua.UaError) as error:
