@@ -65,7 +65,8 @@ FOUND: dict[str, dict[str, set[str]]] = {
         "MQT-001.mqtt": {"TMO-001", "WR-003"},
     },
     "opcua": {
-        "FO2": set(),
+        # What node-opcua prints at the very first start.
+        "FO2": {"MCP-001"},
         "MCP-002.opcua": {"MCP-002"},
         "MCP-004.opcua": {"MCP-004"},
         "MCP-005.opcua": set(),
