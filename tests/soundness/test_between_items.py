@@ -69,6 +69,7 @@ def test_an_item_that_cannot_be_finished_leaves_its_device_running(loop: LoopThr
         "Stops", "stress", "Stop the device, and write by what has no tool.", needs="modbus.ping", capability=None
     )
     async def stops(run: Repetition, modbus: Rig) -> None:
+        await modbus.prove()
         await modbus.stop_device()
         await modbus.call("write_holding", address=1, value=7)
 
@@ -82,7 +83,6 @@ def test_an_item_that_cannot_be_finished_leaves_its_device_running(loop: LoopThr
     async def both() -> tuple[str, str]:
         try:
             stopped = await measured(bench, stops)
-            print(stopped["findings"], stopped["reason"])
             return stopped["status"], (await measured(bench, tasks_by_id()["M2"]))["status"]
         finally:
             await bench.close()
