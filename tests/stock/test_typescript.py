@@ -63,6 +63,7 @@ FOUND: dict[str, dict[str, set[str]]] = {
         "ENC-006.mqtt": {"ENC-006"},
         "TMO-001.mqtt": {"TMO-001"},
         "MQT-001.mqtt": {"TMO-001", "WR-003"},
+        "INJ-002.mqtt": {"INJ-002"},
     },
     "opcua": {
         # What node-opcua prints at the very first start.
@@ -72,6 +73,7 @@ FOUND: dict[str, dict[str, set[str]]] = {
         "MCP-005.opcua": set(),
         "ADR-003.opcua": {"ADR-003"},
         "OUA-005.opcua": {"OUA-005"},
+        "INJ-002.opcua": {"INJ-002"},
     },
 }
 """Of each adapter as it was first written: items, and the requirements that their findings cite; of none where it is right."""

@@ -93,7 +93,7 @@ def test_a_program_for_node_imports_a_package_in_any_form(tmp_path: Path, name: 
         '/*\n * import mqtt from "mqtt";\n */',
         '/* import mqtt from "mqtt";',
         "console.log('import mqtt from \"mqtt\"');",
-        "const help = `\nimport mqtt from \"mqtt\";\n`;",
+        'const help = `\nimport mqtt from "mqtt";\n`;',
         'import mqtt from "mqtt-mock";',
         'import mqtt from "@acme/mqtt";',
         'import mqtt from "acme/mqtt";',
