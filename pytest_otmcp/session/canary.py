@@ -11,7 +11,6 @@ import json
 import secrets
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from ..core.text import printable
 from ..record.redaction import secret_forms
@@ -36,7 +35,8 @@ def new_canary() -> str:
     return secrets.token_hex(_CHARACTERS // 2)
 
 
-class Leak(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Leak:
     """A secret that an adapter has told.
 
     Attributes:

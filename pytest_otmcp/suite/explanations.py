@@ -137,7 +137,6 @@ def item(task: Task) -> Explained:
 def requirement(row: Requirement) -> Explained:
     """Explain a row of the requirement catalogue."""
     strength = row.strength + (", and the kit asks for more than the source does" if row.stricter else "")
-    source = row.source + ("" if row.checked else " (the text was not at hand: check the section before you quote it)")
     lost = f"The grade for {_words(row.capabilities)}, whichever item the finding is in"
     profiles = _list([f"{name} ({catalogue().profiles[name].meaning})" for name in row.profiles])
     only = f", for {_list([protocols()[key].name for key in row.protocols])} only" if row.protocols else ""
@@ -149,7 +148,8 @@ def requirement(row: Requirement) -> Explained:
         ("Level", (f"{row.level.capitalize()} and above; profile {profiles}{only}; since version {row.since}",)),
         ("How it is judged", (row.judged,)),
         ("Not yet judged", (row.not_yet or "",)),
-        ("Source", (source,)),
+        ("Source", (row.source,)),
+        ("Related", (row.related,)),
         ("What it takes away", (lost if row.capabilities else "",)),
         ("Items about it", (_list([task.id for task in all_tasks().values() if row.id in task.requirements]),)),
         ("By library", tuple(advice(row.id))),

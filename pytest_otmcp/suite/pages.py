@@ -17,6 +17,8 @@ __all__ = ["PAGES", "page"]
 
 _HEAD = "Made by `python -m pytest_otmcp.suite.pages {name}` from {origin}; a test fails when this page is not current."
 
+_READ = {"text": "the text", "titles": "numbers and titles", None: "nothing"}
+
 
 def _items() -> Iterator[str]:
     yield "# The items"
@@ -56,6 +58,17 @@ def _requirements() -> Iterator[str]:
     yield _table(
         ("profile", "what it is about", "from level"),
         ((f"`{profile.id}`", profile.meaning, profile.level.capitalize()) for profile in profiles),
+    )
+    yield "## Documents"
+    yield (
+        "A row rests on its source: places in documents whose text the authors of the catalogue have read. Related documents are on the "
+        "same matter, and a row quotes nothing of them. Where only tables of numbers and titles were read, which others have "
+        "published, a row names the requirements that it is evidence towards; it does not show that they are met."
+    )
+    documents = catalogue().documents.values()
+    yield _table(
+        ("name", "document", "to be had at", "what was read"),
+        ((one.name, one.title, one.at, _READ[one.read]) for one in documents),
     )
     for area, heading in catalogue().areas.items():
         rows = [row for row in requirements().values() if row.area == area]

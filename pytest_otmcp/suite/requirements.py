@@ -1,7 +1,7 @@
 """The requirement catalogue (``requirements.toml`` beside the suite) as frozen data. Pure.
 
-The file is read strictly: a key that is unknown, missing or of another type, and a level, profile or protocol that does not
-exist, end in one sentence.
+The file is read strictly: a key that is unknown, missing or of another type, a level, profile, protocol or document that does not
+exist, and a place in a document that was not read, end in one sentence.
 """
 
 from __future__ import annotations
@@ -19,11 +19,12 @@ from ..core.capability import Capability
 from ..protocols.registry import protocol_keys
 from .package import SUITE
 
-__all__ = ["Catalogue", "Level", "Profile", "Requirement", "catalogue", "cited", "read", "requirements"]
+__all__ = ["Catalogue", "Document", "Level", "Profile", "Requirement", "catalogue", "cited", "read", "requirements"]
 
 _FILE = "requirements.toml"
 _ID = re.compile(r"[A-Z]{2,3}-[0-9]{3}")
 _STRENGTHS = ("MUST", "SHOULD")
+_READ = ("text", "titles")
 
 
 class Level(StrEnum):
@@ -68,6 +69,24 @@ class Profile:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Document:
+    """A document that rows name.
+
+    Attributes:
+        name: as rows name it.
+        title: its whole title, with the edition.
+        at: where it, or what was read of it, can be had.
+        read: ``text`` where the authors of the rows had its text, ``titles`` where they had tables of its numbers and titles only;
+            None where it is only named.
+    """
+
+    name: str
+    title: str
+    at: str
+    read: Literal["text", "titles"] | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Requirement:
     """One row of the catalogue.
 
@@ -78,8 +97,8 @@ class Requirement:
         profiles: ids of the parts of an adapter that it is about.
         statement: what an adapter has to do.
         judged: what the kit looks at, in the answer and at the device.
-        source: where the rule comes from, with its section.
-        checked: the authors of the row had the text of the source before them.
+        source: what the rule rests on: documents whose text was read, each with the place, between semicolons.
+        related: other documents on the matter, by name alone unless their numbers and titles were read; empty for none.
         since: version of the kit that has the row.
         stricter: the kit asks for more than the source, which recommends it or gives the principle only.
         protocols: keys of the protocols that it is about, where its profiles do not say that; empty for those of the profiles.
@@ -94,8 +113,8 @@ class Requirement:
     statement: str
     judged: str
     source: str
-    checked: bool
     since: str
+    related: str = ""
     stricter: bool = False
     protocols: tuple[str, ...] = ()
     capabilities: tuple[Capability, ...] = ()
@@ -114,11 +133,13 @@ class Catalogue:
     Attributes:
         areas: the letters with which ids begin, to a heading.
         profiles: by id.
+        documents: by the name that rows use.
         rows: by id.
     """
 
     areas: Mapping[str, str]
     profiles: Mapping[str, Profile]
+    documents: Mapping[str, Document]
     rows: Mapping[str, Requirement]
 
     def needs(self, level: Level, protocol: str) -> list[Requirement]:
@@ -151,11 +172,18 @@ def read(text: str) -> Catalogue:
     except tomllib.TOMLDecodeError as error:
         raise ValueError(f"{_FILE}: {error}") from None
     areas = _table(document, "areas")
+    documents = {name: _document(name, table) for name, table in _table(document, "documents").items()}
     # Each question for the keys looks through all installed packages.
     keys = protocol_keys()
     profiles = {name: _profile(name, table, keys) for name, table in _table(document, "profiles").items()}
-    rows = {name: _row(name, table, areas, profiles, keys) for name, table in document.items()}
-    return Catalogue(areas=areas, profiles=profiles, rows=rows)
+    rows = {name: _row(name, table, areas, profiles, documents, keys) for name, table in document.items()}
+    return Catalogue(areas=areas, profiles=profiles, documents=documents, rows=rows)
+
+
+def _document(name: str, table: object) -> Document:
+    fields = _fields(table, name, {"title": str, "at": str}, {"read": str})
+    _known([fields["read"]] if "read" in fields else [], _READ, name, "value of 'read'")
+    return Document(name=name, title=fields["title"], at=fields["at"], read=fields.get("read"))
 
 
 def _profile(name: str, table: object, protocols: Iterable[str]) -> Profile:
@@ -168,7 +196,12 @@ def _profile(name: str, table: object, protocols: Iterable[str]) -> Profile:
 
 
 def _row(
-    name: str, table: object, areas: Iterable[str], profiles: Iterable[str], protocols: Iterable[str]
+    name: str,
+    table: object,
+    areas: Iterable[str],
+    profiles: Iterable[str],
+    documents: Mapping[str, Document],
+    protocols: Iterable[str],
 ) -> Requirement:
     if _ID.fullmatch(name) is None:
         raise ValueError(f"{_FILE}: {name!r} is no id of a requirement")
@@ -182,10 +215,9 @@ def _row(
             "statement": str,
             "judged": str,
             "source": str,
-            "checked": bool,
             "since": str,
         },
-        {"stricter": bool, "protocols": list, "capabilities": list, "not_yet": str},
+        {"stricter": bool, "related": str, "protocols": list, "capabilities": list, "not_yet": str},
     )
     _known((name.partition("-")[0],), areas, name, "area")
     _known((fields["strength"],), _STRENGTHS, name, "strength")
@@ -195,6 +227,12 @@ def _row(
     _known(fields.get("capabilities", ()), Capability, name, "capability")
     if not fields["profiles"]:
         raise ValueError(f"{_FILE}: {name} has no profile")
+    for entry in fields["source"].split("; "):
+        if _named(entry, documents, f"{name}.source").read != "text":
+            raise ValueError(f"{_FILE}: {name}.source rests on a text that was not read: {entry}")
+    for entry in fields["related"].split("; ") if "related" in fields else ():
+        if entry not in documents and _named(entry, documents, f"{name}.related").read != "titles":
+            raise ValueError(f"{_FILE}: {name}.related names a place: {entry}")
     return Requirement(
         id=name,
         strength=cast(Literal["MUST", "SHOULD"], fields["strength"]),
@@ -203,13 +241,21 @@ def _row(
         statement=fields["statement"],
         judged=fields["judged"],
         source=fields["source"],
-        checked=fields["checked"],
         since=fields["since"],
+        related=fields.get("related", ""),
         stricter=fields.get("stricter", False),
         protocols=tuple(fields.get("protocols", ())),
         capabilities=tuple(map(Capability, fields.get("capabilities", ()))),
         not_yet=fields.get("not_yet"),
     )
+
+
+def _named(entry: str, documents: Mapping[str, Document], where: str) -> Document:
+    """Return the document whose name an entry of a row begins with."""
+    for name, document in documents.items():
+        if entry == name or entry.startswith(f"{name}, "):
+            return document
+    raise ValueError(f"{_FILE}: {where} begins with no name of a document: {entry}")
 
 
 def _table(document: dict[str, Any], name: str) -> dict[str, Any]:

@@ -76,9 +76,7 @@ class SessionFacts:
         if self.too_deep:
             remark["too_deep"] = self.too_deep
         if self.leaks:
-            remark["leaks"] = [
-                ToldSecret(variable=variable, place=place, form=form) for variable, place, form in self.leaks
-            ]
+            remark["leaks"] = [ToldSecret(variable=one.variable, place=one.place, form=one.form) for one in self.leaks]
         if self.tools_changed is not None:
             remark["tools_changed"] = self.tools_changed
         return remark

@@ -281,8 +281,9 @@ class Trial:
             if facts.tools_changed is not None:
                 said = f"{facts.protocol}: tools/list {_CHANGED[facts.tools_changed]} at the end of a session"
                 self._note("tools_changed", said, "MCP-010", "MUST" if facts.tools_changed == "changed" else "SHOULD")
-            for variable, place, form in facts.leaks:
-                self._note("told_secret", f"{facts.protocol}: {place} has the value of {variable}, {form}", "KEY-001")
+            for leak in facts.leaks:
+                said = f"{facts.protocol}: {leak.place} has the value of {leak.variable}, {leak.form}"
+                self._note("told_secret", said, "KEY-001")
             if facts.stray_lines:
                 count, first = facts.stray_lines, facts.first_stray
                 message = f"{count} line(s) on stdout that are no MCP message, the first: {first!r}"

@@ -99,7 +99,7 @@ MUTANTS = (
         protocol="mqtt",
         sentence="Every device counts the sequence of its own messages.",
         bend=sequence_per_device,
-        items="Q4",
+        items="Q4 S11",
         requirements="SPB-004",
         quick=True,
     ),

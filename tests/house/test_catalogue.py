@@ -216,10 +216,21 @@ def test_a_row_begins_with_the_lowest_level_of_its_profiles() -> None:
 
 def test_the_rows_are_whole() -> None:
     for row in requirements().values():
-        for text in (row.statement, row.judged, row.source, row.since, row.not_yet or "-"):
+        for text in (row.statement, row.judged, row.source, row.related or "-", row.since, row.not_yet or "-"):
             assert text.strip() == text, row.id
             assert text, row.id
             assert "|" not in text, f"{row.id}: its page has tables"
+
+
+def test_every_document_is_named_by_a_row_and_every_row_by_the_names_of_documents() -> None:
+    # That a row names documents of the table alone, and places only of what was read, is checked whenever the file is read.
+    named = {entry for row in requirements().values() for entry in f"{row.source}; {row.related}".split("; ")}
+    for name in catalogue().documents:
+        assert any(entry == name or entry.startswith(f"{name}, ") for entry in named), name
+
+
+def test_a_rule_of_the_kit_itself_is_not_stricter_than_its_source() -> None:
+    assert [row.id for row in requirements().values() if row.stricter and "The kit" in row.source.split("; ")] == []
 
 
 ROW = """
@@ -227,14 +238,18 @@ ROW = """
 WR = "Writing"
 [profiles]
 safe = { level = "silver", meaning = "write safety" }
+[documents]
+"A book" = { title = "A book, 2nd edition", at = "a library", read = "text" }
+"A list" = { title = "A list", at = "a library", read = "titles" }
+"Heard of" = { title = "Heard of", at = "a library" }
 [WR-001]
 strength = "MUST"
 level = "silver"
 profiles = ["safe"]
 statement = "Do."
 judged = "Looked at."
-source = "A book, section 1"
-checked = true
+source = "A book, section 1; A book"
+related = "Heard of; A list, 7 (Title); A book"
 since = "0.1"
 """
 
@@ -245,7 +260,14 @@ since = "0.1"
         ("since =", "sinse =", "WR-001 has an unknown key 'sinse'"),
         ('judged = "Looked at."', "", "WR-001 has no 'judged'"),
         ('"Do."', '""', "WR-001.statement has to be of type str and not empty"),
-        ("checked = true", "checked = 1", "WR-001.checked has to be of type bool and not empty"),
+        ('"Heard of; A list, 7 (Title); A book"', "1", "WR-001.related has to be of type str and not empty"),
+        ('"A book, section 1; ', '"A books; ', "WR-001.source begins with no name of a document: A books"),
+        ('"A book, section 1; ', '"A list; ', "WR-001.source rests on a text that was not read: A list"),
+        ('"A book, section 1; ', '"Heard of; ', "WR-001.source rests on a text that was not read: Heard of"),
+        ('"Heard of; ', '"Unheard of; ', "WR-001.related begins with no name of a document: Unheard of"),
+        ('"Heard of; ', '"Heard of, section 1; ', "WR-001.related names a place: Heard of, section 1"),
+        ('(Title); A book"', '(Title); A book, section 1"', "WR-001.related names a place: A book, section 1"),
+        ('"titles"', '"some"', "A list has an unknown value of 'read' 'some'; there are text, titles"),
         ('"MUST"', '"MAY"', "WR-001 has an unknown strength 'MAY'; there are MUST, SHOULD"),
         ('"silver"\nprofiles', '"tin"\nprofiles', "WR-001 has an unknown level 'tin'; there are bronze, silver, gold"),
         ('["safe"]', '["save"]', "WR-001 has an unknown profile 'save'; there are safe"),

@@ -604,17 +604,18 @@ async def test_what_was_added_is_gone_after_a_reset(device: MockProgram, client:
 # -- what the library leaves out -------------------------------------------------------------------------------
 
 
-async def test_the_endpoint_offers_the_one_way_to_log_in_that_works(device: MockProgram, client: Client) -> None:
+async def test_the_endpoint_offers_the_ways_to_log_in_that_work(device: MockProgram, client: Client) -> None:
     (endpoint,) = await client.get_endpoints()
-    assert [policy.TokenType for policy in endpoint.UserIdentityTokens] == [ua.UserTokenType.Anonymous]
+    offered = [policy.TokenType for policy in endpoint.UserIdentityTokens]
+    assert offered == [ua.UserTokenType.Anonymous, ua.UserTokenType.UserName]
     assert endpoint.Server.ApplicationUri == "urn:otmcp:mock"
     assert (await client.get_namespace_array())[:3] == ["http://opcfoundation.org/UA/", "urn:otmcp:mock", URI]
     assert await client.get_node(ua.NodeId(ua.ObjectIds.Server_ServerArray)).read_value() == ["urn:otmcp:mock"]
     named = Client(f"opc.tcp://{device.host}:{device.port}", timeout=PATIENCE_S)
     named.set_user("operator")
     named.set_password("secret")
-    with pytest.raises((UaStatusCodeError, ua.UaError)):
-        await named.connect()
+    async with named:
+        assert (await named.get_namespace_array())[2] == URI
 
 
 async def test_a_methods_arguments_have_names(device: MockProgram, client: Client) -> None:

@@ -254,6 +254,23 @@ def a_guard_that_leaks(run: Record) -> None:
 
 # -- forgeries ------------------------------------------------------------------------------------------------------------
 
+
+def on_another_day(run: Record) -> None:
+    """Move the whole run by two days: every time of day, those of the envelopes, and the monotonic clock."""
+    for place in (run["environment"], *run["items"]):
+        for name in ("started_at", "finished_at"):
+            place[name] = later(place[name])
+    for one in calls(run):
+        meta = one["envelope"]["meta"]
+        meta["started_at"] = later(meta["started_at"])
+    for one in run["items"]:
+        moved(one, ns=2 * DAY_NS)
+
+
+def later(moment: str) -> str:
+    return (datetime.fromisoformat(moment) + timedelta(days=2)).isoformat().replace("+00:00", "Z")
+
+
 FORGERIES: dict[str, tuple[str, Change]] = {
     # shape
     "a number that is true": (
@@ -895,6 +912,10 @@ FORGERIES: dict[str, tuple[str, Change]] = {
         "M2: the stored history shows strangers [], the record says",
         add_a_stranger,
     ),
+    "another day than that of the times on the wire": (
+        'Q4: the stored history shows status "FAIL", the record says "PASS"',
+        on_another_day,
+    ),
     "an end that did not come": (
         'M2: the stored history shows status "FAIL", the record says "PASS"',
         end_early,
@@ -920,22 +941,6 @@ def test_a_forged_record_is_refused(genuine: Record, tmp_path: Path, name: str) 
 # -- what nobody can refuse without a signature ---------------------------------------------------------------------------
 
 
-def on_another_day(run: Record) -> None:
-    """Move the whole run by two days: every time of day, those of the envelopes, and the monotonic clock."""
-    for place in (run["environment"], *run["items"]):
-        for name in ("started_at", "finished_at"):
-            place[name] = later(place[name])
-    for one in calls(run):
-        meta = one["envelope"]["meta"]
-        meta["started_at"] = later(meta["started_at"])
-    for one in run["items"]:
-        moved(one, ns=2 * DAY_NS)
-
-
-def later(moment: str) -> str:
-    return (datetime.fromisoformat(moment) + timedelta(days=2)).isoformat().replace("+00:00", "Z")
-
-
 def a_faster_adapter(run: Record) -> None:
     """Let an answer come earlier by a microsecond, in all that follows from it."""
     faster, repetition = call(run, "M1"), sample(run, "M1")
@@ -951,7 +956,6 @@ INHERENT: dict[str, Change] = {
     "how the server introduced itself": lambda run: facts(run).update(server_name="other", server_version="9"),
     "the revision of MCP": lambda run: facts(run).update(protocol_version="2025-11-25"),
     "the machine": lambda run: run["environment"].update(python="3.13.0", platform="Plan 9", cpu_count=64, packages={}),
-    "the day": on_another_day,
     "the latency of a call": a_faster_adapter,
     "where the time went": lambda run: item(run, "M1").update(timing_ms={"tool calls": 1.0}),
     "how long the run took": lambda run: run["footer"].update(elapsed_s=1.0, breakdown_s={}),

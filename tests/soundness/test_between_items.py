@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,12 @@ from pytest_otmcp.soundness.judging import measured
 from pytest_otmcp.suite.catalogue import tasks_by_id
 from pytest_otmcp.trial.adapter_under_test import BenchOptions
 from pytest_otmcp.trial.bench import Bench
+from pytest_otmcp.trial.repetition import Repetition
+from pytest_otmcp.trial.rig import Rig
+from pytest_otmcp.trial.task import Tasks
 from tests.trials import as_read, recorded
 
-from .conftest import SUBJECTS, Judge, Results, foreign_subject, lying, passing
+from .conftest import Results, foreign_subject, lying
 
 
 @pytest.mark.parametrize("following", ["M2", "M4"])
@@ -58,9 +62,29 @@ def test_a_command_that_comes_between_two_items_is_found(
     assert "the journal of modbus should have the entries" in "\n".join(rejudge(as_read(record)))
 
 
-def test_an_item_that_cannot_be_finished_leaves_its_device_running(judge_foreign: Judge) -> None:
-    text = (SUBJECTS / "modbus-json.toml").read_text(encoding="utf-8")
-    binding = text[text.index("[adapter.modbus.bind.write_holding]") :]
-    results = judge_foreign("modbus-json", described=(binding, ""), tasks="S10 R-modbus")
-    assert results["S10"]["status"] == "NOT_TESTABLE"
-    assert passing(results) == {"R-modbus"}
+def test_an_item_that_cannot_be_finished_leaves_its_device_running(loop: LoopThread, plant: Plant) -> None:
+    tasks = Tasks()
+
+    @tasks.task(
+        "Stops", "stress", "Stop the device, and write by what has no tool.", needs="modbus.ping", capability=None
+    )
+    async def stops(run: Repetition, modbus: Rig) -> None:
+        await modbus.prove()
+        await modbus.stop_device()
+        await modbus.call("write_holding", address=1, value=7)
+
+    subject = foreign_subject("modbus-json")
+    bound = subject.adapters["modbus"].operations
+    (write,) = bound["write_holding"]
+    operations = {**bound, "write_holding": (replace(write, when={"address": 2}),)}
+    adapter = replace(subject.adapters["modbus"], operations=operations)
+    bench = Bench(replace(subject, adapters={"modbus": adapter}), BenchOptions(), plant)
+
+    async def both() -> tuple[str, str]:
+        try:
+            stopped = await measured(bench, stops)
+            return stopped["status"], (await measured(bench, tasks_by_id()["M2"]))["status"]
+        finally:
+            await bench.close()
+
+    assert loop.run(both()) == ("NOT_TESTABLE", "PASS")

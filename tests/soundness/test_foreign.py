@@ -116,7 +116,7 @@ LIES = {
     ("mqtt-collect", "collects-nothing"): ("Q2 S2", "the reply says []"),
     ("opcua-items", "empty-success"): ("O2 O4", "nodes are missing or wrong"),
     ("opcua-items", "guard-in-words"): ("O3", "the server should have seen no state-changing request, it saw 1"),
-    ("opcua-items", "echoes-write"): ("O3 FO2 S6", "the server should have seen one Write"),
+    ("opcua-items", "echoes-write"): ("O3 FO2 S6 R-opcua", "the server should have seen one Write"),
     ("opcua-items", "all-is-good"): ("FO1", "it claims success"),
     ("opcua-items", "applied-late"): ("FO2", "should have accepted 1 Write(s), it accepted 2"),
     ("opcua-items", "applied-nevertheless"): ("FO2", "ns=2;s=ValvePosition should hold"),

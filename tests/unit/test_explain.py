@@ -34,14 +34,14 @@ def test_an_item_tells_what_happens_once_around_its_repetitions(capsys: pytest.C
     assert "Once afterwards Announce a device through the adapter that was started with writes disabled." in text
 
 
-def test_a_requirement_is_told_with_its_source_and_whether_that_was_checked(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_requirement_is_told_with_its_source_and_what_is_related(capsys: pytest.CaptureFixture[str]) -> None:
     text = told(capsys, "WR-003", "MCP-001")
-    unchecked, checked = text.split("MCP-001 (requirement): ")
-    assert "section 4.4.1.4 (the text was not at hand: check the section before you quote it)" in unchecked
-    assert "Items about it M3, Q3," in unchecked
-    assert "was not at hand" not in checked
+    with_related, without = text.split("MCP-001 (requirement): ")
+    row = requirements()["WR-003"]
+    assert f"Source {row.source} Related {row.related} " in with_related
+    assert "Items about it M3, Q3," in with_related
+    assert f"Source {requirements()['MCP-001'].source} " in without
+    assert "Related" not in without
 
 
 def test_a_requirement_is_told_with_what_to_change_in_every_library(capsys: pytest.CaptureFixture[str]) -> None:

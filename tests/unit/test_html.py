@@ -558,7 +558,8 @@ def test_a_finding_leads_to_the_words_and_the_source_of_its_requirement() -> Non
     row = requirements()["WR-003"]
     assert shown.values("href").count("#rule-WR-003") >= 2
     assert "rule-WR-003" in shown.values("id")
-    assert f"WR-003 MUST {row.statement} Source: {row.source} (section not checked)" in shown.text
+    assert row.related
+    assert f"WR-003 MUST {row.statement} Source: {row.source}. Related: {row.related}." in shown.text
 
 
 def test_a_requirement_of_another_catalogue_has_an_anchor_all_the_same() -> None:

@@ -16,6 +16,7 @@ from pytest_otmcp.suite.requirements import Catalogue, Level, catalogue, read
 from .samples import finding, item
 
 KEYS = ("modbus", "mqtt", "opcua", "s7", "bacnet", "ethernetip", "dnp3", "profibus")
+DOCUMENTS = '[documents]\nx = { title = "x", at = "x", read = "text" }\n'
 
 
 def check(row: str, protocol: str = "modbus", status: str = "PASS") -> dict[str, Any]:
@@ -183,16 +184,22 @@ def test_an_adapter_that_may_write_has_to_show_that_it_can_be_kept_from_it() -> 
 
 
 def test_a_protocol_without_profiles_of_its_own_earns_no_level() -> None:
-    text = '[areas]\nENV = "x"\n[profiles]\ncore = { level = "bronze", meaning = "x" }\n[ENV-001]\nstrength = "MUST"\n'
-    text += 'level = "bronze"\nprofiles = ["core"]\nstatement = "x"\njudged = "x"\nsource = "x"\nchecked = true\nsince = "0.2"\n'
+    text = (
+        DOCUMENTS
+        + '[areas]\nENV = "x"\n[profiles]\ncore = { level = "bronze", meaning = "x" }\n[ENV-001]\nstrength = "MUST"\n'
+    )
+    text += 'level = "bronze"\nprofiles = ["core"]\nstatement = "x"\njudged = "x"\nsource = "x"\nsince = "0.2"\n'
     found = stands([check("ENV-001")], rows=read(text))
     assert (found.level, found.not_run, found.shown) == (None, (), False)
     assert said(found) == "Modbus: no level; for Bronze: nothing that belongs to it is claimed"
 
 
 def test_gold_can_be_earned_once_its_rows_are_judged() -> None:
-    row = 'strength = "MUST"\nstatement = "x"\njudged = "x"\nsource = "x"\nchecked = true\nsince = "0.2"\n'
-    text = '[areas]\nRD = "x"\nWR = "x"\nSEC = "x"\n[profiles]\nmb-r = { level = "bronze", protocol = "modbus", meaning = "x" }\n'
+    row = 'strength = "MUST"\nstatement = "x"\njudged = "x"\nsource = "x"\nsince = "0.2"\n'
+    text = (
+        DOCUMENTS
+        + '[areas]\nRD = "x"\nWR = "x"\nSEC = "x"\n[profiles]\nmb-r = { level = "bronze", protocol = "modbus", meaning = "x" }\n'
+    )
     text += 'mb-w = { level = "silver", protocol = "modbus", meaning = "x" }\nsec = { level = "gold", meaning = "x" }\n'
     for name, level, profile in (
         ("RD-001", "bronze", "mb-r"),

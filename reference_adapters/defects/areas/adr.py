@@ -230,7 +230,7 @@ MUTANTS: tuple[Mutant, ...] = (
         sentence="Unit 257 is unit 1.",
         bend=unit_modulo_256,
         items="ADR-002.modbus",
-        requirements="ADR-002 ERR-002",
+        requirements="ADR-002",
         areas="adr",
         quick=True,
     ),
