@@ -53,7 +53,7 @@ FOUND: dict[str, dict[str, set[str]]] = {
     },
     "mqtt": {
         "Q1": {"RD-004"},
-        "FQ1": {"ADR-006", "ERR-006", "MCP-009"},
+        "FQ1": {"ADR-006", "MCP-009"},
         "FQ2": {"ADR-007", "MQT-002"},
         "MCP-004.mqtt": {"MCP-004"},
         "MCP-005.mqtt": set(),
